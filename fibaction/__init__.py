@@ -1,0 +1,61 @@
+"""ROS 2 actions for asyncio, with or without ROS.
+
+A client sends a goal; the server accepts or rejects it, streams feedback, and ends it with a
+result; a client may cancel at any time. All that is needed for that is here, and
+`fibaction.testing` helps to test it; `fibaction.abc` is for those who write transports.
+"""
+
+from fibaction.abc import Endpoint, Transport
+from fibaction.action import Action, ActionInfo
+from fibaction.client import ActionClient, ClientConnection, ClientGoal, connect
+from fibaction.exceptions import (
+    ActionError,
+    AuthenticationFailed,
+    CancelRejected,
+    ConnectionLost,
+    GoalAborted,
+    GoalCanceled,
+    GoalRejected,
+    InvalidTransition,
+    ProtocolError,
+    ServerNotFound,
+    TransportError,
+    UnknownGoal,
+)
+from fibaction.executor import GoalHandle
+from fibaction.goals import CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
+from fibaction.server import ActionServer, serve
+from fibaction.states import GoalEvent, GoalStatus
+
+__all__ = [
+    "Action",
+    "ActionClient",
+    "ActionError",
+    "ActionInfo",
+    "ActionServer",
+    "AuthenticationFailed",
+    "CancelAnswer",
+    "CancelCode",
+    "CancelRejected",
+    "ClientConnection",
+    "ClientGoal",
+    "ConnectionLost",
+    "Endpoint",
+    "GoalAborted",
+    "GoalCanceled",
+    "GoalEvent",
+    "GoalHandle",
+    "GoalID",
+    "GoalInfo",
+    "GoalRejected",
+    "GoalStatus",
+    "InvalidTransition",
+    "Outcome",
+    "ProtocolError",
+    "ServerNotFound",
+    "Transport",
+    "TransportError",
+    "UnknownGoal",
+    "connect",
+    "serve",
+]

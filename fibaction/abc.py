@@ -1,0 +1,239 @@
+"""What lies between clients and servers: all that the author of a transport reads.
+
+`Endpoint` is an action server as its clients see it. `ActionServer` is one; the client half of a
+transport is one; the server half of a transport calls one. So anything that can be reached can be
+served again somewhere else. Payloads cross this border as bytes (msgpack), so that nothing between
+a client and a server needs the types, and no mutation on one side is seen on the other.
+
+Errors: a method raises only what its docstring names; a transport translates the errors of
+whatever it is built on, `raise ... from exc`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from contextlib import AbstractAsyncContextManager
+from types import TracebackType
+from typing import Any, NamedTuple, TypeVar
+
+from fibaction.action import Action, ActionInfo
+from fibaction.exceptions import UnknownGoal
+from fibaction.goals import UNKNOWN_OUTCOME, CancelAnswer, GoalID, GoalInfo, Outcome
+from fibaction.states import GoalStatus
+
+SelfT = TypeVar("SelfT", bound="_Closing")
+
+
+class FeedbackItem(NamedTuple):
+    """One feedback message of a goal."""
+
+    number: int
+    """Its place among all feedback of the goal: 1, 2, 3 and so on, with none left out."""
+    payload: bytes
+
+
+class _Closing(ABC):
+    """Something to close: by hand, or at the end of a `with` block. Closing never waits."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stop listening. Closing twice does nothing."""
+
+    def __enter__(self: SelfT) -> SelfT:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class GoalStream(_Closing):
+    """One goal, followed: its feedback in order, its status, and in the end its outcome."""
+
+    goal_id: GoalID
+    stamp: int
+    """When the goal was accepted: nanoseconds since 1970."""
+
+    @property
+    @abstractmethod
+    def status(self) -> GoalStatus:
+        """The status that was last heard of."""
+
+    @property
+    @abstractmethod
+    def dropped(self) -> int:
+        """How many feedback messages this stream has missed, because it was read too slowly."""
+
+    @abstractmethod
+    async def receive(self) -> FeedbackItem | None:
+        """The next feedback; None when there is no more, which is when the goal has ended.
+
+        Raises:
+            ConnectionLost: The connection ended, and more was to come.
+        """
+
+    @abstractmethod
+    async def outcome(self) -> Outcome[bytes]:
+        """Wait for the end of the goal, whether or not its feedback is read.
+
+        It is answered also after the server has forgotten the result.
+
+        Raises:
+            ConnectionLost: The connection ended before the goal did.
+        """
+
+    @abstractmethod
+    def hold(self, wanted: bool) -> None:
+        """Say whether the executor is to wait for this stream when it is read slowly.
+
+        Has an effect only on the stream that `send_goal` returned, and only where the server's
+        policy is to lose no feedback.
+        """
+
+
+class StatusStream(_Closing):
+    """What happens to all goals of a server: first every goal it knows, then each change."""
+
+    @property
+    @abstractmethod
+    def dropped(self) -> int:
+        """How many changes this stream has missed, because it was read too slowly."""
+
+    @abstractmethod
+    async def receive(self) -> GoalInfo | None:
+        """The next goal or change, UNKNOWN for a goal forgotten; None when the server stops.
+
+        Raises:
+            ConnectionLost: The connection ended.
+        """
+
+
+class Endpoint(ABC):
+    """An action server as its clients see it, whatever lies between."""
+
+    @property
+    @abstractmethod
+    def info(self) -> ActionInfo:
+        """The action that is served here."""
+
+    @abstractmethod
+    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> GoalStream:
+        """Send a goal, and follow it from its very beginning.
+
+        The same ID with the same goal may be sent again: it gets the same answer and runs once.
+        `feedback=False` follows the status and the outcome only.
+
+        Raises:
+            GoalRejected: The server did not accept it; `reason` says why.
+            ServerNotFound: Nobody serves this action.
+            ConnectionLost: The connection ended before the answer; the goal may have been accepted.
+        """
+
+    @abstractmethod
+    async def feedback(self, goal_id: GoalID, *, after: int | None = None) -> GoalStream:
+        """Follow a goal that somebody sent, as an observer, who never slows it down.
+
+        The stream begins with what comes from now on; with `after`, with the feedback that follows
+        that number, as far back as the server remembers (the rest counts as dropped).
+
+        Raises:
+            UnknownGoal: The server has no such goal.
+            ServerNotFound, ConnectionLost: As for `send_goal`.
+        """
+
+    @abstractmethod
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        """Ask to cancel: by the rules of `action_msgs/srv/CancelGoal`.
+
+        Neither argument: all goals. A stamp: all accepted at or before it. An ID: that goal. Both:
+        that goal and all accepted at or before the stamp. A goal that is still being decided upon
+        is canceled by its ID as soon as it is accepted.
+
+        Raises:
+            ServerNotFound, ConnectionLost: As for `send_goal`.
+        """
+
+    @abstractmethod
+    async def status(self) -> StatusStream:
+        """Follow the statuses of all goals.
+
+        Raises:
+            ServerNotFound, ConnectionLost: As for `send_goal`.
+        """
+
+    @abstractmethod
+    async def wait_for_server(self) -> None:
+        """Return as soon as somebody serves this action. Has no time limit of its own.
+
+        Raises:
+            ConnectionLost: The connection ended for good.
+        """
+
+    async def get_result(self, goal_id: GoalID) -> Outcome[bytes]:
+        """Wait for the end of a goal; UNKNOWN at once if the server has no such goal.
+
+        Raises:
+            ServerNotFound, ConnectionLost: As for `send_goal`.
+        """
+        try:
+            stream = await self.feedback(goal_id)
+        except UnknownGoal:
+            return UNKNOWN_OUTCOME
+        with stream:
+            return await stream.outcome()
+
+
+class Connection(ABC):
+    """An open way to whatever one server, or one network of servers, has to offer."""
+
+    @abstractmethod
+    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
+        """The endpoint of an action. It need not be served yet: see `Endpoint.wait_for_server`."""
+
+    @abstractmethod
+    async def actions(self) -> list[ActionInfo]:
+        """What can be reached now.
+
+        Raises:
+            ConnectionLost: The connection ended.
+        """
+
+
+class Transport(ABC):
+    """A way to reach endpoints. It is configured by its constructor or its URL alone.
+
+    To be found by URL, a package announces its class under the entry-point group
+    `fibaction.transports`, with the URL's scheme as the name.
+    """
+
+    @classmethod
+    @abstractmethod
+    def from_url(cls, url: str) -> Transport:
+        """Make a transport from a URL.
+
+        Raises:
+            TransportError: The URL does not say what this transport needs; the text says what.
+        """
+
+    @abstractmethod
+    def serve(self, *endpoints: Endpoint) -> AbstractAsyncContextManager[str]:
+        """Let clients reach these endpoints for as long as the block lasts; gives their URL.
+
+        Raises:
+            TransportError: The address cannot be used, or already serves such an action.
+        """
+
+    @abstractmethod
+    def connect(self) -> AbstractAsyncContextManager[Connection]:
+        """Open a connection for as long as the block lasts.
+
+        Raises:
+            ServerNotFound: There is nobody, and this transport can tell at once.
+            AuthenticationFailed: There is, but it does not let this client in.
+        """

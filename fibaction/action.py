@@ -1,0 +1,204 @@
+"""`Action`: a name, three message types, and how each becomes bytes and comes back.
+
+Payloads are msgpack, decoded strictly. This module knows nothing of goals, servers or transports.
+"""
+
+from __future__ import annotations
+
+import datetime
+import decimal
+import re
+import uuid
+from collections.abc import Iterator
+from typing import Any, Generic, TypeGuard, TypeVar, cast
+
+import msgspec
+from msgspec import inspect
+
+from fibaction.exceptions import ProtocolError
+
+GoalT = TypeVar("GoalT")
+FeedbackT = TypeVar("FeedbackT")
+ResultT = TypeVar("ResultT")
+T = TypeVar("T")
+
+# ROS 2's rule for names (REP 144, `rmw/validate_full_topic_name.h`), so that an action can be
+# served over ROS under the same name: tokens that do not start with a digit, a `~` only in front.
+_NAME = re.compile(r"(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+_TYPE_NAME = re.compile(r"[a-z]\w*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
+
+_encode = msgspec.msgpack.Encoder().encode
+
+
+class Codec(Generic[T]):
+    """One message type of an action: a value to bytes, and bytes to a value."""
+
+    __slots__ = ("_decoder", "classes", "type")
+
+    def __init__(self, message_type: type[T]) -> None:
+        """Make a codec.
+
+        Raises:
+            TypeError: msgspec cannot decode such a type.
+        """
+        self.type = message_type
+        """The type, as it was given."""
+        self._decoder = msgspec.msgpack.Decoder(message_type)
+        self.classes = tuple(_runtime_classes(inspect.type_info(message_type)))
+        """The classes that a value of this type is an instance of; `object` for any."""
+
+    def holds(self, value: object) -> TypeGuard[T]:
+        """Whether it is a value of this type, as far as its class tells."""
+        return isinstance(value, self.classes)
+
+    def encode(self, value: T) -> bytes:
+        """Turn a value into bytes.
+
+        Raises:
+            TypeError: It holds something that msgpack cannot express.
+            OverflowError: It holds an integer of more than 64 bits.
+        """
+        return _encode(value)
+
+    def decode(self, payload: bytes) -> T:
+        """Turn bytes into a value, with no conversion from one type to another.
+
+        Raises:
+            ProtocolError: They are not a value of this type; the text names the field.
+        """
+        try:
+            return self._decoder.decode(payload)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
+            raise ProtocolError(str(exc)) from exc
+
+    def schema(self) -> dict[str, Any]:
+        """The type's JSON Schema; empty, which allows anything, where msgspec can make none."""
+        try:
+            return msgspec.json.schema(self.type)
+        except TypeError:
+            return {}
+
+
+class ActionInfo(msgspec.Struct, frozen=True):
+    """An action described without its Python types: enough for a generic client or a gateway."""
+
+    name: str
+    type_name: str = ""
+    goal: dict[str, Any] = {}
+    """The JSON Schema of a goal; feedback and result likewise."""
+    feedback: dict[str, Any] = {}
+    result: dict[str, Any] = {}
+
+
+class Action(Generic[GoalT, FeedbackT, ResultT]):
+    """A name, and the types of the goal, the feedback and the result.
+
+    A type is anything that msgspec can encode and decode strictly: a `msgspec.Struct`, a
+    dataclass, an attrs class, a `TypedDict`, a builtin. The types of feedback and result must
+    differ at run time, because an executor yields both.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        goal: type[GoalT],
+        feedback: type[FeedbackT],
+        result: type[ResultT],
+        type_name: str = "",
+    ) -> None:
+        """Define an action.
+
+        `name` follows ROS 2's rule: letters, digits and `_`, in parts parted by `/`, none of which
+        starts with a digit. `type_name` is the ROS 2 type, `package/action/Type`, if there is one.
+
+        Raises:
+            ValueError: The name or the type name breaks that rule.
+            TypeError: msgspec cannot handle a type, or feedback and result cannot be told apart.
+        """
+        self.name = _checked(_NAME, name, "an action's name is like `arm/pick_up`")
+        self.type_name = type_name and _checked(
+            _TYPE_NAME, type_name, "a type name is like `example_interfaces/action/Fibonacci`"
+        )
+        self.goal: Codec[GoalT] = Codec(goal)
+        self.feedback: Codec[FeedbackT] = Codec(feedback)
+        self.result: Codec[ResultT] = Codec(result)
+        self._info: ActionInfo | None = None
+        for one in self.feedback.classes:
+            for other in self.result.classes:
+                if issubclass(one, other) or issubclass(other, one):
+                    raise TypeError(
+                        f"action {name!r}: an executor yields feedback and result, and a value of"
+                        f" {one.__name__!r} could be either; give them types of their own"
+                    )
+
+    @property
+    def info(self) -> ActionInfo:
+        """The description that travels: name, type name and JSON Schemas."""
+        if self._info is None:
+            schemas = (codec.schema() for codec in (self.goal, self.feedback, self.result))
+            self._info = ActionInfo(self.name, self.type_name, *schemas)
+        return self._info
+
+    @classmethod
+    def untyped(cls, info: ActionInfo) -> Action[Any, Any, Any]:
+        """An action of plain data (dicts, lists, numbers, text), for clients without the types.
+
+        It cannot be given to an `ActionServer`, which needs types to tell a result from feedback.
+        """
+        action = cast("Action[Any, Any, Any]", object.__new__(cls))
+        anything = Codec(cast("type[Any]", Any))
+        action.name, action.type_name, action._info = info.name, info.type_name, info
+        action.goal = action.feedback = action.result = anything
+        return action
+
+    def __repr__(self) -> str:
+        return f"<Action {self.name!r}>"
+
+
+def _checked(rule: re.Pattern[str], text: str, meaning: str) -> str:
+    if not rule.fullmatch(text):
+        raise ValueError(f"{meaning}, unlike {text!r}")
+    return text
+
+
+_CLASSES: dict[type[inspect.Type], tuple[type, ...]] = {
+    inspect.NoneType: (type(None),),
+    inspect.BoolType: (bool,),
+    inspect.IntType: (int,),
+    inspect.FloatType: (float, int),  # as for type checkers, an int will do for a float
+    inspect.StrType: (str,),
+    inspect.BytesType: (bytes,),
+    inspect.ByteArrayType: (bytearray,),
+    inspect.MemoryViewType: (memoryview,),
+    inspect.ListType: (list,),
+    inspect.TupleType: (tuple,),
+    inspect.VarTupleType: (tuple,),
+    inspect.SetType: (set,),
+    inspect.FrozenSetType: (frozenset,),
+    inspect.DictType: (dict,),
+    inspect.TypedDictType: (dict,),
+    inspect.DateTimeType: (datetime.datetime,),
+    inspect.DateType: (datetime.date,),
+    inspect.TimeType: (datetime.time,),
+    inspect.TimeDeltaType: (datetime.timedelta,),
+    inspect.UUIDType: (uuid.UUID,),
+    inspect.DecimalType: (decimal.Decimal,),
+    inspect.RawType: (msgspec.Raw,),
+    inspect.ExtType: (msgspec.msgpack.Ext,),
+}
+
+
+def _runtime_classes(info: inspect.Type) -> Iterator[type]:
+    """The classes of the values of a type; `object` for a type that says nothing."""
+    if isinstance(info, inspect.Metadata):
+        yield from _runtime_classes(info.type)
+    elif isinstance(info, inspect.UnionType):
+        for part in info.types:
+            yield from _runtime_classes(part)
+    elif isinstance(info, inspect.LiteralType):
+        yield from {type(value) for value in info.values}
+    elif (cls := getattr(info, "cls", None)) is not None:
+        yield cls
+    else:
+        yield from _CLASSES.get(type(info), (object,))

@@ -1,0 +1,360 @@
+"""`ActionClient` and `ClientGoal`: sends goals to an endpoint, and follows them.
+
+Everything is typed by the `Action`, and nothing here knows what lies between the client and the
+server: that is the endpoint's affair.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Generator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+from types import TracebackType
+from typing import Any, Generic, overload
+
+import anyio
+from anyio import get_cancelled_exc_class
+
+from fibaction.abc import Connection, Endpoint, GoalStream, Transport
+from fibaction.action import Action, ActionInfo, Codec, FeedbackT, GoalT, ResultT
+from fibaction.exceptions import (
+    ActionError,
+    GoalAborted,
+    GoalCanceled,
+    ServerNotFound,
+    UnknownGoal,
+)
+from fibaction.goals import CancelAnswer, GoalID, Outcome
+from fibaction.states import GoalStatus
+from fibaction.urls import transport_for
+
+LEAVE_TIMEOUT = 5.0
+"""Seconds that leaving a goal's block waits for the server's answer to the cancel: more than any
+answer takes, and the time within which a dead peer is noticed."""
+
+logger = logging.getLogger(__name__)
+
+
+class FeedbackReader(Generic[FeedbackT]):
+    """The feedback of one goal, to be read with `async for`; it ends when the goal does."""
+
+    def __init__(self, stream: GoalStream, codec: Codec[FeedbackT]) -> None:
+        self._stream = stream
+        self._codec = codec
+        self._reader: int | None = None
+        self._holding = True
+
+    def __aiter__(self) -> FeedbackReader[FeedbackT]:
+        self._reader = anyio.get_current_task().id
+        return self
+
+    async def __anext__(self) -> FeedbackT:
+        """The next feedback.
+
+        Raises:
+            StopAsyncIteration: The goal has ended, and all its feedback has been read.
+            ConnectionLost: The connection ended before the goal did.
+            ProtocolError: The server sent what is not of the feedback's type.
+        """
+        if not self._holding:
+            self._holding = True
+            self._stream.hold(True)
+        item = await self._stream.receive()
+        if item is None:
+            raise StopAsyncIteration
+        return self._codec.decode(item.payload)
+
+    def let_go(self) -> None:
+        """The calling task is about to wait for the result. If it is the one that reads, or nobody
+        does, no more will be read for now: do not make the executor wait for it.
+        """
+        if self._reader is None or self._reader == anyio.get_current_task().id:
+            self._holding = False
+            self._stream.hold(False)
+
+    def __del__(self) -> None:
+        # Nobody can read any more, so the executor is not to wait for that.
+        self._stream.close()
+
+
+class ClientGoal(Generic[FeedbackT, ResultT]):
+    """One goal that the server accepted, as its client sees it."""
+
+    def __init__(
+        self, endpoint: Endpoint, action: Action[Any, FeedbackT, ResultT], stream: GoalStream
+    ) -> None:
+        self.feedback = FeedbackReader(stream, action.feedback)
+        """The feedback, for `async for`. If nobody reads it, the server keeps the last of it."""
+        self._endpoint = endpoint
+        self._codec = action.result
+        self._stream = stream
+        self._outcome: Outcome[ResultT] | None = None
+
+    @property
+    def goal_id(self) -> GoalID:
+        """The goal's name."""
+        return self._stream.goal_id
+
+    @property
+    def stamp(self) -> int:
+        """When the goal was accepted: nanoseconds since 1970, by the server's clock."""
+        return self._stream.stamp
+
+    @property
+    def status(self) -> GoalStatus:
+        """The status that was last heard of."""
+        return self._stream.status
+
+    @property
+    def feedback_dropped(self) -> int:
+        """How many feedback messages were not delivered because they were not read in time. It is
+        known for those before the last one read; at the end of the feedback, for all.
+        """
+        return self._stream.dropped
+
+    async def outcome(self) -> Outcome[ResultT]:
+        """Wait for the end of the goal, and say how it ended.
+
+        While the task that reads the feedback waits here, or nobody reads it, the executor is not
+        held up by what is unread.
+
+        Raises:
+            ConnectionLost: The connection ended before the goal did.
+            ProtocolError: The server sent what is not of the result's type.
+        """
+        if self._outcome is None:
+            self.feedback.let_go()
+            raw = await self._stream.outcome()
+            result = None if raw.result is None else self._codec.decode(raw.result)
+            self._outcome = Outcome(raw.status, result, raw.reason)
+        return self._outcome
+
+    async def result(self) -> ResultT:
+        """Wait for the end of the goal, and give its result.
+
+        Raises:
+            GoalAborted: It was aborted; `reason` says why, `result` is what there was.
+            GoalCanceled: It was canceled; `result` is what there was.
+            UnknownGoal: The server does not know of it any more.
+            ConnectionLost, ProtocolError: As for `outcome`.
+        """
+        outcome = await self.outcome()
+        if outcome.status is GoalStatus.SUCCEEDED:
+            return outcome.result  # type: ignore[return-value]  # a success has a result, maybe None
+        if outcome.status is GoalStatus.UNKNOWN:
+            raise UnknownGoal(self.goal_id)
+        error = GoalCanceled if outcome.status is GoalStatus.CANCELED else GoalAborted
+        raise error(outcome.reason, result=outcome.result, goal_id=self.goal_id)
+
+    async def cancel(self) -> CancelAnswer:
+        """Ask the server to cancel the goal, and give its answer. That the cancel is accepted does
+        not mean that the goal will end as CANCELED: see `outcome()`.
+
+        Raises:
+            ServerNotFound, ConnectionLost: The server cannot be asked.
+        """
+        return await self._endpoint.cancel_goals(self.goal_id)
+
+    def close(self) -> None:
+        """Read no more feedback. The goal goes on, and its outcome can still be waited for."""
+        self._stream.close()
+
+    def __repr__(self) -> str:
+        return f"<ClientGoal {self.goal_id} {self.status.name}>"
+
+
+class SendingGoal(Generic[FeedbackT, ResultT]):
+    """A goal on its way: `await` it, or use it in `async with`. See `ActionClient.send_goal`."""
+
+    def __init__(self, sending: Coroutine[Any, Any, ClientGoal[FeedbackT, ResultT]]) -> None:
+        self._sending = sending
+        self._goal: ClientGoal[FeedbackT, ResultT] | None = None
+
+    def __await__(self) -> Generator[Any, Any, ClientGoal[FeedbackT, ResultT]]:
+        return self._sending.__await__()
+
+    async def __aenter__(self) -> ClientGoal[FeedbackT, ResultT]:
+        self._goal = await self._sending
+        return self._goal
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        goal = self._goal
+        assert goal is not None
+        goal.close()
+        if goal.status.is_terminal:
+            return
+        with anyio.move_on_after(LEAVE_TIMEOUT, shield=True) as patience:
+            try:
+                answer = await goal.cancel()
+                if not answer.accepted and answer.reason:
+                    logger.warning("%r was left, but runs on: %s", goal, answer.reason)
+            except ActionError as error:
+                logger.warning("%r was left, but could not be canceled: %s", goal, error)
+        if patience.cancelled_caught:
+            logger.warning("%r was left, but its server does not answer the cancel", goal)
+
+
+class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
+    """Sends goals of one action to one endpoint. It needs no closing."""
+
+    def __init__(self, endpoint: Endpoint, action: Action[GoalT, FeedbackT, ResultT]) -> None:
+        self.endpoint = endpoint
+        """Where the goals go."""
+        self.action = action
+
+    def send_goal(
+        self, goal: GoalT, *, goal_id: GoalID | None = None
+    ) -> SendingGoal[FeedbackT, ResultT]:
+        """Send a goal: `await` it, or better, `async with` it.
+
+        `await` gives a `ClientGoal` as soon as the server has accepted; the goal then goes on by
+        itself. `async with` gives the same, and leaving the block early cancels the goal; it does
+        not wait for the executor's clean-up. Being canceled before the answer is there cancels the
+        goal, too. `goal_id` is for those who send the same goal again after an answer was lost.
+
+        Raises:
+            GoalRejected: The server did not accept; `reason` says why.
+            ServerNotFound: Nobody serves this action.
+            ConnectionLost: The connection ended before the answer.
+            TypeError: The goal holds something that cannot be encoded.
+        """
+        return SendingGoal(self._send(goal, goal_id or GoalID.random()))
+
+    async def call(
+        self,
+        goal: GoalT,
+        *,
+        on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
+    ) -> ResultT:
+        """Send a goal, and give its result; `on_feedback`, sync or async, is called with each
+        feedback. Being canceled, or an exception of `on_feedback`, cancels the goal.
+
+        Raises:
+            GoalRejected, ServerNotFound, ConnectionLost, TypeError: As for `send_goal`.
+            GoalAborted, GoalCanceled: As for `ClientGoal.result`.
+        """
+        sending = self._send(goal, GoalID.random(), feedback=on_feedback is not None)
+        async with SendingGoal(sending) as sent:
+            if on_feedback is not None:
+                async for feedback in sent.feedback:
+                    answer = on_feedback(feedback)
+                    if isinstance(answer, Awaitable):
+                        await answer
+            return await sent.result()
+
+    async def attach(
+        self, goal_id: GoalID, *, after: int | None = None
+    ) -> ClientGoal[FeedbackT, ResultT]:
+        """Follow a goal that somebody sent: its feedback from now on, and its result.
+
+        With `after`, the feedback begins behind that number, as far back as the server remembers.
+
+        Raises:
+            UnknownGoal: The server has no such goal.
+            ServerNotFound, ConnectionLost: As for `send_goal`.
+        """
+        stream = await self.endpoint.feedback(goal_id, after=after)
+        return ClientGoal(self.endpoint, self.action, stream)
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, *, before: int | None = None
+    ) -> CancelAnswer:
+        """Ask to cancel goals, whoever sent them: all of them; with `before`, those accepted at or
+        before that stamp; with `goal_id`, that goal; with both, that goal and those.
+
+        Raises:
+            ServerNotFound, ConnectionLost: As for `send_goal`.
+        """
+        return await self.endpoint.cancel_goals(goal_id, before)
+
+    async def wait_for_server(self, timeout: float | None = None) -> None:
+        """Return as soon as somebody serves the action.
+
+        Raises:
+            ServerNotFound: Nobody did within `timeout` seconds (None: no limit).
+            ConnectionLost: The connection ended for good.
+        """
+        with anyio.move_on_after(timeout):
+            return await self.endpoint.wait_for_server()
+        raise ServerNotFound(f"nobody served the action {self.action.name!r} within {timeout:g} s")
+
+    async def _send(
+        self, goal: GoalT, goal_id: GoalID, *, feedback: bool = True
+    ) -> ClientGoal[FeedbackT, ResultT]:
+        payload = self.action.goal.encode(goal)
+        try:
+            stream = await self.endpoint.send_goal(goal_id, payload, feedback=feedback)
+        except get_cancelled_exc_class():
+            # The goal may be on its way, and nobody would ever know of it.
+            with anyio.move_on_after(LEAVE_TIMEOUT, shield=True), suppress(ActionError):
+                await self.endpoint.cancel_goals(goal_id)
+            raise
+        return ClientGoal(self.endpoint, self.action, stream)
+
+    def __repr__(self) -> str:
+        return f"<ActionClient of {self.action!r}>"
+
+
+class ClientConnection(Connection):
+    """An open connection, as `connect` gives it: a client for each action that is wanted."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def client(
+        self, action: Action[GoalT, FeedbackT, ResultT]
+    ) -> ActionClient[GoalT, FeedbackT, ResultT]:
+        """A client of one action over this connection."""
+        return ActionClient(self.endpoint(action), action)
+
+    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
+        """The endpoint of an action, for instance to serve it somewhere else."""
+        return self._connection.endpoint(action)
+
+    async def actions(self) -> list[ActionInfo]:
+        """What can be reached now: see `Connection.actions`."""
+        return await self._connection.actions()
+
+
+@overload
+def connect(where: str | Transport) -> AbstractAsyncContextManager[ClientConnection]: ...
+
+
+@overload
+def connect(
+    where: str | Transport, action: Action[GoalT, FeedbackT, ResultT]
+) -> AbstractAsyncContextManager[ActionClient[GoalT, FeedbackT, ResultT]]: ...
+
+
+def connect(
+    where: str | Transport, action: Action[Any, Any, Any] | None = None
+) -> AbstractAsyncContextManager[Any]:
+    """Connect to a URL, or by a transport, for as long as the block lasts.
+
+    With an action it gives an `ActionClient`, without one a `ClientConnection`.
+
+    Raises:
+        TransportError: The URL cannot be used; the text says why.
+        ServerNotFound: There is nobody, and the transport can tell at once.
+        AuthenticationFailed: There is, but it does not let this client in.
+    """
+    return _connected(where) if action is None else _connected_client(where, action)
+
+
+@asynccontextmanager
+async def _connected(where: str | Transport) -> AsyncGenerator[ClientConnection, None]:
+    async with transport_for(where).connect() as connection:
+        yield ClientConnection(connection)
+
+
+@asynccontextmanager
+async def _connected_client(
+    where: str | Transport, action: Action[GoalT, FeedbackT, ResultT]
+) -> AsyncGenerator[ActionClient[GoalT, FeedbackT, ResultT], None]:
+    async with _connected(where) as connection:
+        yield connection.client(action)

@@ -1,0 +1,286 @@
+"""Runs one executor, a user's async generator, from its first step to its end.
+
+It hands over feedback as it is yielded, lets the generator be canceled wherever it is, and says in
+the end how the generator left off. What that means for the goal is not decided here: this module
+knows no rules on statuses, no clients and no other goals.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncGenerator, Callable, Coroutine, Generator
+from contextlib import aclosing
+from time import perf_counter
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, cast
+
+from anyio import CancelScope, get_cancelled_exc_class
+from anyio.lowlevel import checkpoint
+
+from fibaction.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.exceptions import GoalAborted, GoalCanceled
+from fibaction.protocol import Ending, EndKind
+from fibaction.states import GoalStatus
+
+if TYPE_CHECKING:
+    from fibaction.goals import GoalID
+    from fibaction.protocol import Goal
+    from fibaction.streams import GoalLog
+
+SLICE = 0.005
+"""Seconds that a generator may go on without awaiting before other tasks get their turn: short for
+a person and for a heartbeat, long beside a turn of the event loop (some 10 microseconds)."""
+
+logger = logging.getLogger("fibaction.server")
+
+
+class GoalHandle(Generic[GoalT]):
+    """What an executor knows of its goal."""
+
+    __slots__ = ("_goal", "_server_stops", "request")
+
+    def __init__(self, goal: Goal, request: GoalT, server_stops: Callable[[], bool]) -> None:
+        self.request = request
+        """The goal that the client sent."""
+        self._goal = goal
+        self._server_stops = server_stops
+
+    @property
+    def goal_id(self) -> GoalID:
+        """The goal's name, made by the client."""
+        return self._goal.goal_id
+
+    @property
+    def stamp(self) -> int:
+        """When the goal was accepted: nanoseconds since 1970."""
+        return self._goal.stamp
+
+    @property
+    def status(self) -> GoalStatus:
+        """The goal's status now."""
+        return self._goal.status
+
+    @property
+    def cancel_requested(self) -> bool:
+        """Whether the goal is to stop: its cancel was accepted, or the server is stopping."""
+        return self._goal.status is GoalStatus.CANCELING or self._server_stops()
+
+    def __repr__(self) -> str:
+        return f"<GoalHandle {self.goal_id} {self.status.name}>"
+
+
+Executor: TypeAlias = Callable[[GoalHandle[GoalT]], AsyncGenerator[FeedbackT | ResultT, None]]
+"""Takes a goal, yields feedback, and yields the result last."""
+
+
+class Execution(Generic[GoalT, FeedbackT, ResultT]):
+    """One goal's executor at work. `run` it once, in a task of its own."""
+
+    def __init__(
+        self,
+        action: Action[GoalT, FeedbackT, ResultT],
+        executor: Executor[GoalT, FeedbackT, ResultT],
+        handle: GoalHandle[GoalT],
+        log: GoalLog,
+        stall_timeout: float,
+    ) -> None:
+        self.handle = handle
+        self._action = action
+        self._executor = executor
+        self._log = log
+        self._stall_timeout = stall_timeout
+        self._result: bytes | None = None
+        # Two scopes, because the cancellation is to arrive once: the outer one delivers it, then
+        # the inner one shields what follows, the clean-up, until `kill`.
+        self._interruption = CancelScope(shield=True)
+        self._life = CancelScope()
+        self._steps = _Steps(self._run, self._life)
+
+    async def run(self) -> Ending:
+        """Run the executor to its end, and say how it left off."""
+        ending = Ending(EndKind.CANCELED)
+        with self._interruption, self._life:
+            ending = await self._steps
+        return ending
+
+    def interrupt(self) -> None:
+        """Raise the backend's cancellation inside the generator, once, where it is or next awaits
+        or yields. What it awaits after that is its clean-up, and is left in peace.
+        """
+        if not self._interruption.cancel_called:
+            self._steps.pending = True
+            self._interruption.cancel()
+
+    def kill(self) -> None:
+        """End the clean-up too: from now on, whatever is awaited is canceled."""
+        self._life.cancel()
+
+    async def _run(self) -> Ending:
+        try:
+            async with aclosing(self._start()) as items:
+                await self._consume(items)
+        except BaseException as exc:
+            cause = _cause(exc)
+            if cause is None:
+                return Ending(EndKind.CANCELED, self._result)
+            if isinstance(cause, GoalCanceled):
+                return self._part(EndKind.CANCELED, cause)
+            if isinstance(cause, GoalAborted):
+                return self._part(EndKind.FAILED, cause)
+            if not isinstance(cause, Exception):
+                raise
+            return self._failed(cause)
+        if self._result is None:
+            return self._failed(_Misuse("it ended without yielding a result"))
+        return Ending(EndKind.RESULT, self._result)
+
+    def _start(self) -> AsyncGenerator[FeedbackT | ResultT, None]:
+        items = cast("object", self._executor(self.handle))
+        if isinstance(items, Coroutine):
+            items.close()  # or Python warns that nobody awaited it
+        if not isinstance(items, AsyncGenerator):
+            raise _Misuse(f"it is no async generator: it returned {_a(items)}")
+        return cast("AsyncGenerator[FeedbackT | ResultT, None]", items)
+
+    async def _consume(self, items: AsyncGenerator[FeedbackT | ResultT, None]) -> None:
+        feedback, result = self._action.feedback, self._action.result
+        step = items.__anext__()
+        while True:
+            try:
+                item = await step
+            except StopAsyncIteration:
+                return
+            if self._result is not None:
+                raise _Misuse(f"it yielded {_a(item)} after its result")
+            if result.holds(item):
+                # The only yield that is no cancellation point: the goal is done.
+                self._result = result.encode(item)
+            elif feedback.holds(item):
+                self._log.append(feedback.encode(item))
+                if self._steps.pending or self._log.is_full or self._steps.took_long:
+                    try:
+                        await self._pause()
+                    except get_cancelled_exc_class() as exc:
+                        # Caught where this module waits, raised where the generator does: it may
+                        # be this goal's cancel, or a timeout that the generator has set around
+                        # its own `yield`.
+                        step = items.athrow(exc)
+                        continue
+            else:
+                raise _Misuse(f"it yielded {_a(item)}, which is neither feedback nor a result")
+            step = items.__anext__()
+
+    async def _pause(self) -> None:
+        await checkpoint()
+        if self._log.is_full:
+            await self._log.wait_for_room(self._stall_timeout)
+
+    def _part(self, kind: EndKind, exc: GoalCanceled | GoalAborted) -> Ending:
+        result = self._action.result
+        if exc.result is None:
+            return Ending(kind, self._result, exc.reason)
+        if not result.holds(exc.result):
+            return self._failed(
+                _Misuse(f"it raised {type(exc).__name__} with {_a(exc.result)} as its result")
+            )
+        try:
+            return Ending(kind, result.encode(exc.result), exc.reason)
+        except (TypeError, ValueError) as bad:
+            return self._failed(bad)
+
+    def _failed(self, exc: Exception) -> Ending:
+        reason = f"{type(exc).__name__}: {exc}"
+        if isinstance(exc, _Misuse):
+            reason = f"the executor is wrong: {exc}"
+        logger.error(
+            "goal %s of action %r is aborted: %s",
+            self.handle.goal_id,
+            self._action.name,
+            reason,
+            exc_info=exc,
+        )
+        return Ending(EndKind.FAILED, self._result, reason)
+
+
+class _Misuse(Exception):
+    """An executor that does not do what an executor does."""
+
+
+class _Steps(Generator[Any, Any, Ending]):
+    """Awaits a coroutine, and watches how it is resumed and suspended.
+
+    So it knows how long the coroutine has gone on without awaiting, and sees a cancellation arrive.
+    anyio and trio cancel by level: once a scope is canceled, every `await` in it raises. Here the
+    first raises; as soon as the coroutine waits again, which is its clean-up, it is shielded.
+    """
+
+    def __init__(self, start: Callable[[], Coroutine[Any, Any, Ending]], life: CancelScope) -> None:
+        self.pending = False
+        """Whether an interruption is on its way and has not arrived."""
+        self._start = start
+        self._coroutine: Coroutine[Any, Any, Ending]
+        self._life = life
+        self._arrived = False
+        self._slice_end = 0.0
+
+    @property
+    def took_long(self) -> bool:
+        """Whether the coroutine has gone on for too long since it was resumed."""
+        return perf_counter() >= self._slice_end
+
+    def __await__(self) -> Generator[Any, Any, Ending]:
+        self._coroutine = self._start()
+        return self
+
+    def __next__(self) -> Any:
+        return self.send(None)
+
+    def send(self, value: Any) -> Any:
+        if value is not None:
+            # trio resumes a task with an `outcome.Error`, and raises what is in it further inside.
+            self._look_at(getattr(value, "error", None))
+        self._slice_end = perf_counter() + SLICE
+        return self._suspend(self._coroutine.send(value))
+
+    def throw(
+        self,
+        typ: type[BaseException] | BaseException,
+        val: BaseException | object = None,
+        tb: TracebackType | None = None,
+    ) -> Any:
+        # With one argument it is the exception itself; the other two are deprecated.
+        assert isinstance(typ, BaseException)
+        self._look_at(typ)
+        self._slice_end = perf_counter() + SLICE
+        return self._suspend(self._coroutine.throw(typ))
+
+    def close(self) -> None:
+        self._coroutine.close()
+
+    def _look_at(self, error: BaseException | None) -> None:
+        if self.pending and isinstance(error, get_cancelled_exc_class()):
+            self.pending = False
+            self._arrived = True
+
+    def _suspend(self, waiting_for: Any) -> Any:
+        if self._arrived:
+            self._arrived = False
+            self._life.shield = True
+        return waiting_for
+
+
+def _cause(exc: BaseException) -> BaseException | None:
+    """What went wrong, out of any exception group around it; None if that is a cancellation."""
+    canceled = get_cancelled_exc_class()
+    while isinstance(exc, BaseExceptionGroup):
+        group: BaseExceptionGroup[BaseException] = exc
+        rest = group.split(canceled)[1]
+        if rest is None or len(rest.exceptions) > 1:
+            return rest
+        exc = rest.exceptions[0]
+    return None if isinstance(exc, canceled) else exc
+
+
+def _a(value: object) -> str:
+    name = type(value).__qualname__
+    return f"an {name}" if name[0] in "AEIOUaeiou" else f"a {name}"

@@ -1,0 +1,108 @@
+"""What clients and servers say to one another about goals, apart from their payloads.
+
+Plain values: they know nothing of who sends them or how.
+"""
+
+from __future__ import annotations
+
+import uuid
+from enum import IntEnum
+from typing import Any, Generic, TypeVar
+
+import msgspec
+
+from fibaction.states import GoalStatus
+
+T = TypeVar("T")
+
+
+class GoalID(bytes):
+    """The 16 bytes that name one goal for ever. The client makes them.
+
+    All zeros name no goal: in a cancel they mean "any" (`action_msgs/srv/CancelGoal`).
+    """
+
+    __slots__ = ()
+
+    def __new__(cls, value: bytes) -> GoalID:
+        """Take 16 bytes.
+
+        Raises:
+            ValueError: It is not 16 bytes.
+        """
+        if len(value) != 16:
+            raise ValueError(f"a goal ID has 16 bytes, not {len(value)}")
+        return super().__new__(cls, value)
+
+    @classmethod
+    def random(cls) -> GoalID:
+        """A new ID, a random UUID, which no other goal has."""
+        return super().__new__(cls, uuid.uuid4().bytes)
+
+    @classmethod
+    def parse(cls, text: str) -> GoalID:
+        """Read what `str()` wrote: 32 hexadecimal digits, with or without the dashes of a UUID.
+
+        Raises:
+            ValueError: It is something else.
+        """
+        try:
+            return cls(bytes.fromhex(text.replace("-", "")))
+        except ValueError:
+            raise ValueError(f"a goal ID has 32 hexadecimal digits, unlike {text!r}") from None
+
+    def __str__(self) -> str:
+        return self.hex()
+
+    def __repr__(self) -> str:
+        return f"GoalID.parse('{self.hex()}')"
+
+
+class GoalInfo(msgspec.Struct, frozen=True):
+    """One line of a server's list of goals."""
+
+    goal_id: GoalID
+    stamp: int
+    """When the goal was accepted: nanoseconds since 1970. Each goal of a server has another one."""
+    status: GoalStatus
+    """UNKNOWN says that the server has forgotten the goal."""
+
+
+class Outcome(msgspec.Struct, Generic[T], frozen=True):
+    """How a goal ended: bytes as result between endpoints, the action's type for users."""
+
+    status: GoalStatus
+    """SUCCEEDED, CANCELED or ABORTED; UNKNOWN if the server knows no such goal."""
+    result: T | None = None
+    """All of it when SUCCEEDED; what there was, or None, when CANCELED or ABORTED."""
+    reason: str = ""
+    """Why it was aborted or canceled, for a person to read."""
+
+
+UNKNOWN_OUTCOME: Outcome[Any] = Outcome(GoalStatus.UNKNOWN)
+"""The answer for a goal that was never accepted, or whose result has expired."""
+
+
+class CancelCode(IntEnum):
+    """The return codes of `action_msgs/srv/CancelGoal`."""
+
+    NONE = 0
+    REJECTED = 1
+    UNKNOWN_GOAL_ID = 2
+    GOAL_TERMINATED = 3
+
+
+class CancelAnswer(msgspec.Struct, frozen=True):
+    """What a server says to a cancel."""
+
+    return_code: CancelCode
+    """NONE also when a cancel of all, or by time, found no goal."""
+    goals_canceling: tuple[GoalInfo, ...] = ()
+    """The goals whose cancel was accepted, each with the status it had just after."""
+    reason: str = ""
+    """Why a cancel was refused; several reasons are joined with `; `."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether any goal is canceling because of it."""
+        return bool(self.goals_canceling)

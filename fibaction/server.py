@@ -1,0 +1,450 @@
+"""`ActionServer`: decides on goals, runs their executors, and tells everybody about it.
+
+It is the shell around `ServerProtocol`, and adds what the protocol leaves out: tasks, time, user
+callbacks and the log. It knows no transports: being an `Endpoint`, it is called by them.
+"""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import math
+import time
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
+from contextlib import AsyncExitStack, asynccontextmanager
+from types import TracebackType
+from typing import Any, Generic, Literal, TypeVar
+from weakref import WeakValueDictionary
+
+import anyio
+import anyio.abc
+from anyio import CancelScope, create_task_group, current_time
+
+from fibaction.abc import Endpoint, Transport
+from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
+from fibaction.exceptions import (
+    CancelRejected,
+    GoalRejected,
+    ProtocolError,
+    ServerNotFound,
+    UnknownGoal,
+)
+from fibaction.executor import Execution, Executor, GoalHandle
+from fibaction.goals import CancelAnswer, GoalID, GoalInfo
+from fibaction.protocol import Admission, Cancellation, Ending, EndKind, Goal, ServerProtocol
+from fibaction.states import GoalStatus
+from fibaction.streams import FeedStream, GoalLog, LogStream, StatusFeed, Waking
+from fibaction.urls import transport_for
+
+EXPIRY_STEP = 0.1
+"""Seconds between two looks for expired results at most: an answer is exact to the moment all the
+same, this only limits how often memory is freed."""
+
+SERVER_STOPPED = "server stopped"
+SERVER_STOPPING = "the server is stopping"
+CANCELED_UNASKED = "the executor ended as canceled, but nobody had asked for that"
+
+T = TypeVar("T")
+
+logger = logging.getLogger(__name__)
+
+
+class _Run(Generic[GoalT, FeedbackT, ResultT]):
+    """An active goal: what the protocol, the executor and the followers know of it."""
+
+    __slots__ = ("execution", "goal", "log")
+
+    def __init__(
+        self, goal: Goal, log: GoalLog, execution: Execution[GoalT, FeedbackT, ResultT]
+    ) -> None:
+        self.goal = goal
+        self.log = log
+        self.execution = execution
+
+
+class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
+    """One action, served: `async with` it, or hand it to `serve`.
+
+    It can be entered once. User callbacks may be sync or async; whatever they raise becomes an
+    answer to the client and a line in the log, never the end of the server.
+    """
+
+    def __init__(
+        self,
+        action: Action[GoalT, FeedbackT, ResultT],
+        executor: Executor[GoalT, FeedbackT, ResultT],
+        *,
+        on_goal: Callable[[GoalT], Awaitable[None] | None] | None = None,
+        on_cancel: Callable[[GoalHandle[GoalT]], Awaitable[None] | None] | None = None,
+        interrupt_on_cancel: bool = True,
+        feedback: Literal["every", "latest"] = "every",
+        feedback_window: int = 64,
+        stall_timeout: float = 10.0,
+        result_timeout: float = 10.0,
+        max_results: int = 1000,
+        shutdown_timeout: float = 5.0,
+    ) -> None:
+        """Describe a server; nothing runs yet.
+
+        Args:
+            action: What is served.
+            executor: An async generator function; called with a `GoalHandle` for each goal.
+            on_goal: Called with each goal that is of the right type; raises `GoalRejected` to
+                reject it. Without it, every such goal is accepted.
+            on_cancel: Called when a goal's cancel is asked for; raises `CancelRejected` to refuse.
+                Without it, every cancel is accepted.
+            interrupt_on_cancel: Whether an accepted cancel raises the backend's cancellation inside
+                the executor. If not, the executor looks at `goal.cancel_requested` by itself.
+            feedback: `every`: nothing is lost, and the executor waits at its `yield` for the goal's
+                own client. `latest`: it never waits, and a slow reader sees the newest.
+            feedback_window: How many feedback messages of a goal are remembered: so many may be
+                unread before the executor waits, or before a slow reader loses the oldest.
+            stall_timeout: Seconds that the executor waits for a client which does not read.
+            result_timeout: Seconds that an outcome is kept after the goal's end; 0 not at all,
+                `math.inf` for ever. Whoever already waits for it gets it in any case.
+            max_results: How many outcomes are kept at most; the oldest give way.
+            shutdown_timeout: Seconds that executors have for their clean-up when the server stops.
+
+        Raises:
+            TypeError: The action has no types of its own, or the executor is a plain coroutine
+                function.
+            ValueError: A number is out of range, or `feedback` is no policy.
+        """
+        if object in action.feedback.classes:
+            raise TypeError(f"{action!r} has no types, and a server needs them; define an Action")
+        if inspect.iscoroutinefunction(executor):
+            raise TypeError(
+                f"the executor {executor.__name__!r} is a coroutine function: yield its feedback,"
+                f" and yield its result last, instead of returning it"
+            )
+        if feedback not in ("every", "latest"):
+            raise ValueError(f"feedback is 'every' or 'latest', not {feedback!r}")
+        if feedback_window < 1:
+            raise ValueError(f"feedback_window is at least 1, not {feedback_window}")
+        for name, value in (
+            ("stall_timeout", stall_timeout),
+            ("result_timeout", result_timeout),
+            ("max_results", max_results),
+            ("shutdown_timeout", shutdown_timeout),
+        ):
+            if not value >= 0:
+                raise ValueError(f"{name} is 0 or more, not {value}")
+        self.action = action
+        self._executor = executor
+        self._on_goal = on_goal
+        self._on_cancel = on_cancel
+        self._interrupt_on_cancel = interrupt_on_cancel
+        self._latest = feedback == "latest"
+        self._window = feedback_window
+        self._stall_timeout = stall_timeout
+        self._shutdown_timeout = shutdown_timeout
+
+        self._protocol = ServerProtocol(result_timeout=result_timeout, max_results=max_results)
+        self._runs: dict[GoalID, _Run[GoalT, FeedbackT, ResultT]] = {}
+        self._unread: WeakValueDictionary[GoalID, GoalLog] = WeakValueDictionary()
+        self._statuses = StatusFeed()
+        self._asking: set[CancelScope] = set()
+        self._started = Waking()
+        self._decided = Waking()
+        self._ended = Waking()
+        self._task_name = f"goal of {action.name}"
+        self._tasks: anyio.abc.TaskGroup | None = None
+        self._phase: Literal["new", "running", "stopping", "stopped"] = "new"
+
+    # Running
+
+    @property
+    def is_new(self) -> bool:
+        """Whether the server has yet to be entered."""
+        return self._phase == "new"
+
+    async def __aenter__(self) -> ActionServer[GoalT, FeedbackT, ResultT]:
+        """Start.
+
+        Raises:
+            RuntimeError: It was started before.
+        """
+        if not self.is_new:
+            raise RuntimeError(f"{self!r} was started before; make another one")
+        self._tasks = await create_task_group().__aenter__()
+        self._tasks.start_soon(self._forget_expired, name=f"expiry of {self.action.name}")
+        self._phase = "running"
+        self._started.wake()
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Stop, as `stop()` does. An exception of the block goes on as itself."""
+        assert self._tasks is not None
+        await self.stop()
+        self._tasks.cancel_scope.cancel()
+        # The block's exception is not for the task group, which would wrap it in a group. No task
+        # of its own raises, unless Python itself is to end (KeyboardInterrupt, SystemExit).
+        await self._tasks.__aexit__(None, None, None)
+
+    async def stop(self) -> None:
+        """Accept no more goals, end all that there are, and answer everybody who waits.
+
+        Executors are interrupted, and have `shutdown_timeout` seconds for their clean-up. Their
+        goals end ABORTED, `server stopped`. It cannot be cut short, and doing it twice is harmless.
+        """
+        if self._phase != "running":
+            return
+        self._phase = "stopping"
+        for scope in tuple(self._asking):
+            scope.cancel()
+        for run in self._runs.values():
+            run.execution.interrupt()
+        with anyio.move_on_after(self._shutdown_timeout, shield=True):
+            while self._runs:
+                await self._ended.wait()
+        for run in tuple(self._runs.values()):
+            logger.warning(
+                "goal %s of action %r did not stop within %g s, and is killed",
+                run.goal.goal_id,
+                self.action.name,
+                self._shutdown_timeout,
+            )
+            self._finish(run, Ending(EndKind.FAILED, reason=SERVER_STOPPED))
+            run.execution.kill()
+        self._phase = "stopped"
+        self._statuses.finish()
+        logger.info("action server %r has stopped", self.action.name)
+
+    async def _forget_expired(self) -> None:
+        while True:
+            while self._protocol.next_expiry == math.inf:
+                await self._ended.wait()
+            not_before = current_time() + EXPIRY_STEP
+            await anyio.sleep_until(max(self._protocol.next_expiry, not_before))
+            self._expire()
+
+    def _expire(self) -> None:
+        for goal_id in self._protocol.expire(current_time()):
+            self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))
+
+    # What clients ask for
+
+    @property
+    def info(self) -> ActionInfo:
+        """What is served here."""
+        return self.action.info
+
+    async def wait_for_server(self) -> None:
+        """Return as soon as this server runs."""
+        while self.is_new:
+            await self._started.wait()
+        self._check_running()
+
+    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> LogStream:
+        """See `Endpoint.send_goal`."""
+        while (todo := self._admit(goal_id, goal)) is Admission.WAIT:
+            await self._decided.wait()
+        if todo is Admission.REPEAT:
+            return self._follow(goal_id, feedback=feedback, hold=feedback, after=0)
+        try:
+            request = await self._decide(goal)
+        except GoalRejected as exc:
+            self._protocol.reject(goal_id, exc.reason, now=current_time())
+            raise GoalRejected(exc.reason, goal_id=goal_id) from None
+        except BaseException:
+            # Canceled while deciding: if the goal is sent again, it is decided anew.
+            self._protocol.withdraw(goal_id)
+            raise
+        finally:
+            self._decided.wake()
+        run = self._start(self._protocol.accept(goal_id, stamp=time.time_ns()), request)
+        return run.log.follow(feedback=feedback, hold=feedback)
+
+    async def feedback(self, goal_id: GoalID, *, after: int | None = None) -> LogStream:
+        """See `Endpoint.feedback`."""
+        self._check_running()
+        return self._follow(goal_id, after=after)
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        """See `Endpoint.cancel_goals`."""
+        self._check_running()
+        while goal_id is not None and self._protocol.is_undecided(goal_id):
+            await self._decided.wait()
+        cancellation = self._protocol.cancel(goal_id, stamp, now=current_time())
+        if self._on_cancel is None or len(cancellation.candidates) < 2:
+            for goal in cancellation.candidates:
+                await self._cancel(cancellation, goal)
+        else:
+            # Side by side: one goal whose callback takes long must not keep the others going.
+            async with create_task_group() as tasks:
+                for goal in cancellation.candidates:
+                    tasks.start_soon(self._cancel, cancellation, goal)
+        return cancellation.answer()
+
+    async def status(self) -> FeedStream:
+        """See `Endpoint.status`."""
+        self._check_running()
+        self._expire()
+        return self._statuses.follow(self._protocol.statuses())
+
+    def _check_running(self) -> None:
+        if self._phase not in ("running", "stopping"):
+            raise ServerNotFound(f"the action server {self.action.name!r} is not running")
+
+    # A goal's way
+
+    def _admit(self, goal_id: GoalID, goal: bytes) -> Admission:
+        self._check_running()
+        if self._phase == "stopping":
+            raise GoalRejected(SERVER_STOPPING, goal_id=goal_id)
+        return self._protocol.admit(goal_id, goal, now=current_time())
+
+    async def _decide(self, goal: bytes) -> GoalT:
+        try:
+            request = self.action.goal.decode(goal)
+        except ProtocolError as exc:
+            raise GoalRejected(str(exc)) from exc
+        if self._on_goal is not None:
+            await self._ask("on_goal", self._on_goal, request, GoalRejected)
+        if self._stops():
+            raise GoalRejected(SERVER_STOPPING)
+        return request
+
+    def _start(self, goal: Goal, request: GoalT) -> _Run[GoalT, FeedbackT, ResultT]:
+        assert self._tasks is not None
+        log = GoalLog(goal, window=self._window, latest=self._latest)
+        handle = GoalHandle(goal, request, self._stops)
+        execution = Execution(self.action, self._executor, handle, log, self._stall_timeout)
+        run = self._runs[goal.goal_id] = _Run(goal, log, execution)
+        self._statuses.publish(goal.info)
+        self._tasks.start_soon(self._run_goal, run, name=self._task_name)
+        return run
+
+    async def _run_goal(self, run: _Run[GoalT, FeedbackT, ResultT]) -> None:
+        ending = Ending(EndKind.CANCELED)
+        if not run.execution.handle.cancel_requested:
+            self._execute(run.goal)
+            try:
+                ending = await run.execution.run()
+            except BaseException as exc:
+                # Python itself is to end: KeyboardInterrupt, SystemExit.
+                self._finish(run, Ending(EndKind.FAILED, reason=type(exc).__name__))
+                raise
+        if run.goal.outcome is None:  # or it was given up as killed
+            self._finish(run, ending)
+
+    def _stops(self) -> bool:
+        return self._phase != "running"
+
+    def _execute(self, goal: Goal) -> None:
+        self._protocol.execute(goal)
+        self._statuses.publish(goal.info)
+
+    async def _cancel(self, cancellation: Cancellation, goal: Goal) -> None:
+        if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
+            handle = self._runs[goal.goal_id].execution.handle
+            try:
+                await self._ask("on_cancel", self._on_cancel, handle, CancelRejected)
+            except CancelRejected as exc:
+                cancellation.refuse(exc.reason)
+                return
+        before = goal.status
+        if cancellation.accept(goal) and goal.status is not before:
+            self._statuses.publish(goal.info)
+            if self._interrupt_on_cancel:
+                self._runs[goal.goal_id].execution.interrupt()
+
+    def _finish(self, run: _Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
+        goal = run.goal
+        if goal.status is GoalStatus.ACCEPTED:
+            self._execute(goal)  # the table has no way from ACCEPTED to an end
+        if ending.kind is EndKind.CANCELED and goal.status is GoalStatus.EXECUTING:
+            reason = SERVER_STOPPED if self._phase == "stopping" else CANCELED_UNASKED
+            ending = Ending(EndKind.CANCELED, ending.result, reason)
+        self._protocol.finish(goal, ending, now=current_time())
+        del self._runs[goal.goal_id]
+        if run.log.is_followed:
+            self._unread[goal.goal_id] = run.log
+        run.log.finish()
+        self._statuses.publish(goal.info)
+        self._expire()
+        self._ended.wake()
+
+    def _follow(
+        self, goal_id: GoalID, *, feedback: bool = True, hold: bool = False, after: int | None
+    ) -> LogStream:
+        run = self._runs.get(goal_id)
+        log = self._unread.get(goal_id) if run is None else run.log
+        if log is None:
+            goal = self._protocol.find(goal_id, now=current_time())
+            if goal is None:
+                raise UnknownGoal(goal_id)
+            log = GoalLog(goal)
+        return log.follow(feedback=feedback, hold=hold, after=after)
+
+    async def _ask(
+        self,
+        name: str,
+        callback: Callable[[T], Awaitable[None] | None],
+        argument: T,
+        refusal: type[GoalRejected] | type[CancelRejected],
+    ) -> None:
+        """Call a user's callback: it returns None to agree, and raises `refusal` to refuse."""
+        try:
+            answer: object = callback(argument)
+            if isinstance(answer, Awaitable):
+                with CancelScope() as scope:
+                    self._asking.add(scope)
+                    try:
+                        answer = await answer
+                    finally:
+                        self._asking.discard(scope)
+                if scope.cancelled_caught:
+                    raise refusal(SERVER_STOPPING)
+            if answer is not None:
+                raise TypeError(
+                    f"{name} returned {answer!r}: return None to agree,"
+                    f" raise {refusal.__name__}(reason) to refuse"
+                )
+        except refusal:
+            raise
+        except Exception as exc:
+            reason = f"{name} failed: {type(exc).__name__}: {exc}"
+            logger.error("action %r: %s", self.action.name, reason, exc_info=exc)
+            raise refusal(reason) from exc
+
+    def __repr__(self) -> str:
+        return f"<ActionServer {self.action.name!r} {self._phase} goals={len(self._runs)}>"
+
+
+@asynccontextmanager
+async def serve(
+    endpoints: Endpoint | Iterable[Endpoint], *where: str | Transport
+) -> AsyncGenerator[tuple[str, ...], None]:
+    """Serve one endpoint or several, at one address or several, for as long as the block lasts.
+
+    An address is a URL or a transport. Gives the URLs under which clients find them. Servers that
+    are not running are started, and stopped at the end while their clients can still be answered.
+
+    Raises:
+        TransportError: An address cannot be used.
+    """
+    transports = [transport_for(one) for one in where]
+    chosen = (endpoints,) if isinstance(endpoints, Endpoint) else tuple(endpoints)
+    servers: list[ActionServer[Any, Any, Any]] = [
+        one for one in chosen if isinstance(one, ActionServer) and one.is_new
+    ]
+    async with AsyncExitStack() as stack:
+        for server in servers:
+            await stack.enter_async_context(server)
+        urls = [await stack.enter_async_context(one.serve(*chosen)) for one in transports]
+        stack.push_async_callback(_stop, servers)
+        yield tuple(urls)
+
+
+async def _stop(servers: Iterable[ActionServer[Any, Any, Any]]) -> None:
+    async with create_task_group() as tasks:
+        for server in servers:
+            tasks.start_soon(server.stop)

@@ -1,0 +1,77 @@
+"""The goal state machine, as one table.
+
+Every rule about which status may follow which lives here and nowhere else. This module knows
+nothing of clients, servers, tasks or time. Numbers and edges are those of ROS 2:
+`action_msgs/msg/GoalStatus`, `rcl_action/types.h` and `rcl_action/goal_state_machine.c`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+from types import MappingProxyType
+from typing import Final
+
+from fibaction.exceptions import InvalidTransition
+
+
+class GoalStatus(IntEnum):
+    """What a goal is doing. UNKNOWN is only an answer, never stored."""
+
+    UNKNOWN = 0
+    ACCEPTED = 1
+    EXECUTING = 2
+    CANCELING = 3
+    SUCCEEDED = 4
+    CANCELED = 5
+    ABORTED = 6
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the goal still has an end before it."""
+        return 1 <= self <= 3
+
+    @property
+    def is_terminal(self) -> bool:
+        """Whether the goal has ended."""
+        return self >= 4
+
+
+class GoalEvent(IntEnum):
+    """What may happen to a goal. The client causes CANCEL_GOAL, the server all others."""
+
+    EXECUTE = 0
+    CANCEL_GOAL = 1
+    SUCCEED = 2
+    ABORT = 3
+    CANCELED = 4
+
+
+INITIAL: Final = GoalStatus.ACCEPTED
+"""The status of a goal at the moment of its acceptance. A rejected goal has none."""
+
+TRANSITIONS: Final[Mapping[tuple[GoalStatus, GoalEvent], GoalStatus]] = MappingProxyType(
+    {
+        (GoalStatus.ACCEPTED, GoalEvent.EXECUTE): GoalStatus.EXECUTING,
+        (GoalStatus.ACCEPTED, GoalEvent.CANCEL_GOAL): GoalStatus.CANCELING,
+        (GoalStatus.EXECUTING, GoalEvent.CANCEL_GOAL): GoalStatus.CANCELING,
+        (GoalStatus.EXECUTING, GoalEvent.SUCCEED): GoalStatus.SUCCEEDED,
+        (GoalStatus.EXECUTING, GoalEvent.ABORT): GoalStatus.ABORTED,
+        (GoalStatus.CANCELING, GoalEvent.SUCCEED): GoalStatus.SUCCEEDED,
+        (GoalStatus.CANCELING, GoalEvent.CANCELED): GoalStatus.CANCELED,
+        (GoalStatus.CANCELING, GoalEvent.ABORT): GoalStatus.ABORTED,
+    }
+)
+"""Every legal edge; what is not here is not legal."""
+
+
+def transition(status: GoalStatus, event: GoalEvent) -> GoalStatus:
+    """The status that follows `status` when `event` happens.
+
+    Raises:
+        InvalidTransition: The table has no such edge.
+    """
+    try:
+        return TRANSITIONS[status, event]
+    except KeyError:
+        raise InvalidTransition(status, event) from None

@@ -1,0 +1,116 @@
+"""For tests of what is built on fibaction: an executor without a transport, a client without a
+robot. What runs here is the real server and the real client; only what lies between is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncGenerator, Sequence
+from typing import Generic, TypeAlias
+
+import anyio
+import msgspec
+
+from fibaction.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.client import ActionClient
+from fibaction.exceptions import GoalRejected
+from fibaction.executor import Executor, GoalHandle
+from fibaction.goals import Outcome
+from fibaction.server import ActionServer
+
+
+class Trial(msgspec.Struct, Generic[FeedbackT, ResultT], frozen=True):
+    """What came of one goal."""
+
+    outcome: Outcome[ResultT]
+    feedback: list[FeedbackT]
+    """All of it, in order."""
+
+
+async def run_executor(
+    action: Action[GoalT, FeedbackT, ResultT],
+    executor: Executor[GoalT, FeedbackT, ResultT],
+    goal: GoalT,
+    *,
+    cancel_after: int | None = None,
+    interrupt_on_cancel: bool = True,
+    timeout: float = 5.0,
+) -> Trial[FeedbackT, ResultT]:
+    """Run an executor with a goal, and give its feedback and its outcome.
+
+    With `cancel_after`, the goal is canceled when that many feedback messages have been yielded,
+    exactly at that `yield`; 0 cancels before the executor starts, so that it never does.
+
+    Raises:
+        TimeoutError: The executor did not end within `timeout` seconds.
+        GoalRejected: The goal is not of the goal's type.
+    """
+    feedback: list[FeedbackT] = []
+    # A window of one makes the executor wait at each `yield` until the feedback was read.
+    server = ActionServer(
+        action,
+        executor,
+        feedback_window=1,
+        stall_timeout=math.inf,
+        interrupt_on_cancel=interrupt_on_cancel,
+    )
+    async with server:
+        with anyio.fail_after(timeout):
+            async with ActionClient(server, action).send_goal(goal) as sent:
+                if cancel_after == 0:
+                    await sent.cancel()
+                async for item in sent.feedback:
+                    feedback.append(item)
+                    if len(feedback) == cancel_after:
+                        await sent.cancel()
+                return Trial(await sent.outcome(), feedback)
+
+
+Step: TypeAlias = FeedbackT | ResultT | Exception | anyio.Event
+"""What a script can say: feedback or the result to yield, an exception to raise (a `GoalRejected`
+that comes first rejects the goal), an event to wait for."""
+
+
+class ScriptedServer(ActionServer[GoalT, FeedbackT, ResultT]):
+    """A server that plays scripts, for tests of clients.
+
+    The first goal gets the first script, the second the second, and the last script serves all that
+    follow. A script is a sequence of steps: see `Step`. Waiting for an event that nobody sets is
+    how a goal is held, until it is canceled.
+    """
+
+    def __init__(
+        self,
+        action: Action[GoalT, FeedbackT, ResultT],
+        *scripts: Sequence[Step[FeedbackT, ResultT]],
+    ) -> None:
+        """Take the scripts.
+
+        Raises:
+            ValueError: There is none.
+        """
+        if not scripts:
+            raise ValueError("a scripted server needs a script")
+        super().__init__(action, self._play, on_goal=self._choose)
+        self.received: list[GoalT] = []
+        """The goals that were sent, rejected ones included, in order."""
+        self._scripts = scripts
+        self._chosen: list[tuple[GoalT, Sequence[Step[FeedbackT, ResultT]]]] = []
+
+    def _choose(self, goal: GoalT) -> None:
+        script = self._scripts[min(len(self.received), len(self._scripts) - 1)]
+        self.received.append(goal)
+        if script and isinstance(script[0], GoalRejected):
+            raise script[0]
+        self._chosen.append((goal, script))
+
+    async def _play(self, handle: GoalHandle[GoalT]) -> AsyncGenerator[FeedbackT | ResultT, None]:
+        # The request is the very object that was decided on: executors need not start in order.
+        place = next(i for i, (goal, _) in enumerate(self._chosen) if goal is handle.request)
+        for step in self._chosen.pop(place)[1]:
+            if isinstance(step, anyio.Event):
+                await step.wait()
+            elif isinstance(step, Exception):
+                raise step
+            else:
+                yield step

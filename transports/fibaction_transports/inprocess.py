@@ -1,0 +1,133 @@
+"""`inproc://name`: clients and servers in one process, on one event loop.
+
+A client gets the server itself, looked up by name at each call, so nothing is copied or queued on
+the way, and a server may come after its clients.
+"""
+
+from __future__ import annotations
+
+import re
+import uuid
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+from weakref import WeakValueDictionary
+
+from fibaction.abc import Connection, Endpoint, GoalStream, StatusStream, Transport
+from fibaction.action import Action, ActionInfo
+from fibaction.exceptions import ServerNotFound, TransportError
+from fibaction.goals import CancelAnswer, GoalID
+from fibaction.streams import Waking
+
+_URL = re.compile(r"inproc://([\w.-]+)", re.ASCII)
+
+
+class _Place:
+    """What is served under one name."""
+
+    def __init__(self, url: str) -> None:
+        self.url = url
+        self.endpoints: dict[str, Endpoint] = {}
+        self.changed = Waking()
+
+    def find(self, action: str) -> Endpoint:
+        try:
+            return self.endpoints[action]
+        except KeyError:
+            raise ServerNotFound(
+                f"nobody serves the action {action!r} at {self.url}: start its server in this"
+                f" process, or wait for one with wait_for_server()"
+            ) from None
+
+
+_places: WeakValueDictionary[str, _Place] = WeakValueDictionary()
+
+
+class InProcessTransport(Transport):
+    """Reaches servers in the same process. Without a name, only those that are given this object,
+    or its URL, can meet here: a place for one test.
+    """
+
+    def __init__(self, name: str | None = None) -> None:
+        url = f"inproc://{name or uuid.uuid4().hex}"
+        if not _URL.fullmatch(url):
+            raise TransportError(f"an in-process URL is like inproc://robot, unlike {url!r}")
+        self._place = _places.setdefault(url, _Place(url))
+
+    @classmethod
+    def from_url(cls, url: str) -> InProcessTransport:
+        """Make it from `inproc://name`, where the name is of letters, digits and `_.-`.
+
+        Raises:
+            TransportError: The URL is another one.
+        """
+        return cls(url.removeprefix("inproc://") or "/")
+
+    @asynccontextmanager
+    async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
+        """See `Transport.serve`."""
+        place = self._place
+        served: dict[str, Endpoint] = {}
+        for endpoint in endpoints:
+            name = endpoint.info.name
+            if name in place.endpoints or name in served:
+                raise TransportError(f"the action {name!r} is served at {place.url} already")
+            served[name] = endpoint
+        place.endpoints.update(served)
+        place.changed.wake()
+        try:
+            yield place.url
+        finally:
+            for name in served:
+                del place.endpoints[name]
+
+    @asynccontextmanager
+    async def connect(self) -> AsyncGenerator[Connection, None]:
+        """See `Transport.connect`. It finds nobody missing: servers may come later."""
+        yield _InProcessConnection(self._place)
+
+
+class _InProcessConnection(Connection):
+    def __init__(self, place: _Place) -> None:
+        self._place = place
+
+    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
+        return _NamedEndpoint(self._place, action.info if isinstance(action, Action) else action)
+
+    async def actions(self) -> list[ActionInfo]:
+        return [endpoint.info for endpoint in self._place.endpoints.values()]
+
+
+class _NamedEndpoint(Endpoint):
+    """Whoever serves an action at a place, when it is called."""
+
+    def __init__(self, place: _Place, info: ActionInfo) -> None:
+        self._place = place
+        self._info = info
+
+    @property
+    def info(self) -> ActionInfo:
+        return self._info
+
+    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> GoalStream:
+        return await self._server.send_goal(goal_id, goal, feedback=feedback)
+
+    async def feedback(self, goal_id: GoalID, *, after: int | None = None) -> GoalStream:
+        return await self._server.feedback(goal_id, after=after)
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        return await self._server.cancel_goals(goal_id, stamp)
+
+    async def status(self) -> StatusStream:
+        return await self._server.status()
+
+    async def wait_for_server(self) -> None:
+        while self._info.name not in self._place.endpoints:
+            await self._place.changed.wait()
+        await self._server.wait_for_server()
+
+    @property
+    def _server(self) -> Endpoint:
+        return self._place.find(self._info.name)
