@@ -7,7 +7,8 @@ result; a client may cancel at any time. All that is needed for that is here, an
 
 from fibaction.abc import Endpoint, Transport
 from fibaction.action import Action, ActionInfo
-from fibaction.client import ActionClient, ClientConnection, ClientGoal, connect
+from fibaction.client import ActionClient, ClientGoal
+from fibaction.connection import ClientConnection, connect
 from fibaction.exceptions import (
     ActionError,
     AuthenticationFailed,
@@ -24,7 +25,8 @@ from fibaction.exceptions import (
 )
 from fibaction.executor import GoalHandle
 from fibaction.goals import CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
-from fibaction.server import ActionServer, serve
+from fibaction.server import ActionServer
+from fibaction.serving import serve
 from fibaction.states import GoalEvent, GoalStatus
 
 __all__ = [

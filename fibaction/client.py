@@ -7,16 +7,16 @@ server: that is the endpoint's affair.
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Generator
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+from collections.abc import Awaitable, Callable, Coroutine, Generator
+from contextlib import suppress
 from types import TracebackType
-from typing import Any, Generic, overload
+from typing import Any, Generic
 
 import anyio
 from anyio import get_cancelled_exc_class
 
-from fibaction.abc import Connection, Endpoint, GoalStream, Transport
-from fibaction.action import Action, ActionInfo, Codec, FeedbackT, GoalT, ResultT
+from fibaction.abc import Endpoint, GoalStream
+from fibaction.action import Action, Codec, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import (
     ActionError,
     GoalAborted,
@@ -26,7 +26,6 @@ from fibaction.exceptions import (
 )
 from fibaction.goals import CancelAnswer, GoalID, Outcome
 from fibaction.states import GoalStatus
-from fibaction.urls import transport_for
 
 LEAVE_TIMEOUT = 5.0
 """Seconds that leaving a goal's block waits for the server's answer to the cancel: more than any
@@ -298,63 +297,3 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
     def __repr__(self) -> str:
         return f"<ActionClient of {self.action!r}>"
-
-
-class ClientConnection(Connection):
-    """An open connection, as `connect` gives it: a client for each action that is wanted."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-
-    def client(
-        self, action: Action[GoalT, FeedbackT, ResultT]
-    ) -> ActionClient[GoalT, FeedbackT, ResultT]:
-        """A client of one action over this connection."""
-        return ActionClient(self.endpoint(action), action)
-
-    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
-        """The endpoint of an action, for instance to serve it somewhere else."""
-        return self._connection.endpoint(action)
-
-    async def actions(self) -> list[ActionInfo]:
-        """What can be reached now: see `Connection.actions`."""
-        return await self._connection.actions()
-
-
-@overload
-def connect(where: str | Transport) -> AbstractAsyncContextManager[ClientConnection]: ...
-
-
-@overload
-def connect(
-    where: str | Transport, action: Action[GoalT, FeedbackT, ResultT]
-) -> AbstractAsyncContextManager[ActionClient[GoalT, FeedbackT, ResultT]]: ...
-
-
-def connect(
-    where: str | Transport, action: Action[Any, Any, Any] | None = None
-) -> AbstractAsyncContextManager[Any]:
-    """Connect to a URL, or by a transport, for as long as the block lasts.
-
-    With an action it gives an `ActionClient`, without one a `ClientConnection`.
-
-    Raises:
-        TransportError: The URL cannot be used; the text says why.
-        ServerNotFound: There is nobody, and the transport can tell at once.
-        AuthenticationFailed: There is, but it does not let this client in.
-    """
-    return _connected(where) if action is None else _connected_client(where, action)
-
-
-@asynccontextmanager
-async def _connected(where: str | Transport) -> AsyncGenerator[ClientConnection, None]:
-    async with transport_for(where).connect() as connection:
-        yield ClientConnection(connection)
-
-
-@asynccontextmanager
-async def _connected_client(
-    where: str | Transport, action: Action[GoalT, FeedbackT, ResultT]
-) -> AsyncGenerator[ActionClient[GoalT, FeedbackT, ResultT], None]:
-    async with _connected(where) as connection:
-        yield connection.client(action)

@@ -135,11 +135,11 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         return Ending(EndKind.RESULT, self._result)
 
     def _start(self) -> AsyncGenerator[FeedbackT | ResultT, None]:
-        items = cast("object", self._executor(self.handle))
+        items: Any = self._executor(self.handle)
         if isinstance(items, Coroutine):
             items.close()  # or Python warns that nobody awaited it
         if not isinstance(items, AsyncGenerator):
-            raise _Misuse(f"it is no async generator: it returned {_a(items)}")
+            raise _Misuse(f"it is no async generator: it returned {_a(cast('object', items))}")
         return cast("AsyncGenerator[FeedbackT | ResultT, None]", items)
 
     async def _consume(self, items: AsyncGenerator[FeedbackT | ResultT, None]) -> None:
@@ -272,13 +272,16 @@ class _Steps(Generator[Any, Any, Ending]):
 def _cause(exc: BaseException) -> BaseException | None:
     """What went wrong, out of any exception group around it; None if that is a cancellation."""
     canceled = get_cancelled_exc_class()
-    while isinstance(exc, BaseExceptionGroup):
-        group: BaseExceptionGroup[BaseException] = exc
-        rest = group.split(canceled)[1]
-        if rest is None or len(rest.exceptions) > 1:
-            return rest
-        exc = rest.exceptions[0]
-    return None if isinstance(exc, canceled) else exc
+    if isinstance(exc, canceled):
+        return None
+    if not isinstance(exc, BaseExceptionGroup):
+        return exc
+    group = cast("BaseExceptionGroup[BaseException]", exc)
+    rest = group.split(canceled)[1]
+    if rest is None:
+        return None
+    first, *others = rest.exceptions
+    return rest if others else _cause(first)
 
 
 def _a(value: object) -> str:

@@ -10,18 +10,17 @@ import inspect
 import logging
 import math
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
-from contextlib import AsyncExitStack, asynccontextmanager
 from types import TracebackType
-from typing import Any, Generic, Literal, TypeVar
+from typing import Generic, Literal
 from weakref import WeakValueDictionary
 
 import anyio
 import anyio.abc
-from anyio import CancelScope, create_task_group, current_time
+from anyio import create_task_group, current_time
 
-from fibaction.abc import Endpoint, Transport
+from fibaction.abc import Endpoint
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
+from fibaction.callbacks import SERVER_STOPPING, Callback, Callbacks
 from fibaction.exceptions import (
     CancelRejected,
     GoalRejected,
@@ -34,17 +33,13 @@ from fibaction.goals import CancelAnswer, GoalID, GoalInfo
 from fibaction.protocol import Admission, Cancellation, Ending, EndKind, Goal, ServerProtocol
 from fibaction.states import GoalStatus
 from fibaction.streams import FeedStream, GoalLog, LogStream, StatusFeed, Waking
-from fibaction.urls import transport_for
 
 EXPIRY_STEP = 0.1
 """Seconds between two looks for expired results at most: an answer is exact to the moment all the
 same, this only limits how often memory is freed."""
 
 SERVER_STOPPED = "server stopped"
-SERVER_STOPPING = "the server is stopping"
 CANCELED_UNASKED = "the executor ended as canceled, but nobody had asked for that"
-
-T = TypeVar("T")
 
 logger = logging.getLogger(__name__)
 
@@ -74,8 +69,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         action: Action[GoalT, FeedbackT, ResultT],
         executor: Executor[GoalT, FeedbackT, ResultT],
         *,
-        on_goal: Callable[[GoalT], Awaitable[None] | None] | None = None,
-        on_cancel: Callable[[GoalHandle[GoalT]], Awaitable[None] | None] | None = None,
+        on_goal: Callback[GoalT] | None = None,
+        on_cancel: Callback[GoalHandle[GoalT]] | None = None,
         interrupt_on_cancel: bool = True,
         feedback: Literal["every", "latest"] = "every",
         feedback_window: int = 64,
@@ -143,7 +138,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._runs: dict[GoalID, _Run[GoalT, FeedbackT, ResultT]] = {}
         self._unread: WeakValueDictionary[GoalID, GoalLog] = WeakValueDictionary()
         self._statuses = StatusFeed()
-        self._asking: set[CancelScope] = set()
+        self._callbacks = Callbacks(action.name)
         self._started = Waking()
         self._decided = Waking()
         self._ended = Waking()
@@ -195,8 +190,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if self._phase != "running":
             return
         self._phase = "stopping"
-        for scope in tuple(self._asking):
-            scope.cancel()
+        self._callbacks.stop()
         for run in self._runs.values():
             run.execution.interrupt()
         with anyio.move_on_after(self._shutdown_timeout, shield=True):
@@ -307,7 +301,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         except ProtocolError as exc:
             raise GoalRejected(str(exc)) from exc
         if self._on_goal is not None:
-            await self._ask("on_goal", self._on_goal, request, GoalRejected)
+            await self._callbacks.ask("on_goal", self._on_goal, request, GoalRejected)
         if self._stops():
             raise GoalRejected(SERVER_STOPPING)
         return request
@@ -346,7 +340,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
             handle = self._runs[goal.goal_id].execution.handle
             try:
-                await self._ask("on_cancel", self._on_cancel, handle, CancelRejected)
+                await self._callbacks.ask("on_cancel", self._on_cancel, handle, CancelRejected)
             except CancelRejected as exc:
                 cancellation.refuse(exc.reason)
                 return
@@ -384,67 +378,5 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             log = GoalLog(goal)
         return log.follow(feedback=feedback, hold=hold, after=after)
 
-    async def _ask(
-        self,
-        name: str,
-        callback: Callable[[T], Awaitable[None] | None],
-        argument: T,
-        refusal: type[GoalRejected] | type[CancelRejected],
-    ) -> None:
-        """Call a user's callback: it returns None to agree, and raises `refusal` to refuse."""
-        try:
-            answer: object = callback(argument)
-            if isinstance(answer, Awaitable):
-                with CancelScope() as scope:
-                    self._asking.add(scope)
-                    try:
-                        answer = await answer
-                    finally:
-                        self._asking.discard(scope)
-                if scope.cancelled_caught:
-                    raise refusal(SERVER_STOPPING)
-            if answer is not None:
-                raise TypeError(
-                    f"{name} returned {answer!r}: return None to agree,"
-                    f" raise {refusal.__name__}(reason) to refuse"
-                )
-        except refusal:
-            raise
-        except Exception as exc:
-            reason = f"{name} failed: {type(exc).__name__}: {exc}"
-            logger.error("action %r: %s", self.action.name, reason, exc_info=exc)
-            raise refusal(reason) from exc
-
     def __repr__(self) -> str:
         return f"<ActionServer {self.action.name!r} {self._phase} goals={len(self._runs)}>"
-
-
-@asynccontextmanager
-async def serve(
-    endpoints: Endpoint | Iterable[Endpoint], *where: str | Transport
-) -> AsyncGenerator[tuple[str, ...], None]:
-    """Serve one endpoint or several, at one address or several, for as long as the block lasts.
-
-    An address is a URL or a transport. Gives the URLs under which clients find them. Servers that
-    are not running are started, and stopped at the end while their clients can still be answered.
-
-    Raises:
-        TransportError: An address cannot be used.
-    """
-    transports = [transport_for(one) for one in where]
-    chosen = (endpoints,) if isinstance(endpoints, Endpoint) else tuple(endpoints)
-    servers: list[ActionServer[Any, Any, Any]] = [
-        one for one in chosen if isinstance(one, ActionServer) and one.is_new
-    ]
-    async with AsyncExitStack() as stack:
-        for server in servers:
-            await stack.enter_async_context(server)
-        urls = [await stack.enter_async_context(one.serve(*chosen)) for one in transports]
-        stack.push_async_callback(_stop, servers)
-        yield tuple(urls)
-
-
-async def _stop(servers: Iterable[ActionServer[Any, Any, Any]]) -> None:
-    async with create_task_group() as tasks:
-        for server in servers:
-            tasks.start_soon(server.stop)

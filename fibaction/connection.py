@@ -1,0 +1,72 @@
+"""`connect`: from a URL to an open connection, and to clients over it."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from typing import Any, overload
+
+from fibaction.abc import Connection, Endpoint, Transport
+from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
+from fibaction.client import ActionClient
+from fibaction.urls import transport_for
+
+
+class ClientConnection(Connection):
+    """An open connection, as `connect` gives it: a client for each action that is wanted."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def client(
+        self, action: Action[GoalT, FeedbackT, ResultT]
+    ) -> ActionClient[GoalT, FeedbackT, ResultT]:
+        """A client of one action over this connection."""
+        return ActionClient(self.endpoint(action), action)
+
+    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
+        """The endpoint of an action, for instance to serve it somewhere else."""
+        return self._connection.endpoint(action)
+
+    async def actions(self) -> list[ActionInfo]:
+        """What can be reached now: see `Connection.actions`."""
+        return await self._connection.actions()
+
+
+@overload
+def connect(where: str | Transport) -> AbstractAsyncContextManager[ClientConnection]: ...
+
+
+@overload
+def connect(
+    where: str | Transport, action: Action[GoalT, FeedbackT, ResultT]
+) -> AbstractAsyncContextManager[ActionClient[GoalT, FeedbackT, ResultT]]: ...
+
+
+def connect(
+    where: str | Transport, action: Action[Any, Any, Any] | None = None
+) -> AbstractAsyncContextManager[Any]:
+    """Connect to a URL, or by a transport, for as long as the block lasts.
+
+    With an action it gives an `ActionClient`, without one a `ClientConnection`.
+
+    Raises:
+        TransportError: The URL cannot be used; the text says why.
+        ServerNotFound: There is nobody, and the transport can tell at once.
+        AuthenticationFailed: There is, but it does not let this client in.
+    """
+    return _connected(where) if action is None else _connected_client(where, action)
+
+
+@asynccontextmanager
+async def _connected(where: str | Transport) -> AsyncGenerator[ClientConnection, None]:
+    async with transport_for(where).connect() as connection:
+        yield ClientConnection(connection)
+
+
+@asynccontextmanager
+async def _connected_client(
+    where: str | Transport, action: Action[GoalT, FeedbackT, ResultT]
+) -> AsyncGenerator[ActionClient[GoalT, FeedbackT, ResultT], None]:
+    async with _connected(where) as connection:
+        yield connection.client(action)

@@ -1,0 +1,44 @@
+"""`serve`: servers and transports, started and stopped in the right order."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Iterable
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any
+
+from anyio import create_task_group
+
+from fibaction.abc import Endpoint, Transport
+from fibaction.server import ActionServer
+from fibaction.urls import transport_for
+
+
+@asynccontextmanager
+async def serve(
+    endpoints: Endpoint | Iterable[Endpoint], *where: str | Transport
+) -> AsyncGenerator[tuple[str, ...], None]:
+    """Serve one endpoint or several, at one address or several, for as long as the block lasts.
+
+    An address is a URL or a transport. Gives the URLs under which clients find them. Servers that
+    are not running are started, and stopped at the end while their clients can still be answered.
+
+    Raises:
+        TransportError: An address cannot be used.
+    """
+    transports = [transport_for(one) for one in where]
+    chosen = (endpoints,) if isinstance(endpoints, Endpoint) else tuple(endpoints)
+    servers: list[ActionServer[Any, Any, Any]] = [
+        one for one in chosen if isinstance(one, ActionServer) and one.is_new
+    ]
+    async with AsyncExitStack() as stack:
+        for server in servers:
+            await stack.enter_async_context(server)
+        urls = [await stack.enter_async_context(one.serve(*chosen)) for one in transports]
+        stack.push_async_callback(_stop, servers)
+        yield tuple(urls)
+
+
+async def _stop(servers: Iterable[ActionServer[Any, Any, Any]]) -> None:
+    async with create_task_group() as tasks:
+        for server in servers:
+            tasks.start_soon(server.stop)
