@@ -185,7 +185,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             )
         try:
             return Ending(kind, result.encode(exc.result), exc.reason)
-        except (TypeError, ValueError) as bad:
+        except Exception as bad:  # encoding runs the user's own code, which may raise anything
             return self._failed(bad)
 
     def _failed(self, exc: Exception) -> Ending:

@@ -369,13 +369,11 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     def _follow(
         self, goal_id: GoalID, *, feedback: bool = True, hold: bool = False, after: int | None
     ) -> LogStream:
+        goal = self._protocol.find(goal_id, now=current_time())
+        if goal is None:
+            raise UnknownGoal(goal_id)
         run = self._runs.get(goal_id)
-        log = self._unread.get(goal_id) if run is None else run.log
-        if log is None:
-            goal = self._protocol.find(goal_id, now=current_time())
-            if goal is None:
-                raise UnknownGoal(goal_id)
-            log = GoalLog(goal)
+        log = self._unread.get(goal_id, GoalLog(goal)) if run is None else run.log
         return log.follow(feedback=feedback, hold=hold, after=after)
 
     def __repr__(self) -> str:

@@ -1,0 +1,1 @@
+"""What every transport keeps. A test body never names one: see `conftest.py`."""

@@ -1,0 +1,104 @@
+"""The ways on which the contract is run. A new transport adds a line to `WAYS`.
+
+A test that a way cannot keep is listed in `EXCLUSIONS` with the reason, and is skipped with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Callable
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from typing import Any, TypeAlias
+
+import anyio
+import pytest
+
+from fibaction import (
+    ActionClient,
+    ActionServer,
+    ClientConnection,
+    Endpoint,
+    Transport,
+    connect,
+    serve,
+)
+from fibaction.action import FeedbackT, GoalT, ResultT
+from fibaction_transports.inprocess import InProcessTransport
+
+Servers: TypeAlias = tuple[Endpoint, ...]
+Way: TypeAlias = Callable[[Servers, str | Transport], AbstractAsyncContextManager[ClientConnection]]
+
+PATIENCE = 10.0
+"""Seconds after which a test that hangs fails."""
+
+
+class Reach:
+    """Brings a server and its client together on one of the ways."""
+
+    def __init__(self, way: Way, address: Callable[[], str | Transport]) -> None:
+        self._way = way
+        self.address = address
+        """A new address where nobody serves anything."""
+
+    @asynccontextmanager
+    async def __call__(
+        self, server: ActionServer[GoalT, FeedbackT, ResultT]
+    ) -> AsyncGenerator[ActionClient[GoalT, FeedbackT, ResultT], None]:
+        """Serve, and give a client. At the end, nothing may be left running."""
+        async with self.connection(server) as connection:
+            yield connection.client(server.action)
+
+    @asynccontextmanager
+    async def connection(self, *servers: Endpoint) -> AsyncGenerator[ClientConnection, None]:
+        """Serve, and give a connection."""
+        before = running()
+        with anyio.fail_after(PATIENCE):
+            async with self._way(servers, self.address()) as connection:
+                yield connection
+        assert running() <= before, "tasks are left behind"
+
+
+def running() -> set[int]:
+    return {task.id for task in anyio.get_running_tasks()}
+
+
+@asynccontextmanager
+async def directly(
+    servers: Servers, address: str | Transport
+) -> AsyncGenerator[ClientConnection, None]:
+    async with serve(servers, address) as (url,), connect(url) as connection:
+        yield connection
+
+
+@asynccontextmanager
+async def through_a_gateway(
+    servers: Servers, address: str | Transport
+) -> AsyncGenerator[ClientConnection, None]:
+    """Somebody between, who knows no types, serves what he reaches."""
+    async with AsyncExitStack() as stack:
+        (url,) = await stack.enter_async_context(serve(servers, InProcessTransport()))
+        behind = await stack.enter_async_context(connect(url))
+        endpoints = [behind.endpoint(info) for info in await behind.actions()]
+        (url,) = await stack.enter_async_context(serve(endpoints, address))
+        yield await stack.enter_async_context(connect(url))
+
+
+WAYS: dict[str, Reach] = {
+    "inproc": Reach(directly, InProcessTransport),
+    "gateway": Reach(through_a_gateway, InProcessTransport),
+}
+
+EXCLUSIONS: dict[tuple[str, str], str] = {}
+"""(way, test name): the reason why that way cannot keep it."""
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+@pytest.fixture(params=list(WAYS))
+def reach(request: pytest.FixtureRequest) -> Reach:
+    reason = EXCLUSIONS.get((request.param, request.function.__name__))
+    if reason is not None:
+        pytest.skip(reason)
+    return WAYS[request.param]

@@ -1,0 +1,429 @@
+"""Design, section 4, "Canceling"."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from typing import cast
+
+import anyio
+import pytest
+
+from fibaction import (
+    ActionServer,
+    CancelCode,
+    CancelRejected,
+    GoalCanceled,
+    GoalHandle,
+    GoalID,
+    GoalStatus,
+    Outcome,
+)
+from tests.contract.conftest import Reach
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+
+pytestmark = pytest.mark.anyio
+
+Items = AsyncGenerator[Feedback | Result, None]
+
+
+class Held:
+    """An executor that says that it has begun, and then waits until it is canceled or let go."""
+
+    def __init__(self) -> None:
+        self.go = anyio.Event()
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        yield Feedback([goal.request.order])
+        await self.go.wait()
+        yield Result([goal.request.order])
+
+
+async def test_a_cancel_is_raised_at_an_await_and_the_part_that_is_done_is_kept(
+    reach: Reach,
+) -> None:
+    async def partial(goal: GoalHandle[Goal]) -> Items:
+        yield Feedback([1])
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            assert goal.status is GoalStatus.CANCELING
+            assert goal.cancel_requested
+            raise GoalCanceled("asked to", result=Result([1])) from None
+        yield Result([])
+
+    async with reach(ActionServer(FIBONACCI, partial)) as client:
+        async with client.send_goal(Goal(1)) as goal:
+            async for _ in goal.feedback:
+                answer = await goal.cancel()
+            with pytest.raises(GoalCanceled) as caught:
+                await goal.result()
+            outcome = await goal.outcome()
+    assert answer.return_code is CancelCode.NONE
+    assert [(info.goal_id, info.status) for info in answer.goals_canceling] == [
+        (goal.goal_id, GoalStatus.CANCELING)
+    ]
+    assert outcome == Outcome(GoalStatus.CANCELED, Result([1]), "asked to")
+    assert caught.value.result == Result([1])
+    assert caught.value.goal_id == goal.goal_id
+
+
+async def test_a_cancel_is_raised_at_a_yield(reach: Reach) -> None:
+    where = []
+
+    async def only_yields(goal: GoalHandle[Goal]) -> Items:
+        number = 0
+        while True:
+            number += 1
+            try:
+                yield Feedback([number])
+            except anyio.get_cancelled_exc_class():
+                where.append(number)
+                raise GoalCanceled(result=Result([number])) from None
+
+    server = ActionServer(FIBONACCI, only_yields, feedback_window=1)
+    async with reach(server) as client, client.send_goal(Goal(1)) as goal:
+        async for item in goal.feedback:
+            if item.partial_sequence == [3]:
+                await goal.cancel()
+        outcome = await goal.outcome()
+    assert outcome == Outcome(GoalStatus.CANCELED, Result(where))
+    assert where[0] >= 3
+
+
+async def test_an_executor_that_says_nothing_of_it_is_canceled_all_the_same(reach: Reach) -> None:
+    async with reach(ActionServer(FIBONACCI, Held())) as client:
+        goal = await client.send_goal(Goal(1))
+        await goal.cancel()
+        assert await goal.outcome() == Outcome(GoalStatus.CANCELED)
+
+
+async def test_clean_up_may_await_because_the_cancellation_arrives_once(reach: Reach) -> None:
+    async def retreats(goal: GoalHandle[Goal]) -> Items:
+        done: list[int] = []
+        try:
+            yield Feedback([0])
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            for step in range(3):
+                await anyio.sleep(0.001)
+                done.append(step)
+                yield Feedback(done)
+            raise GoalCanceled(result=Result(done)) from None
+
+    async with reach(ActionServer(FIBONACCI, retreats)) as client:
+        async with client.send_goal(Goal(1)) as goal:
+            feedback = []
+            async for item in goal.feedback:
+                feedback.append(item.partial_sequence)
+                if len(feedback) == 1:
+                    await goal.cancel()
+            outcome = await goal.outcome()
+    assert feedback == [[0], [0], [0, 1], [0, 1, 2]]
+    assert outcome == Outcome(GoalStatus.CANCELED, Result([0, 1, 2]))
+
+
+async def test_an_executor_that_swallows_the_cancellation_may_still_succeed(reach: Reach) -> None:
+    async def stubborn(goal: GoalHandle[Goal]) -> Items:
+        yield Feedback([1])
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            pass
+        await anyio.sleep(0.001)
+        yield Feedback([2])
+        yield Result([3])
+
+    async with reach(ActionServer(FIBONACCI, stubborn)) as client:
+        async with client.send_goal(Goal(1)) as goal:
+            async for item in goal.feedback:
+                if item == Feedback([1]):
+                    assert (await goal.cancel()).accepted
+            assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, Result([3]))
+
+
+async def test_clean_up_that_raises_is_aborted_with_the_reason(reach: Reach) -> None:
+    async def breaks(goal: GoalHandle[Goal]) -> Items:
+        try:
+            yield Feedback([1])
+            await anyio.sleep_forever()
+        finally:
+            raise RuntimeError("the brake failed")
+
+    async with reach(ActionServer(FIBONACCI, breaks)) as client:
+        async with client.send_goal(Goal(1)) as goal:
+            async for _ in goal.feedback:
+                await goal.cancel()
+            assert await goal.outcome() == Outcome(
+                GoalStatus.ABORTED, None, "RuntimeError: the brake failed"
+            )
+
+
+async def test_a_cancel_inside_a_task_group_of_the_executor_is_a_cancel(reach: Reach) -> None:
+    async def delegates(goal: GoalHandle[Goal]) -> Items:
+        yield Feedback([1])
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(anyio.sleep_forever)
+            tasks.start_soon(anyio.sleep_forever)
+        yield Result([])
+
+    async with reach(ActionServer(FIBONACCI, delegates)) as client:
+        async with client.send_goal(Goal(1)) as goal:
+            async for _ in goal.feedback:
+                await goal.cancel()
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
+async def test_a_result_that_was_yielded_before_the_cancel_is_not_lost(reach: Reach) -> None:
+    yielded = anyio.Event()
+
+    async def lingers(goal: GoalHandle[Goal]) -> Items:
+        yield Result([1])
+        yielded.set()
+        await anyio.sleep_forever()
+
+    async with reach(ActionServer(FIBONACCI, lingers)) as client:
+        goal = await client.send_goal(Goal(1))
+        await yielded.wait()
+        await goal.cancel()
+        assert await goal.outcome() == Outcome(GoalStatus.CANCELED, Result([1]))
+
+
+async def test_a_cooperative_executor_is_not_interrupted_but_asked(reach: Reach) -> None:
+    begun, looked = anyio.Event(), anyio.Event()
+
+    async def looks(goal: GoalHandle[Goal]) -> Items:
+        begun.set()
+        await looked.wait()
+        if goal.cancel_requested:
+            raise GoalCanceled(result=Result([1]))
+        yield Result([2])
+
+    server = ActionServer(FIBONACCI, looks, interrupt_on_cancel=False)
+    async with reach(server) as client:
+        goal = await client.send_goal(Goal(1))
+        await begun.wait()
+        assert (await goal.cancel()).accepted
+        looked.set()
+        assert await goal.outcome() == Outcome(GoalStatus.CANCELED, Result([1]))
+
+
+@pytest.mark.parametrize("asynchronous", [False, True], ids=["sync", "async"])
+async def test_a_refused_cancel_leaves_the_goal_running(reach: Reach, asynchronous: bool) -> None:
+    executor = Held()
+
+    def refuse(goal: GoalHandle[Goal]) -> None:
+        raise CancelRejected(f"order {goal.request.order} is almost done")
+
+    async def refuse_later(goal: GoalHandle[Goal]) -> None:
+        await anyio.lowlevel.checkpoint()
+        refuse(goal)
+
+    server = ActionServer(FIBONACCI, executor, on_cancel=refuse_later if asynchronous else refuse)
+    async with reach(server) as client:
+        goal = await client.send_goal(Goal(9))
+        answer = await goal.cancel()
+        assert answer.return_code is CancelCode.REJECTED
+        assert answer.goals_canceling == ()
+        assert answer.reason == "order 9 is almost done"
+        assert goal.status.is_active
+        executor.go.set()
+        assert await goal.result() == Result([9])
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        (KeyError("x"), "on_cancel failed: KeyError: 'x'"),
+        (
+            False,
+            (
+                "on_cancel failed: TypeError: on_cancel returned False:"
+                " return None to agree, raise CancelRejected(reason) to refuse"
+            ),
+        ),
+    ],
+)
+async def test_a_cancel_callback_that_fails_refuses(
+    reach: Reach, answer: object, reason: str
+) -> None:
+    def on_cancel(goal: GoalHandle[Goal]) -> None:
+        if isinstance(answer, Exception):
+            raise answer
+        return cast("None", answer)
+
+    executor = Held()
+    async with reach(ActionServer(FIBONACCI, executor, on_cancel=on_cancel)) as client:
+        goal = await client.send_goal(Goal(9))
+        refused = await goal.cancel()
+        assert (refused.return_code, refused.reason) == (CancelCode.REJECTED, reason)
+        executor.go.set()
+        await goal.result()
+
+
+async def test_canceling_twice_is_as_good_as_once(reach: Reach) -> None:
+    asked = []
+
+    async def slow_to_stop(goal: GoalHandle[Goal]) -> Items:
+        try:
+            yield Feedback([1])
+            await anyio.sleep_forever()
+        finally:
+            await stop.wait()
+
+    stop = anyio.Event()
+    server = ActionServer(FIBONACCI, slow_to_stop, on_cancel=asked.append)
+    async with reach(server) as client:
+        goal = await client.send_goal(Goal(1))
+        async for _ in goal.feedback:
+            break
+        first, second = await goal.cancel(), await goal.cancel()
+        assert first == second
+        assert first.accepted
+        assert len(asked) == 1
+        stop.set()
+        assert (await goal.outcome()).status is GoalStatus.CANCELED
+        assert (await goal.cancel()).return_code is CancelCode.GOAL_TERMINATED
+
+
+async def test_the_cancel_rules_of_ros_choose_by_id_by_time_and_all(reach: Reach) -> None:
+    async with reach(ActionServer(FIBONACCI, Held())) as client:
+        goals = [await client.send_goal(Goal(number)) for number in range(6)]
+        stamps = [goal.stamp for goal in goals]
+        assert stamps == sorted(set(stamps))
+
+        by_time = await client.cancel_goals(before=stamps[1])
+        assert [info.goal_id for info in by_time.goals_canceling] == [
+            goal.goal_id for goal in goals[:2]
+        ]
+        assert by_time.return_code is CancelCode.NONE
+        for goal in goals[:2]:
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+        both = await client.cancel_goals(goals[5].goal_id, before=stamps[2])
+        assert {info.goal_id for info in both.goals_canceling} == {
+            goals[2].goal_id,
+            goals[5].goal_id,
+        }
+        for goal in (goals[2], goals[5]):
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+        unknown = await client.cancel_goals(GoalID.random(), before=stamps[2])
+        assert (unknown.return_code, unknown.goals_canceling) == (CancelCode.NONE, ())
+
+        everything = await client.cancel_goals()
+        assert {info.goal_id for info in everything.goals_canceling} == {
+            goals[3].goal_id,
+            goals[4].goal_id,
+        }
+        for goal in goals[3:5]:
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+        nothing = await client.cancel_goals()
+        assert (nothing.return_code, nothing.goals_canceling) == (CancelCode.NONE, ())
+
+
+async def test_cancel_all_tells_the_truth_when_some_refuse(reach: Reach) -> None:
+    def on_cancel(goal: GoalHandle[Goal]) -> None:
+        if goal.request.order % 2:
+            raise CancelRejected("odd goals stay")
+
+    executor = Held()
+    async with reach(ActionServer(FIBONACCI, executor, on_cancel=on_cancel)) as client:
+        goals = [await client.send_goal(Goal(number)) for number in range(6)]
+        answer = await client.cancel_goals()
+        assert answer.return_code is CancelCode.NONE
+        assert [info.goal_id for info in answer.goals_canceling] == [
+            goal.goal_id for goal in goals[::2]
+        ]
+        assert answer.reason == "odd goals stay"
+        executor.go.set()
+        statuses = [(await goal.outcome()).status for goal in goals]
+    assert statuses == [GoalStatus.CANCELED, GoalStatus.SUCCEEDED] * 3
+
+
+async def test_one_slow_cancel_decision_keeps_no_other_goal_going(reach: Reach) -> None:
+    decide = anyio.Event()
+
+    async def on_cancel(goal: GoalHandle[Goal]) -> None:
+        if goal.request.order == 0:
+            await decide.wait()
+
+    async with reach(ActionServer(FIBONACCI, Held(), on_cancel=on_cancel)) as client:
+        goals = [await client.send_goal(Goal(number)) for number in range(3)]
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(client.cancel_goals)
+            for goal in goals[1:]:
+                assert (await goal.outcome()).status is GoalStatus.CANCELED
+            assert goals[0].status is not GoalStatus.CANCELED
+            decide.set()
+        assert (await goals[0].outcome()).status is GoalStatus.CANCELED
+
+
+async def test_a_goal_that_ends_while_its_cancel_is_decided_has_ended(reach: Reach) -> None:
+    asked, decide = anyio.Event(), anyio.Event()
+
+    async def on_cancel(goal: GoalHandle[Goal]) -> None:
+        asked.set()
+        await decide.wait()
+
+    executor = Held()
+    async with reach(ActionServer(FIBONACCI, executor, on_cancel=on_cancel)) as client:
+        goal = await client.send_goal(Goal(4))
+        codes: list[CancelCode] = []
+
+        async def cancel() -> None:
+            codes.append((await goal.cancel()).return_code)
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(cancel)
+            await asked.wait()
+            executor.go.set()
+            assert await goal.result() == Result([4])
+            decide.set()
+    assert codes == [CancelCode.GOAL_TERMINATED]
+
+
+async def test_leaving_the_block_early_cancels_the_goal(reach: Reach) -> None:
+    async with reach(ActionServer(FIBONACCI, Held())) as client:
+        async with client.send_goal(Goal(1)) as goal:
+            async for _ in goal.feedback:
+                break
+        assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+        with anyio.move_on_after(0.01) as patience:
+            async with client.send_goal(Goal(1)) as second:
+                await second.result()
+        assert patience.cancelled_caught
+        assert (await second.outcome()).status is GoalStatus.CANCELED
+
+        with await client.endpoint.status() as statuses, anyio.move_on_after(0.01):
+            await client.call(Goal(1))
+        while (info := await statuses.receive()) is not None:
+            if info.status is GoalStatus.CANCELING:
+                break
+        assert info is not None
+
+
+async def test_the_callers_own_exception_arrives_as_itself(reach: Reach) -> None:
+    error = KeyError("mine")
+    with pytest.raises(KeyError) as caught:
+        async with reach(ActionServer(FIBONACCI, Held())) as client:
+            async with client.send_goal(Goal(1)) as goal:
+                async for _ in goal.feedback:
+                    raise error
+    assert caught.value is error
+
+
+async def test_leaving_the_block_of_a_goal_that_refuses_is_logged(
+    reach: Reach, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(goal: GoalHandle[Goal]) -> None:
+        raise CancelRejected("too late")
+
+    executor = Held()
+    async with reach(ActionServer(FIBONACCI, executor, on_cancel=refuse)) as client:
+        async with client.send_goal(Goal(1)) as goal:
+            pass
+        assert "was left, but runs on: too late" in caplog.text
+        executor.go.set()
+        assert await goal.result() == Result([1])

@@ -1,0 +1,294 @@
+"""Design, section 4, "Results" and "Stopping", and the status of all goals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncGenerator
+
+import anyio
+import pytest
+
+from fibaction import (
+    ActionClient,
+    ActionServer,
+    GoalAborted,
+    GoalCanceled,
+    GoalHandle,
+    GoalInfo,
+    GoalRejected,
+    GoalStatus,
+    Outcome,
+    TransportError,
+    UnknownGoal,
+    connect,
+    serve,
+)
+from fibaction.abc import StatusStream
+from tests.contract.conftest import PATIENCE, Reach, running
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+
+pytestmark = pytest.mark.anyio
+
+Items = AsyncGenerator[Feedback | Result, None]
+
+
+async def forever(goal: GoalHandle[Goal]) -> Items:
+    yield Feedback([1])
+    await anyio.sleep_forever()
+    yield Result([])
+
+
+async def test_a_result_can_be_fetched_by_anybody_any_number_of_times(reach: Reach) -> None:
+    async with reach(ActionServer(FIBONACCI, fibonacci)) as client:
+        goal = await client.send_goal(Goal(2))
+        assert await goal.result() == await goal.result() == Result([0, 1, 1])
+        for _ in range(3):
+            other = await client.attach(goal.goal_id)
+            assert await other.result() == Result([0, 1, 1])
+            assert [item async for item in other.feedback] == []
+
+
+async def next_with(statuses: StatusStream, status: GoalStatus) -> GoalInfo:
+    while (info := await statuses.receive()) is not None:
+        if info.status is status:
+            return info
+    raise AssertionError(f"no {status.name} came")
+
+
+async def test_a_result_is_forgotten_when_its_time_is_over(reach: Reach) -> None:
+    server = ActionServer(FIBONACCI, fibonacci, result_timeout=0.05)
+    async with reach(server) as client:
+        with await client.endpoint.status() as statuses:
+            goal = await client.send_goal(Goal(2))
+            await next_with(statuses, GoalStatus.SUCCEEDED)
+            assert (await next_with(statuses, GoalStatus.UNKNOWN)).goal_id == goal.goal_id
+        with pytest.raises(UnknownGoal):
+            await client.attach(goal.goal_id)
+        # Its own client still gets it: it has been waiting since the goal was accepted.
+        assert await goal.result() == Result([0, 1, 1])
+
+
+async def test_without_a_result_timeout_those_who_wait_are_answered_all_the_same(
+    reach: Reach,
+) -> None:
+    go = anyio.Event()
+
+    async def waits(goal: GoalHandle[Goal]) -> Items:
+        await go.wait()
+        yield Result([5])
+
+    async with reach(ActionServer(FIBONACCI, waits, result_timeout=0)) as client:
+        goal = await client.send_goal(Goal(1))
+        follower = await client.attach(goal.goal_id)
+        results: list[Result] = []
+
+        async def wait() -> None:
+            results.append(await follower.result())
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            await anyio.wait_all_tasks_blocked()
+            go.set()
+        assert results == [await goal.result()] == [Result([5])]
+        with pytest.raises(UnknownGoal):
+            await client.attach(goal.goal_id)
+
+
+async def test_a_result_is_kept_for_ever_if_asked_to(reach: Reach) -> None:
+    async with reach(ActionServer(FIBONACCI, fibonacci, result_timeout=math.inf)) as client:
+        goals = [await client.send_goal(Goal(number)) for number in range(3)]
+        for goal in goals:
+            await goal.outcome()
+        for number, goal in enumerate(goals):
+            assert len((await (await client.attach(goal.goal_id)).result()).sequence) == number + 1
+
+
+async def test_no_more_results_are_kept_than_asked_for(reach: Reach) -> None:
+    async with reach(ActionServer(FIBONACCI, fibonacci, max_results=3)) as client:
+        goals = []
+        for number in range(5):
+            goals.append(await client.send_goal(Goal(number)))
+            await goals[-1].outcome()
+        for goal in goals[:2]:
+            with pytest.raises(UnknownGoal):
+                await client.attach(goal.goal_id)
+        for goal in goals[2:]:
+            assert (await (await client.attach(goal.goal_id)).outcome()).status is (
+                GoalStatus.SUCCEEDED
+            )
+
+
+async def test_an_attached_client_of_a_goal_that_is_forgotten_meanwhile_is_told(
+    reach: Reach,
+) -> None:
+    async with reach(ActionServer(FIBONACCI, fibonacci)) as client:
+        goal = await client.send_goal(Goal(1))
+        await goal.result()
+        assert (await client.endpoint.get_result(goal.goal_id)).status is GoalStatus.SUCCEEDED
+
+
+async def test_every_change_of_a_status_is_told_in_order_along_legal_edges(reach: Reach) -> None:
+    async with reach(ActionServer(FIBONACCI, forever)) as client:
+        before = await client.send_goal(Goal(1))
+        with await client.endpoint.status() as statuses:
+            first = await statuses.receive()
+            assert first is not None
+            assert first.goal_id == before.goal_id
+            assert first.stamp == before.stamp
+            goal = await client.send_goal(Goal(2))
+            seen = [await next_of(statuses, goal.goal_id) for _ in range(2)]
+            await goal.cancel()
+            seen += [await next_of(statuses, goal.goal_id) for _ in range(2)]
+            assert statuses.dropped == 0
+    assert seen == [
+        GoalStatus.ACCEPTED,
+        GoalStatus.EXECUTING,
+        GoalStatus.CANCELING,
+        GoalStatus.CANCELED,
+    ]
+
+
+async def next_of(statuses: StatusStream, goal_id: bytes) -> GoalStatus:
+    while (info := await statuses.receive()) is not None:
+        if info.goal_id == goal_id:
+            return info.status
+    raise AssertionError("the statuses have ended")
+
+
+async def test_stopping_ends_every_goal_as_aborted_and_answers_everybody(reach: Reach) -> None:
+    outcomes: list[Outcome[Result]] = []
+    rejected: list[str] = []
+    never = anyio.Event()
+
+    async def on_goal(goal: Goal) -> None:
+        if goal.order == 99:
+            await never.wait()
+
+    async def partial(goal: GoalHandle[Goal]) -> Items:
+        yield Feedback([1])
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            assert goal.cancel_requested
+            await anyio.sleep(0.001)
+            raise GoalCanceled(result=Result([1])) from None
+        yield Result([])
+
+    async def wait(client: ActionClient[Goal, Feedback, Result], order: int) -> None:
+        try:
+            goal = await client.send_goal(Goal(order))
+        except GoalRejected as exc:
+            rejected.append(exc.reason)
+        else:
+            feedback = [item async for item in goal.feedback]
+            assert feedback == [Feedback([1])]
+            outcomes.append(await goal.outcome())
+
+    with anyio.fail_after(PATIENCE):
+        server = ActionServer(FIBONACCI, partial, on_goal=on_goal)
+        async with anyio.create_task_group() as tasks:
+            async with reach(server) as client:
+                before = running()
+                for order in (1, 2, 99):
+                    tasks.start_soon(wait, client, order)
+                await anyio.wait_all_tasks_blocked()
+                tasks_of_this_test = running() - before
+                await server.stop()
+                with anyio.fail_after(5):
+                    while running() & tasks_of_this_test:
+                        await anyio.lowlevel.checkpoint()
+                with pytest.raises(TransportError):
+                    await client.send_goal(Goal(3))
+    assert outcomes == [Outcome(GoalStatus.ABORTED, Result([1]), "server stopped")] * 2
+    assert rejected == ["the server is stopping"]
+
+
+async def test_a_goal_that_is_sent_while_the_server_stops_is_rejected(reach: Reach) -> None:
+    stopping, go = anyio.Event(), anyio.Event()
+
+    async def tidies_up(goal: GoalHandle[Goal]) -> Items:
+        try:
+            yield Feedback([1])
+            await anyio.sleep_forever()
+        finally:
+            stopping.set()
+            await go.wait()
+
+    server = ActionServer(FIBONACCI, tidies_up)
+    async with reach(server) as client, anyio.create_task_group() as tasks:
+        goal = await client.send_goal(Goal(1))
+        async for _ in goal.feedback:
+            break
+        tasks.start_soon(server.stop)
+        await stopping.wait()
+        with pytest.raises(GoalRejected, match="the server is stopping"):
+            await client.send_goal(Goal(2))
+        go.set()
+        with pytest.raises(GoalAborted, match="server stopped"):
+            await goal.result()
+
+
+async def test_an_executor_that_does_not_stop_in_time_is_killed(
+    reach: Reach, caplog: pytest.LogCaptureFixture
+) -> None:
+    killed = []
+
+    async def hangs(goal: GoalHandle[Goal]) -> Items:
+        try:
+            yield Feedback([1])
+            await anyio.sleep_forever()
+        finally:
+            try:
+                await anyio.sleep_forever()
+            finally:
+                killed.append(goal.request.order)
+
+    server = ActionServer(FIBONACCI, hangs, shutdown_timeout=0.01)
+    async with reach(server) as client:
+        goal = await client.send_goal(Goal(1))
+        async for _ in goal.feedback:
+            break
+        await server.stop()
+        with anyio.fail_after(5):
+            while not killed:
+                await anyio.lowlevel.checkpoint()
+        assert await goal.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
+    assert killed == [1]
+    assert "did not stop within 0.01 s" in caplog.text
+
+
+async def test_a_success_that_comes_while_the_server_stops_is_a_success(reach: Reach) -> None:
+    async def finishes(goal: GoalHandle[Goal]) -> Items:
+        try:
+            yield Feedback([1])
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            await anyio.sleep(0.001)
+        yield Result([2])
+
+    server = ActionServer(FIBONACCI, finishes)
+    async with reach(server) as client:
+        goal = await client.send_goal(Goal(1))
+        async for _ in goal.feedback:
+            break
+        await server.stop()
+        assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, Result([2]))
+
+
+async def test_a_client_can_come_before_its_server_and_wait_for_it(reach: Reach) -> None:
+    address = reach.address()
+    with anyio.fail_after(PATIENCE):
+        async with connect(address, FIBONACCI) as client, anyio.create_task_group() as tasks:
+            results: list[Result] = []
+
+            async def wait() -> None:
+                await client.wait_for_server()
+                results.append(await client.call(Goal(1)))
+                tasks.cancel_scope.cancel()
+
+            tasks.start_soon(wait)
+            await anyio.wait_all_tasks_blocked()
+            assert results == []
+            async with serve(ActionServer(FIBONACCI, fibonacci), address):
+                await anyio.sleep_forever()
+    assert results == [Result([0, 1])]
