@@ -14,14 +14,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from contextlib import AbstractAsyncContextManager
 from types import TracebackType
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Self
 
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import UnknownGoal
 from fibaction.goals import UNKNOWN_OUTCOME, CancelAnswer, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
-
-SelfT = TypeVar("SelfT", bound="_Closing")
 
 
 class FeedbackItem(NamedTuple):
@@ -39,7 +37,7 @@ class _Closing(ABC):
     def close(self) -> None:
         """Stop listening. Closing twice does nothing."""
 
-    def __enter__(self: SelfT) -> SelfT:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(

@@ -220,7 +220,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             GoalRejected: The server did not accept; `reason` says why.
             ServerNotFound: Nobody serves this action.
             ConnectionLost: The connection ended before the answer.
-            TypeError: The goal holds something that cannot be encoded.
+            TypeError, OverflowError: The goal holds what cannot be encoded: see `Codec.encode`.
         """
         return SendingGoal(self._send(goal, goal_id or GoalID.random()))
 
@@ -234,7 +234,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         feedback. Being canceled, or an exception of `on_feedback`, cancels the goal.
 
         Raises:
-            GoalRejected, ServerNotFound, ConnectionLost, TypeError: As for `send_goal`.
+            GoalRejected, ServerNotFound, ConnectionLost, TypeError, OverflowError: As for
+                `send_goal`.
             GoalAborted, GoalCanceled: As for `ClientGoal.result`.
         """
         sending = self._send(goal, GoalID.random(), feedback=on_feedback is not None)

@@ -8,13 +8,14 @@ knows no rules on statuses, no clients and no other goals.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import AsyncGenerator, Callable, Coroutine, Generator
 from contextlib import aclosing
 from time import perf_counter
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, cast
 
-from anyio import CancelScope, get_cancelled_exc_class
+from anyio import CancelScope, current_effective_deadline, get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
@@ -212,6 +213,9 @@ class _Steps(Generator[Any, Any, Ending]):
     So it knows how long the coroutine has gone on without awaiting, and sees a cancellation arrive.
     anyio and trio cancel by level: once a scope is canceled, every `await` in it raises. Here the
     first raises; as soon as the coroutine waits again, which is its clean-up, it is shielded.
+    Inside a task group of the executor's own the backend's rule holds: the group is canceled with
+    all that is in it, and clean-up there needs a shield. (On trio, a nursery that is open around
+    clean-up keeps the cancellation to itself.)
     """
 
     def __init__(self, start: Callable[[], Coroutine[Any, Any, Ending]], life: CancelScope) -> None:
@@ -252,7 +256,9 @@ class _Steps(Generator[Any, Any, Ending]):
         assert isinstance(typ, BaseException)
         self._look_at(typ)
         self._slice_end = perf_counter() + SLICE
-        return self._suspend(self._coroutine.throw(typ))
+        # A bare cancellation, as of the task itself: a scope inside would take anyio's for its own.
+        error = type(typ)() if self._arrived else typ
+        return self._suspend(self._coroutine.throw(error))
 
     def close(self) -> None:
         self._coroutine.close()
@@ -264,8 +270,12 @@ class _Steps(Generator[Any, Any, Ending]):
 
     def _suspend(self, waiting_for: Any) -> Any:
         if self._arrived:
-            self._arrived = False
             self._life.shield = True
+            # A task group that the cancellation passes on its way out waits for its children, and
+            # must see that the cancellation comes from outside, or it would keep it to itself.
+            unwinding = current_effective_deadline() == -math.inf and not self._life.cancel_called
+            self._life.shield = not unwinding
+            self._arrived = unwinding
         return waiting_for
 
 

@@ -11,7 +11,7 @@ import logging
 import math
 import time
 from types import TracebackType
-from typing import Generic, Literal
+from typing import Generic, Literal, Self
 from weakref import WeakValueDictionary
 
 import anyio
@@ -153,7 +153,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         """Whether the server has yet to be entered."""
         return self._phase == "new"
 
-    async def __aenter__(self) -> ActionServer[GoalT, FeedbackT, ResultT]:
+    async def __aenter__(self) -> Self:
         """Start.
 
         Raises:
@@ -244,6 +244,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             request = await self._decide(goal)
         except GoalRejected as exc:
             self._protocol.reject(goal_id, exc.reason, now=current_time())
+            logger.info("goal %s of action %r: rejected: %s", goal_id, self.action.name, exc.reason)
             raise GoalRejected(exc.reason, goal_id=goal_id) from None
         except BaseException:
             # Canceled while deciding: if the goal is sent again, it is decided anew.

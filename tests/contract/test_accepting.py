@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from fibaction import (
+    Action,
     ActionServer,
     CancelCode,
     GoalHandle,
@@ -281,7 +282,7 @@ async def test_an_action_that_nobody_serves_is_not_found_and_can_be_waited_for(
     reach: Reach,
 ) -> None:
     address = reach.address()
-    other = ActionServer(msgspec_action("other"), fibonacci_of_anything)
+    other = ActionServer(action_of_numbers("other"), echo)
     with anyio.fail_after(5):
         async with serve(other, address) as (url,), connect(url, FIBONACCI) as client:
             with pytest.raises(ServerNotFound, match="'fibonacci'"):
@@ -290,18 +291,16 @@ async def test_an_action_that_nobody_serves_is_not_found_and_can_be_waited_for(
                 await client.wait_for_server(timeout=0.01)
 
 
-def msgspec_action(name: str) -> Any:
-    from fibaction import Action
-
+def action_of_numbers(name: str) -> Any:
     return Action(name, goal=int, feedback=str, result=int)
 
 
-async def fibonacci_of_anything(goal: GoalHandle[int]) -> AsyncGenerator[str | int, None]:
+async def echo(goal: GoalHandle[int]) -> AsyncGenerator[str | int, None]:
     yield goal.request
 
 
 async def test_several_actions_share_one_connection(reach: Reach) -> None:
-    other = ActionServer(msgspec_action("other"), fibonacci_of_anything)
+    other = ActionServer(action_of_numbers("other"), echo)
     async with reach.connection(server(), other) as connection:
         assert await connection.client(FIBONACCI).call(Goal(2)) == Result([0, 1, 1])
         assert await connection.client(other.action).call(41) == 41
@@ -312,8 +311,6 @@ async def test_several_actions_share_one_connection(reach: Reach) -> None:
 
 
 async def test_a_client_without_the_types_sends_a_goal_from_plain_data(reach: Reach) -> None:
-    from fibaction import Action
-
     async with reach.connection(server()) as connection:
         (info,) = await connection.actions()
         client = connection.client(Action.untyped(info))

@@ -261,7 +261,7 @@ async def test_a_cancel_callback_that_fails_refuses(
 
 
 async def test_canceling_twice_is_as_good_as_once(reach: Reach) -> None:
-    asked = []
+    asked: list[GoalHandle[Goal]] = []
 
     async def slow_to_stop(goal: GoalHandle[Goal]) -> Items:
         try:

@@ -2,167 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import Callable
 from typing import Any, cast
 
 import anyio
 import pytest
 
-from fibaction import (
-    ActionServer,
-    GoalAborted,
-    GoalCanceled,
-    GoalHandle,
-    GoalStatus,
-    Outcome,
-)
+from fibaction import Action, ActionServer, GoalAborted, GoalHandle, GoalStatus, Outcome
 from tests.contract.conftest import Reach
+from tests.executors import ABORTED, Items, raises_after_feedback
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
-
-Items = AsyncGenerator[Feedback | Result, None]
-
-
-async def ends_without_a_result(goal: GoalHandle[Goal]) -> Items:
-    yield Feedback([1])
-
-
-async def yields_after_the_result(goal: GoalHandle[Goal]) -> Items:
-    yield Result([1])
-    yield Feedback([2])
-
-
-async def yields_two_results(goal: GoalHandle[Goal]) -> Items:
-    yield Result([1])
-    yield Result([2])
-
-
-async def yields_a_wrong_type(goal: GoalHandle[Goal]) -> Items:
-    yield cast("Feedback", {"partial_sequence": [1]})
-
-
-async def yields_what_cannot_be_encoded(goal: GoalHandle[Goal]) -> Items:
-    yield Feedback([cast("int", object())])
-
-
-async def raises_before_the_first_yield(goal: GoalHandle[Goal]) -> Items:
-    raise ValueError("no such arm")
-    yield Result([])
-
-
-async def raises_after_feedback(goal: GoalHandle[Goal]) -> Items:
-    yield Feedback([1])
-    raise ValueError("the arm is stuck")
-
-
-async def raises_after_the_result(goal: GoalHandle[Goal]) -> Items:
-    yield Result([1])
-    raise ValueError("the gripper does not open")
-
-
-async def raises_in_a_task_group(goal: GoalHandle[Goal]) -> Items:
-    async with anyio.create_task_group():
-        raise ValueError("inside")
-    yield Result([])
-
-
-async def raises_twice_in_a_task_group(goal: GoalHandle[Goal]) -> Items:
-    raise ExceptionGroup("two things", [ValueError("a"), KeyError("b")])
-    yield Result([])
-
-
-async def raises_while_it_is_closed(goal: GoalHandle[Goal]) -> Items:
-    try:
-        yield cast("Feedback", None)
-    finally:
-        raise ValueError("in finally")
-
-
-async def ignores_that_it_is_closed(goal: GoalHandle[Goal]) -> Items:
-    try:
-        yield cast("Feedback", None)
-    finally:
-        yield Feedback([1])
-
-
-async def aborts_with_a_part(goal: GoalHandle[Goal]) -> Items:
-    yield Feedback([1])
-    raise GoalAborted("the object is too heavy", result=Result([1]))
-
-
-async def aborts_in_a_task_group(goal: GoalHandle[Goal]) -> Items:
-    async with anyio.create_task_group():
-        raise GoalAborted("the object is too heavy", result=Result([1]))
-    yield Result([])
-
-
-async def aborts_with_a_wrong_part(goal: GoalHandle[Goal]) -> Items:
-    raise GoalAborted("the object is too heavy", result=[1])
-    yield Result([])
-
-
-async def aborts_with_what_cannot_be_encoded(goal: GoalHandle[Goal]) -> Items:
-    raise GoalAborted("the object is too heavy", result=Result([2**70]))
-    yield Result([])
-
-
-async def says_canceled_though_nobody_asked(goal: GoalHandle[Goal]) -> Items:
-    raise GoalCanceled(result=Result([1]))
-    yield Result([])
-
-
-def is_no_generator(goal: GoalHandle[Goal]) -> Items:
-    async def forgot_to_yield() -> Result:
-        return Result([])
-
-    return cast("Items", forgot_to_yield())
-
-
-def raises_instead_of_making_one(goal: GoalHandle[Goal]) -> Items:
-    raise ValueError("at once")
-
-
-WRONG = "the executor is wrong: "
-UNENCODABLE = "Encoding objects of type object is unsupported"
-
-ABORTED: list[tuple[Callable[[GoalHandle[Goal]], Items], str, list[int] | None]] = [
-    (ends_without_a_result, WRONG + "it ended without yielding a result", None),
-    (yields_after_the_result, WRONG + "it yielded a Feedback after its result", [1]),
-    (yields_two_results, WRONG + "it yielded a Result after its result", [1]),
-    (
-        yields_a_wrong_type,
-        WRONG + "it yielded a dict, which is neither feedback nor a result",
-        None,
-    ),
-    (yields_what_cannot_be_encoded, f"TypeError: {UNENCODABLE}", None),
-    (raises_before_the_first_yield, "ValueError: no such arm", None),
-    (raises_after_feedback, "ValueError: the arm is stuck", None),
-    (raises_after_the_result, "ValueError: the gripper does not open", [1]),
-    (raises_in_a_task_group, "ValueError: inside", None),
-    (raises_twice_in_a_task_group, "ExceptionGroup: two things (2 sub-exceptions)", None),
-    (raises_while_it_is_closed, "ValueError: in finally", None),
-    (ignores_that_it_is_closed, "RuntimeError: async generator ignored GeneratorExit", None),
-    (aborts_with_a_part, "the object is too heavy", [1]),
-    (aborts_in_a_task_group, "the object is too heavy", [1]),
-    (
-        aborts_with_a_wrong_part,
-        WRONG + "it raised GoalAborted with a list as its result",
-        None,
-    ),
-    (
-        aborts_with_what_cannot_be_encoded,
-        "OverflowError: can't serialize ints < -2**63 or > 2**64 - 1",
-        None,
-    ),
-    (
-        says_canceled_though_nobody_asked,
-        "the executor ended as canceled, but nobody had asked for that",
-        [1],
-    ),
-    (is_no_generator, WRONG + "it is no async generator: it returned a coroutine", None),
-    (raises_instead_of_making_one, "ValueError: at once", None),
-]
 
 
 @pytest.mark.parametrize(
@@ -243,8 +94,6 @@ def encoded(sequence: list[int]) -> bytes:
 
 
 def _renamed() -> Any:
-    from fibaction import Action
-
     return Action("other", goal=Goal, feedback=Feedback, result=Result)
 
 

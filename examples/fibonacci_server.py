@@ -1,0 +1,70 @@
+"""Serves the Fibonacci action until Ctrl-C or SIGTERM.
+
+Exit codes: 0 stopped, 2 the command line or the URL cannot be used.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import math
+from signal import SIGINT, SIGTERM
+
+import anyio
+from fibonacci import FIBONACCI, URL, make_server
+
+from fibaction import GoalStatus, TransportError, serve
+from fibaction.abc import StatusStream
+
+logger = logging.getLogger("fibonacci")
+
+
+async def main(url: str, period: float) -> None:
+    """Serve until a signal comes, then let the goals end and tell their clients.
+
+    Raises:
+        TransportError: The URL cannot be used.
+    """
+    server = make_server(period)
+    with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
+        async with serve(server, url) as (where,), anyio.create_task_group() as tasks:
+            tasks.start_soon(log_goals, await server.status())
+            print(f"serving {FIBONACCI.name} at {where}, Ctrl-C stops it", flush=True)
+            await anext(signals)
+            # Ends the stream of statuses too, behind the last one, and with it the task above.
+            await server.stop()
+
+
+async def log_goals(changes: StatusStream) -> None:
+    """Log each change of each goal's status, until the server stops."""
+    with changes:
+        while (goal := await changes.receive()) is not None:
+            if goal.status is not GoalStatus.UNKNOWN:  # it was logged when it ended
+                logger.info("goal %s %s", goal.goal_id, goal.status.name)
+
+
+def seconds(text: str) -> float:
+    """Read a finite number of seconds, 0 or more.
+
+    Raises:
+        ValueError: It is something else.
+    """
+    value = float(text)
+    if not 0 <= value < math.inf:
+        raise ValueError(text)
+    return value
+
+
+if __name__ == "__main__":
+    # Without a usage an error is one line; --help lists the options all the same.
+    parser = argparse.ArgumentParser(description=__doc__, usage=argparse.SUPPRESS)
+    parser.add_argument("--url", default=URL, help="where to serve (default: %(default)s)")
+    parser.add_argument(
+        "--period", type=seconds, default=1.0, help="seconds per number (default: %(default)g)"
+    )
+    arguments = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
+    try:
+        anyio.run(main, arguments.url, arguments.period)
+    except TransportError as exc:
+        parser.error(str(exc))

@@ -1,0 +1,149 @@
+"""Why actions exist: an arm is on its way to a pen when the pen rolls off the table.
+
+Two components in one process. The vision finds the pen, sends the arm there, tracks the pen while
+the arm moves, and cancels the goal when the pen is gone. The arm serves the action `pick`, says all
+the way how far it has to go, and cleans up after a cancel.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import AsyncGenerator
+from contextlib import suppress
+from typing import NamedTuple
+
+import anyio
+from msgspec import Struct
+
+from fibaction import Action, ActionServer, ClientGoal, GoalCanceled, GoalHandle, connect, serve
+
+URL = "inproc://robot"
+FRAME = 1 / 20  # seconds between two frames of the camera
+STEP = 0.2  # seconds between two commands to the arm, each of which makes one feedback
+SPEED = 0.4  # metres per second, of the gripper
+NEAR = 0.001  # metres from a place at which the gripper counts as being there
+EDGE = 0.38  # metres from the arm's base to the left edge of the table
+
+
+class Position(NamedTuple):
+    """Metres from the arm's base, which stands on the table: x ahead, y to the left, z up."""
+
+    x: float
+    y: float
+    z: float
+
+    def __str__(self) -> str:
+        return f"({self.x:.2f}, {self.y:.2f}, {self.z:.2f})"
+
+
+HOME = Position(0.10, 0.00, 0.30)
+
+
+class Goal(Struct):
+    """Asks to pick what is at the target."""
+
+    target: Position
+
+
+class Feedback(Struct):
+    """How the arm gets on; `distance` is in metres, from the gripper to the target."""
+
+    phase: str
+    distance: float
+
+
+class Result(Struct):
+    """What became of it; `reached` is how many metres the gripper came before any retreat."""
+
+    gripped: bool
+    reached: float
+
+
+PICK = Action("pick", goal=Goal, feedback=Feedback, result=Result)
+
+
+class Pen:
+    """A pen that lies on the table, and may begin to roll to the left after some seconds."""
+
+    def __init__(self, lies_at: Position, rolls_after: float = math.inf) -> None:
+        self._lies_at = lies_at
+        self._rolls_at = time.monotonic() + rolls_after
+
+    def look(self) -> Position | None:
+        """Where the pen is now, None if it is not on the table: what one frame shows."""
+        rolled = 0.3 * max(0.0, time.monotonic() - self._rolls_at)  # at 0.3 m/s
+        position = self._lies_at._replace(y=self._lies_at.y + rolled)
+        return position if position.y < EDGE else None
+
+
+class Arm:
+    """The manipulation: a gripper that moves in straight lines. It has no eyes."""
+
+    def __init__(self, pen: Pen) -> None:
+        self._gripper = HOME
+        self._pen = pen  # for the fingers to feel
+
+    async def pick(self, goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        """Go above the target, go down and grip; if canceled, go home first."""
+        target = goal.request.target
+        way = {"approach": target._replace(z=target.z + 0.1), "descend": target}
+        try:
+            for phase, place in way.items():
+                while math.dist(self._gripper, place) > NEAR:
+                    await self._move(place)
+                    yield Feedback(phase, math.dist(self._gripper, target))
+            await anyio.sleep(STEP)  # the fingers close
+        except anyio.get_cancelled_exc_class():
+            # The cancellation comes only once, so there is time to clean up.
+            reached = round(math.dist(HOME, self._gripper), 2)
+            while math.dist(self._gripper, HOME) > NEAR:
+                await self._move(HOME)
+                yield Feedback("retreat", math.dist(self._gripper, target))
+            raise GoalCanceled(result=Result(gripped=False, reached=reached)) from None
+        yield Result(self._pen.look() == target, round(math.dist(HOME, self._gripper), 2))
+
+    async def _move(self, place: Position) -> None:
+        await anyio.sleep(STEP)
+        share = min(1.0, SPEED * STEP / math.dist(self._gripper, place))
+        ways = zip(self._gripper, place, strict=True)
+        self._gripper = Position(*(here + share * (there - here) for here, there in ways))
+
+
+async def track(pen: Pen, place: Position, goal: ClientGoal[Feedback, Result]) -> None:
+    """The vision: watch the pen, frame by frame, and cancel the goal when the pen is gone."""
+    while (seen := pen.look()) is not None:
+        if math.dist(seen, place) > 0.05:
+            print(f"vision  the pen rolls, it is at {seen}")
+            place = seen
+        await anyio.sleep(FRAME)
+    print("vision  the pen has fallen off the table, cancel")
+    await goal.cancel()
+
+
+async def run(pen: Pen) -> None:
+    """Find the pen, send the arm there, and follow both."""
+    async with serve(ActionServer(PICK, Arm(pen).pick), URL), connect(URL, PICK) as client:
+        target = pen.look()
+        assert target is not None
+        print(f"vision  there is a pen at {target}, pick it")
+        async with client.send_goal(Goal(target)) as goal, anyio.create_task_group() as tasks:
+            tasks.start_soon(track, pen, target, goal)
+            async for feedback in goal.feedback:
+                print(f"arm     {feedback.phase:<9}{feedback.distance:.2f} m from the target")
+            tasks.cancel_scope.cancel()
+        outcome = await goal.outcome()
+        print(f"arm     {outcome.status.name}, {outcome.result}")
+
+
+async def main() -> None:
+    """Pick a pen that lies still, then one that does not."""
+    print("The pen lies still.")
+    await run(Pen(Position(0.55, 0.20, 0.01)))
+    print("\nThe pen rolls away.")
+    await run(Pen(Position(0.55, 0.20, 0.01), rolls_after=0.3))
+
+
+if __name__ == "__main__":
+    with suppress(KeyboardInterrupt):
+        anyio.run(main)

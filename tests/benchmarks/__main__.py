@@ -1,0 +1,36 @@
+"""`python -m tests.benchmarks inprocess`: measure, and print JSON.
+
+Machines are shared and noisy, so every figure stands beside another that was measured in turn with
+it, in the same run: read the ratios.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+from importlib.metadata import version
+
+import anyio
+
+from tests.benchmarks import inprocess
+
+SUBJECTS = {"inprocess": inprocess.measure}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
+    parser.add_argument("subject", choices=SUBJECTS)
+    parser.add_argument("--scale", type=float, default=1.0, help="do so much of each (default 1)")
+    arguments = parser.parse_args()
+    report = {
+        "subject": arguments.subject,
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "versions": {name: version(name) for name in ("anyio", "msgspec")},
+        **anyio.run(SUBJECTS[arguments.subject], arguments.scale),
+    }
+    print(json.dumps(report, indent=2))
+
+
+main()

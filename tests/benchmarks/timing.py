@@ -1,0 +1,34 @@
+"""Two things measured in turn, so that a machine that slows down slows both."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from statistics import median
+from time import perf_counter
+from typing import TypeAlias
+
+Work: TypeAlias = Callable[[int], Awaitable[None]]
+"""Does something so many times."""
+
+ROUNDS = 5
+
+
+async def seconds_each(work: Work, times: int) -> float:
+    start = perf_counter()
+    await work(times)
+    return (perf_counter() - start) / times
+
+
+async def beside(ours: Work, other: Work, times: int) -> dict[str, float]:
+    """Both, in turn, some rounds after one that does not count. `ratio` is of the rates: how much
+    of the other's speed is ours."""
+    await ours(times // 5 + 1)
+    await other(times // 5 + 1)
+    pairs = [
+        (await seconds_each(ours, times), await seconds_each(other, times)) for _ in range(ROUNDS)
+    ]
+    return {
+        "per_second": round(1 / median(pair[0] for pair in pairs)),
+        "other_per_second": round(1 / median(pair[1] for pair in pairs)),
+        "ratio": round(median(pair[1] / pair[0] for pair in pairs), 3),
+    }

@@ -1,0 +1,342 @@
+"""`fibaction.client`: clients and goals over a scripted server, or over a broken endpoint."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import (
+    ActionClient,
+    ActionInfo,
+    ActionServer,
+    CancelAnswer,
+    CancelCode,
+    CancelRejected,
+    ConnectionLost,
+    Endpoint,
+    GoalAborted,
+    GoalCanceled,
+    GoalHandle,
+    GoalID,
+    GoalRejected,
+    GoalStatus,
+    Outcome,
+    ProtocolError,
+    ServerNotFound,
+    UnknownGoal,
+)
+from fibaction.abc import FeedbackItem, GoalStream, StatusStream
+from fibaction.testing import ScriptedServer
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+
+pytestmark = pytest.mark.asyncio
+
+
+class BrokenStream(GoalStream):
+    """A goal whose connection was lost, or whose server sends nonsense."""
+
+    goal_id = GoalID(bytes(15) + b"\x01")
+    stamp = 7
+    status = GoalStatus.EXECUTING
+    dropped = 0
+
+    def __init__(self, *, nonsense: bool = False, unknown: bool = False) -> None:
+        self.nonsense = nonsense
+        self.unknown = unknown
+        self.closed = 0
+        self.held: list[bool] = []
+
+    async def receive(self) -> FeedbackItem | None:
+        if self.nonsense:
+            return FeedbackItem(1, b"\xc0")
+        raise ConnectionLost("the line is dead")
+
+    async def outcome(self) -> Outcome[bytes]:
+        if self.nonsense:
+            return Outcome(GoalStatus.SUCCEEDED, b"\xc0")
+        if self.unknown:
+            return Outcome(GoalStatus.UNKNOWN)
+        raise ConnectionLost("the line is dead")
+
+    def hold(self, wanted: bool) -> None:
+        self.held.append(wanted)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+class Broken(Endpoint):
+    """An endpoint that hands out one stream, and answers a cancel as it was told to."""
+
+    def __init__(self, stream: BrokenStream) -> None:
+        self.stream = stream
+        self.cancels: list[GoalID | None] = []
+        self.answer: CancelAnswer | Exception | None = ConnectionLost("the line is dead")
+        self.sending: anyio.Event | None = None
+
+    @property
+    def info(self) -> ActionInfo:
+        return FIBONACCI.info
+
+    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> GoalStream:
+        if self.sending is not None:
+            self.sending.set()
+            await anyio.sleep_forever()
+        return self.stream
+
+    async def feedback(self, goal_id: GoalID, *, after: int | None = None) -> GoalStream:
+        return self.stream
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        self.cancels.append(goal_id)
+        if self.answer is None:
+            await anyio.sleep_forever()
+        if isinstance(self.answer, CancelAnswer):
+            return self.answer
+        assert isinstance(self.answer, Exception)
+        raise self.answer
+
+    async def status(self) -> StatusStream:
+        raise ConnectionLost("the line is dead")
+
+    async def wait_for_server(self) -> None:
+        await anyio.sleep_forever()
+
+
+def client_of(endpoint: Endpoint) -> ActionClient[Goal, Feedback, Result]:
+    return ActionClient(endpoint, FIBONACCI)
+
+
+async def test_a_goal_is_followed_from_its_acceptance_to_its_result() -> None:
+    hold, end = anyio.Event(), anyio.Event()
+    async with ScriptedServer(
+        FIBONACCI, [Feedback([1]), hold, Feedback([2]), end, Result([3])]
+    ) as server:
+        client = client_of(server)
+        assert repr(client) == "<ActionClient of <Action 'fibonacci'>>"
+        async with client.send_goal(Goal(1)) as goal:
+            seen = []
+            async for feedback in goal.feedback:
+                seen.append(feedback)
+                assert goal.status is GoalStatus.EXECUTING
+                if feedback == Feedback([1]):
+                    hold.set()
+                else:
+                    end.set()
+            assert seen == [Feedback([1]), Feedback([2])]
+            assert await goal.result() == Result([3])
+            assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, Result([3]))
+            assert (await goal.cancel()).return_code is CancelCode.GOAL_TERMINATED
+        assert goal.feedback_dropped == 0
+        assert goal.stamp > 0
+        assert repr(goal) == f"<ClientGoal {goal.goal_id} SUCCEEDED>"
+
+
+async def test_a_call_is_one_line() -> None:
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), Feedback([2]), Result([3])]) as server:
+        client = client_of(server)
+        seen: list[Feedback] = []
+
+        async def later(feedback: Feedback) -> None:
+            await anyio.lowlevel.checkpoint()
+            seen.append(feedback)
+
+        assert await client.call(Goal(1)) == Result([3])
+        assert await client.call(Goal(1), on_feedback=seen.append) == Result([3])
+        assert await client.call(Goal(1), on_feedback=later) == Result([3])
+        assert seen == [Feedback([1]), Feedback([2])] * 2
+
+
+async def test_an_exception_of_the_feedback_callback_cancels_the_goal_and_arrives_as_itself() -> (
+    None
+):
+    def fail(feedback: Feedback) -> None:
+        raise KeyError("mine")
+
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), anyio.Event()]) as server:
+        with await server.status() as statuses:
+            with pytest.raises(KeyError):
+                await client_of(server).call(Goal(1), on_feedback=fail)
+            with anyio.fail_after(5):
+                while (info := await statuses.receive()) is not None:
+                    if info.status is GoalStatus.CANCELED:
+                        break
+
+
+@pytest.mark.parametrize(
+    ("step", "error"),
+    [
+        (GoalAborted("stuck", result=Result([1])), GoalAborted),
+        (GoalCanceled("asked", result=Result([1])), GoalAborted),
+        (ValueError("x"), GoalAborted),
+    ],
+)
+async def test_a_goal_that_does_not_succeed_raises_what_became_of_it(
+    step: Exception, error: type[GoalAborted]
+) -> None:
+    async with ScriptedServer(FIBONACCI, [step]) as server:
+        goal = await client_of(server).send_goal(Goal(1))
+        with pytest.raises(error) as caught:
+            await goal.result()
+        assert caught.value.goal_id == goal.goal_id
+        assert caught.value.result == (await goal.outcome()).result
+
+
+async def test_a_canceled_goal_raises_that_it_was_canceled() -> None:
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), anyio.Event()]) as server:
+        client = client_of(server)
+        goal = await client.send_goal(Goal(1))
+        assert (await client.cancel_goals(before=goal.stamp)).accepted
+        with pytest.raises(GoalCanceled) as caught:
+            await goal.result()
+        assert str(caught.value) == f"goal {goal.goal_id} was canceled"
+
+
+async def test_a_rejected_goal_raises_from_both_ways_of_sending_it() -> None:
+    async with ScriptedServer(FIBONACCI, [GoalRejected("busy")]) as server:
+        client = client_of(server)
+        with pytest.raises(GoalRejected, match="busy"):
+            await client.send_goal(Goal(1))
+        with pytest.raises(GoalRejected, match="busy"):
+            async with client.send_goal(Goal(1)):
+                raise AssertionError("the block must not run")
+
+
+async def test_a_goal_that_nobody_awaits_is_warned_about() -> None:
+    async with ScriptedServer(FIBONACCI, [Result([])]) as server:
+        with pytest.warns(RuntimeWarning, match="was never awaited"):
+            client_of(server).send_goal(Goal(1))
+        assert server.received == []
+
+
+async def test_another_goal_is_attached_to_by_its_id() -> None:
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), Result([2])]) as server:
+        client = client_of(server)
+        mine = await client.send_goal(Goal(1), goal_id=GoalID(bytes(range(16))))
+        other = await client.attach(GoalID(bytes(range(16))), after=0)
+        assert [item async for item in other.feedback] == [Feedback([1])]
+        assert await other.result() == await mine.result() == Result([2])
+        with pytest.raises(UnknownGoal):
+            await client.attach(GoalID.random())
+
+
+async def test_feedback_and_result_that_are_not_of_their_type_are_the_servers_error() -> None:
+    goal = await client_of(Broken(BrokenStream(nonsense=True))).send_goal(Goal(1))
+    with pytest.raises(ProtocolError, match="Expected `object`, got `None`"):
+        await anext(aiter(goal.feedback))
+    with pytest.raises(ProtocolError, match="Expected `object`, got `None`"):
+        await goal.outcome()
+
+
+async def test_a_result_that_nobody_knows_any_more_is_an_unknown_goal() -> None:
+    goal = await client_of(Broken(BrokenStream(unknown=True))).send_goal(Goal(1))
+    assert (await goal.outcome()).status is GoalStatus.UNKNOWN
+    with pytest.raises(UnknownGoal):
+        await goal.result()
+
+
+async def test_a_lost_connection_is_told_to_whoever_waits_and_leaving_does_not_hide_it(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    stream = BrokenStream()
+    with pytest.raises(ConnectionLost, match="the line is dead"):
+        async with client_of(Broken(stream)).send_goal(Goal(1)) as goal:
+            async for _ in goal.feedback:
+                raise AssertionError("there is none")
+    assert stream.closed
+    assert "was left, but could not be canceled: the line is dead" in caplog.text
+
+
+async def test_leaving_a_goal_that_refuses_or_is_unknown_does_not_raise(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def refuse(goal: GoalHandle[Goal]) -> None:
+        raise CancelRejected("too late")
+
+    hold = anyio.Event()
+    server = ScriptedServer(FIBONACCI, [hold, Result([])])
+    server._on_cancel = refuse
+    async with server:
+        async with client_of(server).send_goal(Goal(1)):
+            pass
+        hold.set()
+    assert "was left, but runs on: too late" in caplog.text
+
+
+async def test_leaving_waits_only_so_long_for_the_answer(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fibaction.client.LEAVE_TIMEOUT", 0.001)
+    endpoint = Broken(BrokenStream())
+    endpoint.answer = None
+    async with client_of(endpoint).send_goal(Goal(1)) as goal:
+        pass
+    assert endpoint.cancels == [goal.goal_id]
+    assert "was left, but its server does not answer the cancel" in caplog.text
+
+
+async def test_giving_up_before_the_answer_cancels_the_goal() -> None:
+    endpoint = Broken(BrokenStream())
+    endpoint.sending = anyio.Event()
+    goal_id = GoalID.random()
+
+    async def send() -> None:
+        await client_of(endpoint).send_goal(Goal(1), goal_id=goal_id)
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(send)
+        await endpoint.sending.wait()
+        tasks.cancel_scope.cancel()
+    assert endpoint.cancels == [goal_id]
+
+
+async def test_the_executor_is_let_go_while_the_reader_waits_for_the_result_and_held_again() -> (
+    None
+):
+    stream = BrokenStream(nonsense=True)
+    goal = await client_of(Broken(stream)).send_goal(Goal(1))
+    reader = aiter(goal.feedback)
+    for _ in range(2):
+        with pytest.raises(ProtocolError):
+            await goal.outcome()
+        with pytest.raises(ProtocolError):
+            await anext(reader)
+    assert stream.held == [False, True, False, True]
+
+    async def wait_elsewhere() -> None:
+        with pytest.raises(ProtocolError):
+            await goal.outcome()
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(wait_elsewhere)
+    assert stream.held == [False, True, False, True]
+
+
+async def test_a_goal_that_is_dropped_closes_its_feedback() -> None:
+    stream = BrokenStream()
+    goal = await client_of(Broken(stream)).send_goal(Goal(1))
+    feedback = goal.feedback
+    del goal
+    assert not stream.closed
+    del feedback
+    assert stream.closed
+
+
+async def test_waiting_for_a_server_has_an_end() -> None:
+    client = client_of(Broken(BrokenStream()))
+    with pytest.raises(ServerNotFound, match=r"nobody served the action 'fibonacci' within 0\.001"):
+        await client.wait_for_server(timeout=0.001)
+    with anyio.move_on_after(0.001) as patience:
+        await client.wait_for_server()
+    assert patience.cancelled_caught
+    async with ActionServer(FIBONACCI, _never) as server:
+        await client_of(server).wait_for_server(timeout=5)
+
+
+async def _never(goal: GoalHandle[Goal]) -> Any:
+    raise AssertionError("nobody sends a goal here")
+    yield

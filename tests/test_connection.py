@@ -1,0 +1,52 @@
+"""`fibaction.connection`: from a URL or a transport to clients."""
+
+from __future__ import annotations
+
+import pytest
+
+from fibaction import (
+    ActionServer,
+    ClientConnection,
+    ServerNotFound,
+    TransportError,
+    connect,
+    serve,
+)
+from fibaction_transports.inprocess import InProcessTransport
+from tests.fibonacci import FIBONACCI, Goal, Result, fibonacci
+
+pytestmark = pytest.mark.asyncio
+
+
+async def test_with_an_action_it_gives_a_client_and_without_one_a_connection() -> None:
+    async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://connection"):
+        async with connect("inproc://connection", FIBONACCI) as client:
+            assert await client.call(Goal(1)) == Result([0, 1])
+        async with connect("inproc://connection") as connection:
+            assert isinstance(connection, ClientConnection)
+            assert await connection.client(FIBONACCI).call(Goal(1)) == Result([0, 1])
+            assert await connection.actions() == [FIBONACCI.info]
+            assert connection.endpoint(FIBONACCI).info == FIBONACCI.info
+
+
+async def test_a_transport_does_as_well_as_a_url() -> None:
+    transport = InProcessTransport()
+    async with connect(transport, FIBONACCI) as client:
+        with pytest.raises(ServerNotFound):
+            await client.call(Goal(1))
+        async with serve(ActionServer(FIBONACCI, fibonacci), transport):
+            assert await client.call(Goal(1)) == Result([0, 1])
+
+
+async def test_a_url_that_cannot_be_used_is_told_when_the_block_is_entered() -> None:
+    unusable = connect("pigeon://loft", FIBONACCI)
+    with pytest.raises(TransportError, match="no transport for pigeon:// is installed"):
+        await unusable.__aenter__()
+
+
+async def test_the_exception_of_the_block_goes_on_as_itself() -> None:
+    error = KeyError("mine")
+    with pytest.raises(KeyError) as caught:
+        async with connect("inproc://connection", FIBONACCI):
+            raise error
+    assert caught.value is error

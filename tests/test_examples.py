@@ -1,0 +1,441 @@
+"""The examples: as scripts, the way users run them, and the parts of them that others import."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import subprocess
+import sys
+from collections.abc import AsyncGenerator, Iterator, Mapping
+from pathlib import Path
+from signal import SIGINT, SIGTERM
+from typing import Any
+
+import anyio
+import pytest
+from trio.testing import MockClock
+
+from fibaction import (
+    ActionClient,
+    ActionServer,
+    GoalAborted,
+    GoalHandle,
+    GoalRejected,
+    GoalStatus,
+    Outcome,
+    connect,
+    serve,
+)
+from fibaction.testing import ScriptedServer, run_executor
+
+# Examples are scripts beside each other, and import one another as such.
+sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
+
+import fibonacci_client
+import fibonacci_server
+from fibonacci import (
+    FIBONACCI,
+    Feedback,
+    Goal,
+    Result,
+    fibonacci,
+    make_server,
+    on_goal,
+)
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+NUMBERS = [0, 1, 1, 2, 3, 5, 8, 13, 21, 34, 55]
+PATIENCE = 30  # seconds for a whole process: several times what the slowest takes
+WATCHED = ("fibonacci_demo.py", "inprocess.py", "pick_pen.py")
+
+
+def start(script: str, *arguments: str, cwd: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-W", "error", str(EXAMPLES / script), *arguments]
+    return subprocess.Popen(
+        command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    with process:
+        try:
+            out, err = process.communicate(timeout=PATIENCE)
+        finally:
+            process.kill()
+    return process.returncode, out, err
+
+
+# What is watched
+
+
+@pytest.fixture(scope="module")
+def stories(tmp_path_factory: pytest.TempPathFactory) -> Mapping[tuple[str, str], str]:
+    """What each script prints, by its name and by the folder it is run in."""
+    folders = {"checkout": EXAMPLES.parent, "elsewhere": tmp_path_factory.mktemp("elsewhere")}
+    # All at once: they spend their time waiting.
+    running = {
+        (script, where): start(script, cwd=folder)
+        for script in WATCHED
+        for where, folder in folders.items()
+    }
+    ended = {key: finish(process) for key, process in running.items()}
+    for (script, where), (code, _, err) in ended.items():
+        assert (code, err) == (0, ""), f"{script}, run in {where}"
+    return {key: out for key, (_, out, _) in ended.items()}
+
+
+@pytest.fixture(params=["checkout", "elsewhere"])
+def where(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def test_the_demo_shows_a_cancel_a_success_and_a_rejection(
+    stories: Mapping[tuple[str, str], str], where: str
+) -> None:
+    story = stories["fibonacci_demo.py", where]
+    lines = [line for line in story.splitlines() if line and not line.startswith("accepted")]
+    feedback = ["feedback  " + " ".join(map(str, NUMBERS[:n])) for n in range(3, 12)]
+    assert lines[1:] == [
+        "goal      order 10",
+        *feedback[:5],
+        "cancel    accepted",
+        "canceled",
+        "result    0 1 1 2 3 5 8",
+        "2. A goal that is left alone ends with all of it.",
+        "goal      order 10",
+        *feedback,
+        "succeeded",
+        "result    0 1 1 2 3 5 8 13 21 34 55",
+        "3. A goal that cannot be met is rejected, and the server says why.",
+        "goal      order 47",
+        "rejected  order is 47, and the numbers after index 46 do not fit int32",
+    ]
+    assert story.count("\naccepted  ") == 2
+
+
+def test_the_shortest_example_shows_feedback_a_result_and_a_cancel(
+    stories: Mapping[tuple[str, str], str], where: str
+) -> None:
+    assert stories["inprocess.py", where].splitlines() == [
+        "Feedback(walked=1)",
+        "Feedback(walked=2)",
+        "Feedback(walked=3)",
+        "Result(total=3)",
+        "Outcome(status=<GoalStatus.CANCELED: 5>, result=None, reason='')",
+    ]
+
+
+def test_the_shortest_example_is_short() -> None:
+    assert len((EXAMPLES / "inprocess.py").read_text(encoding="utf-8").splitlines()) <= 45
+
+
+def test_the_arm_picks_the_pen_that_lies_still(
+    stories: Mapping[tuple[str, str], str], where: str
+) -> None:
+    lines = stories["pick_pen.py", where].partition("\nThe pen rolls away.\n")[0].splitlines()
+    assert lines[:2] == [
+        "The pen lies still.",
+        "vision  there is a pen at (0.55, 0.20, 0.01), pick it",
+    ]
+    assert lines[-1] == "arm     SUCCEEDED, Result(gripped=True, reached=0.57)"
+    assert distances(lines, "approach")[-1] == 0.10
+    assert distances(lines, "descend")[-1] == 0
+    way = distances(lines, "approach") + distances(lines, "descend")
+    assert way == sorted(way, reverse=True)
+    assert len(way) == len(lines) - 3
+
+
+def test_the_arm_retreats_when_the_pen_has_fallen_off_the_table(
+    stories: Mapping[tuple[str, str], str], where: str
+) -> None:
+    lines = stories["pick_pen.py", where].partition("\nThe pen rolls away.\n")[2].splitlines()
+    fallen = lines.index("vision  the pen has fallen off the table, cancel")
+    assert any(line.startswith("vision  the pen rolls, it is at ") for line in lines[:fallen])
+    assert distances(lines[:fallen], "approach")
+    retreat = distances(lines[fallen:], "retreat")
+    assert len(retreat) > 1
+    assert retreat == sorted(retreat)
+    assert retreat[-1] == 0.57
+    assert lines[-1].startswith("arm     CANCELED, Result(gripped=False, reached=0.")
+    assert 0 < float(lines[-1].rpartition("=")[2].rstrip(")")) < 0.57
+
+
+def distances(lines: list[str], phase: str) -> list[float]:
+    start = f"arm     {phase:<9}"
+    return [float(line.removeprefix(start).split()[0]) for line in lines if line.startswith(start)]
+
+
+# The Fibonacci action
+
+
+def feedback_of(order: int) -> list[list[int]]:
+    sequence = [0, 1]
+    steps: list[list[int]] = []
+    while len(sequence) <= order:
+        sequence.append(sequence[-1] + sequence[-2])
+        steps.append(list(sequence))
+    return steps
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("order", "sequence"),
+    [
+        (0, [0]),
+        (1, [0, 1]),
+        (2, [0, 1, 1]),
+        (10, NUMBERS),
+        (46, feedback_of(46)[-1]),
+    ],
+)
+async def test_an_order_is_the_index_of_the_last_number(order: int, sequence: list[int]) -> None:
+    on_goal(Goal(order))
+    trial = await run_executor(FIBONACCI, lambda goal: fibonacci(goal, 0), Goal(order))
+    assert trial.outcome == Outcome(GoalStatus.SUCCEEDED, Result(sequence))
+    assert [item.partial_sequence for item in trial.feedback] == feedback_of(order)
+
+
+def test_the_largest_order_is_the_last_that_fits_int32() -> None:
+    assert feedback_of(46)[-1][-1] == 1836311903 < 2**31 <= feedback_of(47)[-1][-1]
+
+
+@pytest.mark.parametrize(
+    ("order", "reason"),
+    [
+        (-1, "order is -1, and the index of a number is 0 or more"),
+        (47, "order is 47, and the numbers after index 46 do not fit int32"),
+    ],
+)
+def test_an_order_out_of_range_is_rejected_with_the_reason(order: int, reason: str) -> None:
+    with pytest.raises(GoalRejected) as caught:
+        on_goal(Goal(order))
+    assert caught.value.reason == reason
+
+
+@pytest.mark.asyncio
+async def test_a_goal_that_is_canceled_ends_with_the_numbers_so_far() -> None:
+    trial = await run_executor(FIBONACCI, lambda goal: fibonacci(goal, 0), Goal(10), cancel_after=3)
+    assert trial.outcome == Outcome(GoalStatus.CANCELED, Result([0, 1, 1, 2, 3]))
+    assert trial.feedback == [
+        Feedback([0, 1, 1]),
+        Feedback([0, 1, 1, 2]),
+        Feedback([0, 1, 1, 2, 3]),
+    ]
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(("order", "seconds"), [(0, 0.0), (1, 0.0), (2, 1.0), (10, 9.0)])
+async def test_each_number_after_the_first_two_takes_one_period(order: int, seconds: float) -> None:
+    start = anyio.current_time()
+    trial = await run_executor(FIBONACCI, fibonacci, Goal(order), timeout=60)
+    assert trial.outcome.status is GoalStatus.SUCCEEDED
+    assert anyio.current_time() - start == pytest.approx(seconds)
+
+
+@pytest.fixture
+def anyio_backend() -> tuple[str, dict[str, Any]]:
+    """The trio whose clock jumps to the next thing to do, so that nothing takes any time."""
+    return "trio", {"clock": MockClock(autojump_threshold=0)}
+
+
+# The client
+
+
+def client_of(
+    server: ActionServer[Goal, Feedback, Result],
+) -> ActionClient[Goal, Feedback, Result]:
+    return ActionClient(server, FIBONACCI)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("order", "cancel_after", "code", "end"),
+    [
+        (3, None, 0, ["feedback  0 1 1", "feedback  0 1 1 2", "succeeded", "result    0 1 1 2"]),
+        (-1, None, 4, ["rejected  order is -1, and the index of a number is 0 or more"]),
+        (0, 2, 0, ["succeeded", "result    0"]),
+    ],
+)
+async def test_the_client_prints_how_a_goal_ended_and_gives_its_exit_code(
+    capsys: pytest.CaptureFixture[str],
+    order: int,
+    cancel_after: int | None,
+    code: int,
+    end: list[str],
+) -> None:
+    with anyio.fail_after(5):
+        async with make_server(period=0) as server:
+            client = client_of(server)
+            assert await fibonacci_client.run_goal(client, order, cancel_after=cancel_after) == code
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"goal      order {order}"
+    assert [line for line in lines[1:] if not line.startswith("accepted  ")] == end
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("cancel_after", [0, 1])
+async def test_the_client_cancels_after_so_many_feedback_messages(
+    capsys: pytest.CaptureFixture[str], cancel_after: int
+) -> None:
+    script: list[Feedback | anyio.Event] = [Feedback([0, 1, 1]), anyio.Event()]
+    with anyio.fail_after(5):
+        async with ScriptedServer(FIBONACCI, script) as server:
+            client = client_of(server)
+            assert await fibonacci_client.run_goal(client, 10, cancel_after=cancel_after) == 3
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2:] == ["feedback  0 1 1"] * cancel_after + ["cancel    accepted", "canceled"]
+
+
+@pytest.mark.asyncio
+async def test_the_client_prints_why_a_goal_was_aborted_and_what_there_was(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    aborted = GoalAborted("out of numbers", result=Result([0]))
+    with anyio.fail_after(5):
+        async with ScriptedServer(FIBONACCI, [aborted]) as server:
+            assert await fibonacci_client.run_goal(client_of(server), 10) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2:] == ["aborted   out of numbers", "result    0"]
+
+
+@pytest.mark.asyncio
+async def test_a_cancel_that_comes_too_late_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    with anyio.fail_after(5):
+        async with make_server(period=0) as server:
+            client = client_of(server)
+            goal = await client.send_goal(Goal(1))
+            await goal.outcome()
+            fibonacci_client.tell_cancel(await goal.cancel())
+    assert capsys.readouterr().out == "cancel    refused: GOAL_TERMINATED\n"
+
+
+@pytest.fixture
+def survives_signals() -> Iterator[None]:
+    """A signal that nobody receives fails the test, and does not end pytest."""
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in (SIGINT, SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+async def interrupted_client(server: ActionServer[Goal, Feedback, Result], signals: int) -> int:
+    """The exit code of a client that gets so many SIGINTs, the first while its goal executes."""
+    url = "inproc://interrupted"
+    code = -1
+
+    async def follow() -> None:
+        nonlocal code
+        code = await fibonacci_client.main(url, 10, None)
+        done.set()
+
+    done = anyio.Event()
+    async with serve(server, url), anyio.create_task_group() as tasks:
+        statuses = await server.status()
+        tasks.start_soon(follow)
+        with statuses:
+            while (change := await statuses.receive()) is not None:
+                if change.status is GoalStatus.EXECUTING:
+                    break
+        for _ in range(signals):
+            await anyio.wait_all_tasks_blocked()
+            assert not done.is_set()
+            signal.raise_signal(SIGINT)
+            await anyio.wait_all_tasks_blocked()
+        await done.wait()
+    return code
+
+
+@pytest.mark.asyncio
+@pytest.mark.usefixtures("survives_signals")
+async def test_ctrl_c_cancels_the_goal_and_the_partial_result_is_printed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with anyio.fail_after(5):
+        assert await interrupted_client(make_server(period=60), 1) == 3
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2:] == ["cancel    accepted", "canceled", "result    0 1"]
+
+
+@pytest.mark.asyncio
+@pytest.mark.usefixtures("survives_signals")
+async def test_a_second_ctrl_c_does_not_wait_for_the_end_of_the_goal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    async def takes_its_time(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        await anyio.sleep_forever()
+        yield Result([])
+
+    # Nobody interrupts the executor at a cancel, so the goal goes on until the server stops.
+    server = ActionServer(FIBONACCI, takes_its_time, interrupt_on_cancel=False)
+    with anyio.fail_after(5):
+        assert await interrupted_client(server, 2) == 3
+    assert capsys.readouterr().out.splitlines()[2:] == ["cancel    accepted"]
+
+
+# The server
+
+
+@pytest.mark.asyncio
+@pytest.mark.usefixtures("survives_signals")
+async def test_the_server_logs_each_goal_up_to_the_end_that_a_signal_gives_it(
+    caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = "inproc://stopped"
+    caplog.set_level(logging.INFO, logger="fibonacci")
+    with anyio.fail_after(5):
+        async with connect(url, FIBONACCI) as client, anyio.create_task_group() as tasks:
+            tasks.start_soon(fibonacci_server.main, url, 60)
+            await client.wait_for_server()
+            goal = await client.send_goal(Goal(10))
+            await anyio.wait_all_tasks_blocked()
+            signal.raise_signal(SIGTERM)
+            outcome = await goal.outcome()
+    assert outcome == Outcome(GoalStatus.ABORTED, Result([0, 1]), "server stopped")
+    assert [record.getMessage() for record in caplog.records if record.name == "fibonacci"] == [
+        f"goal {goal.goal_id} {status}" for status in ("ACCEPTED", "EXECUTING", "ABORTED")
+    ]
+    assert capsys.readouterr().out == f"serving fibonacci at {url}, Ctrl-C stops it\n"
+
+
+@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
+def test_a_signal_stops_the_server_with_no_traceback(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    process = start("fibonacci_server.py", "--url", "inproc://here", cwd=tmp_path)
+    assert process.stdout is not None
+    announced = process.stdout.readline()
+    process.send_signal(number)
+    code, _, err = finish(process)
+    assert announced == "serving fibonacci at inproc://here, Ctrl-C stops it\n"
+    assert code == 0
+    assert len(err.splitlines()) == 1
+    assert err.endswith(" action server 'fibonacci' has stopped\n")
+
+
+# Command lines
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "error"),
+    [
+        ("fibonacci_server.py --url pigeon://x", 2, "no transport for pigeon:// is installed"),
+        ("fibonacci_server.py --url nowhere", 2, "'nowhere' is no URL"),
+        ("fibonacci_server.py --period soon", 2, "argument --period: invalid seconds"),
+        ("fibonacci_server.py --period=-1", 2, "argument --period: invalid seconds"),
+        ("fibonacci_server.py --period nan", 2, "argument --period: invalid seconds"),
+        ("fibonacci_client.py --url pigeon://x", 2, "no transport for pigeon:// is installed"),
+        ("fibonacci_client.py --order ten", 2, "argument --order: invalid int32 value: 'ten'"),
+        ("fibonacci_client.py --order 2147483648", 2, "argument --order: invalid int32 value"),
+        ("fibonacci_client.py --cancel-after=-1", 2, "argument --cancel-after: invalid count"),
+        ("fibonacci_client.py --url inproc://nobody", 6, "nobody serves the action 'fibonacci'"),
+    ],
+)
+def test_an_error_is_one_line_and_an_exit_code(
+    tmp_path: Path, command: str, code: int, error: str
+) -> None:
+    script, *arguments = command.split()
+    ended, out, err = finish(start(script, *arguments, cwd=tmp_path))
+    assert ended == code
+    assert error in err
+    assert len(err.splitlines()) == 1
+    assert out == ("goal      order 10\n" if code == 6 else "")

@@ -1,0 +1,85 @@
+"""`fibaction.serving`: servers and transports, started and stopped in the right order."""
+
+from __future__ import annotations
+
+import anyio
+import pytest
+
+from fibaction import (
+    Action,
+    ActionServer,
+    GoalAborted,
+    GoalHandle,
+    ServerNotFound,
+    TransportError,
+    connect,
+    serve,
+)
+from fibaction_transports.inprocess import InProcessTransport
+from tests.executors import Items
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+
+pytestmark = pytest.mark.asyncio
+
+OTHER = Action("other", goal=Goal, feedback=Feedback, result=Result)
+
+
+async def test_one_server_at_one_address() -> None:
+    async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://one") as urls:
+        assert urls == ("inproc://one",)
+        async with connect(urls[0], FIBONACCI) as client:
+            assert await client.call(Goal(1)) == Result([0, 1])
+
+
+async def test_several_servers_at_several_addresses() -> None:
+    servers = [ActionServer(FIBONACCI, fibonacci), ActionServer(OTHER, fibonacci)]
+    async with serve(servers, "inproc://a", InProcessTransport("b")) as urls:
+        assert urls == ("inproc://a", "inproc://b")
+        for url in urls:
+            async with connect(url) as connection:
+                for action in (FIBONACCI, OTHER):
+                    assert await connection.client(action).call(Goal(1)) == Result([0, 1])
+
+
+async def test_a_server_that_runs_already_is_neither_started_nor_stopped() -> None:
+    async with ActionServer(FIBONACCI, fibonacci) as server:
+        for url in ("inproc://first", "inproc://second"):
+            async with serve(server, url), connect(url, FIBONACCI) as client:
+                assert await client.call(Goal(1)) == Result([0, 1])
+
+
+async def test_clients_are_answered_before_the_address_is_closed() -> None:
+    async def waits(goal: GoalHandle[Goal]) -> Items:
+        yield Feedback([1])
+        await anyio.sleep_forever()
+
+    async with connect("inproc://bye", FIBONACCI) as client:
+        async with serve(
+            [ActionServer(FIBONACCI, waits), ActionServer(OTHER, waits)], "inproc://bye"
+        ):
+            goal = await client.send_goal(Goal(1))
+        with pytest.raises(GoalAborted, match="server stopped"):
+            await goal.result()
+        with pytest.raises(ServerNotFound, match="nobody serves the action 'fibonacci'"):
+            await client.send_goal(Goal(1))
+
+
+async def test_an_address_that_cannot_be_used_stops_what_was_started() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    with pytest.raises(TransportError, match="no transport for pigeon://"):
+        async with serve(server, "inproc://a", "pigeon://b"):
+            raise AssertionError("the block must not run")
+    assert server.is_new
+    async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://a"):
+        with pytest.raises(TransportError, match="is served at inproc://a already"):
+            async with serve(server, "inproc://a"):
+                raise AssertionError("the block must not run")
+    assert repr(server) == "<ActionServer 'fibonacci' stopped goals=0>"
+
+
+async def test_the_exception_of_the_block_goes_on_as_itself() -> None:
+    error = KeyError("mine")
+    with pytest.raises(KeyError) as caught:
+        async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://a"):
+            raise error
+    assert caught.value is error

@@ -1,0 +1,112 @@
+"""`fibaction.testing`: the helpers for tests, tested."""
+
+from __future__ import annotations
+
+import anyio
+import pytest
+
+from fibaction import (
+    ActionClient,
+    CancelCode,
+    GoalAborted,
+    GoalCanceled,
+    GoalHandle,
+    GoalRejected,
+    GoalStatus,
+    Outcome,
+)
+from fibaction.testing import ScriptedServer, Trial, run_executor
+from tests.executors import Items
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+
+pytestmark = pytest.mark.asyncio
+
+
+async def counts(goal: GoalHandle[Goal]) -> Items:
+    number = 0
+    try:
+        while True:
+            number += 1
+            yield Feedback([number])
+    except anyio.get_cancelled_exc_class():
+        raise GoalCanceled(result=Result([number])) from None
+
+
+async def test_an_executor_is_run_to_its_end() -> None:
+    trial = await run_executor(FIBONACCI, fibonacci, Goal(3))
+    assert trial == Trial(
+        Outcome(GoalStatus.SUCCEEDED, Result([0, 1, 1, 2])),
+        [Feedback([0, 1, 1]), Feedback([0, 1, 1, 2])],
+    )
+
+
+@pytest.mark.parametrize("after", [1, 2, 100])
+async def test_an_executor_is_canceled_exactly_at_that_feedback(after: int) -> None:
+    trial = await run_executor(FIBONACCI, counts, Goal(0), cancel_after=after)
+    assert trial.outcome == Outcome(GoalStatus.CANCELED, Result([after]))
+    assert trial.feedback == [Feedback([number]) for number in range(1, after + 1)]
+
+
+async def test_an_executor_that_is_canceled_before_it_starts_does_not() -> None:
+    async def must_not_run(goal: GoalHandle[Goal]) -> Items:
+        raise AssertionError("it ran")
+        yield Feedback([])
+
+    trial = await run_executor(FIBONACCI, must_not_run, Goal(0), cancel_after=0)
+    assert trial == Trial(Outcome(GoalStatus.CANCELED), [])
+
+
+async def test_a_cooperative_executor_is_asked() -> None:
+    async def looks(goal: GoalHandle[Goal]) -> Items:
+        number = 0
+        while not goal.cancel_requested:
+            number += 1
+            yield Feedback([number])
+        raise GoalCanceled(result=Result([number]))
+
+    trial = await run_executor(FIBONACCI, looks, Goal(0), cancel_after=4, interrupt_on_cancel=False)
+    assert trial.outcome == Outcome(GoalStatus.CANCELED, Result([4]))
+
+
+async def test_an_executor_that_takes_too_long_is_ended() -> None:
+    async def waits(goal: GoalHandle[Goal]) -> Items:
+        await anyio.sleep_forever()
+        yield Result([])
+
+    with pytest.raises(TimeoutError):
+        await run_executor(FIBONACCI, waits, Goal(0), timeout=0.01)
+
+
+async def test_a_scripted_server_plays_one_script_after_the_other_and_repeats_the_last() -> None:
+    async with ScriptedServer(
+        FIBONACCI,
+        [Feedback([1]), Result([2])],
+        [GoalRejected("busy")],
+        [GoalAborted("stuck", result=Result([3]))],
+    ) as server:
+        client = ActionClient(server, FIBONACCI)
+        assert await client.call(Goal(1)) == Result([2])
+        with pytest.raises(GoalRejected, match="busy"):
+            await client.call(Goal(2))
+        for order in (3, 4):
+            with pytest.raises(GoalAborted, match="stuck"):
+                await client.call(Goal(order))
+        assert server.received == [Goal(1), Goal(2), Goal(3), Goal(4)]
+
+
+async def test_a_script_that_waits_for_an_event_holds_the_goal() -> None:
+    go = anyio.Event()
+    async with ScriptedServer(FIBONACCI, [go, Result([1])], []) as server:
+        client = ActionClient(server, FIBONACCI)
+        first = await client.send_goal(Goal(1))
+        empty = await client.send_goal(Goal(2))
+        assert (await empty.outcome()).status is GoalStatus.ABORTED
+        assert first.status is GoalStatus.EXECUTING
+        go.set()
+        assert await first.result() == Result([1])
+        assert (await first.cancel()).return_code is CancelCode.GOAL_TERMINATED
+
+
+async def test_a_scripted_server_needs_a_script() -> None:
+    with pytest.raises(ValueError, match="needs a script"):
+        ScriptedServer(FIBONACCI)

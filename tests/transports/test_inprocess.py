@@ -1,0 +1,117 @@
+"""`fibaction_transports.inprocess`: names and places. The contract suite has the rest."""
+
+from __future__ import annotations
+
+import gc
+
+import anyio
+import pytest
+
+from fibaction import (
+    Action,
+    ActionServer,
+    GoalID,
+    GoalStatus,
+    ServerNotFound,
+    TransportError,
+    connect,
+    serve,
+)
+from fibaction_transports import inprocess
+from fibaction_transports.inprocess import InProcessTransport
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+
+pytestmark = pytest.mark.asyncio
+
+
+@pytest.mark.parametrize("url", ["inproc://", "inproc://a/b", "inproc://ä", "inproc://a b"])
+async def test_a_url_with_no_good_name_is_refused(url: str) -> None:
+    with pytest.raises(TransportError, match="an in-process URL is like inproc://robot, unlike"):
+        InProcessTransport.from_url(url)
+
+
+async def test_transports_of_one_name_meet_and_those_without_a_name_do_not() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    async with server, serve(server, InProcessTransport("here")):
+        async with connect(InProcessTransport.from_url("inproc://here"), FIBONACCI) as client:
+            assert await client.call(Goal(1)) == Result([0, 1])
+        async with connect(InProcessTransport(), FIBONACCI) as client:
+            with pytest.raises(ServerNotFound):
+                await client.call(Goal(1))
+
+
+async def test_the_url_of_a_transport_without_a_name_leads_to_it() -> None:
+    async with serve(ActionServer(FIBONACCI, fibonacci), InProcessTransport()) as (url,):
+        async with connect(url, FIBONACCI) as client:
+            assert await client.call(Goal(1)) == Result([0, 1])
+
+
+async def test_one_action_cannot_be_served_twice_at_one_place() -> None:
+    async with ActionServer(FIBONACCI, fibonacci) as server:
+        with pytest.raises(TransportError, match="'fibonacci' is served at inproc://x already"):
+            async with InProcessTransport("x").serve(server, server):
+                raise AssertionError("the block must not run")
+        async with InProcessTransport("x").serve(server):
+            with pytest.raises(TransportError, match="'fibonacci' is served at inproc://x already"):
+                async with InProcessTransport("x").serve(server):
+                    raise AssertionError("the block must not run")
+
+
+async def test_nobody_there_is_said_with_what_to_do() -> None:
+    async with connect("inproc://empty", FIBONACCI) as client, connect("inproc://empty") as other:
+        with pytest.raises(ServerNotFound) as caught:
+            await client.send_goal(Goal(1))
+        assert str(caught.value) == (
+            "nobody serves the action 'fibonacci' at inproc://empty: start its server in this"
+            " process, or wait for one with wait_for_server()"
+        )
+        assert await other.actions() == []
+
+
+async def test_a_client_outlives_its_server_and_finds_the_next_one() -> None:
+    async with connect("inproc://again", FIBONACCI) as client:
+        for _ in range(2):
+            async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://again"):
+                assert await client.call(Goal(1)) == Result([0, 1])
+            with pytest.raises(ServerNotFound):
+                await client.call(Goal(1))
+
+
+async def test_a_client_waits_for_its_own_action_only() -> None:
+    other = Action("other", goal=Goal, feedback=Feedback, result=Result)
+    found = anyio.Event()
+    async with connect("inproc://wait", FIBONACCI) as client, anyio.create_task_group() as tasks:
+
+        async def wait() -> None:
+            await client.wait_for_server()
+            found.set()
+
+        tasks.start_soon(wait)
+        await anyio.wait_all_tasks_blocked()
+        async with serve(ActionServer(other, fibonacci), "inproc://wait"):
+            await anyio.wait_all_tasks_blocked()
+            assert not found.is_set()
+            async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://wait"):
+                with anyio.fail_after(5):
+                    await found.wait()
+
+
+async def test_an_endpoint_hands_everything_on() -> None:
+    async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://all"):
+        async with connect("inproc://all") as connection:
+            endpoint = connection.endpoint(FIBONACCI.info)
+            assert endpoint.info == FIBONACCI.info
+            await endpoint.wait_for_server()
+            stream = await endpoint.send_goal(GoalID.random(), FIBONACCI.goal.encode(Goal(1)))
+            assert (await stream.outcome()).status is GoalStatus.SUCCEEDED
+            assert (await endpoint.feedback(stream.goal_id)).goal_id == stream.goal_id
+            assert not (await endpoint.cancel_goals(stream.goal_id)).accepted
+            first = await (await endpoint.status()).receive()
+            assert first is not None
+            assert first.goal_id == stream.goal_id
+
+
+async def test_a_place_that_nobody_uses_is_forgotten() -> None:
+    InProcessTransport("passing")
+    gc.collect()
+    assert "inproc://passing" not in inprocess._places

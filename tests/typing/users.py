@@ -1,0 +1,110 @@
+"""What type checkers must know of a user's program. Nobody runs this: mypy and pyright read it."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from dataclasses import dataclass
+from typing import Any, assert_type
+
+import msgspec
+
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionInfo,
+    ActionServer,
+    CancelAnswer,
+    ClientConnection,
+    ClientGoal,
+    GoalHandle,
+    GoalID,
+    GoalStatus,
+    Outcome,
+    connect,
+    serve,
+)
+from fibaction.testing import ScriptedServer, Trial, run_executor
+
+
+class Goal(msgspec.Struct):
+    order: int
+
+
+@dataclass
+class Feedback:
+    partial_sequence: list[int]
+
+
+class Result(msgspec.Struct):
+    sequence: list[int]
+
+
+FIBONACCI = Action("fibonacci", goal=Goal, feedback=Feedback, result=Result)
+assert_type(FIBONACCI, Action[Goal, Feedback, Result])
+assert_type(Action("sum", goal=list[int], feedback=str, result=int), Action[list[int], str, int])
+assert_type(Action.untyped(ActionInfo("any")), Action[Any, Any, Any])
+
+
+async def fibonacci(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+    assert_type(goal.request, Goal)
+    assert_type(goal.goal_id, GoalID)
+    assert_type(goal.status, GoalStatus)
+    assert_type(goal.cancel_requested, bool)
+    yield Feedback([0, 1])
+    yield Result([0, 1])
+
+
+def on_goal(goal: Goal) -> None: ...
+
+
+async def on_cancel(goal: GoalHandle[Goal]) -> None: ...
+
+
+def of_another_action(goal: int) -> None: ...
+
+
+async def yields_something_else(goal: GoalHandle[Goal]) -> AsyncGenerator[int, None]:
+    yield 1
+
+
+server = ActionServer(FIBONACCI, fibonacci, on_goal=on_goal, on_cancel=on_cancel)
+assert_type(server, ActionServer[Goal, Feedback, Result])
+ActionServer(FIBONACCI, fibonacci, on_goal=of_another_action)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused
+ActionServer(FIBONACCI, yields_something_else)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused
+ActionServer(FIBONACCI, fibonacci, feedback="some")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused
+
+
+async def main() -> None:
+    async with server as entered:
+        assert_type(entered, ActionServer[Goal, Feedback, Result])
+    async with serve(server, "inproc://a", "inproc://b") as urls:
+        assert_type(urls, tuple[str, ...])
+
+    async with connect("inproc://a") as connection:
+        assert_type(connection, ClientConnection)
+        assert_type(connection.client(FIBONACCI), ActionClient[Goal, Feedback, Result])
+        assert_type(await connection.actions(), list[ActionInfo])
+
+    async with connect("inproc://a", FIBONACCI) as client:
+        assert_type(client, ActionClient[Goal, Feedback, Result])
+        async with client.send_goal(Goal(order=10)) as goal:
+            assert_type(goal, ClientGoal[Feedback, Result])
+            async for feedback in goal.feedback:
+                assert_type(feedback, Feedback)
+            assert_type(await goal.result(), Result)
+            assert_type(await goal.outcome(), Outcome[Result])
+            assert_type(await goal.cancel(), CancelAnswer)
+        assert_type(await client.send_goal(Goal(order=10)), ClientGoal[Feedback, Result])
+        assert_type(await client.call(Goal(order=10), on_feedback=print), Result)
+        assert_type(await client.attach(GoalID.random()), ClientGoal[Feedback, Result])
+        assert_type((await goal.outcome()).result, Result | None)
+        client.send_goal(10)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused
+
+
+async def tests() -> None:
+    trial = await run_executor(FIBONACCI, fibonacci, Goal(3), cancel_after=1)
+    assert_type(trial, Trial[Feedback, Result])
+    assert_type(trial.feedback, list[Feedback])
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), Result([2])]) as scripted:
+        assert_type(scripted, ScriptedServer[Goal, Feedback, Result])
+        assert_type(scripted.received, list[Goal])
