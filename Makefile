@@ -64,7 +64,7 @@ test-wheel: $(VENV)/.tools  ## Run the tests against the built wheel, from anoth
 	    -o cache_dir=build/.pytest_cache ../tests
 
 clean:  ## Remove all that was made
-	rm -rf $(VENV) build dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) .cache build dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
 
 $(VENV)/.made:
 	$(call new_venv,$(VENV))

@@ -55,6 +55,10 @@ class GoalStream(_Closing):
     goal_id: GoalID
     stamp: int
     """When the goal was accepted: nanoseconds since 1970."""
+    latest: bool
+    """Whether a reader who is late wants the newest feedback only: the server's policy."""
+    place: int
+    """The number of the feedback that was received last, or skipped."""
 
     @property
     @abstractmethod
@@ -67,18 +71,30 @@ class GoalStream(_Closing):
         """How many feedback messages this stream has missed, because it was read too slowly."""
 
     @abstractmethod
-    async def receive(self) -> FeedbackItem | None:
-        """The next feedback; None when there is no more, which is when the goal has ended.
+    async def next_event(self, *, feedback: bool = True) -> FeedbackItem | GoalStatus | None:
+        """What happens next to the goal: feedback, or the status that it has changed to; None when
+        there is no more, which is when the goal has ended or the stream was closed. Without
+        `feedback` that is left for later. Nothing is lost if the wait is canceled.
 
         Raises:
             ConnectionLost: The connection ended, and more was to come.
         """
 
+    async def receive(self) -> FeedbackItem | None:
+        """The next feedback; None when there is no more.
+
+        Raises:
+            ConnectionLost: As for `next_event`.
+        """
+        while isinstance(event := await self.next_event(), GoalStatus):
+            pass
+        return event
+
     @abstractmethod
     async def outcome(self) -> Outcome[bytes]:
         """Wait for the end of the goal, whether or not its feedback is read.
 
-        It is answered also after the server has forgotten the result.
+        It is answered also after the server has forgotten the result, or the stream was closed.
 
         Raises:
             ConnectionLost: The connection ended before the goal did.
@@ -88,8 +104,8 @@ class GoalStream(_Closing):
     def hold(self, wanted: bool) -> None:
         """Say whether the executor is to wait for this stream when it is read slowly.
 
-        Has an effect only on the stream that `send_goal` returned, and only where the server's
-        policy is to lose no feedback.
+        Has an effect only for the goal's own client, and only where the server's policy is to lose
+        no feedback.
         """
 
 
@@ -132,11 +148,15 @@ class Endpoint(ABC):
         """
 
     @abstractmethod
-    async def feedback(self, goal_id: GoalID, *, after: int | None = None) -> GoalStream:
-        """Follow a goal that somebody sent, as an observer, who never slows it down.
+    async def feedback(
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+    ) -> GoalStream:
+        """Follow a goal that was sent before.
 
         The stream begins with what comes from now on; with `after`, with the feedback that follows
-        that number, as far back as the server remembers (the rest counts as dropped).
+        that number, as far back as the server remembers (the rest counts as dropped). An observer
+        never slows the goal down; `own` says that this is the goal's own client, who has lost the
+        stream that `send_goal` gave it and goes on from there.
 
         Raises:
             UnknownGoal: The server has no such goal.
@@ -212,11 +232,12 @@ class Transport(ABC):
 
     @classmethod
     @abstractmethod
-    def from_url(cls, url: str) -> Transport:
-        """Make a transport from a URL.
+    def from_url(cls, url: str, **settings: Any) -> Transport:
+        """Make a transport from a URL, and from settings of its constructor that are not in it.
 
         Raises:
             TransportError: The URL does not say what this transport needs; the text says what.
+            TypeError: There is no such setting.
         """
 
     @abstractmethod

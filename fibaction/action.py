@@ -10,7 +10,7 @@ import decimal
 import re
 import uuid
 from collections.abc import Iterator
-from typing import Any, Generic, TypeGuard, TypeVar, cast
+from typing import Any, Generic, TypeGuard, TypeVar, cast, get_origin
 
 import msgspec
 from msgspec import inspect
@@ -68,7 +68,8 @@ class Codec(Generic[T]):
         """
         try:
             return self._decoder.decode(payload)
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError) as exc:
+            # A TypeError is msgspec's for a set of what cannot be in one.
             raise ProtocolError(str(exc)) from exc
 
     def schema(self) -> dict[str, Any]:
@@ -198,7 +199,8 @@ def _runtime_classes(info: inspect.Type) -> Iterator[type]:
             yield from _runtime_classes(part)
     elif isinstance(info, inspect.LiteralType):
         yield from {type(value) for value in info.values}
-    elif (cls := getattr(info, "cls", None)) is not None:
-        yield cls
+    elif type(info) in _CLASSES:
+        yield from _CLASSES[type(info)]
     else:
-        yield from _CLASSES.get(type(info), (object,))
+        cls = getattr(info, "cls", object)
+        yield get_origin(cls) or cls  # a generic class comes with its arguments

@@ -34,39 +34,44 @@ class ClientConnection(Connection):
 
 
 @overload
-def connect(where: str | Transport) -> AbstractAsyncContextManager[ClientConnection]: ...
+def connect(
+    where: str | Transport, **settings: Any
+) -> AbstractAsyncContextManager[ClientConnection]: ...
 
 
 @overload
 def connect(
-    where: str | Transport, action: Action[GoalT, FeedbackT, ResultT]
+    where: str | Transport, action: Action[GoalT, FeedbackT, ResultT], **settings: Any
 ) -> AbstractAsyncContextManager[ActionClient[GoalT, FeedbackT, ResultT]]: ...
 
 
 def connect(
-    where: str | Transport, action: Action[Any, Any, Any] | None = None
+    where: str | Transport, action: Action[Any, Any, Any] | None = None, **settings: Any
 ) -> AbstractAsyncContextManager[Any]:
     """Connect to a URL, or by a transport, for as long as the block lasts.
 
-    With an action it gives an `ActionClient`, without one a `ClientConnection`.
+    With an action it gives an `ActionClient`, without one a `ClientConnection`. `settings` are
+    those of the transport's constructor, for instance `reconnect=False`.
 
     Raises:
         TransportError: The URL cannot be used; the text says why.
+        TypeError: The transport has no such setting.
         ServerNotFound: There is nobody, and the transport can tell at once.
         AuthenticationFailed: There is, but it does not let this client in.
     """
-    return _connected(where) if action is None else _connected_client(where, action)
+    transport = transport_for(where, **settings)
+    return _connected(transport) if action is None else _connected_client(transport, action)
 
 
 @asynccontextmanager
-async def _connected(where: str | Transport) -> AsyncGenerator[ClientConnection, None]:
-    async with transport_for(where).connect() as connection:
+async def _connected(transport: Transport) -> AsyncGenerator[ClientConnection, None]:
+    async with transport.connect() as connection:
         yield ClientConnection(connection)
 
 
 @asynccontextmanager
 async def _connected_client(
-    where: str | Transport, action: Action[GoalT, FeedbackT, ResultT]
+    transport: Transport, action: Action[GoalT, FeedbackT, ResultT]
 ) -> AsyncGenerator[ActionClient[GoalT, FeedbackT, ResultT], None]:
-    async with _connected(where) as connection:
+    async with _connected(transport) as connection:
         yield connection.client(action)

@@ -128,7 +128,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
                 return self._part(EndKind.CANCELED, cause)
             if isinstance(cause, GoalAborted):
                 return self._part(EndKind.FAILED, cause)
-            if not isinstance(cause, Exception):
+            if isinstance(cause, (KeyboardInterrupt, SystemExit)):
                 raise
             return self._failed(cause)
         if self._result is None:
@@ -189,7 +189,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         except Exception as bad:  # encoding runs the user's own code, which may raise anything
             return self._failed(bad)
 
-    def _failed(self, exc: Exception) -> Ending:
+    def _failed(self, exc: BaseException) -> Ending:
         reason = f"{type(exc).__name__}: {exc}"
         if isinstance(exc, _Misuse):
             reason = f"the executor is wrong: {exc}"
@@ -225,6 +225,7 @@ class _Steps(Generator[Any, Any, Ending]):
         self._coroutine: Coroutine[Any, Any, Ending]
         self._life = life
         self._arrived = False
+        self._by_outcome = False
         self._slice_end = 0.0
 
     @property
@@ -242,6 +243,7 @@ class _Steps(Generator[Any, Any, Ending]):
     def send(self, value: Any) -> Any:
         if value is not None:
             # trio resumes a task with an `outcome.Error`, and raises what is in it further inside.
+            self._by_outcome = True
             self._look_at(getattr(value, "error", None))
         self._slice_end = perf_counter() + SLICE
         return self._suspend(self._coroutine.send(value))
@@ -271,12 +273,15 @@ class _Steps(Generator[Any, Any, Ending]):
     def _suspend(self, waiting_for: Any) -> Any:
         if self._arrived:
             self._life.shield = True
-            # A task group that the cancellation passes on its way out waits for its children, and
-            # must see that the cancellation comes from outside, or it would keep it to itself.
-            unwinding = current_effective_deadline() == -math.inf and not self._life.cancel_called
-            self._life.shield = not unwinding
-            self._arrived = unwinding
+            self._arrived = self._by_outcome and self._is_unwinding()
+            self._life.shield = not self._arrived
         return waiting_for
+
+    def _is_unwinding(self) -> bool:
+        """Whether what waits is, in all likelihood, a nursery that the cancellation passes on its
+        way out. It must see that the cancellation comes from outside, or it would keep it.
+        """
+        return current_effective_deadline() == -math.inf and not self._life.cancel_called
 
 
 def _cause(exc: BaseException) -> BaseException | None:

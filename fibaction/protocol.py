@@ -91,7 +91,11 @@ class _Kept(Generic[T]):
         return (thing for _, thing in self._entries.values())
 
     def put(self, goal_id: GoalID, thing: T, now: float) -> None:
+        self._entries.pop(goal_id, None)  # an old entry would keep its place in the order
         self._entries[goal_id] = (now + self._seconds, thing)
+
+    def discard(self, goal_id: GoalID) -> None:
+        self._entries.pop(goal_id, None)
 
     def get(self, goal_id: GoalID, now: float) -> T | None:
         entry = self._entries.get(goal_id)
@@ -164,6 +168,7 @@ class ServerProtocol:
         """
         self._last_stamp = max(stamp, self._last_stamp + 1)
         goal = Goal(goal_id, self._undecided.pop(goal_id), self._last_stamp)
+        self._ended.discard(goal_id)  # it may be one that has expired, and that nobody has missed
         self._active[goal_id] = goal
         return goal
 

@@ -15,11 +15,12 @@ from typing import Generic, Literal, Self
 from weakref import WeakValueDictionary
 
 import anyio
-import anyio.abc
 from anyio import create_task_group, current_time
+from anyio.abc import TaskGroup
 
 from fibaction.abc import Endpoint
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
+from fibaction.background import Background
 from fibaction.callbacks import SERVER_STOPPING, Callback, Callbacks
 from fibaction.exceptions import (
     CancelRejected,
@@ -143,7 +144,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._decided = Waking()
         self._ended = Waking()
         self._task_name = f"goal of {action.name}"
-        self._tasks: anyio.abc.TaskGroup | None = None
+        self._background = Background()
+        self._tasks: TaskGroup
         self._phase: Literal["new", "running", "stopping", "stopped"] = "new"
 
     # Running
@@ -161,7 +163,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         """
         if not self.is_new:
             raise RuntimeError(f"{self!r} was started before; make another one")
-        self._tasks = await create_task_group().__aenter__()
+        self._tasks = await self._background.__aenter__()
         self._tasks.start_soon(self._forget_expired, name=f"expiry of {self.action.name}")
         self._phase = "running"
         self._started.wake()
@@ -174,12 +176,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         traceback: TracebackType | None,
     ) -> None:
         """Stop, as `stop()` does. An exception of the block goes on as itself."""
-        assert self._tasks is not None
         await self.stop()
-        self._tasks.cancel_scope.cancel()
-        # The block's exception is not for the task group, which would wrap it in a group. No task
-        # of its own raises, unless Python itself is to end (KeyboardInterrupt, SystemExit).
-        await self._tasks.__aexit__(None, None, None)
+        await self._background.__aexit__(exc_type, exc, traceback)
 
     async def stop(self) -> None:
         """Accept no more goals, end all that there are, and answer everybody who waits.
@@ -239,7 +237,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         while (todo := self._admit(goal_id, goal)) is Admission.WAIT:
             await self._decided.wait()
         if todo is Admission.REPEAT:
-            return self._follow(goal_id, feedback=feedback, hold=feedback, after=0)
+            return self._follow(goal_id, feedback=feedback, own=feedback, after=0)
         try:
             request = await self._decide(goal)
         except GoalRejected as exc:
@@ -255,10 +253,12 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         run = self._start(self._protocol.accept(goal_id, stamp=time.time_ns()), request)
         return run.log.follow(feedback=feedback, hold=feedback)
 
-    async def feedback(self, goal_id: GoalID, *, after: int | None = None) -> LogStream:
+    async def feedback(
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+    ) -> LogStream:
         """See `Endpoint.feedback`."""
         self._check_running()
-        return self._follow(goal_id, after=after)
+        return self._follow(goal_id, after=after, own=own)
 
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None
@@ -308,19 +308,18 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         return request
 
     def _start(self, goal: Goal, request: GoalT) -> _Run[GoalT, FeedbackT, ResultT]:
-        assert self._tasks is not None
         log = GoalLog(goal, window=self._window, latest=self._latest)
         handle = GoalHandle(goal, request, self._stops)
         execution = Execution(self.action, self._executor, handle, log, self._stall_timeout)
         run = self._runs[goal.goal_id] = _Run(goal, log, execution)
-        self._statuses.publish(goal.info)
+        self._tell_status(run)
         self._tasks.start_soon(self._run_goal, run, name=self._task_name)
         return run
 
     async def _run_goal(self, run: _Run[GoalT, FeedbackT, ResultT]) -> None:
         ending = Ending(EndKind.CANCELED)
         if not run.execution.handle.cancel_requested:
-            self._execute(run.goal)
+            self._execute(run)
             try:
                 ending = await run.execution.run()
             except BaseException as exc:
@@ -333,9 +332,13 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     def _stops(self) -> bool:
         return self._phase != "running"
 
-    def _execute(self, goal: Goal) -> None:
-        self._protocol.execute(goal)
-        self._statuses.publish(goal.info)
+    def _execute(self, run: _Run[GoalT, FeedbackT, ResultT]) -> None:
+        self._protocol.execute(run.goal)
+        self._tell_status(run)
+
+    def _tell_status(self, run: _Run[GoalT, FeedbackT, ResultT]) -> None:
+        run.log.tell_status()
+        self._statuses.publish(run.goal.info)
 
     async def _cancel(self, cancellation: Cancellation, goal: Goal) -> None:
         if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
@@ -347,35 +350,37 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 return
         before = goal.status
         if cancellation.accept(goal) and goal.status is not before:
-            self._statuses.publish(goal.info)
+            run = self._runs[goal.goal_id]
+            self._tell_status(run)
             if self._interrupt_on_cancel:
-                self._runs[goal.goal_id].execution.interrupt()
+                run.execution.interrupt()
 
     def _finish(self, run: _Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
         goal = run.goal
         if goal.status is GoalStatus.ACCEPTED:
-            self._execute(goal)  # the table has no way from ACCEPTED to an end
+            self._execute(run)  # the table has no way from ACCEPTED to an end
         if ending.kind is EndKind.CANCELED and goal.status is GoalStatus.EXECUTING:
-            reason = SERVER_STOPPED if self._phase == "stopping" else CANCELED_UNASKED
+            unasked = ending.reason or CANCELED_UNASKED
+            reason = SERVER_STOPPED if self._phase == "stopping" else unasked
             ending = Ending(EndKind.CANCELED, ending.result, reason)
         self._protocol.finish(goal, ending, now=current_time())
         del self._runs[goal.goal_id]
         if run.log.is_followed:
             self._unread[goal.goal_id] = run.log
+        self._tell_status(run)
         run.log.finish()
-        self._statuses.publish(goal.info)
         self._expire()
         self._ended.wake()
 
     def _follow(
-        self, goal_id: GoalID, *, feedback: bool = True, hold: bool = False, after: int | None
+        self, goal_id: GoalID, *, feedback: bool = True, own: bool, after: int | None
     ) -> LogStream:
         goal = self._protocol.find(goal_id, now=current_time())
         if goal is None:
             raise UnknownGoal(goal_id)
         run = self._runs.get(goal_id)
         log = self._unread.get(goal_id, GoalLog(goal)) if run is None else run.log
-        return log.follow(feedback=feedback, hold=hold, after=after)
+        return log.follow(feedback=feedback, hold=own, after=after)
 
     def __repr__(self) -> str:
         return f"<ActionServer {self.action.name!r} {self._phase} goals={len(self._runs)}>"

@@ -15,17 +15,20 @@ from fibaction.urls import transport_for
 
 @asynccontextmanager
 async def serve(
-    endpoints: Endpoint | Iterable[Endpoint], *where: str | Transport
+    endpoints: Endpoint | Iterable[Endpoint], *where: str | Transport, **settings: Any
 ) -> AsyncGenerator[tuple[str, ...], None]:
     """Serve one endpoint or several, at one address or several, for as long as the block lasts.
 
-    An address is a URL or a transport. Gives the URLs under which clients find them. Servers that
-    are not running are started, and stopped at the end while their clients can still be answered.
+    An address is a URL or a transport. `settings` are those of the constructors of the URLs'
+    transports, for instance `tokens={...}`. Gives the URLs under which clients find them. Servers
+    that are not running are started, and stopped at the end while their clients can still be
+    answered.
 
     Raises:
         TransportError: An address cannot be used.
+        TypeError: A transport has no such setting.
     """
-    transports = [transport_for(one) for one in where]
+    transports = [transport_for(one, **settings) for one in where]
     chosen = (endpoints,) if isinstance(endpoints, Endpoint) else tuple(endpoints)
     servers: list[ActionServer[Any, Any, Any]] = [
         one for one in chosen if isinstance(one, ActionServer) and one.is_new

@@ -50,17 +50,21 @@ class GoalLog:
         "__weakref__",
         "_ended",
         "_items",
-        "_latest",
         "_room",
         "_streams",
         "_window",
         "goal",
+        "latest",
+        "statuses",
     )
 
     def __init__(self, goal: Goal, *, window: int = 1, latest: bool = False) -> None:
         self.goal = goal
+        self.latest = latest
+        """Whether a reader who is late wants the newest only."""
+        self.statuses: list[GoalStatus] = []
+        """The statuses that the goal has had since its acceptance."""
         self._window = window
-        self._latest = latest
         self._items: deque[FeedbackItem] = deque(maxlen=window)
         self._streams: list[LogStream] = []
         self._room = Waking()
@@ -80,6 +84,12 @@ class GoalLog:
         """Add feedback. If the log is full, that pushes out the oldest."""
         number = self.goal.feedback_count = self.goal.feedback_count + 1
         self._items.append(FeedbackItem(number, payload))
+        for stream in self._streams:
+            stream.news.wake()
+
+    def tell_status(self) -> None:
+        """The goal has another status."""
+        self.statuses.append(self.goal.status)
         for stream in self._streams:
             stream.news.wake()
 
@@ -122,7 +132,7 @@ class GoalLog:
     ) -> LogStream:
         """A new stream: from now on, or from what follows the feedback of number `after`."""
         place = self.count if after is None else min(max(after, 0), self.count)
-        stream = LogStream(self, place, feedback=feedback, hold=hold and not self._latest)
+        stream = LogStream(self, place, feedback=feedback, hold=hold and not self.latest)
         if feedback:
             self._streams.append(stream)
         return stream
@@ -143,7 +153,7 @@ class GoalLog:
         """
         if place >= self.count or not self._items:
             return None
-        if self._latest:
+        if self.latest:
             return self._items[-1]
         return self._items[max(0, place - self._items[0].number + 1)]
 
@@ -154,6 +164,7 @@ class LogStream(GoalStream):
     def __init__(self, log: GoalLog, place: int, *, feedback: bool, hold: bool) -> None:
         self.goal_id = log.goal.goal_id
         self.stamp = log.goal.stamp
+        self.latest = log.latest
         self.place = place
         """The number of the feedback that was read last, or skipped."""
         self.holding = hold
@@ -165,6 +176,7 @@ class LogStream(GoalStream):
         self._wanted = True
         self._stalled = False
         self._dropped = 0
+        self._statuses_told = len(log.statuses)
 
     @property
     def status(self) -> GoalStatus:
@@ -173,6 +185,20 @@ class LogStream(GoalStream):
     @property
     def dropped(self) -> int:
         return self._dropped
+
+    async def next_event(self, *, feedback: bool = True) -> FeedbackItem | GoalStatus | None:
+        while self._reads:
+            while self._statuses_told < len(self._log.statuses):
+                status = self._log.statuses[self._statuses_told]
+                self._statuses_told += 1
+                if status.is_active:
+                    return status
+            if feedback and self._log.after(self.place) is not None:
+                return await self.receive()
+            if self._log.goal.outcome is not None:
+                return await self.receive() if feedback else None
+            await self.news.wait()
+        return None
 
     async def receive(self) -> FeedbackItem | None:
         while (item := self._log.after(self.place)) is None or not self._reads:

@@ -6,6 +6,7 @@ So a package that nobody here has heard of can bring a transport of its own.
 from __future__ import annotations
 
 from importlib.metadata import entry_points
+from typing import Any
 
 from fibaction.abc import Transport
 from fibaction.exceptions import TransportError
@@ -13,14 +14,19 @@ from fibaction.exceptions import TransportError
 GROUP = "fibaction.transports"
 
 
-def transport_for(where: str | Transport) -> Transport:
+def transport_for(where: str | Transport, **settings: Any) -> Transport:
     """The transport that a URL asks for; a transport is given back as it is.
+
+    `settings` go to the transport's constructor, and count for more than those in the URL.
 
     Raises:
         TransportError: No installed package brings a transport for the URL's scheme, or what that
             transport needs is not installed, or the URL is not one.
+        TypeError: The transport has no such setting, or `where` is a transport, and has its own.
     """
     if isinstance(where, Transport):
+        if settings:
+            raise TypeError(f"{', '.join(settings)}: these belong into the transport's constructor")
         return where
     scheme, separator, _ = where.partition("://")
     if not separator:
@@ -33,10 +39,14 @@ def transport_for(where: str | Transport) -> Transport:
         )
     try:
         transport: type[Transport] = found[0].load()
-    except ImportError as exc:
+    except ModuleNotFoundError as exc:
         raise TransportError(
             f"{scheme}:// needs the module {exc.name!r}, which is not installed: install it,"
             f" or the extra of {found[0].dist.name if found[0].dist else 'its package'!r}"
             f" that brings it"
         ) from exc
-    return transport.from_url(where)
+    except Exception as exc:  # whatever somebody else's module does when it is imported
+        raise TransportError(
+            f"the transport for {scheme}://, {found[0].value}, cannot be imported: {exc}"
+        ) from exc
+    return transport.from_url(where, **settings)

@@ -101,6 +101,16 @@ async def says_canceled_though_nobody_asked(goal: GoalHandle[Goal]) -> Items:
     yield Result([])
 
 
+async def says_canceled_with_a_reason(goal: GoalHandle[Goal]) -> Items:
+    raise GoalCanceled("no light")
+    yield Result([])
+
+
+async def raises_what_only_python_does(goal: GoalHandle[Goal]) -> Items:
+    raise GeneratorExit("by hand")
+    yield Result([])
+
+
 def is_no_generator(goal: GoalHandle[Goal]) -> Items:
     async def forgot_to_yield() -> Result:
         return Result([])
@@ -149,6 +159,8 @@ ABORTED: list[tuple[Callable[[GoalHandle[Goal]], Items], str, list[int] | None]]
         "the executor ended as canceled, but nobody had asked for that",
         [1],
     ),
+    (says_canceled_with_a_reason, "no light", None),
+    (raises_what_only_python_does, "GeneratorExit: by hand", None),
     (is_no_generator, WRONG + "it is no async generator: it returned a coroutine", None),
     (raises_instead_of_making_one, "ValueError: at once", None),
 ]

@@ -39,6 +39,8 @@ class BrokenStream(GoalStream):
 
     goal_id = GoalID(bytes(15) + b"\x01")
     stamp = 7
+    latest = False
+    place = 0
     status = GoalStatus.EXECUTING
     dropped = 0
 
@@ -48,7 +50,7 @@ class BrokenStream(GoalStream):
         self.closed = 0
         self.held: list[bool] = []
 
-    async def receive(self) -> FeedbackItem | None:
+    async def next_event(self, *, feedback: bool = True) -> FeedbackItem | GoalStatus | None:
         if self.nonsense:
             return FeedbackItem(1, b"\xc0")
         raise ConnectionLost("the line is dead")
@@ -86,7 +88,9 @@ class Broken(Endpoint):
             await anyio.sleep_forever()
         return self.stream
 
-    async def feedback(self, goal_id: GoalID, *, after: int | None = None) -> GoalStream:
+    async def feedback(
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+    ) -> GoalStream:
         return self.stream
 
     async def cancel_goals(

@@ -38,10 +38,10 @@ async def test_a_transport_does_as_well_as_a_url() -> None:
             assert await client.call(Goal(1)) == Result([0, 1])
 
 
-async def test_a_url_that_cannot_be_used_is_told_when_the_block_is_entered() -> None:
-    unusable = connect("pigeon://loft", FIBONACCI)
+async def test_a_url_that_cannot_be_used_is_told_before_the_block() -> None:
     with pytest.raises(TransportError, match="no transport for pigeon:// is installed"):
-        await unusable.__aenter__()
+        async with connect("pigeon://loft", FIBONACCI):
+            raise AssertionError("the block must not run")
 
 
 async def test_the_exception_of_the_block_goes_on_as_itself() -> None:
@@ -50,3 +50,9 @@ async def test_the_exception_of_the_block_goes_on_as_itself() -> None:
         async with connect("inproc://connection", FIBONACCI):
             raise error
     assert caught.value is error
+
+
+async def test_settings_go_to_the_transport() -> None:
+    with pytest.raises(TypeError, match="reconnect"):
+        async with connect("inproc://connection", FIBONACCI, reconnect=False):
+            raise AssertionError("the block must not run")

@@ -150,7 +150,7 @@ async def test_a_server_whose_block_is_canceled_stops_as_any_other() -> None:
         try:
             await anyio.sleep_forever()
         finally:
-            await anyio.sleep(0.001)
+            await anyio.lowlevel.checkpoint()
             cleaned.append(goal.request.order)
         yield Result([])
 

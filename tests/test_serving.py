@@ -83,3 +83,9 @@ async def test_the_exception_of_the_block_goes_on_as_itself() -> None:
         async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://a"):
             raise error
     assert caught.value is error
+
+
+async def test_settings_go_to_the_transports() -> None:
+    with pytest.raises(TypeError, match="tokens"):
+        async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://a", tokens={"x": "me"}):
+            raise AssertionError("the block must not run")

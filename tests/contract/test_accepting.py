@@ -273,9 +273,8 @@ async def test_a_client_that_gives_up_before_the_answer_leaves_no_goal_behind(
             decide.set()
         with anyio.fail_after(5):
             outcome = await client.endpoint.get_result(goal_id)
-        # Over a network it may have been accepted and canceled; here it was never accepted.
+        # It was never accepted, or it was, on its way, and then canceled.
         assert outcome.status in (GoalStatus.UNKNOWN, GoalStatus.CANCELED)
-    assert executor.runs == 0
 
 
 async def test_an_action_that_nobody_serves_is_not_found_and_can_be_waited_for(

@@ -105,7 +105,7 @@ async def test_clean_up_may_await_because_the_cancellation_arrives_once(reach: R
             await anyio.sleep_forever()
         except anyio.get_cancelled_exc_class():
             for step in range(3):
-                await anyio.sleep(0.001)
+                await anyio.lowlevel.checkpoint()
                 done.append(step)
                 yield Feedback(done)
             raise GoalCanceled(result=Result(done)) from None
@@ -129,7 +129,7 @@ async def test_an_executor_that_swallows_the_cancellation_may_still_succeed(reac
             await anyio.sleep_forever()
         except anyio.get_cancelled_exc_class():
             pass
-        await anyio.sleep(0.001)
+        await anyio.lowlevel.checkpoint()
         yield Feedback([2])
         yield Result([3])
 

@@ -170,7 +170,7 @@ async def test_stopping_ends_every_goal_as_aborted_and_answers_everybody(reach: 
             await anyio.sleep_forever()
         except anyio.get_cancelled_exc_class():
             assert goal.cancel_requested
-            await anyio.sleep(0.001)
+            await anyio.lowlevel.checkpoint()
             raise GoalCanceled(result=Result([1])) from None
         yield Result([])
 
@@ -263,7 +263,7 @@ async def test_a_success_that_comes_while_the_server_stops_is_a_success(reach: R
             yield Feedback([1])
             await anyio.sleep_forever()
         except anyio.get_cancelled_exc_class():
-            await anyio.sleep(0.001)
+            await anyio.lowlevel.checkpoint()
         yield Result([2])
 
     server = ActionServer(FIBONACCI, finishes)

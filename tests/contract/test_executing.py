@@ -169,6 +169,8 @@ async def test_a_thousand_goals_at_once_all_end_once_though_a_third_is_canceled(
             for number in range(5):
                 yield Feedback([number])
                 await anyio.lowlevel.checkpoint()
+            if goal.request.order % 9 == 0:
+                await anyio.sleep_forever()
         finally:
             mine.append("ended")
         yield Result([goal.request.order])
@@ -192,6 +194,6 @@ async def test_a_thousand_goals_at_once_all_end_once_though_a_third_is_canceled(
                 tasks.start_soon(one, number)
     assert len(statuses) == 1000
     assert set(statuses) == {GoalStatus.SUCCEEDED, GoalStatus.CANCELED}
-    assert statuses.count(GoalStatus.CANCELED) > 50
+    assert statuses.count(GoalStatus.CANCELED) >= 112  # these wait for it; others race against it
     # A goal that was canceled before its executor started has never run.
     assert all(end == ["ended"] for end in ends.values())

@@ -30,6 +30,11 @@ async def test_a_url_with_no_good_name_is_refused(url: str) -> None:
         InProcessTransport.from_url(url)
 
 
+async def test_it_has_no_settings() -> None:
+    with pytest.raises(TypeError, match="token"):
+        InProcessTransport.from_url("inproc://a", token="x")
+
+
 async def test_transports_of_one_name_meet_and_those_without_a_name_do_not() -> None:
     server = ActionServer(FIBONACCI, fibonacci)
     async with server, serve(server, InProcessTransport("here")):

@@ -55,13 +55,16 @@ class InProcessTransport(Transport):
         self._place = _places.setdefault(url, _Place(url))
 
     @classmethod
-    def from_url(cls, url: str) -> InProcessTransport:
+    def from_url(cls, url: str, **settings: Any) -> InProcessTransport:
         """Make it from `inproc://name`, where the name is of letters, digits and `_.-`.
+
+        It has no settings.
 
         Raises:
             TransportError: The URL is another one.
+            TypeError: There are settings.
         """
-        return cls(url.removeprefix("inproc://") or "/")
+        return cls(url.removeprefix("inproc://") or "/", **settings)
 
     @asynccontextmanager
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
@@ -112,8 +115,10 @@ class _NamedEndpoint(Endpoint):
     async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> GoalStream:
         return await self._server.send_goal(goal_id, goal, feedback=feedback)
 
-    async def feedback(self, goal_id: GoalID, *, after: int | None = None) -> GoalStream:
-        return await self._server.feedback(goal_id, after=after)
+    async def feedback(
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+    ) -> GoalStream:
+        return await self._server.feedback(goal_id, after=after, own=own)
 
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None

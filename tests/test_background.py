@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction.background import Background
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+class Helper:
+    """A task that runs for ever, and takes a while to clean up."""
+
+    def __init__(self) -> None:
+        self.started = anyio.Event()
+        self.cleaned_up = False
+
+    async def __call__(self) -> None:
+        try:
+            self.started.set()
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await anyio.wait_all_tasks_blocked()
+            self.cleaned_up = True
+
+
+async def test_tasks_run_during_the_block_and_end_with_it() -> None:
+    helpers = [Helper(), Helper()]
+    with anyio.fail_after(5):
+        async with Background() as tasks:
+            for helper in helpers:
+                tasks.start_soon(helper)
+                await helper.started.wait()
+            assert not any(helper.cleaned_up for helper in helpers)
+    assert all(helper.cleaned_up for helper in helpers)
+
+
+async def test_a_block_without_tasks_just_ends() -> None:
+    with anyio.fail_after(5):
+        async with Background():
+            pass
+
+
+async def test_the_exception_of_the_block_goes_on_as_itself_after_the_tasks_have_ended() -> None:
+    helper = Helper()
+    error = LookupError("of the block")
+    with anyio.fail_after(5), pytest.raises(LookupError) as caught:
+        async with Background() as tasks:
+            tasks.start_soon(helper)
+            await helper.started.wait()
+            raise error
+    assert caught.value is error
+    assert helper.cleaned_up
+
+
+async def test_a_block_that_returns_ends_its_tasks() -> None:
+    helper = Helper()
+
+    async def leave_early() -> str:
+        async with Background() as tasks:
+            tasks.start_soon(helper)
+            await helper.started.wait()
+            return "returned"
+
+    with anyio.fail_after(5):
+        assert await leave_early() == "returned"
+    assert helper.cleaned_up
+
+
+async def test_a_block_that_is_canceled_ends_its_tasks_and_goes_no_further() -> None:
+    helper = Helper()
+    went_on = False
+    with anyio.fail_after(5):
+        with anyio.CancelScope() as scope:
+            async with Background() as tasks:
+                tasks.start_soon(helper)
+                await helper.started.wait()
+                scope.cancel()
+                await anyio.sleep_forever()
+            went_on = True
+        assert scope.cancelled_caught
+    assert helper.cleaned_up
+    assert not went_on
+
+
+async def test_a_task_that_fails_ends_the_block_and_is_not_silent() -> None:
+    async def fail() -> None:
+        raise LookupError("of a task")
+
+    helper = Helper()
+    with anyio.fail_after(5), pytest.raises(ExceptionGroup) as caught:
+        async with Background() as tasks:
+            tasks.start_soon(helper)
+            await helper.started.wait()
+            tasks.start_soon(fail)
+            await anyio.sleep_forever()
+    assert [str(error) for error in caught.value.exceptions] == ["of a task"]
+    assert helper.cleaned_up

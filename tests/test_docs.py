@@ -1,0 +1,346 @@
+"""The documentation: its examples run, and what it says of the code is true."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import inspect
+import io
+import re
+import sys
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import redirect_stdout
+from itertools import pairwise
+from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple
+
+import anyio
+import pytest
+
+import fibaction
+import fibaction.abc
+import fibaction.testing
+import fibaction_transports.inprocess
+from fibaction.urls import GROUP
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CHANGELOG.md",
+    ROOT / "transports" / "README.md",
+    *sorted(DOCS.rglob("*.md")),
+]
+LANGUAGES = {"python", "text", "console", "toml"}
+
+_FENCED = re.compile(r"^```(?P<info>[^\n]*)\n(?P<code>.*?)^```$", re.DOTALL | re.MULTILINE)
+_NOT_RUN = re.compile(r"<!-- not run: (?P<reason>.*?) -->\n\Z", re.DOTALL)
+_LINK = re.compile(r"\]\((?P<target>[^)\s]+)\)")
+_NAME = re.compile(r"`(fibaction(?:_transports)?(?:\.\w+)+)`")
+_DIRECTIVE = re.compile(r"^::: (\S+)$", re.MULTILINE)
+
+
+class Block(NamedTuple):
+    """A fenced block of a page."""
+
+    language: str
+    code: str
+    line: int
+    before: str
+    """What stands between the block before it, or the page's start, and this one."""
+
+
+def blocks_of(page: str) -> list[Block]:
+    """The fenced blocks of a page, in order."""
+    blocks: list[Block] = []
+    end = 0
+    for match in _FENCED.finditer(page):
+        line = page.count("\n", 0, match.start("code"))
+        before = page[end : match.start()]
+        blocks.append(Block(match["info"], match["code"], line, before))
+        end = match.end()
+    return blocks
+
+
+def run_page(page: str, name: str) -> list[str]:
+    """Run a page's Python blocks in order, and say where the page is wrong.
+
+    A ```text block right after a Python block is what that prints; a block without one prints
+    nothing. A block under `<!-- not run: reason -->` is left out.
+    """
+    blocks = blocks_of(page)
+    module = ModuleType(f"page_{name}")
+    sys.modules[module.__name__] = module  # where msgspec looks names up
+    wrong: list[str] = []
+    try:
+        for block, following in pairwise([*blocks, Block("", "", 0, "the end")]):
+            marked = _NOT_RUN.search(block.before)
+            if marked is not None and len(marked["reason"].split()) < 3:
+                wrong.append(f"{name}:{block.line}: no reason is given why it is not run")
+            if block.language != "python" or marked is not None:
+                continue
+            shown = ""
+            if following.language == "text" and not following.before.strip():
+                shown = following.code
+            printed = _printed_by(block, module, name)
+            if printed != shown:
+                wrong.append(f"{name}:{block.line}: it prints\n{printed}and the page says\n{shown}")
+        for test in _tests_in(module):
+            anyio.run(test)
+    finally:
+        del sys.modules[module.__name__]
+    return wrong
+
+
+def _printed_by(block: Block, module: ModuleType, name: str) -> str:
+    # Empty lines in front, so that a traceback has the line numbers of the page.
+    code = compile("\n" * block.line + block.code, name, "exec")
+    output = io.StringIO()
+    with redirect_stdout(output):
+        exec(code, module.__dict__)
+    return output.getvalue()
+
+
+def _tests_in(module: ModuleType) -> Iterator[Callable[[], Awaitable[object]]]:
+    for name, thing in vars(module).items():
+        if name.startswith("test_") and inspect.iscoroutinefunction(thing):
+            yield thing
+
+
+def slugs_of(page: str) -> set[str]:
+    """The anchors of a page's headings, as GitHub and the site both make them."""
+    prose = _FENCED.sub("", page)
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-")
+        for heading in re.findall(r"^#+ (.+)$", prose, re.MULTILINE)
+    }
+
+
+def load(path: Path) -> ModuleType:
+    """A Python file that is in no package."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+build = load(DOCS / "build.py")
+
+every_page = pytest.mark.parametrize(
+    "path", PAGES, ids=[str(path.relative_to(ROOT)) for path in PAGES]
+)
+
+
+# The examples
+
+
+@every_page
+def test_every_example_runs_and_prints_what_the_page_shows(path: Path) -> None:
+    wrong = run_page(path.read_text(encoding="utf-8"), str(path.relative_to(ROOT)))
+
+    assert not wrong, "\n".join(wrong)
+
+
+@every_page
+def test_every_fence_says_which_known_language_it_holds(path: Path) -> None:
+    page = path.read_text(encoding="utf-8")
+
+    # A fence with an indent or of another kind would be passed over by the runner of examples.
+    assert len(blocks_of(page)) * 2 == len(re.findall(r"^\s*(?:```|~~~)", page, re.MULTILINE))
+    assert {block.language for block in blocks_of(page)} <= LANGUAGES
+
+
+def test_an_example_that_prints_something_else_is_found() -> None:
+    page = "```python\nprint(1)\n```\n\n```text\n2\n```\n"
+
+    assert run_page(page, "page") == ["page:1: it prints\n1\nand the page says\n2\n"]
+
+
+def test_an_example_whose_output_is_not_shown_is_found() -> None:
+    page = "```python\nprint(1)\n```\n\nThis prints:\n\n```text\n1\n```\n"
+
+    assert len(run_page(page, "page")) == 1
+
+
+def test_the_blocks_of_a_page_share_their_names() -> None:
+    page = "```python\nx = 1\n```\n\n```python\nprint(x)\n```\n```text\n1\n```\n"
+
+    assert run_page(page, "page") == []
+
+
+def test_an_error_in_an_example_is_not_swallowed() -> None:
+    with pytest.raises(ZeroDivisionError):
+        run_page("```python\n1 / 0\n```\n", "page")
+
+
+def test_the_tests_that_a_page_shows_are_run() -> None:
+    with pytest.raises(AssertionError):
+        run_page("```python\nasync def test_it() -> None:\n    assert False\n```\n", "page")
+
+
+def test_an_example_is_left_out_only_with_a_reason() -> None:
+    block = "```python\n1 / 0\n```\n"
+
+    assert run_page(f"<!-- not run: it needs a robot -->\n{block}", "page") == []
+    assert run_page(f"<!-- not run:  -->\n{block}", "page") == [
+        "page:2: no reason is given why it is not run"
+    ]
+
+
+# What is made from the code
+
+
+def test_the_picture_of_the_states_is_the_one_that_the_table_makes() -> None:
+    assert (DOCS / "states.svg").read_text(encoding="utf-8") == build.diagram()
+
+
+def test_the_picture_has_an_arrow_for_every_transition() -> None:
+    labels = re.findall(r'class="event"[^>]*>(\w+)<', build.diagram())
+
+    assert sorted(labels) == sorted(event.name for _, event in build.TRANSITIONS)
+
+
+def test_the_generated_parts_of_the_concepts_are_as_the_code_makes_them() -> None:
+    page = (DOCS / "concepts.md").read_text(encoding="utf-8")
+
+    assert build.with_parts(page) == page
+
+
+def test_a_page_without_the_marks_is_refused() -> None:
+    with pytest.raises(ValueError, match="states"):
+        build.with_parts("# Concepts\n")
+
+
+# What the pages speak of
+
+
+def public_names(module: ModuleType) -> set[str]:
+    """The names that a module offers: `__all__`, or else what it defines without an underscore."""
+    names = set(getattr(module, "__all__", ()))
+    if not names:
+        for node in ast.parse(inspect.getsource(module)).body:
+            match node:
+                case (
+                    ast.ClassDef(name=name)
+                    | ast.FunctionDef(name=name)
+                    | ast.AsyncFunctionDef(name=name)
+                    | ast.AnnAssign(target=ast.Name(id=name))
+                ):
+                    names.add(name)
+                case _:
+                    pass
+    return {name for name in names if not name.startswith("_")}
+
+
+def resolve(dotted: str) -> object:
+    """The object of that name, whose first parts are modules."""
+    first, *parts = dotted.split(".")
+    found: object = importlib.import_module(first)
+    path = first
+    for part in parts:
+        path += f".{part}"
+        found = getattr(found, part) if hasattr(found, part) else importlib.import_module(path)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("module", "known"),
+    [
+        (fibaction, "connect"),
+        (fibaction.abc, "GoalStream"),
+        (fibaction.testing, "Step"),
+        (fibaction_transports.inprocess, "InProcessTransport"),
+    ],
+)
+def test_every_public_name_is_in_the_reference(module: ModuleType, known: str) -> None:
+    pages = [path.read_text(encoding="utf-8") for path in (DOCS / "reference").iterdir()]
+    documented = [resolve(name) for page in pages for name in _DIRECTIVE.findall(page)]
+    names = public_names(module)
+
+    missing = {
+        name for name in names if not any(getattr(module, name) is thing for thing in documented)
+    }
+
+    assert known in names
+    assert missing == set()
+
+
+@every_page
+def test_every_dotted_name_in_the_prose_exists(path: Path) -> None:
+    for dotted in _NAME.findall(_FENCED.sub("", path.read_text(encoding="utf-8"))):
+        if dotted != GROUP:  # the one name of this form that is not Python's
+            resolve(dotted)
+
+
+# Links: those within the site are checked again on the built pages, by docs/build.py
+
+
+@every_page
+def test_every_link_leads_to_a_file_and_a_heading(path: Path) -> None:
+    for target in _LINK.findall(_FENCED.sub("", path.read_text(encoding="utf-8"))):
+        if "://" in target:
+            continue
+        name, _, anchor = target.partition("#")
+        file = path.parent / name if name else path
+        assert file.is_file(), f"{target} leads to no file"
+        if anchor and not anchor.startswith("fibaction"):
+            assert anchor in slugs_of(file.read_text(encoding="utf-8")), f"{target} has no place"
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "index.html").write_text('<h1 id="top">Folder</h1>', encoding="utf-8")
+    (tmp_path / "picture.svg").write_text("<svg/>", encoding="utf-8")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "tag",
+    [
+        '<a href="folder/index.html#top">',
+        '<a href="/folder/#top">',
+        '<a href="#here">',
+        '<a href="https://example.org/">',
+        '<img src="picture.svg">',
+        '<img src="data:image/png;base64,AAAA">',
+        "<a>",
+        "<input disabled>",
+    ],
+)
+def test_a_link_that_leads_somewhere_is_no_problem(site: Path, tag: str) -> None:
+    (site / "index.html").write_text(f'<p id="here">{tag}', encoding="utf-8")
+
+    assert build.problems(site) == []
+
+
+@pytest.mark.parametrize(
+    ("tag", "problem"),
+    [
+        ('<a href="nobody.html">', "index.html:2: 'nobody.html' leads to no file"),
+        ('<img src="nothing.svg">', "index.html:2: 'nothing.svg' leads to no file"),
+        ('<a href="#nowhere">', "index.html:2: '#nowhere' leads to no place in index.html"),
+        (
+            '<a href="folder/index.html#x">',
+            "index.html:2: 'folder/index.html#x' leads to no place in folder/index.html",
+        ),
+        (
+            '<script src="https://example.org/x.js">',
+            "index.html:2: 'https://example.org/x.js' is loaded from elsewhere",
+        ),
+        (
+            '<link href="//example.org/x.css">',
+            "index.html:2: '//example.org/x.css' is loaded from elsewhere",
+        ),
+    ],
+)
+def test_a_link_that_leads_nowhere_is_named_with_its_place(
+    site: Path, tag: str, problem: str
+) -> None:
+    (site / "index.html").write_text(f"<p>\n{tag}", encoding="utf-8")
+
+    assert build.problems(site) == [problem]

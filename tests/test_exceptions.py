@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import inspect
+import pickle
+from collections.abc import Iterator
+
+import pytest
+
+from fibaction import exceptions
+from fibaction.exceptions import (
+    ActionError,
+    AuthenticationFailed,
+    CancelRejected,
+    ConnectionLost,
+    GoalAborted,
+    GoalCanceled,
+    GoalRejected,
+    InvalidTransition,
+    ProtocolError,
+    ServerNotFound,
+    TransportError,
+    UnknownGoal,
+)
+from fibaction.goals import GoalID
+from fibaction.states import GoalEvent, GoalStatus
+
+GOAL_ID = GoalID(bytes(range(16)))
+HEX = "000102030405060708090a0b0c0d0e0f"
+
+
+def public_errors() -> Iterator[tuple[str, type[BaseException]]]:
+    for name, value in vars(exceptions).items():
+        if inspect.isclass(value) and issubclass(value, BaseException) and name[0] != "_":
+            yield name, value
+
+
+@pytest.mark.parametrize(
+    ("error", "parent"),
+    [
+        (ActionError, Exception),
+        (GoalRejected, ActionError),
+        (GoalAborted, ActionError),
+        (GoalCanceled, ActionError),
+        (CancelRejected, ActionError),
+        (UnknownGoal, ActionError),
+        (InvalidTransition, ActionError),
+        (ProtocolError, ActionError),
+        (TransportError, ActionError),
+        (ServerNotFound, TransportError),
+        (ConnectionLost, TransportError),
+        (AuthenticationFailed, TransportError),
+    ],
+)
+def test_the_tree_is_as_drawn(error: type[BaseException], parent: type[BaseException]) -> None:
+    named = [base for base in error.__mro__[1:] if base.__name__[0] != "_"]
+    assert named[0] is parent
+
+
+def test_the_drawing_shows_every_error_and_each_has_a_docstring() -> None:
+    drawn = inspect.getdoc(exceptions)
+    assert drawn is not None
+    for name, error in public_errors():
+        assert f" {name}" in drawn
+        assert error.__doc__
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (GoalRejected("too far"), "too far"),
+        (GoalRejected("too far", goal_id=GOAL_ID), f"goal {HEX} was rejected: too far"),
+        (GoalRejected("", goal_id=GOAL_ID), f"goal {HEX} was rejected"),
+        (GoalRejected(""), "the goal was rejected"),
+        (GoalAborted("stuck"), "stuck"),
+        (GoalAborted("stuck", goal_id=GOAL_ID), f"goal {HEX} was aborted: stuck"),
+        (GoalAborted(""), "the goal was aborted"),
+        (GoalCanceled(), "the goal was canceled"),
+        (GoalCanceled("asked to", goal_id=GOAL_ID), f"goal {HEX} was canceled: asked to"),
+        (CancelRejected("nearly done"), "nearly done"),
+        (CancelRejected("no", goal_id=GOAL_ID), f"goal {HEX} cannot be canceled: no"),
+        (CancelRejected(""), "the goal cannot be canceled"),
+        (
+            UnknownGoal(GOAL_ID),
+            f"goal {HEX} is unknown: it was never accepted, or its result has expired",
+        ),
+        (
+            InvalidTransition(GoalStatus.SUCCEEDED, GoalEvent.ABORT),
+            "a goal that is SUCCEEDED cannot ABORT",
+        ),
+        (ProtocolError("no such kind"), "no such kind"),
+        (ConnectionLost("the server is gone"), "the server is gone"),
+    ],
+)
+def test_the_text_is_one_sentence_with_what_is_known(error: ActionError, text: str) -> None:
+    assert str(error) == text
+
+
+def test_data_is_in_attributes() -> None:
+    rejected = GoalRejected("too far", goal_id=GOAL_ID)
+    assert (rejected.reason, rejected.goal_id) == ("too far", GOAL_ID)
+    aborted = GoalAborted("stuck", result=[1], goal_id=GOAL_ID)
+    assert (aborted.reason, aborted.result, aborted.goal_id) == ("stuck", [1], GOAL_ID)
+    canceled = GoalCanceled("asked to", result=[2], goal_id=GOAL_ID)
+    assert (canceled.reason, canceled.result, canceled.goal_id) == ("asked to", [2], GOAL_ID)
+    assert UnknownGoal(GOAL_ID).goal_id == GOAL_ID
+    invalid = InvalidTransition(GoalStatus.ACCEPTED, GoalEvent.SUCCEED)
+    assert (invalid.status, invalid.event) == (GoalStatus.ACCEPTED, GoalEvent.SUCCEED)
+
+
+def test_what_is_not_said_is_none_or_empty() -> None:
+    assert GoalRejected("no").goal_id is None
+    assert (GoalAborted("no").result, GoalAborted("no").goal_id) == (None, None)
+    canceled = GoalCanceled()
+    assert (canceled.reason, canceled.result, canceled.goal_id) == ("", None, None)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        GoalRejected("too far", goal_id=GOAL_ID),
+        GoalAborted("stuck", result=[1], goal_id=GOAL_ID),
+        GoalCanceled("asked to", result=[2], goal_id=GOAL_ID),
+        UnknownGoal(GOAL_ID),
+        InvalidTransition(GoalStatus.ACCEPTED, GoalEvent.SUCCEED),
+        ServerNotFound("nobody"),
+        GoalRejected(reason="too far"),
+        UnknownGoal(goal_id=GOAL_ID),
+        InvalidTransition(status=GoalStatus.ACCEPTED, event=GoalEvent.SUCCEED),
+    ],
+    ids=repr,
+)
+def test_an_error_survives_the_way_to_another_process(error: ActionError) -> None:
+    copy = pickle.loads(pickle.dumps(error))
+    assert type(copy) is type(error)
+    assert str(copy) == str(error)
+    assert vars(copy) == vars(error)

@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import pickle
+import uuid
+from contextlib import suppress
+
+import msgspec
+import pytest
+from hypothesis import given, strategies
+
+from fibaction.goals import (
+    UNKNOWN_OUTCOME,
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    Outcome,
+)
+from fibaction.states import GoalStatus
+
+GOAL_ID = GoalID(bytes(range(16)))
+
+
+@given(strategies.binary(max_size=40))
+def test_a_goal_id_has_16_bytes(value: bytes) -> None:
+    if len(value) == 16:
+        assert GoalID(value) == value
+    else:
+        with pytest.raises(ValueError, match=rf"a goal ID has 16 bytes, not {len(value)}$"):
+            GoalID(value)
+
+
+@given(strategies.binary(min_size=16, max_size=16).map(GoalID))
+def test_a_goal_id_is_read_back_from_its_text(goal_id: GoalID) -> None:
+    read = GoalID.parse(str(goal_id))
+    assert type(read) is GoalID
+    assert read == goal_id
+
+
+@given(strategies.uuids())
+def test_a_goal_id_is_read_from_a_uuid(value: uuid.UUID) -> None:
+    assert GoalID.parse(str(value)) == value.bytes
+    assert str(GoalID(value.bytes)) == value.hex
+
+
+@pytest.mark.parametrize("text", ["", "00", "g" * 32, "0" * 31, "0" * 34, "é" * 32])
+def test_other_text_is_no_goal_id(text: str) -> None:
+    with pytest.raises(ValueError, match="a goal ID has 32 hexadecimal digits, unlike") as caught:
+        GoalID.parse(text)
+    assert repr(text) in str(caught.value)
+
+
+@given(strategies.text(max_size=40))
+def test_any_text_is_a_goal_id_or_a_value_error(text: str) -> None:
+    with suppress(ValueError):
+        assert len(GoalID.parse(text)) == 16
+
+
+def test_random_goal_ids_are_random_uuids_and_differ() -> None:
+    goal_ids = {GoalID.random() for _ in range(100)}
+    assert len(goal_ids) == 100
+    assert {uuid.UUID(bytes=goal_id).version for goal_id in goal_ids} == {4}
+    assert {type(goal_id) for goal_id in goal_ids} == {GoalID}
+
+
+def test_the_representation_of_a_goal_id_makes_the_same_one() -> None:
+    assert repr(GOAL_ID) == "GoalID.parse('000102030405060708090a0b0c0d0e0f')"
+    assert eval(repr(GOAL_ID)) == GOAL_ID
+
+
+def test_a_goal_id_is_a_key_and_equals_its_bytes() -> None:
+    assert {bytes(GOAL_ID): "here"}[GOAL_ID] == "here"
+    assert GoalID(bytes(16)) != GOAL_ID
+
+
+def test_a_goal_id_survives_the_way_to_another_process() -> None:
+    copy = pickle.loads(pickle.dumps(GOAL_ID))
+    assert type(copy) is GoalID
+    assert copy == GOAL_ID
+
+
+@pytest.mark.parametrize(
+    ("value", "field"),
+    [
+        (GoalInfo(GOAL_ID, 1, GoalStatus.ACCEPTED), "status"),
+        (Outcome(GoalStatus.SUCCEEDED, 1), "result"),
+        (CancelAnswer(CancelCode.NONE), "reason"),
+    ],
+    ids=["GoalInfo", "Outcome", "CancelAnswer"],
+)
+def test_what_was_said_does_not_change(value: msgspec.Struct, field: str) -> None:
+    with pytest.raises(AttributeError):
+        setattr(value, field, None)
+
+
+def test_an_outcome_has_no_result_and_no_reason_unless_told() -> None:
+    outcome: Outcome[bytes] = Outcome(GoalStatus.ABORTED)
+    assert outcome.result is None
+    assert outcome.reason == ""
+
+
+def test_the_outcome_of_an_unknown_goal_says_only_that() -> None:
+    assert Outcome(GoalStatus.UNKNOWN, None, "") == UNKNOWN_OUTCOME
+
+
+def test_return_codes_have_the_numbers_of_ros() -> None:
+    assert {code.name: code.value for code in CancelCode} == {
+        "NONE": 0,
+        "REJECTED": 1,
+        "UNKNOWN_GOAL_ID": 2,
+        "GOAL_TERMINATED": 3,
+    }
+
+
+def test_a_cancel_is_accepted_if_a_goal_is_canceling() -> None:
+    canceling = GoalInfo(GOAL_ID, 1, GoalStatus.CANCELING)
+    assert CancelAnswer(CancelCode.NONE, (canceling,), "another refused").accepted
+    # NONE is no yes: a cancel of all that found no goal has it too.
+    assert not CancelAnswer(CancelCode.NONE).accepted
+    assert not CancelAnswer(CancelCode.REJECTED, reason="no").accepted

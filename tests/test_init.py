@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import inspect
+import os
+import subprocess
+import sys
+import types
+
+import pytest
+
+import fibaction
+from fibaction import exceptions
+
+PUBLIC = sorted(
+    name
+    for name, value in vars(fibaction).items()
+    if name[0] != "_" and not isinstance(value, types.ModuleType)
+)
+
+
+def modules_after(code: str) -> set[str]:
+    """The names of all modules that a new interpreter has imported when it has run this."""
+    shown = subprocess.run(
+        [sys.executable, "-c", f"{code}\nimport sys\nprint(*sys.modules, sep='\\n')"],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        capture_output=True,
+        check=True,
+        text=True,
+        timeout=30,
+    )
+    return set(shown.stdout.split())
+
+
+def test_the_list_of_public_names_is_sorted_and_has_no_name_twice() -> None:
+    assert fibaction.__all__ == sorted(set(fibaction.__all__))
+
+
+def test_the_list_of_public_names_is_complete() -> None:
+    assert fibaction.__all__ == PUBLIC
+
+
+def test_every_error_is_public() -> None:
+    errors = {
+        name
+        for name, value in vars(exceptions).items()
+        if inspect.isclass(value) and issubclass(value, BaseException) and name[0] != "_"
+    }
+    assert errors <= set(fibaction.__all__)
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_a_public_name_and_its_members_have_docstrings(name: str) -> None:
+    value = getattr(fibaction, name)
+    assert value.__doc__
+    if not inspect.isclass(value):
+        return
+    for member_name, member in vars(value).items():
+        function = inspect.isroutine(member) or isinstance(member, property)
+        if member_name[0] != "_" and function:
+            # A method may have the docstring of the one that it overrides.
+            assert inspect.getdoc(getattr(value, member_name)), f"{name}.{member_name}"
+
+
+def test_an_import_brings_no_transport_no_ros_and_no_event_loop() -> None:
+    imported = modules_after("import fibaction, fibaction.testing")
+    assert "fibaction.server" in imported
+    assert {name.partition(".")[0] for name in imported}.isdisjoint(
+        {"fibaction_transports", "rclpy", "asyncio", "trio"}
+    )

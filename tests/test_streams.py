@@ -1,0 +1,717 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Awaitable, Callable
+from functools import partial
+
+import anyio
+import pytest
+import trio.testing
+from hypothesis import given, strategies
+
+from fibaction.abc import FeedbackItem
+from fibaction.goals import GoalID, GoalInfo, Outcome
+from fibaction.protocol import Goal
+from fibaction.states import GoalStatus
+from fibaction.streams import FeedStream, GoalLog, LogStream, StatusFeed, Waking
+
+GOAL_ID = GoalID(bytes(range(16)))
+OUTCOME = Outcome(GoalStatus.SUCCEEDED, b"done")
+
+
+def new_log(window: int = 1000, *, latest: bool = False) -> GoalLog:
+    return GoalLog(Goal(GOAL_ID, 0, 7), window=window, latest=latest)
+
+
+def append(log: GoalLog, count: int) -> None:
+    """Add feedback, each of which is its own number as text."""
+    for _ in range(count):
+        log.append(b"%d" % (log.count + 1))
+
+
+def change(log: GoalLog, status: GoalStatus) -> None:
+    log.goal.status = status
+    log.tell_status()
+
+
+def end(log: GoalLog) -> None:
+    log.goal.outcome = OUTCOME
+    change(log, GoalStatus.SUCCEEDED)
+    log.finish()
+
+
+async def numbers(stream: LogStream) -> list[int]:
+    """The numbers of all feedback up to the end of the stream."""
+    seen: list[int] = []
+    while (item := await stream.receive()) is not None:
+        assert item.payload == b"%d" % item.number
+        seen.append(item.number)
+    return seen
+
+
+def info(number: int, status: GoalStatus = GoalStatus.ACCEPTED) -> GoalInfo:
+    return GoalInfo(GOAL_ID, number, status)
+
+
+async def stamps(stream: FeedStream) -> list[int]:
+    """The stamps of all changes up to the end of the stream."""
+    seen: list[int] = []
+    while (change := await stream.receive()) is not None:
+        seen.append(change.stamp)
+    return seen
+
+
+async def while_waiting(waiting: Callable[[], Awaitable[object]], then: Callable[[], None]) -> None:
+    """See that something waits, do something about it, and see that it waits no longer."""
+    done = anyio.Event()
+
+    async def wait() -> None:
+        await waiting()
+        done.set()
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            await anyio.wait_all_tasks_blocked()
+            assert not done.is_set()
+            then()
+
+
+# Waking
+
+
+@pytest.mark.asyncio
+async def test_waking_wakes_all_who_wait_and_nobody_who_comes_later() -> None:
+    waking = Waking()
+    woken: list[int] = []
+
+    async def wait(number: int) -> None:
+        await waking.wait()
+        woken.append(number)
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            waking.wake()
+            tasks.start_soon(wait, 1)
+            tasks.start_soon(wait, 2)
+            await anyio.wait_all_tasks_blocked()
+            assert woken == []
+            waking.wake()
+            tasks.start_soon(wait, 3)
+            await anyio.wait_all_tasks_blocked()
+            assert sorted(woken) == [1, 2]
+            waking.wake()
+    assert sorted(woken) == [1, 2, 3]
+
+
+# What a follower reads
+
+
+@pytest.mark.asyncio
+async def test_feedback_is_numbered_from_one_and_comes_in_order() -> None:
+    log = new_log()
+    stream = log.follow()
+    append(log, 3)
+    end(log)
+    with anyio.fail_after(5):
+        assert await stream.receive() == FeedbackItem(1, b"1")
+        assert await numbers(stream) == [2, 3]
+    assert log.count == log.goal.feedback_count == 3
+    assert stream.dropped == 0
+
+
+@pytest.mark.asyncio
+async def test_a_follower_knows_its_goal() -> None:
+    log = new_log()
+    stream = log.follow()
+    assert (stream.goal_id, stream.stamp) == (GOAL_ID, 7)
+    assert stream.status.name == "ACCEPTED"
+    end(log)
+    assert stream.status.name == "SUCCEEDED"
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("happens", [lambda log: append(log, 1), end], ids=["feedback", "the end"])
+async def test_a_follower_waits_for_feedback_or_the_end(happens: Callable[[GoalLog], None]) -> None:
+    log = new_log()
+    stream = log.follow()
+    await while_waiting(stream.receive, lambda: happens(log))
+
+
+@pytest.mark.asyncio
+async def test_a_follower_needs_no_change_of_status_to_hear_of_the_end() -> None:
+    log = new_log()
+    stream = log.follow()
+
+    def end_without_a_change() -> None:
+        log.goal.outcome = OUTCOME
+        log.finish()
+
+    await while_waiting(stream.receive, end_without_a_change)
+
+
+@pytest.mark.asyncio
+async def test_all_feedback_comes_before_the_end_and_then_only_the_end() -> None:
+    log = new_log()
+    stream = log.follow()
+    append(log, 2)
+    end(log)
+    with anyio.fail_after(5):
+        assert await numbers(stream) == [1, 2]
+        assert await stream.receive() is None
+        assert await stream.outcome() is OUTCOME
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("after", "expected"),
+    [(None, [4]), (0, [1, 2, 3, 4]), (2, [3, 4]), (3, [4]), (99, [4]), (-1, [1, 2, 3, 4])],
+)
+async def test_a_follower_begins_where_it_asks_to(after: int | None, expected: list[int]) -> None:
+    log = new_log()
+    append(log, 3)
+    stream = log.follow(after=after)
+    append(log, 1)
+    end(log)
+    with anyio.fail_after(5):
+        assert await numbers(stream) == expected
+    assert stream.dropped == 0
+
+
+@pytest.mark.asyncio
+async def test_followers_are_each_at_a_place_of_their_own() -> None:
+    log = new_log()
+    one, other = log.follow(), log.follow()
+    append(log, 2)
+    end(log)
+    with anyio.fail_after(5):
+        assert await numbers(one) == [1, 2]
+        assert await numbers(other) == [1, 2]
+
+
+@pytest.mark.asyncio
+async def test_a_slow_follower_loses_the_oldest_and_is_told_how_many() -> None:
+    log = new_log(window=2)
+    stream = log.follow()
+    append(log, 5)
+    end(log)
+    with anyio.fail_after(5):
+        assert await numbers(stream) == [4, 5]
+    assert stream.dropped == 3
+
+
+@pytest.mark.asyncio
+async def test_with_latest_a_slow_follower_sees_the_newest() -> None:
+    log = new_log(window=10, latest=True)
+    stream = log.follow()
+    append(log, 3)
+    with anyio.fail_after(5):
+        assert await stream.receive() == FeedbackItem(3, b"3")
+        append(log, 1)
+        end(log)
+        assert await numbers(stream) == [4]
+    assert stream.dropped == 2
+
+
+@pytest.mark.asyncio
+async def test_feedback_that_the_log_of_an_ended_goal_no_longer_has_counts_as_dropped() -> None:
+    goal = Goal(GOAL_ID, 0, 7)
+    goal.feedback_count = 3
+    goal.outcome = OUTCOME
+    stream = GoalLog(goal).follow(after=1)
+    with anyio.fail_after(5):
+        assert await numbers(stream) == []
+        assert await numbers(stream) == []
+    assert stream.dropped == 2
+
+
+@pytest.mark.asyncio
+async def test_a_follower_without_feedback_hears_of_the_end_only() -> None:
+    log = new_log()
+    stream = log.follow(feedback=False)
+    assert not log.is_followed
+    append(log, 1)
+    with anyio.fail_after(5):
+        assert await stream.receive() is None
+    await while_waiting(stream.outcome, lambda: end(log))
+    assert stream.dropped == 0
+    stream.close()
+
+
+@pytest.mark.asyncio
+async def test_the_outcome_can_be_waited_for_by_many_and_without_reading() -> None:
+    log = new_log()
+    one, other = log.follow(), log.follow()
+    append(log, 1)
+    outcomes: list[Outcome[bytes]] = []
+
+    async def wait(stream: LogStream) -> None:
+        outcomes.append(await stream.outcome())
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait, one)
+            tasks.start_soon(wait, other)
+            await anyio.wait_all_tasks_blocked()
+            assert outcomes == []
+            end(log)
+    assert outcomes == [OUTCOME, OUTCOME]
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("reads", [True, False])
+async def test_a_closed_follower_reads_no_more_but_still_hears_the_outcome(reads: bool) -> None:
+    log = new_log()
+    stream = log.follow(feedback=reads)
+    append(log, 1)
+    stream.close()
+    stream.close()
+    assert not log.is_followed
+    with anyio.fail_after(5):
+        assert await stream.receive() is None
+        end(log)
+        assert await stream.outcome() is OUTCOME
+
+
+@pytest.mark.asyncio
+async def test_closing_a_follower_ends_the_wait_for_feedback() -> None:
+    stream = new_log().follow()
+    await while_waiting(stream.receive, stream.close)
+
+
+@pytest.mark.asyncio
+async def test_a_log_is_followed_as_long_as_somebody_reads() -> None:
+    log = new_log()
+    assert not log.is_followed
+    one, other = log.follow(), log.follow()
+    one.close()
+    assert log.is_followed
+    other.close()
+    assert not log.is_followed
+
+
+@given(
+    window=strategies.integers(1, 5),
+    latest=strategies.booleans(),
+    after=strategies.none() | strategies.integers(0, 10),
+    steps=strategies.lists(strategies.sampled_from(["append", "read"]), max_size=30),
+)
+def test_what_was_read_and_what_was_dropped_is_all_there_was(
+    window: int, latest: bool, after: int | None, steps: list[str]
+) -> None:
+    async def check() -> None:
+        log = new_log(window, latest=latest)
+        append(log, 4)
+        stream = log.follow(after=after)
+        start = 4 if after is None else min(after, 4)
+        seen: list[int] = []
+        for step in steps:
+            if step == "append":
+                append(log, 1)
+            elif stream.place < log.count:
+                item = await stream.receive()
+                assert item is not None
+                seen.append(item.number)
+        end(log)
+        seen += await numbers(stream)
+        assert seen == sorted(set(seen))
+        assert len(seen) + stream.dropped == log.count - start
+        if log.count > start:
+            assert seen[-1] == log.count
+
+    anyio.run(check)
+
+
+# What a follower hears of the status
+
+
+async def events(stream: LogStream) -> list[int | str]:
+    """The numbers of all feedback and the names of all statuses, up to the end of the stream."""
+    seen: list[int | str] = []
+    while (event := await stream.next_event()) is not None:
+        seen.append(event.name if isinstance(event, GoalStatus) else event.number)
+    return seen
+
+
+@pytest.mark.asyncio
+async def test_a_follower_hears_of_each_status_until_the_end_and_of_all_feedback() -> None:
+    log = new_log()
+    stream = log.follow()
+    heard: list[int | str] = []
+
+    async def listen() -> None:
+        heard.extend(await events(stream))
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(listen)
+            for happens in (
+                partial(change, log, GoalStatus.EXECUTING),
+                partial(append, log, 2),
+                partial(change, log, GoalStatus.CANCELING),
+                partial(append, log, 1),
+                partial(end, log),
+            ):
+                await anyio.wait_all_tasks_blocked()
+                happens()
+        assert await stream.next_event() is None
+    assert heard == ["EXECUTING", 1, 2, "CANCELING", 3]
+
+
+@pytest.mark.asyncio
+async def test_what_was_not_listened_to_is_heard_later_the_statuses_first() -> None:
+    log = new_log()
+    stream = log.follow()
+    change(log, GoalStatus.EXECUTING)
+    append(log, 2)
+    change(log, GoalStatus.CANCELING)
+    end(log)
+    with anyio.fail_after(5):
+        assert await events(stream) == ["EXECUTING", "CANCELING", 1, 2]
+
+
+@pytest.mark.asyncio
+async def test_a_follower_hears_of_no_status_before_it_came() -> None:
+    log = new_log()
+    change(log, GoalStatus.EXECUTING)
+    stream = log.follow()
+    change(log, GoalStatus.CANCELING)
+    end(log)
+    with anyio.fail_after(5):
+        assert await events(stream) == ["CANCELING"]
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    "happens",
+    [
+        lambda log, stream: change(log, GoalStatus.EXECUTING),
+        lambda log, stream: append(log, 1),
+        lambda log, stream: end(log),
+        lambda log, stream: stream.close(),
+    ],
+    ids=["a status", "feedback", "the end", "closing"],
+)
+async def test_a_listener_waits_until_something_happens(
+    happens: Callable[[GoalLog, LogStream], None],
+) -> None:
+    log = new_log()
+    stream = log.follow()
+    await while_waiting(stream.next_event, lambda: happens(log, stream))
+
+
+@pytest.mark.asyncio
+async def test_feedback_that_is_not_asked_for_is_left_for_later() -> None:
+    log = new_log()
+    stream = log.follow()
+    append(log, 1)
+    statuses: list[GoalStatus | FeedbackItem | None] = []
+
+    async def listen() -> None:
+        while not statuses or statuses[-1] is not None:
+            statuses.append(await stream.next_event(feedback=False))
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(listen)
+            await anyio.wait_all_tasks_blocked()
+            assert statuses == []
+            append(log, 1)
+            change(log, GoalStatus.EXECUTING)
+            await anyio.wait_all_tasks_blocked()
+            assert statuses == [GoalStatus.EXECUTING]
+            end(log)
+        assert statuses == [GoalStatus.EXECUTING, None]
+        assert await events(stream) == [1, 2]
+    assert stream.dropped == 0
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("late", [True, False], ids=["canceled after", "canceled before"])
+async def test_nothing_is_lost_if_the_wait_is_canceled(late: bool) -> None:
+    log = new_log()
+    stream = log.follow()
+    heard: list[GoalStatus | FeedbackItem | None] = []
+
+    async def listen() -> None:
+        heard.append(await stream.next_event())
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(listen)
+            await anyio.wait_all_tasks_blocked()
+            if not late:
+                tasks.cancel_scope.cancel()
+            change(log, GoalStatus.EXECUTING)
+            append(log, 1)
+            if late:
+                tasks.cancel_scope.cancel()
+        heard += [await stream.next_event() for _ in range(2 - len(heard))]
+    assert heard == [GoalStatus.EXECUTING, FeedbackItem(1, b"1")]
+
+
+@pytest.mark.asyncio
+async def test_a_follower_without_feedback_or_closed_hears_of_nothing() -> None:
+    log = new_log()
+    without, closed, waiting = log.follow(feedback=False), log.follow(), log.follow()
+    closed.close()
+
+    async def nothing() -> None:
+        assert await waiting.next_event() is None
+
+    def close_and_go_on() -> None:
+        waiting.close()
+        change(log, GoalStatus.EXECUTING)
+        append(log, 1)
+
+    await while_waiting(nothing, close_and_go_on)
+    with anyio.fail_after(5):
+        assert await without.next_event() is None
+        assert await closed.next_event() is None
+
+
+@pytest.mark.parametrize("latest", [True, False])
+def test_a_follower_knows_whether_late_readers_want_the_newest_only(latest: bool) -> None:
+    assert new_log(latest=latest).follow().latest is latest
+
+
+# Making the executor wait
+
+
+def test_a_follower_holds_nothing_up_unless_told_to_and_a_log_keeps_one_feedback() -> None:
+    log = GoalLog(Goal(GOAL_ID, 0, 7))
+    assert not log.follow().holding
+    assert log.follow(hold=True).holding
+    append(log, 2)
+    assert log.after(0) == FeedbackItem(2, b"2")
+
+
+@pytest.mark.asyncio
+async def test_a_log_is_full_when_its_client_has_a_window_to_read() -> None:
+    log = new_log(window=2)
+    stream = log.follow(hold=True)
+    append(log, 1)
+    assert not log.is_full
+    append(log, 1)
+    assert log.is_full
+    with anyio.fail_after(5):
+        await stream.receive()
+    assert not log.is_full
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("hold", "latest"), [(False, False), (False, True), (True, True)], ids=repr
+)
+async def test_an_observer_never_fills_a_log_and_with_latest_nobody_does(
+    hold: bool, latest: bool
+) -> None:
+    log = new_log(window=2, latest=latest)
+    stream = log.follow(hold=hold)
+    stream.hold(True)
+    append(log, 5)
+    assert not log.is_full
+    assert not stream.holding
+
+
+def read_one(log: GoalLog, stream: LogStream) -> None:
+    # An item is there, so that the coroutine ends without having waited.
+    with pytest.raises(StopIteration):
+        stream.receive().send(None)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    "make_room",
+    [read_one, lambda log, stream: stream.hold(False), lambda log, stream: stream.close()],
+    ids=["reading", "not holding", "closing"],
+)
+async def test_the_wait_for_room_ends_when_its_client_reads_or_lets_go(
+    make_room: Callable[[GoalLog, LogStream], None],
+) -> None:
+    log = new_log(window=1)
+    stream = log.follow(hold=True)
+    append(log, 1)
+    await while_waiting(lambda: log.wait_for_room(math.inf), lambda: make_room(log, stream))
+    assert not log.is_full
+
+
+@pytest.mark.asyncio
+async def test_the_wait_for_room_goes_on_when_an_observer_reads_or_leaves() -> None:
+    log = new_log(window=1)
+    client, observer = log.follow(hold=True), log.follow()
+    append(log, 1)
+    done = anyio.Event()
+
+    async def wait() -> None:
+        await log.wait_for_room(math.inf)
+        done.set()
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            await anyio.wait_all_tasks_blocked()
+            await observer.receive()
+            observer.close()
+            await anyio.wait_all_tasks_blocked()
+            assert not done.is_set()
+            await client.receive()
+    assert done.is_set()
+
+
+@pytest.mark.asyncio
+async def test_there_is_no_wait_where_there_is_room() -> None:
+    log = new_log(window=1)
+    stream = log.follow(hold=True)
+    with anyio.fail_after(5):
+        await log.wait_for_room(math.inf)
+    assert stream.holding
+
+
+@pytest.mark.asyncio
+async def test_a_client_that_stalls_holds_up_nothing_until_it_has_caught_up() -> None:
+    log = new_log(window=2)
+    stream = log.follow(hold=True)
+    append(log, 2)
+    with anyio.fail_after(5):
+        await log.wait_for_room(0)
+        assert not log.is_full
+        append(log, 1)
+        await stream.receive()
+        assert not stream.holding
+        await stream.receive()
+        assert stream.holding
+    assert stream.dropped == 1
+    append(log, 2)
+    assert log.is_full
+
+
+@pytest.mark.asyncio
+async def test_a_client_that_stalls_does_not_hold_again_by_asking_for_it() -> None:
+    log = new_log(window=1)
+    stream = log.follow(hold=True)
+    append(log, 1)
+    with anyio.fail_after(5):
+        await log.wait_for_room(0)
+    stream.hold(True)
+    assert not log.is_full
+
+
+@pytest.mark.asyncio
+async def test_only_the_client_that_was_not_read_stalls() -> None:
+    log = new_log(window=2)
+    slow, quick = log.follow(hold=True), log.follow(hold=True)
+    append(log, 2)
+    with anyio.fail_after(5):
+        await quick.receive()
+        await log.wait_for_room(0)
+    assert not slow.holding
+    assert quick.holding
+
+
+@pytest.mark.asyncio
+async def test_a_client_that_let_go_can_hold_again() -> None:
+    log = new_log(window=1)
+    stream = log.follow(hold=True)
+    append(log, 1)
+    stream.hold(False)
+    assert not log.is_full
+    stream.hold(True)
+    assert log.is_full
+
+
+def test_a_client_stalls_after_exactly_the_time_that_it_was_given() -> None:
+    async def check() -> None:
+        log = new_log(window=1)
+        stream = log.follow(hold=True)
+        append(log, 1)
+        start = anyio.current_time()
+        await log.wait_for_room(10.0)
+        assert anyio.current_time() - start == pytest.approx(10.0)
+        assert not stream.holding
+
+    # In virtual time: it goes on as soon as all tasks wait.
+    clock = trio.testing.MockClock(autojump_threshold=0)
+    anyio.run(check, backend="trio", backend_options={"clock": clock})
+
+
+# The statuses of all goals
+
+
+@pytest.mark.asyncio
+async def test_a_status_stream_begins_with_what_is_known_and_goes_on_with_each_change() -> None:
+    feed = StatusFeed()
+    feed.publish(info(0))
+    stream = feed.follow([info(1), info(2)])
+    feed.publish(info(3, GoalStatus.UNKNOWN))
+    feed.finish()
+    with anyio.fail_after(5):
+        assert await stream.receive() == info(1)
+        assert await stamps(stream) == [2, 3]
+        assert await stream.receive() is None
+    assert stream.dropped == 0
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    "happens", [lambda feed: feed.publish(info(1)), StatusFeed.finish], ids=["a change", "the end"]
+)
+async def test_a_status_stream_waits_for_a_change_or_the_end(
+    happens: Callable[[StatusFeed], None],
+) -> None:
+    feed = StatusFeed()
+    stream = feed.follow([])
+    await while_waiting(stream.receive, lambda: happens(feed))
+
+
+@pytest.mark.asyncio
+async def test_closing_a_status_stream_ends_the_wait() -> None:
+    stream = StatusFeed().follow([])
+    await while_waiting(stream.receive, stream.close)
+
+
+@pytest.mark.asyncio
+async def test_a_status_stream_that_is_not_read_loses_the_oldest_changes() -> None:
+    feed = StatusFeed(limit=2)
+    stream = feed.follow([info(1), info(2)])
+    for number in range(3, 8):
+        feed.publish(info(number))
+    feed.finish()
+    with anyio.fail_after(5):
+        # The limit is for changes: what was known at the beginning has room besides.
+        assert await stamps(stream) == [4, 5, 6, 7]
+    assert stream.dropped == 3
+
+
+def test_ten_thousand_changes_are_kept_for_a_status_stream_unless_told() -> None:
+    feed = StatusFeed()
+    stream = feed.follow([])
+    for number in range(10_000):
+        feed.publish(info(number))
+    assert stream.dropped == 0
+    feed.publish(info(10_000))
+    assert stream.dropped == 1
+
+
+@pytest.mark.asyncio
+async def test_each_status_stream_sees_all_changes_and_one_that_is_closed_none() -> None:
+    feed = StatusFeed()
+    one, other, closed = (feed.follow([]) for _ in range(3))
+    closed.close()
+    closed.close()
+    feed.publish(info(1))
+    feed.finish()
+    with anyio.fail_after(5):
+        assert await stamps(one) == await stamps(other) == [1]
+        assert await stamps(closed) == []
+
+
+@pytest.mark.asyncio
+async def test_a_feed_is_true_as_long_as_somebody_follows() -> None:
+    feed = StatusFeed()
+    assert not feed
+    one, other = feed.follow([]), feed.follow([])
+    one.close()
+    assert feed
+    other.close()
+    assert not feed
