@@ -14,7 +14,7 @@ install = $(1)/bin/python -m pip install --quiet
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test format lint types imports unit own-coverage docs docs-serve bench test-wheel clean
+.PHONY: help demo test format lint types imports unit own-coverage docs docs-serve bench soak fuzz test-wheel clean
 
 help:  ## Say what there is
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -52,8 +52,15 @@ docs: $(VENV)/.docs  ## Build the documentation into site/
 docs-serve: $(VENV)/.docs  ## Show the documentation while it is written
 	$(BIN)/zensical serve
 
-bench: $(VENV)/.tools  ## Measure, and print JSON
+bench: $(VENV)/.bench  ## Measure, and print JSON
 	$(BIN)/python -m tests.benchmarks inprocess
+	$(BIN)/python -m tests.benchmarks tcp
+
+soak: $(VENV)/.tools  ## Fifty connections for ten minutes: does anything grow?
+	$(BIN)/python -m tests.soak
+
+fuzz: $(VENV)/.fuzz  ## Two minutes of bytes that mean no good
+	$(BIN)/python -m tests.fuzz.wire -max_total_time=120
 
 test-wheel: $(VENV)/.tools  ## Run the tests against the built wheel, from another folder
 	rm -rf dist build/wheel
@@ -80,4 +87,12 @@ $(VENV)/.tools: $(VENV)/.installed
 
 $(VENV)/.docs: $(VENV)/.tools
 	$(call install,$(VENV)) --group docs
+	@touch $@
+
+$(VENV)/.fuzz: $(VENV)/.tools
+	$(call install,$(VENV)) --group fuzz
+	@touch $@
+
+$(VENV)/.bench: $(VENV)/.tools
+	$(call install,$(VENV)) --group bench
 	@touch $@

@@ -3,25 +3,37 @@
     python docs/build.py
 
 First what is made from the code is made again: docs/states.svg, and the marked parts of
-docs/concepts.md. Then the site is built strictly, and its pages are read once more: a link or an
-anchor that leads nowhere, or something that is fetched from elsewhere, ends with exit code 1.
+docs/concepts.md and docs/protocol.md. Then the site is built strictly, and its pages are read once
+more: a link or an anchor that leads nowhere, or something that is fetched from elsewhere, ends with
+exit code 1.
 """
 
 from __future__ import annotations
 
+import ast
+import importlib.util
+import inspect
 import math
 import os
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+import textwrap
+from collections.abc import Callable, Iterator
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any, get_args
 from urllib.parse import unquote, urlsplit
 
+import msgspec
+from msgspec import inspect as types
+
+from fibaction import messages
+from fibaction.action import ActionInfo
 from fibaction.exceptions import ActionError
 from fibaction.states import TRANSITIONS, GoalEvent, GoalStatus
+from fibaction.wire.limits import Limits
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -168,17 +180,202 @@ def _errors(error: type[ActionError], indent: str) -> Iterator[tuple[str, str]]:
             yield from _errors(child, indent)
 
 
-PARTS = {"states": states_part, "errors": errors_part}
-"""What is made for each pair of markers in concepts.md."""
+# The marked parts of protocol.md
+
+MEANINGS = {
+    "id": "The request that this is, or belongs to.",
+    "action": "The action's name.",
+    "goal_id": "The goal's ID.",
+    "goal": "The goal itself: a payload.",
+    "credit": "How many `GoalChanged` may come before more credit.",
+    "stamp": "When the goal was accepted: nanoseconds since 1970, by the server's clock.",
+    "status": "A [goal status](#statuses).",
+    "reason": "Why, for a person to read; may be empty.",
+    "text": "A sentence, for a person to read.",
+    "version": "Of the protocol: 1.",
+    "heartbeat": "Seconds: at least so often this side will send something.",
+    "count": "How much more credit there is.",
+    "number": "The feedback's place among all feedback of the goal: 1, 2, 3 and so on.",
+    "payload": "The feedback itself.",
+    "result": "The result, a payload; nil if there is none.",
+    "return_code": "A [return code](#return-codes).",
+    "goals": "The goals whose cancel was accepted: ID, stamp, status.",
+    "actions": "Each action that is served here.",
+    "name": "The action's name.",
+    "type_name": "Its ROS 2 type, or empty.",
+    "feedback": "The JSON Schema of a feedback message.",
+    "latest": "Whether a reader who is late wants the newest feedback only: the server's policy.",
+    "after": "Begin behind the feedback of that number; nil: with what comes from now on.",
+    "CancelGoals.goal_id": "The goal it is about; nil or zeros: see below.",
+    "CancelGoals.stamp": "Goals accepted at or before it; nil or 0: see below.",
+    "Ended.status": "4, 5 or 6: a [goal status](#statuses); 0: the server does not know.",
+    "Ended.place": "The number of the feedback that was sent last, or skipped.",
+    "GoalChanged.stamp": "When it was accepted; 0 if `status` is 0.",
+    "GoalChanged.status": "A [goal status](#statuses); 0: the server has forgotten the goal.",
+    "ActionInfo.goal": "The JSON Schema of a goal.",
+    "ActionInfo.result": "The JSON Schema of a result.",
+}
+"""What a field is, by its name; its own docstring counts unless the message is named here, too."""
 
 
-def with_parts(page: str) -> str:
+def messages_part() -> str:
+    """Every message: its form, its fields, and the bytes of one."""
+    client, server = get_args(messages.FromClient), get_args(messages.FromServer)
+    groups = {
+        "From either side": [kind for kind in client if kind in server],
+        "From the client": [kind for kind in client if kind not in server],
+        "From the server": [kind for kind in server if kind not in client],
+    }
+    bytes_of = golden_bytes()
+    return "\n\n".join(
+        f"### {title}\n\n" + "\n\n".join(_message(kind, bytes_of[kind]) for kind in kinds)
+        for title, kinds in groups.items()
+    )
+
+
+def golden_bytes() -> dict[type, str]:
+    """For each message type the bytes of one message, in hexadecimal: what the tests check."""
+    spec = importlib.util.spec_from_file_location("golden", ROOT / "tests" / "golden.py")
+    assert spec is not None
+    assert spec.loader is not None
+    golden = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(golden)
+    return {type(message): digits for message, digits in golden.GOLDEN}
+
+
+def _message(kind: type[msgspec.Struct], digits: str) -> str:
+    tag = kind.__struct_config__.tag
+    form = ", ".join((str(tag), *kind.__struct_fields__))
+    example = _shown(msgspec.msgpack.decode(bytes.fromhex(digits)))
+    parts = [f"#### {kind.__name__}", f"`[{form}]`", _prose(kind.__doc__)]
+    if kind.__struct_fields__:
+        parts.append(_fields(kind))
+    parts.append(f"```text\n{example}\n{digits}\n```")
+    return "\n\n".join(parts)
+
+
+def _fields(kind: type[msgspec.Struct]) -> str:
+    described = types.type_info(kind)
+    assert isinstance(described, types.StructType)
+    docs = _docs_of_fields(kind)
+    lines = [_row(["Field", "Type", "Default", "Meaning"]), _row(["---"] * 4)]
+    for field in described.fields:
+        default = "" if field.required else f"`{_shown(_default(field))}`"
+        meaning = (
+            MEANINGS.get(f"{kind.__name__}.{field.name}")
+            or docs[field.name]
+            or MEANINGS[field.name]
+        )
+        lines.append(_row([f"`{field.name}`", _wire(field.type), default, meaning]))
+    return "\n".join(lines)
+
+
+def _default(field: types.Field) -> object:
+    return field.default if field.default_factory is msgspec.NODEFAULT else field.default_factory()
+
+
+def _docs_of_fields(kind: type) -> dict[str, str]:
+    """What stands below each field in the source; nothing for a field that says it all."""
+    (described,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    assert isinstance(described, ast.ClassDef)
+    docs: dict[str, str] = {}
+    field = ""
+    for node in described.body:
+        match node:
+            case ast.AnnAssign(target=ast.Name(id=field)):
+                docs[field] = ""
+            case ast.Expr(value=ast.Constant(value=str(text))) if field:
+                docs[field] = _prose(text)
+            case _:
+                field = ""
+    return docs
+
+
+def _prose(text: str | None) -> str:
+    return " ".join((text or "").split())
+
+
+def _wire(described: types.Type) -> str:
+    """A type, as the peer sees it."""
+    match described:
+        case types.NoneType():
+            return "nil"
+        case types.BoolType():
+            return "boolean"
+        case types.StrType():
+            return "text"
+        case types.BytesType(min_length=None):
+            return "bytes"
+        case types.BytesType(min_length=length):
+            return f"{length} bytes"
+        case types.IntType():
+            return "integer" + _range(described)
+        case types.FloatType():
+            return "number" + _range(described)
+        case types.UnionType():
+            return " or ".join(map(_wire, described.types))
+        case types.ListType():
+            return f"array of {_wire(described.item_type)}"
+        case types.TupleType():
+            return f"({'; '.join(map(_wire, described.item_types))})"
+        case types.StructType(cls=cls) if cls is ActionInfo:
+            return "[action descriptions](#descriptions-of-actions)"
+        case types.DictType():
+            return "map"
+    raise TypeError(f"no message had a {described} before: say how it looks on the wire")
+
+
+def _range(described: types.IntType | types.FloatType) -> str:
+    least, most = described.ge, described.le
+    if described.lt is not None:
+        most = described.lt - 1
+    if described.gt is not None:
+        return f", more than {described.gt:g}, at most {most:g}"
+    if least is None:
+        return ""
+    power = {2**31 - 1: "2^31-1", 2**63 - 1: "2^63-1"}
+    return f", {least} to {power.get(int(most or 0), most)}"
+
+
+def _shown(value: Any) -> str:
+    """A decoded value, in the notation of RFC 8949: byte strings are like h'00ff'."""
+    if isinstance(value, bytes):
+        return f"h'{value.hex()}'"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_shown, value))}]"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{_shown(key)}: {_shown(one)}' for key, one in value.items())}}}"
+    return msgspec.json.encode(value).decode()
+
+
+def descriptions_part() -> str:
+    """The keys of the description of an action."""
+    return _fields(ActionInfo).replace("Field", "Key", 1)
+
+
+def limits_part() -> str:
+    """What a server of fibaction lets a client use, if nothing else is said."""
+    return _fields(Limits).replace("Field", "Limit", 1)
+
+
+PARTS: dict[str, dict[str, Callable[[], str]]] = {
+    "concepts.md": {"states": states_part, "errors": errors_part},
+    "protocol.md": {
+        "messages": messages_part,
+        "descriptions": descriptions_part,
+        "limits": limits_part,
+    },
+}
+"""What is made for each pair of markers in a page."""
+
+
+def with_parts(page: str, parts: dict[str, Callable[[], str]]) -> str:
     """The page, with what stands between its markers made anew.
 
     Raises:
         ValueError: A pair of markers is missing.
     """
-    for name, make in PARTS.items():
+    for name, make in parts.items():
         start, end = f"<!-- {name}: made by docs/build.py -->", f"<!-- end of {name} -->"
         before, found, rest = page.partition(start)
         _, closed, after = rest.partition(end)
@@ -189,10 +386,11 @@ def with_parts(page: str) -> str:
 
 
 def generate() -> None:
-    """Write docs/states.svg, and the marked parts of docs/concepts.md."""
+    """Write docs/states.svg, and the marked parts of the pages."""
     (DOCS / "states.svg").write_text(diagram(), encoding="utf-8")
-    concepts = DOCS / "concepts.md"
-    concepts.write_text(with_parts(concepts.read_text(encoding="utf-8")), encoding="utf-8")
+    for name, parts in PARTS.items():
+        path = DOCS / name
+        path.write_text(with_parts(path.read_text(encoding="utf-8"), parts), encoding="utf-8")
 
 
 # The check of the built pages

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import AsyncIterator, Iterable
+from importlib.util import find_spec
 from signal import SIGINT, SIGTERM, Signals
 
 import anyio
@@ -161,7 +162,9 @@ if __name__ == "__main__":
         "--cancel-after", type=count, metavar="N", help="cancel after N feedback messages"
     )
     arguments = parser.parse_args()
+    goal = (arguments.url, arguments.order, arguments.cancel_after)
+    options = {"use_uvloop": find_spec("uvloop") is not None}
     try:
-        sys.exit(anyio.run(main, arguments.url, arguments.order, arguments.cancel_after))
+        sys.exit(anyio.run(main, *goal, backend_options=options))
     except KeyboardInterrupt:
         sys.exit(CANCELED)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import logging
 import math
+from importlib.util import find_spec
 from signal import SIGINT, SIGTERM
 
 import anyio
@@ -64,7 +65,8 @@ if __name__ == "__main__":
     )
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
+    options = {"use_uvloop": find_spec("uvloop") is not None}
     try:
-        anyio.run(main, arguments.url, arguments.period)
+        anyio.run(main, arguments.url, arguments.period, backend_options=options)
     except TransportError as exc:
         parser.error(str(exc))

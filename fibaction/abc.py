@@ -80,6 +80,13 @@ class GoalStream(_Closing):
             ConnectionLost: The connection ended, and more was to come.
         """
 
+    def ready(self, limit: int) -> list[FeedbackItem]:
+        """Feedback that can be had without waiting, at most so much; none if a status comes first.
+
+        It is what `next_event` would give, for those who can use it in larger pieces.
+        """
+        return []
+
     async def receive(self) -> FeedbackItem | None:
         """The next feedback; None when there is no more.
 

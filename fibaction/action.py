@@ -25,7 +25,7 @@ T = TypeVar("T")
 # ROS 2's rule for names (REP 144, `rmw/validate_full_topic_name.h`), so that an action can be
 # served over ROS under the same name: tokens that do not start with a digit, a `~` only in front.
 _NAME = re.compile(r"(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
-_TYPE_NAME = re.compile(r"[a-z]\w*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
+_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 
 _encode = msgspec.msgpack.Encoder().encode
 
@@ -57,6 +57,8 @@ class Codec(Generic[T]):
         Raises:
             TypeError: It holds something that msgpack cannot express.
             OverflowError: It holds an integer of more than 64 bits.
+            ValueError: It holds text that is no Unicode.
+            RecursionError: It holds itself.
         """
         return _encode(value)
 

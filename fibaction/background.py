@@ -4,23 +4,31 @@ from __future__ import annotations
 
 from types import TracebackType
 
-from anyio import create_task_group
+from anyio import CancelScope, Event, create_task_group, sleep_forever
 from anyio.abc import TaskGroup
 
 
 class Background:
-    """A task group that is canceled at the end of its block.
+    """A task group that is canceled at the end of its block, and not before.
 
-    The exception of the block goes on as itself: a task group would wrap it in a group, and its
-    users would have to know that there are tasks. A task in it must raise nothing on purpose.
+    If the block is canceled from outside, its tasks go on until it has been left, because the way
+    out may need them: to cancel a goal, somebody must still read and write. And the exception of
+    the block goes on as itself: a task group would wrap it in a group, and its users would have to
+    know that there are tasks. A task in it must raise nothing on purpose.
     """
 
     def __init__(self) -> None:
+        self._host = create_task_group()
+        self._life = CancelScope(shield=True)
+        self._ready = Event()
         self._tasks: TaskGroup
 
     async def __aenter__(self) -> TaskGroup:
-        self._tasks = create_task_group()
-        return await self._tasks.__aenter__()
+        await self._host.__aenter__()
+        self._host.start_soon(self._hold)
+        with CancelScope(shield=True):  # it takes no time, and there is no good way half-way in
+            await self._ready.wait()
+        return self._tasks
 
     async def __aexit__(
         self,
@@ -28,5 +36,11 @@ class Background:
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self._tasks.cancel_scope.cancel()
-        await self._tasks.__aexit__(None, None, None)
+        self._life.cancel()
+        await self._host.__aexit__(None, None, None)
+
+    async def _hold(self) -> None:
+        with self._life:
+            async with create_task_group() as self._tasks:
+                self._ready.set()
+                await sleep_forever()

@@ -27,6 +27,8 @@ T = TypeVar("T")
 NO_GOAL = GoalID(bytes(16))
 """Names no goal; in a cancel it means that no goal is named."""
 
+ID_IN_USE = "its ID is in use by another goal"
+
 
 class Goal:
     """One accepted goal, as the server keeps it."""
@@ -147,17 +149,15 @@ class ServerProtocol:
             known = goal.fingerprint
             admission = Admission.REPEAT
         elif (refused := self._refused.get(goal_id, now)) is not None:
-            if refused.fingerprint == fingerprint:
-                raise GoalRejected(refused.reason, goal_id=goal_id)
-            known = refused.fingerprint
-            admission = Admission.REPEAT
+            reason = refused.reason if refused.fingerprint == fingerprint else ID_IN_USE
+            raise GoalRejected(reason, goal_id=goal_id)
         elif goal_id == NO_GOAL:
             raise GoalRejected("a goal ID of zeros names no goal", goal_id=goal_id)
         else:
             self._undecided[goal_id] = known = fingerprint
             admission = Admission.DECIDE
         if known != fingerprint:
-            raise GoalRejected("its ID is in use by another goal", goal_id=goal_id)
+            raise GoalRejected(ID_IN_USE, goal_id=goal_id)
         return admission
 
     def accept(self, goal_id: GoalID, *, stamp: int) -> Goal:
@@ -223,24 +223,21 @@ class ServerProtocol:
         before it; with an ID, about that goal; with both, about that goal and those accepted at or
         before the stamp. An ID or a stamp of zeros counts as none.
         """
-        by_id = goal_id is not None and goal_id != NO_GOAL
-        by_time = bool(stamp)
-        if by_id and not by_time:
-            goal = self.find(goal_id, now=now) if goal_id is not None else None
+        if goal_id == NO_GOAL:
+            goal_id = None
+        if goal_id is not None and not stamp:
+            goal = self.find(goal_id, now=now)
             if goal is None:
                 return Cancellation((), CancelCode.UNKNOWN_GOAL_ID)
-            return Cancellation(
-                (goal,) if goal.status.is_active else (), CancelCode.GOAL_TERMINATED
-            )
-        return Cancellation(
-            tuple(
-                goal
-                for goal in self._active.values()
-                if (by_id and goal.goal_id == goal_id)
-                or (goal.stamp <= (stamp or 0) if by_time else not by_id)
-            ),
-            CancelCode.NONE,
+            active = (goal,) if goal.status.is_active else ()
+            return Cancellation(active, CancelCode.GOAL_TERMINATED)
+        latest = stamp or math.inf  # an ID alone has been dealt with
+        chosen = (
+            goal
+            for goal in self._active.values()
+            if goal.stamp <= latest or goal.goal_id == goal_id
         )
+        return Cancellation(tuple(chosen), CancelCode.NONE)
 
     # Knowing
 

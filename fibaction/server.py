@@ -144,7 +144,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._decided = Waking()
         self._ended = Waking()
         self._task_name = f"goal of {action.name}"
-        self._background = Background()
+        self._background: Background
         self._tasks: TaskGroup
         self._phase: Literal["new", "running", "stopping", "stopped"] = "new"
 
@@ -163,6 +163,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         """
         if not self.is_new:
             raise RuntimeError(f"{self!r} was started before; make another one")
+        self._background = Background()
         self._tasks = await self._background.__aenter__()
         self._tasks.start_soon(self._forget_expired, name=f"expiry of {self.action.name}")
         self._phase = "running"

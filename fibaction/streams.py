@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import anyio
@@ -147,6 +148,14 @@ class GoalLog:
         """Something was read: whoever waits for room may look again."""
         self._room.wake()
 
+    def all_after(self, place: int, limit: int) -> list[FeedbackItem]:
+        """Like `after`, but as many as there are, up to a limit."""
+        first = self.after(place)
+        if first is None or limit < 1:
+            return []
+        start = first.number - self._items[0].number
+        return list(islice(self._items, start, start + limit))
+
     def after(self, place: int) -> FeedbackItem | None:
         """What to read from that place on: the next feedback that there still is, or, if only the
         latest is wanted, the last.
@@ -200,6 +209,14 @@ class LogStream(GoalStream):
             await self.news.wait()
         return None
 
+    def ready(self, limit: int) -> list[FeedbackItem]:
+        if not self._reads or self._statuses_told < len(self._log.statuses):
+            return []
+        items = self._log.all_after(self.place, limit)
+        if items:
+            self._take(items)
+        return items
+
     async def receive(self) -> FeedbackItem | None:
         while (item := self._log.after(self.place)) is None or not self._reads:
             if not self._reads:
@@ -209,13 +226,17 @@ class LogStream(GoalStream):
                 self.place = self._log.count
                 return None
             await self.news.wait()
-        self._dropped += item.number - self.place - 1
-        self.place = item.number
-        if self._stalled and self.place == self._log.count:
+        self._take([item])
+        return item
+
+    def _take(self, items: list[FeedbackItem]) -> None:
+        place = items[-1].number
+        self._dropped += place - self.place - len(items)
+        self.place = place
+        if self._stalled and place == self._log.count:
             self._stalled = False
             self._update()
         self._log.make_room()
-        return item
 
     async def outcome(self) -> Outcome[bytes]:
         return await self._log.outcome()

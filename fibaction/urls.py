@@ -30,7 +30,8 @@ def transport_for(where: str | Transport, **settings: Any) -> Transport:
         return where
     scheme, separator, _ = where.partition("://")
     if not separator:
-        raise TransportError(f"{where!r} is no URL: write it like tcp://127.0.0.1:7400")
+        shown = where.partition("?")[0]  # what is behind it may be a token
+        raise TransportError(f"{shown!r} is no URL: write it like tcp://127.0.0.1:7400")
     found = tuple(entry_points(group=GROUP, name=scheme))
     if not found:
         known = ", ".join(sorted({f"{entry.name}://" for entry in entry_points(group=GROUP)}))

@@ -128,6 +128,10 @@ async def test_whoever_reads_feedback_only_is_not_told_of_statuses() -> None:
         assert [await stream.receive() for _ in range(3)] == [one, other, None]
 
 
+def test_a_stream_need_not_give_feedback_in_larger_pieces() -> None:
+    assert OneEnd(UNKNOWN_OUTCOME, FeedbackItem(1, b"1")).ready(10) == []
+
+
 def test_a_stream_is_closed_at_the_end_of_its_block_and_lets_errors_pass() -> None:
     stream = OneEnd(UNKNOWN_OUTCOME)
     with pytest.raises(LookupError), stream as entered:

@@ -102,5 +102,45 @@ async def test_a_task_that_fails_ends_the_block_and_is_not_silent() -> None:
             await helper.started.wait()
             tasks.start_soon(fail)
             await anyio.sleep_forever()
-    assert [str(error) for error in caught.value.exceptions] == ["of a task"]
+    assert caught.value.subgroup(LookupError) is not None
     assert helper.cleaned_up
+
+
+async def test_its_tasks_go_on_while_a_block_that_was_canceled_is_left() -> None:
+    helped = []
+    wanted, done = anyio.Event(), anyio.Event()
+
+    async def help_once() -> None:
+        await wanted.wait()
+        helped.append(True)
+        done.set()
+
+    with anyio.fail_after(5), anyio.CancelScope() as scope:
+        async with Background() as tasks:
+            tasks.start_soon(help_once)
+            try:
+                scope.cancel()
+                await anyio.sleep_forever()
+            finally:
+                with anyio.CancelScope(shield=True):
+                    wanted.set()
+                    await done.wait()
+    assert helped == [True]
+
+
+async def test_a_block_that_is_canceled_before_it_begins_leaves_nothing_behind() -> None:
+    ended = []
+
+    async def helps() -> None:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            ended.append(True)
+
+    with anyio.fail_after(5), anyio.CancelScope() as scope:
+        scope.cancel()
+        async with Background() as tasks:
+            tasks.start_soon(helps)
+            await anyio.sleep_forever()
+    assert scope.cancelled_caught
+    assert ended in ([True], [])

@@ -14,16 +14,24 @@ from contextlib import redirect_stdout
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import anyio
+import msgspec
 import pytest
 
 import fibaction
 import fibaction.abc
 import fibaction.testing
+import fibaction.wire.access
+import fibaction.wire.channel
+import fibaction.wire.limits
 import fibaction_transports.inprocess
+import fibaction_transports.tcp
+from fibaction import CancelCode, GoalStatus, messages
+from fibaction.framing import MAX_FRAME
 from fibaction.urls import GROUP
+from tests.golden import GOLDEN
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -204,15 +212,79 @@ def test_the_picture_has_an_arrow_for_every_transition() -> None:
     assert sorted(labels) == sorted(event.name for _, event in build.TRANSITIONS)
 
 
-def test_the_generated_parts_of_the_concepts_are_as_the_code_makes_them() -> None:
-    page = (DOCS / "concepts.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize("name", build.PARTS)
+def test_the_generated_parts_of_a_page_are_as_the_code_makes_them(name: str) -> None:
+    page = (DOCS / name).read_text(encoding="utf-8")
 
-    assert build.with_parts(page) == page
+    assert build.with_parts(page, build.PARTS[name]) == page
 
 
 def test_a_page_without_the_marks_is_refused() -> None:
     with pytest.raises(ValueError, match="states"):
-        build.with_parts("# Concepts\n")
+        build.with_parts("# Concepts\n", build.PARTS["concepts.md"])
+
+
+# The protocol
+
+MESSAGES = sorted(
+    {*get_args(messages.FromClient), *get_args(messages.FromServer)},
+    key=lambda kind: kind.__struct_config__.tag,
+)
+
+
+def section_of(kind: type) -> str:
+    """What the page on the protocol says of a message."""
+    page = (DOCS / "protocol.md").read_text(encoding="utf-8")
+    _, found, section = page.partition(f"\n#### {kind.__name__}\n")
+    assert found, f"{kind.__name__} is not on the page"
+    return re.split(r"^(?:#+ |<!-- end)", section, maxsplit=1, flags=re.MULTILINE)[0]
+
+
+@pytest.mark.parametrize("kind", MESSAGES, ids=lambda kind: kind.__name__)
+def test_the_protocol_page_says_what_each_message_consists_of(kind: type[msgspec.Struct]) -> None:
+    section = section_of(kind)
+
+    tag, *fields = kind.__struct_config__.tag, *kind.__struct_fields__
+    assert f"`[{', '.join((str(tag), *fields))}]`" in section
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| ([^|]*)\| ([^|]+) \|$", section, re.MULTILINE)
+    assert [name for name, *_ in rows] == fields
+
+
+@pytest.mark.parametrize(("message", "digits"), GOLDEN, ids=lambda one: type(one).__name__)
+def test_the_protocol_page_has_the_bytes_that_are_pinned(
+    message: msgspec.Struct, digits: str
+) -> None:
+    assert f"\n{digits}\n" in section_of(type(message))
+
+
+def test_every_message_has_bytes_that_are_pinned() -> None:
+    assert {type(message) for message, _ in GOLDEN} == set(MESSAGES)
+
+
+@pytest.mark.parametrize(
+    ("heading", "numbers"),
+    [
+        ("Statuses", {status.value: status.name for status in GoalStatus}),
+        ("Return codes", {code.value: code.name for code in CancelCode}),
+        (
+            "Why",
+            {number: name for name, number in vars(messages.Why).items() if name.isupper()},
+        ),
+    ],
+)
+def test_the_protocol_page_has_every_number(heading: str, numbers: dict[int, str]) -> None:
+    page = (DOCS / "protocol.md").read_text(encoding="utf-8")
+    section = page.partition(f"\n### {heading}\n")[2].partition("\n#")[0]
+
+    rows = re.findall(r"^\| (\d+) \| (\w+)", section, re.MULTILINE)
+    assert {int(number): name for number, name in rows} == numbers
+
+
+def test_the_protocol_page_says_the_version_and_the_longest_frame() -> None:
+    page = (DOCS / "protocol.md").read_text(encoding="utf-8")
+
+    assert f", version {messages.VERSION}.\n" in page
+    assert f"more than {MAX_FRAME // 2**20} MiB" in page
 
 
 # What the pages speak of
@@ -253,7 +325,11 @@ def resolve(dotted: str) -> object:
         (fibaction, "connect"),
         (fibaction.abc, "GoalStream"),
         (fibaction.testing, "Step"),
+        (fibaction.wire.access, "Peer"),
+        (fibaction.wire.channel, "Channel"),
+        (fibaction.wire.limits, "Limits"),
         (fibaction_transports.inprocess, "InProcessTransport"),
+        (fibaction_transports.tcp, "TcpTransport"),
     ],
 )
 def test_every_public_name_is_in_the_reference(module: ModuleType, known: str) -> None:
@@ -267,6 +343,16 @@ def test_every_public_name_is_in_the_reference(module: ModuleType, known: str) -
 
     assert known in names
     assert missing == set()
+
+
+def test_the_settings_on_the_page_have_the_defaults_of_the_code() -> None:
+    page = (DOCS / "reference" / "tcp.md").read_text(encoding="utf-8")
+    section = page.partition("\n## Settings\n")[2].partition("\n:::")[0]
+    shared = inspect.signature(fibaction_transports.tcp.UnixTransport.__mro__[1]).parameters
+
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \|", section, re.MULTILINE)
+    documented = {name: ast.literal_eval(default.strip("`")) for name, default in rows}
+    assert documented == {name: setting.default for name, setting in shared.items()}
 
 
 @every_page

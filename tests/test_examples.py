@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import logging
+import shutil
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import AsyncGenerator, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from signal import SIGINT, SIGTERM
 from typing import Any
@@ -65,6 +68,17 @@ def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
+def lines_until(start_of_line: str, process: subprocess.Popen[str]) -> list[str]:
+    """What a process prints, up to the first line that starts so."""
+    assert process.stdout is not None
+    lines: list[str] = []
+    while not (lines and lines[-1].startswith(start_of_line)):
+        line = process.stdout.readline()
+        assert line, f"it ended after {lines}"
+        lines.append(line)
+    return lines
+
+
 # What is watched
 
 
@@ -94,8 +108,10 @@ def test_the_demo_shows_a_cancel_a_success_and_a_rejection(
 ) -> None:
     story = stories["fibonacci_demo.py", where]
     lines = [line for line in story.splitlines() if line and not line.startswith("accepted")]
+    assert lines[0].startswith("The server is another process, at tcp://127.0.0.1:")
     feedback = ["feedback  " + " ".join(map(str, NUMBERS[:n])) for n in range(3, 12)]
     assert lines[1:] == [
+        "1. A goal that is canceled half-way ends with what there was by then.",
         "goal      order 10",
         *feedback[:5],
         "cancel    accepted",
@@ -111,6 +127,25 @@ def test_the_demo_shows_a_cancel_a_success_and_a_rejection(
         "rejected  order is 47, and the numbers after index 46 do not fit int32",
     ]
     assert story.count("\naccepted  ") == 2
+
+
+def test_ctrl_c_ends_the_demo_and_its_server(tmp_path: Path) -> None:
+    process = start("fibonacci_demo.py", cwd=tmp_path)
+    announced = lines_until("feedback", process)[0]
+    process.send_signal(SIGINT)
+    code, _, err = finish(process)
+    assert (code, err) == (0, "")
+    host, _, port = announced.strip(".\n").rpartition("//")[2].partition(":")
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection((host, int(port)))
+
+
+def test_the_demo_says_why_its_server_has_not_started(tmp_path: Path) -> None:
+    for name in ("fibonacci.py", "fibonacci_client.py", "fibonacci_demo.py"):
+        shutil.copy(EXAMPLES / name, tmp_path)
+    (tmp_path / "fibonacci_server.py").write_text("import sys; sys.exit('no luck')")
+    code, out, err = finish(start(str(tmp_path / "fibonacci_demo.py"), cwd=tmp_path))
+    assert (code, out, err) == (1, "", "the server did not start: no luck\n")
 
 
 def test_the_shortest_example_shows_feedback_a_result_and_a_cancel(
@@ -412,6 +447,88 @@ def test_a_signal_stops_the_server_with_no_traceback(
     assert err.endswith(" action server 'fibonacci' has stopped\n")
 
 
+# Both, over TCP
+
+
+@contextmanager
+def serving(period: float, cwd: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The server as a process, and its URL."""
+    command = ("fibonacci_server.py", "--url", "tcp://127.0.0.1:0", "--period", str(period))
+    process = start(*command, cwd=cwd)
+    try:
+        announced = lines_until("serving", process)[0]
+        url = announced.removeprefix("serving fibonacci at ").partition(",")[0]
+        assert url.startswith("tcp://127.0.0.1:")
+        yield process, url
+    finally:
+        process.kill()
+        process.communicate(timeout=PATIENCE)
+
+
+@pytest.mark.parametrize("folder", [EXAMPLES.parent, None])
+def test_a_goal_sent_to_another_process_succeeds(tmp_path: Path, folder: Path | None) -> None:
+    cwd = folder or tmp_path
+    with serving(0, cwd) as (server, url):
+        client = start("fibonacci_client.py", "--url", url, "--order", "4", cwd=cwd)
+        code, out, err = finish(client)
+        server.send_signal(SIGTERM)
+        _, log = server.communicate(timeout=PATIENCE)
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    goal_id = lines.pop(1).removeprefix("accepted  ")
+    assert lines == [
+        "goal      order 4",
+        "feedback  0 1 1",
+        "feedback  0 1 1 2",
+        "feedback  0 1 1 2 3",
+        "succeeded",
+        "result    0 1 1 2 3",
+    ]
+    assert f"goal {goal_id} SUCCEEDED" in log
+    assert server.returncode == 0
+
+
+def test_ctrl_c_cancels_a_goal_of_another_process(tmp_path: Path) -> None:
+    with serving(60, tmp_path) as (_, url):
+        client = start("fibonacci_client.py", "--url", url, cwd=tmp_path)
+        lines_until("accepted", client)
+        client.send_signal(SIGINT)
+        code, out, err = finish(client)
+    assert (code, err) == (3, "")
+    assert out.splitlines() == ["cancel    accepted", "canceled", "result    0 1"]
+
+
+def test_a_client_hears_that_the_server_was_stopped(tmp_path: Path) -> None:
+    with serving(60, tmp_path) as (server, url):
+        client = start("fibonacci_client.py", "--url", url, cwd=tmp_path)
+        lines_until("accepted", client)
+        server.send_signal(SIGTERM)
+        code, out, err = finish(client)
+        assert server.wait(timeout=PATIENCE) == 0
+    assert (code, err) == (1, "")
+    assert out.splitlines() == ["aborted   server stopped", "result    0 1"]
+
+
+def test_a_client_that_is_not_to_reconnect_ends_when_the_server_is_killed(tmp_path: Path) -> None:
+    with serving(60, tmp_path) as (server, url):
+        client = start("fibonacci_client.py", "--url", f"{url}?reconnect=false", cwd=tmp_path)
+        lines_until("accepted", client)
+        server.kill()
+        code, out, err = finish(client)
+    assert (code, out) == (6, "")
+    assert err.splitlines()[-1] == f"error: {url} closed its side"
+
+
+def test_a_client_says_in_one_line_that_nobody_listens(tmp_path: Path) -> None:
+    with socket.socket() as not_listening:
+        not_listening.bind(("127.0.0.1", 0))
+        url = f"tcp://127.0.0.1:{not_listening.getsockname()[1]}"
+        code, out, err = finish(start("fibonacci_client.py", "--url", url, cwd=tmp_path))
+    assert (code, out) == (6, "goal      order 10\n")
+    assert err.startswith(f"error: nobody listens at {url} ")
+    assert len(err.splitlines()) == 1
+
+
 # Command lines
 
 
@@ -423,6 +540,8 @@ def test_a_signal_stops_the_server_with_no_traceback(
         ("fibonacci_server.py --period soon", 2, "argument --period: invalid seconds"),
         ("fibonacci_server.py --period=-1", 2, "argument --period: invalid seconds"),
         ("fibonacci_server.py --period nan", 2, "argument --period: invalid seconds"),
+        ("fibonacci_client.py --url tcp://robot:port", 2, "has no good port"),
+        ("fibonacci_client.py --url tcp://robot?speed=9", 2, "tcp://robot has no setting 'speed'"),
         ("fibonacci_client.py --url pigeon://x", 2, "no transport for pigeon:// is installed"),
         ("fibonacci_client.py --order ten", 2, "argument --order: invalid int32 value: 'ten'"),
         ("fibonacci_client.py --order 2147483648", 2, "argument --order: invalid int32 value"),

@@ -152,6 +152,15 @@ def test_only_so_many_rejections_are_remembered() -> None:
     assert protocol.admit(A, b"x", now=0.0) is Admission.DECIDE
 
 
+def test_a_goal_rejected_anew_counts_as_the_latest_rejection() -> None:
+    protocol = ServerProtocol(result_timeout=10.0, max_results=2)
+    for number, now in ((A, 0.0), (B, 5.0), (A, 10.0), (C, 10.0)):
+        assert protocol.admit(number, b"x", now=now) is Admission.DECIDE
+        protocol.reject(number, "too far", now=now)
+    assert rejection_of(protocol, A, b"x", now=10.0) == "too far"
+    assert protocol.admit(B, b"x", now=10.0) is Admission.DECIDE
+
+
 def test_no_rejection_is_remembered_with_a_result_timeout_of_zero() -> None:
     protocol = ServerProtocol(result_timeout=0.0)
     protocol.admit(A, b"x", now=5.0)

@@ -322,6 +322,54 @@ def test_what_was_read_and_what_was_dropped_is_all_there_was(
     anyio.run(check)
 
 
+# Feedback in larger pieces
+
+
+def test_what_is_there_already_is_given_at_once_up_to_a_limit() -> None:
+    log = new_log()
+    stream = log.follow()
+    assert stream.ready(10) == []
+    append(log, 5)
+    assert [item.number for item in stream.ready(3)] == [1, 2, 3]
+    assert [item.number for item in stream.ready(10)] == [4, 5]
+    assert stream.ready(10) == []
+    append(log, 1)
+    assert stream.ready(0) == []
+    assert stream.place == 5
+
+
+def test_larger_pieces_count_what_was_dropped_and_make_room() -> None:
+    log = new_log(window=4)
+    stream = log.follow(hold=True)
+    append(log, 10)
+    assert log.is_full
+    assert [item.number for item in stream.ready(2)] == [7, 8]
+    assert (stream.dropped, stream.place, log.is_full) == (6, 8, False)
+    assert [item.number for item in stream.ready(9)] == [9, 10]
+    assert stream.dropped == 6
+
+
+def test_with_latest_a_larger_piece_is_the_newest() -> None:
+    log = new_log(latest=True)
+    stream = log.follow()
+    append(log, 5)
+    assert [item.number for item in stream.ready(10)] == [5]
+    assert stream.dropped == 4
+
+
+def test_no_larger_piece_comes_before_a_status_or_after_closing() -> None:
+    log = new_log()
+    stream = log.follow()
+    append(log, 1)
+    change(log, GoalStatus.EXECUTING)
+    assert stream.ready(10) == []
+    other = log.follow(after=0)
+    assert len(other.ready(10)) == 1
+    append(log, 1)
+    other.close()
+    assert other.ready(10) == []
+
+
 # What a follower hears of the status
 
 

@@ -5,6 +5,8 @@ A test that a way cannot keep is listed in `EXCLUSIONS` with the reason, and is 
 
 from __future__ import annotations
 
+import socket
+import tempfile
 from collections.abc import AsyncGenerator, Callable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from typing import Any, TypeAlias
@@ -23,6 +25,7 @@ from fibaction import (
 )
 from fibaction.action import FeedbackT, GoalT, ResultT
 from fibaction_transports.inprocess import InProcessTransport
+from tests.certificates import pems
 
 Servers: TypeAlias = tuple[Endpoint, ...]
 Way: TypeAlias = Callable[[Servers, str | Transport], AbstractAsyncContextManager[ClientConnection]]
@@ -82,9 +85,29 @@ async def through_a_gateway(
         yield await stack.enter_async_context(connect(url))
 
 
+def tcp_address() -> str:
+    """An address where nobody listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+
+
+def tls_address() -> str:
+    """The server's certificate is that of an authority which `reach` makes the system trust."""
+    return f"{tcp_address().replace('tcp', 'tls')}?cert={pems().cert}"
+
+
+def unix_address() -> str:
+    return f"unix://{tempfile.mkdtemp()}/socket"
+
+
 WAYS: dict[str, Reach] = {
     "inproc": Reach(directly, InProcessTransport),
     "gateway": Reach(through_a_gateway, InProcessTransport),
+    "tcp": Reach(directly, tcp_address),
+    "tls": Reach(directly, tls_address),
+    "unix": Reach(directly, unix_address),
+    "gateway to tcp": Reach(through_a_gateway, tcp_address),
 }
 
 EXCLUSIONS: dict[tuple[str, str], str] = {}
@@ -97,8 +120,9 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
 
 
 @pytest.fixture(params=list(WAYS))
-def reach(request: pytest.FixtureRequest) -> Reach:
+def reach(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Reach:
     reason = EXCLUSIONS.get((request.param, request.function.__name__))
     if reason is not None:
         pytest.skip(reason)
+    monkeypatch.setenv("SSL_CERT_FILE", pems().ca)
     return WAYS[request.param]

@@ -86,11 +86,11 @@ async def test_a_client_that_has_caught_up_loses_nothing_again(reach: Reach) -> 
     pause, paused = anyio.Event(), anyio.Event()
 
     async def in_two_parts(goal: GoalHandle[Goal]) -> Items:
-        for number in range(1, 101):
+        for number in range(1, 1001):
             yield Feedback([number])
         paused.set()
         await pause.wait()
-        for number in range(101, 201):
+        for number in range(1001, 1101):
             yield Feedback([number])
         yield Result([])
 
@@ -100,11 +100,11 @@ async def test_a_client_that_has_caught_up_loses_nothing_again(reach: Reach) -> 
         seen = []
         async for item in goal.feedback:
             seen.extend(numbers([item]))
-            if seen[-1] == 100:
+            if seen[-1] == 1000:
                 dropped = goal.feedback_dropped
                 pause.set()
     assert dropped > 0
-    assert seen[-100:] == list(range(101, 201))
+    assert seen[-100:] == list(range(1001, 1101))
     assert goal.feedback_dropped == dropped
 
 

@@ -1,0 +1,57 @@
+"""Frames in a stream of bytes: the length in four bytes, big-endian, and then so many bytes.
+
+Sans-I/O: bytes in, frames out. What is in a frame is not looked at.
+"""
+
+from __future__ import annotations
+
+from fibaction.exceptions import ProtocolError
+
+HEADER = 4
+MAX_FRAME = 16 * 2**20
+"""Larger than any sensible message, smaller than memory."""
+
+
+def header(length: int) -> bytes:
+    """What comes before a frame of that length."""
+    return length.to_bytes(HEADER, "big")
+
+
+class FrameReader:
+    """Cuts frames out of bytes that arrive in pieces of any size."""
+
+    def __init__(self, limit: int = MAX_FRAME) -> None:
+        """`limit` is the length of the largest frame that is let through."""
+        self._limit = limit
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take more bytes, and give the frames that are complete by now.
+
+        It never holds more than one frame that is not complete.
+
+        Raises:
+            ProtocolError: A frame is longer than the limit. The stream is of no use any more.
+        """
+        buffer = self._buffer
+        buffer += data
+        frames: list[bytes] = []
+        start, end = 0, len(buffer)
+        while end - start >= HEADER:
+            length = int.from_bytes(buffer[start : start + HEADER], "big")
+            if length > self._limit:
+                raise ProtocolError(
+                    f"a frame of {length} bytes was announced, and {self._limit} are the limit"
+                )
+            if end - start < HEADER + length:
+                break
+            start += HEADER
+            frames.append(bytes(buffer[start : start + length]))
+            start += length
+        del buffer[:start]
+        return frames
+
+    @property
+    def is_within_frame(self) -> bool:
+        """Whether part of a frame has arrived, and the rest has not."""
+        return bool(self._buffer)

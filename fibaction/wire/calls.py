@@ -1,0 +1,393 @@
+"""What a client has under way: a question with one answer, a goal, or the statuses of all goals.
+
+A `Call` knows what to send when a connection is opened, for the first time or anew, and takes what
+comes back. It knows nothing of connections; what it wants to say meanwhile goes through `post`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+from fibaction.abc import FeedbackItem, GoalStream, StatusStream
+from fibaction.exceptions import (
+    ActionError,
+    AuthenticationFailed,
+    ConnectionLost,
+    GoalRejected,
+    ProtocolError,
+    ServerNotFound,
+    TransportError,
+    UnknownGoal,
+)
+from fibaction.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Outcome
+from fibaction.messages import (
+    Close,
+    Credit,
+    Done,
+    Ended,
+    Failed,
+    Feedback,
+    Finished,
+    Follow,
+    Following,
+    FromClient,
+    GoalChanged,
+    Rejected,
+    SendGoal,
+    StatusChanged,
+    WatchStatus,
+    Why,
+)
+from fibaction.states import GoalStatus
+from fibaction.streams import Waking
+
+Post: TypeAlias = Callable[[FromClient], None]
+"""Sends a small message if there is a connection; if there is none, it is not needed."""
+
+
+class Call(ABC):
+    """Something that is under way."""
+
+    def __init__(self, call_id: int) -> None:
+        self.id = call_id
+        """The same on every connection."""
+        self.news = Waking()
+        self.error: ActionError | None = None
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nobody wants anything of it any more, so that it need not be opened again."""
+        return False
+
+    @abstractmethod
+    def opening(self) -> FromClient:
+        """What to send on a new connection, so that it goes on."""
+
+    @abstractmethod
+    def take(self, message: Any) -> bool:
+        """Take a message of its ID, and say whether that was the last one.
+
+        Raises:
+            ProtocolError: It does not fit.
+        """
+
+    def fail(self, error: ActionError) -> None:
+        """Nothing more will come, for that reason."""
+        self.error = error
+        self.news.wake()
+
+    def raise_error(self) -> None:
+        """Raise what it failed with, if it has; each time a new one, as it may be raised often."""
+        if self.error is not None:
+            raise _again(self.error)
+
+
+class Question(Call):
+    """A request with one answer."""
+
+    def __init__(self, call_id: int, message: FromClient) -> None:
+        super().__init__(call_id)
+        self._message = message
+        self._answer: Any = None
+
+    def opening(self) -> FromClient:
+        return self._message
+
+    def take(self, message: Any) -> bool:
+        if isinstance(message, Failed):
+            self.fail(error_of(message))
+        else:
+            self._answer = message
+            self.news.wake()
+        return True
+
+    async def answer(self, kind: type[Any]) -> Any:
+        """Wait for the answer.
+
+        Raises:
+            ProtocolError: It is not of that kind.
+            ActionError: Whatever the server says.
+        """
+        while self._answer is None:
+            self.raise_error()
+            await self.news.wait()
+        if not isinstance(self._answer, kind):
+            raise _unfitting(self._answer)
+        return self._answer
+
+
+class RemoteGoal(Call, GoalStream):
+    """One goal at the other end."""
+
+    def __init__(self, call_id: int, opening: SendGoal | Follow, window: int, post: Post) -> None:
+        super().__init__(call_id)
+        self.goal_id = GoalID(opening.goal_id)
+        self.stamp = 0
+        self.latest = False
+        self.place = 0
+        self._opening = opening
+        self._window = window
+        self._post = post
+        self._accepted = False
+        self._status = GoalStatus.UNKNOWN
+        self._outcome: Outcome[bytes] | None = None
+        self._last = 0  # the number of the feedback that arrived last
+        self._start = 0
+        self._delivered = 0
+        self._items: deque[FeedbackItem] = deque()
+        self._statuses: deque[GoalStatus] = deque()
+        self._ungranted = 0
+        self._allowed = window  # how much more feedback may come on this connection
+        self._own = isinstance(opening, SendGoal) or opening.own
+        self._holds = self._own  # an observer slows nobody down, here neither
+        self._reads = opening.credit is not None
+
+    @property
+    def status(self) -> GoalStatus:
+        return self._status
+
+    @property
+    def dropped(self) -> int:
+        return self.place - self._start - self._delivered
+
+    async def accepted(self) -> None:
+        """Wait until the server knows the goal.
+
+        Raises:
+            ActionError: It was rejected, or whatever else the server says.
+        """
+        while not self._accepted:
+            self.raise_error()
+            await self.news.wait()
+
+    async def next_event(self, *, feedback: bool = True) -> FeedbackItem | GoalStatus | None:
+        while self._reads:
+            if self._statuses:
+                return self._statuses.popleft()
+            if feedback and self._items:
+                item = self._items.popleft()
+                self.place = item.number
+                self._delivered += 1
+                if not self.latest:
+                    self._grant()
+                return item
+            if self._outcome is not None:
+                if feedback:
+                    self.place = self._last
+                return None
+            self.raise_error()
+            await self.news.wait()
+        return None
+
+    async def outcome(self) -> Outcome[bytes]:
+        while self._outcome is None:
+            self.raise_error()
+            await self.news.wait()
+        return self._outcome
+
+    def hold(self, wanted: bool) -> None:
+        self._holds = wanted and self._own
+        self._make_room()
+
+    def close(self) -> None:
+        if self._reads:
+            self._reads = False
+            self._items.clear()
+            self._statuses.clear()
+            self.news.wake()
+            if self._outcome is None:
+                self._post(Close(self.id))
+
+    def opening(self) -> FromClient:
+        self._ungranted = 0
+        self._allowed = self._window if self.latest else self._window - len(self._items)
+        if not self._accepted:
+            return self._opening
+        credit = self._allowed if self._reads else None
+        return Follow(self.id, self._opening.action, self.goal_id, self._last, self._own, credit)
+
+    def take(self, message: Any) -> bool:
+        if not self._accepted and not isinstance(message, Following | Failed | Rejected):
+            raise _unfitting(message)
+        if isinstance(message, Feedback):
+            self._take_feedback(message)
+        elif isinstance(message, StatusChanged):
+            self._take_status(GoalStatus(message.status))
+        elif isinstance(message, Ended):
+            self._end(
+                Outcome(GoalStatus(message.status), message.result, message.reason), message.place
+            )
+        elif isinstance(message, Following):
+            self._take_following(message)
+        elif isinstance(message, Failed) and self._accepted and message.why == Why.UNKNOWN_GOAL:
+            # The server was started anew, or it took so long that the result has expired.
+            self._end(UNKNOWN_OUTCOME, self._last)
+        elif isinstance(message, Failed | Rejected):
+            self.fail(error_of(message, self.goal_id))
+        else:
+            raise _unfitting(message)
+        self.news.wake()
+        return self._outcome is not None or self.error is not None
+
+    def _take_following(self, message: Following) -> None:
+        status = GoalStatus(message.status)
+        if self._accepted:
+            self._take_status(status)  # it may have changed while there was no connection
+        else:
+            self._accepted = True
+            self._status = status
+            self.stamp, self.latest = message.stamp, message.latest
+            self.place = self._start = self._last = message.place
+
+    def _take_status(self, status: GoalStatus) -> None:
+        if status is not self._status:
+            self._status = status
+            if self._reads and status.is_active:
+                self._statuses.append(status)
+
+    def _take_feedback(self, message: Feedback) -> None:
+        if message.number <= self._last:
+            raise ProtocolError(f"feedback {message.number} came after {self._last}")
+        if self._allowed <= 0:
+            raise ProtocolError("there was more feedback than credit for it")
+        self._allowed -= 1
+        self._last = message.number
+        if self._reads:
+            if self.latest:
+                self._items.clear()
+                self._grant()
+            self._items.append(FeedbackItem(message.number, message.payload))
+            self._make_room()
+
+    def _end(self, outcome: Outcome[bytes], place: int) -> None:
+        self._outcome = outcome
+        self._status = outcome.status
+        self._last = max(place, self._last)
+
+    def _make_room(self) -> None:
+        """If the executor is not to wait, let go of the oldest for the server to send the next."""
+        if self._holds or self.latest:
+            return
+        while len(self._items) > max(self._window // 2, 1):
+            self._items.popleft()
+            self._grant()
+
+    def _grant(self) -> None:
+        # In larger pieces: one message for each feedback would cost more than the feedback does.
+        self._ungranted += 1
+        if self._ungranted >= (self._window + 1) // 2 and self._outcome is None:
+            self._allowed += self._ungranted
+            self._post(Credit(self.id, self._ungranted))
+            self._ungranted = 0
+
+
+class RemoteStatuses(Call, StatusStream):
+    """The statuses of all goals at the other end."""
+
+    def __init__(self, call_id: int, action: str, window: int, post: Post) -> None:
+        super().__init__(call_id)
+        self._action = action
+        self._window = window
+        self._post = post
+        self._begun = False
+        self._items: deque[GoalInfo] = deque()
+        self._ended = False
+        self._dropped = 0
+        self._dropped_before = 0  # on connections before this one
+        self._allowed = window
+        self._ungranted = 0
+
+    @property
+    def is_over(self) -> bool:
+        return self._ended
+
+    @property
+    def dropped(self) -> int:
+        return self._dropped_before + self._dropped
+
+    async def begun(self) -> None:
+        """Wait until the server has begun.
+
+        Raises:
+            ActionError: Whatever the server says.
+        """
+        while not self._begun:
+            self.raise_error()
+            await self.news.wait()
+
+    async def receive(self) -> GoalInfo | None:
+        while not self._items:
+            if self._ended:
+                return None
+            self.raise_error()
+            await self.news.wait()
+        self._ungranted += 1
+        if self._ungranted >= (self._window + 1) // 2 and not self._ended:
+            self._allowed += self._ungranted
+            self._post(Credit(self.id, self._ungranted))
+            self._ungranted = 0
+        return self._items.popleft()
+
+    def close(self) -> None:
+        if not self._ended:
+            self._ended = True
+            self._post(Close(self.id))
+            self.news.wake()
+
+    def opening(self) -> FromClient:
+        self._ungranted = 0
+        self._dropped_before, self._dropped = self.dropped, 0
+        self._allowed = self._window - len(self._items)
+        return WatchStatus(self.id, self._action, self._allowed)
+
+    def take(self, message: Any) -> bool:
+        if not self._begun and not isinstance(message, Done | Failed):
+            raise _unfitting(message)
+        if isinstance(message, GoalChanged):
+            if self._allowed <= 0:
+                raise ProtocolError("there were more statuses than credit for them")
+            self._allowed -= 1
+            self._dropped = message.dropped
+            status = GoalStatus(message.status)
+            if not self._ended:
+                self._items.append(GoalInfo(GoalID(message.goal_id), message.stamp, status))
+        elif isinstance(message, Done):
+            self._begun = True
+        elif isinstance(message, Finished):
+            self._ended = True
+        elif isinstance(message, Failed):
+            self.fail(error_of(message))
+        else:
+            raise _unfitting(message)
+        self.news.wake()
+        return isinstance(message, Finished | Failed)
+
+
+def error_of(message: Failed | Rejected, goal_id: GoalID | None = None) -> ActionError:
+    """What to raise for a refusal."""
+    if isinstance(message, Rejected):
+        return GoalRejected(message.reason, goal_id=goal_id)
+    if message.why == Why.UNKNOWN_GOAL and goal_id is not None:
+        return UnknownGoal(goal_id)
+    errors: dict[int, type[ActionError]] = {
+        Why.SERVER_NOT_FOUND: ServerNotFound,
+        Why.FORBIDDEN: AuthenticationFailed,
+        Why.LIMIT: TransportError,
+        Why.PROTOCOL: ProtocolError,
+    }
+    return errors.get(message.why, ConnectionLost)(message.text)
+
+
+def _again(error: ActionError) -> ActionError:
+    if isinstance(error, GoalRejected):
+        return GoalRejected(error.reason, goal_id=error.goal_id)
+    if isinstance(error, UnknownGoal):
+        return UnknownGoal(error.goal_id)
+    return type(error)(str(error))
+
+
+def _unfitting(message: object) -> ProtocolError:
+    return ProtocolError(f"a {type(message).__name__} does not answer what was asked")

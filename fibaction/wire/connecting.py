@@ -1,0 +1,354 @@
+"""The client's half: endpoints whose server is at the other end of a connection.
+
+It keeps the connection, opens it anew when it is lost, and asks again for what was under way.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import random
+import secrets
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+import anyio
+import msgspec
+from anyio import current_time
+
+from fibaction.abc import Connection, Endpoint
+from fibaction.action import Action, ActionInfo
+from fibaction.background import Background
+from fibaction.exceptions import (
+    ActionError,
+    AuthenticationFailed,
+    ConnectionLost,
+    ProtocolError,
+    ServerNotFound,
+    TransportError,
+)
+from fibaction.framing import MAX_FRAME
+from fibaction.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.messages import (
+    VERSION,
+    Actions,
+    AwaitServer,
+    CancelAnswered,
+    CancelGoals,
+    Close,
+    Done,
+    Follow,
+    FromClient,
+    Goodbye,
+    Hello,
+    ListActions,
+    Ping,
+    SendGoal,
+    Welcome,
+    Why,
+    decode_from_server,
+    encode,
+)
+from fibaction.states import GoalStatus
+from fibaction.streams import Waking
+from fibaction.wire.calls import Call, Question, RemoteGoal, RemoteStatuses
+from fibaction.wire.channel import Channel
+from fibaction.wire.link import Link
+
+logger = logging.getLogger("fibaction.wire")
+
+FIRST_PAUSE, LONGEST_PAUSE = 0.02, 2.0
+"""Seconds between attempts to connect: short enough at first for a line that only flickered, and
+rare enough later for a server that is away for hours."""
+DIAL_TIMEOUT = 5.0
+"""Seconds that one attempt to connect may take."""
+LEAVE_TIMEOUT = 1.0
+"""Seconds that leaving a connection waits for what was said last to be written."""
+
+Dial = Callable[[], Awaitable[Channel]]
+"""Opens a channel; raises `TransportError`."""
+
+
+class Keeping(msgspec.Struct, frozen=True):
+    """How a client keeps its connection."""
+
+    heartbeat: float = 1.0
+    """Seconds between signs of life; a server that misses four of its own is lost."""
+    token: str = ""
+    """What the server wants to know of those it lets in."""
+    reconnect: bool = True
+    """Whether a connection that is lost is opened again, and what was under way goes on."""
+    reconnect_timeout: float = 30.0
+    """Seconds that calls wait for a lost connection to come back."""
+    window: int = 256
+    """How many feedback messages of a goal wait here to be read, before the server keeps them."""
+
+    def __repr__(self) -> str:
+        return "<Keeping>"  # a token has no place in a log
+
+
+class RemoteConnection(Connection):
+    """A connection to a server, by whatever `dial` opens, kept open while its block lasts."""
+
+    def __init__(self, dial: Dial, where: str, keeping: Keeping) -> None:
+        self._dial = dial
+        self._where = where
+        self._keeping = keeping
+        self._link: Link | None = None
+        self._ready = False
+        self._absent: TransportError | None = None
+        self._final = False
+        self._session = secrets.token_bytes(16)
+        self._patience_ends: float | None = None
+        self._calls: dict[int, Call] = {}
+        self._ids = itertools.count(1)
+        self._changed = Waking()
+
+    # For users
+
+    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
+        return RemoteEndpoint(self, action.info if isinstance(action, Action) else action)
+
+    async def actions(self) -> list[ActionInfo]:
+        answer = await self.ask(lambda call_id: ListActions(call_id), Actions)
+        return list(answer.actions)
+
+    # For endpoints
+
+    async def ask(self, request: Callable[[int], FromClient], kind: type[Any]) -> Any:
+        """Ask a question, on this connection or the next, and give its answer."""
+        call_id = next(self._ids)
+        question = Question(call_id, request(call_id))
+        try:
+            await self._open(question)
+            return await question.answer(kind)
+        finally:
+            if self._calls.pop(call_id, None) is not None:
+                self._post(Close(call_id))
+
+    async def follow(self, request: Callable[[int, int], SendGoal | Follow]) -> RemoteGoal:
+        """Send or follow a goal; `request` gets the ID and the credit."""
+        call_id, window = next(self._ids), self._keeping.window
+        opening = request(call_id, window)
+        goal = RemoteGoal(call_id, opening, window, self._post)
+        try:
+            await self._open(goal)
+            await goal.accepted()
+        except BaseException:
+            self._calls.pop(call_id, None)
+            self._post(Close(call_id))
+            raise
+        return goal
+
+    async def watch(self, action: str) -> RemoteStatuses:
+        """Follow the statuses of an action."""
+        statuses = RemoteStatuses(next(self._ids), action, self._keeping.window, self._post)
+        try:
+            await self._open(statuses)
+            await statuses.begun()
+        except BaseException:
+            self._calls.pop(statuses.id, None)
+            statuses.close()
+            raise
+        return statuses
+
+    async def changed(self) -> None:
+        """Wait until there is another connection than now.
+
+        Raises:
+            TransportError: There will be none.
+        """
+        if not self._final:
+            await self._changed.wait()
+        if self._final and self._absent is not None:
+            raise _anew(self._absent)
+
+    async def _open(self, call: Call) -> None:
+        if self._absent is not None:
+            raise _anew(self._absent)
+        frame = encode(call.opening())
+        if len(frame) > MAX_FRAME:
+            raise ProtocolError(
+                f"the message has {len(frame)} bytes, and {MAX_FRAME} are the limit"
+            )
+        self._calls[call.id] = call
+        if self._link is not None and self._ready:
+            with suppress(ConnectionLost):  # then it is opened on the next connection, or fails
+                await self._link.send(frame)
+
+    def _post(self, message: FromClient) -> None:
+        if self._link is not None and self._ready:
+            self._link.post(encode(message))
+
+    # The connection
+
+    async def first_attempt(self) -> None:
+        """Wait until the first attempt to connect has come to something.
+
+        Raises:
+            TransportError: It failed, and there will be no other.
+        """
+        while not self._ready and self._absent is None:
+            await self._changed.wait()
+        if self._final and self._absent is not None:
+            raise _anew(self._absent)
+
+    async def run(self) -> None:
+        """Connect, and connect again, until it is of no use."""
+        pause = FIRST_PAUSE
+        while True:
+            error = await self._attempt()
+            if self._ready:
+                self._ready, pause = False, FIRST_PAUSE
+                self._patience_ends = current_time() + self._keeping.reconnect_timeout
+                logger.info("%s: %s", self._where, error)
+            useless = isinstance(error, AuthenticationFailed | ProtocolError)
+            self._final = useless or not self._keeping.reconnect
+            waited = self._patience_ends is None or current_time() >= self._patience_ends
+            if self._final or waited:
+                self._give_up(error)
+            if self._final:
+                return
+            await anyio.sleep(pause * random.uniform(0.5, 1))  # no secret
+            pause = min(2 * pause, LONGEST_PAUSE)
+
+    async def leave(self) -> None:
+        """Say goodbye, and let nobody wait any longer."""
+        with anyio.move_on_after(LEAVE_TIMEOUT, shield=True):
+            if self._link is not None:
+                self._link.post(encode(Goodbye("the client has what it wanted")))
+                await self._link.flush()
+        self._final = True
+        self._give_up(ConnectionLost(f"the connection to {self._where} was closed here"))
+
+    async def _attempt(self) -> ActionError:
+        try:
+            with anyio.fail_after(DIAL_TIMEOUT):
+                channel = await self._dial()
+        except TimeoutError:
+            return ServerNotFound(f"{self._where} did not answer within {DIAL_TIMEOUT:g} s")
+        except ActionError as exc:
+            return exc
+        try:
+            self._link = Link(channel, self._keeping.heartbeat)
+            keeping = self._keeping
+            hello = Hello(VERSION, keeping.heartbeat, keeping.token, self._session)
+            self._link.post(encode(hello))
+            return await self._link.run(self._handle)
+        finally:
+            self._link = None
+            await channel.aclose()
+
+    def _give_up(self, error: ActionError) -> None:
+        self._absent = error if isinstance(error, TransportError) else ConnectionLost(str(error))
+        # For what was under way, there was a server, whatever the last attempt has found.
+        lost = self._absent if self._patience_ends is None else ConnectionLost(str(error))
+        calls, self._calls = self._calls, {}
+        for call in calls.values():
+            call.fail(lost)
+        self._patience_ends = None
+        self._changed.wake()
+
+    def _handle(self, frame: bytes) -> None:
+        message = decode_from_server(frame)
+        if isinstance(message, Ping):
+            pass
+        elif isinstance(message, Goodbye):
+            errors = {Why.FORBIDDEN: AuthenticationFailed, Why.PROTOCOL: ProtocolError}
+            error = errors.get(message.why, ConnectionLost)
+            raise error(f"{self._where}: {message.reason}")
+        elif isinstance(message, Welcome):
+            self._begin(message)
+        elif not self._ready:
+            raise ProtocolError(f"the first message was a {type(message).__name__}, no Welcome")
+        elif (call := self._calls.get(message.id)) is not None and call.take(message):
+            del self._calls[message.id]
+
+    def _begin(self, welcome: Welcome) -> None:
+        assert self._link is not None
+        if self._ready or welcome.version != VERSION:
+            raise ProtocolError(f"a Welcome of version {welcome.version} was not expected")
+        self._link.peer_heartbeat = welcome.heartbeat
+        self._ready = True
+        self._absent = None
+        self._patience_ends = None
+        self._calls = {call.id: call for call in self._calls.values() if not call.is_over}
+        for call in self._calls.values():
+            self._link.post(encode(call.opening()))
+        self._changed.wake()
+
+
+class RemoteEndpoint(Endpoint):
+    """One action at the other end of a connection."""
+
+    def __init__(self, connection: RemoteConnection, info: ActionInfo) -> None:
+        self._connection = connection
+        self._info = info
+
+    @property
+    def info(self) -> ActionInfo:
+        return self._info
+
+    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> RemoteGoal:
+        return await self._connection.follow(
+            lambda call_id, credit: SendGoal(
+                call_id, self._info.name, goal_id, goal, credit if feedback else None
+            )
+        )
+
+    async def feedback(
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+    ) -> RemoteGoal:
+        return await self._connection.follow(
+            lambda call_id, credit: Follow(call_id, self._info.name, goal_id, after, own, credit)
+        )
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        answer: CancelAnswered = await self._connection.ask(
+            lambda call_id: CancelGoals(call_id, self._info.name, goal_id, stamp), CancelAnswered
+        )
+        goals = tuple(
+            GoalInfo(GoalID(goal), accepted, GoalStatus(status))
+            for goal, accepted, status in answer.goals
+        )
+        return CancelAnswer(CancelCode(answer.return_code), goals, answer.reason)
+
+    async def status(self) -> RemoteStatuses:
+        return await self._connection.watch(self._info.name)
+
+    async def wait_for_server(self) -> None:
+        while True:
+            try:
+                await self._connection.ask(
+                    lambda call_id: AwaitServer(call_id, self._info.name), Done
+                )
+                return
+            except (ServerNotFound, ConnectionLost):
+                await self._connection.changed()
+
+
+@asynccontextmanager
+async def connected(
+    dial: Dial, where: str, keeping: Keeping
+) -> AsyncGenerator[RemoteConnection, None]:
+    """A connection for as long as the block lasts.
+
+    Raises:
+        ServerNotFound: Nobody answers, and `keeping` says not to try again.
+        AuthenticationFailed: The server does not let this client in.
+    """
+    async with Background() as tasks:
+        connection = RemoteConnection(dial, where, keeping)
+        tasks.start_soon(connection.run)
+        await connection.first_attempt()
+        try:
+            yield connection
+        finally:
+            await connection.leave()
+
+
+def _anew(error: TransportError) -> TransportError:
+    return type(error)(str(error))

@@ -1,0 +1,117 @@
+"""All connections of one served transport: takes them in, within the limits, and lets them go."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncGenerator, Mapping
+from contextlib import asynccontextmanager
+from typing import Literal
+
+import anyio
+from anyio.abc import TaskGroup
+
+from fibaction.abc import Endpoint
+from fibaction.background import Background
+from fibaction.exceptions import AuthenticationFailed, ProtocolError
+from fibaction.messages import Goodbye, Why, encode
+from fibaction.wire.access import Access
+from fibaction.wire.channel import Channel
+from fibaction.wire.limits import Limits
+from fibaction.wire.link import Link
+from fibaction.wire.orphans import Orphans
+from fibaction.wire.serving import Session
+
+LEAVE_TIMEOUT = 1.0
+"""Seconds that a server which closes gives its clients to take what there still is to say."""
+
+logger = logging.getLogger("fibaction.wire")
+
+
+class Hub:
+    """Serves endpoints to whoever connects."""
+
+    def __init__(
+        self,
+        tasks: TaskGroup,
+        endpoints: Mapping[str, Endpoint],
+        *,
+        heartbeat: float,
+        access: Access,
+        limits: Limits,
+        grace: float,
+        orphans: Literal["keep", "cancel"],
+    ) -> None:
+        self._endpoints = endpoints
+        self._heartbeat = heartbeat
+        self._access = access
+        self._limits = limits
+        self._orphans = Orphans(tasks, grace=grace, then=orphans)
+        self._sessions: set[Session] = set()
+
+    async def serve(self, channel: Channel) -> None:
+        """Serve one client until its connection ends."""
+        try:
+            await self._serve(channel)
+        except Exception as exc:
+            # A fault of this package: it is one client's affair, and not the end of all others.
+            logger.error("%s: the connection failed", channel.peer, exc_info=exc)
+        finally:
+            await channel.aclose()
+
+    async def _serve(self, channel: Channel) -> None:
+        if len(self._sessions) >= self._limits.connections:
+            reason = f"the server is full: it has {self._limits.connections} connections"
+            logger.warning("%s is turned away: %s", channel.peer, reason)
+            link = Link(channel, self._heartbeat)
+            await link.say_last(encode(Goodbye(reason, Why.LIMIT)))
+            return
+        session = Session(
+            Link(channel, self._heartbeat, self._limits.queue),
+            self._endpoints,
+            heartbeat=self._heartbeat,
+            access=self._access,
+            limits=self._limits,
+            orphans=self._orphans,
+        )
+        self._sessions.add(session)
+        try:
+            error = await session.run()
+        finally:
+            self._sessions.discard(session)
+        wrong = isinstance(error, ProtocolError | AuthenticationFailed)
+        logger.log(logging.WARNING if wrong else logging.INFO, "%s: %s", channel.peer, error)
+
+    async def drain(self) -> None:
+        """Let every client know how its goals have ended, and say goodbye."""
+        with anyio.move_on_after(LEAVE_TIMEOUT, shield=True):
+            async with anyio.create_task_group() as tasks:
+                for session in tuple(self._sessions):
+                    tasks.start_soon(session.drain)
+        self._orphans.close()
+
+
+@asynccontextmanager
+async def hub(
+    endpoints: Mapping[str, Endpoint],
+    *,
+    heartbeat: float,
+    access: Access,
+    limits: Limits,
+    grace: float,
+    orphans: Literal["keep", "cancel"],
+) -> AsyncGenerator[tuple[Hub, TaskGroup], None]:
+    """A hub, and a task group for its connections; at the end of the block all of them are left."""
+    async with Background() as tasks:
+        opened = Hub(
+            tasks,
+            endpoints,
+            heartbeat=heartbeat,
+            access=access,
+            limits=limits,
+            grace=grace,
+            orphans=orphans,
+        )
+        try:
+            yield opened, tasks
+        finally:
+            await opened.drain()

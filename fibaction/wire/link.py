@@ -1,0 +1,144 @@
+"""`Link`: what both ends of a connection do alike, whatever they say: queue, write, read, and watch
+that the other end is alive. It knows messages only as bytes, but for the sign of life.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
+
+from anyio import CancelScope, create_task_group, current_time, sleep
+from anyio.lowlevel import checkpoint
+
+from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
+from fibaction.messages import Ping, encode
+from fibaction.streams import Waking
+from fibaction.wire.channel import Channel
+
+MISSED = 4
+"""After so many signs of life that did not come, a peer is taken for dead: one that is late, or
+lost on a bad line, is none."""
+HIGH_WATER = 2**20
+"""Bytes in the queue from which on whoever wants to send waits: some milliseconds of any line."""
+
+OVERFULL = 2
+"""How many times the high-water mark the queue may come to by what is not made to wait."""
+
+PING = encode(Ping())
+
+
+class Link:
+    """One connection, from its first byte to its last."""
+
+    def __init__(self, channel: Channel, heartbeat: float, high_water: int = HIGH_WATER) -> None:
+        self.peer = channel.peer
+        self.peer_heartbeat = heartbeat
+        """How often the peer will say something; it is told in the first message."""
+        self._channel = channel
+        self._heartbeat = heartbeat
+        self._high_water = high_water
+        self._queue: list[bytes] = []
+        self._queued = 0
+        self._wanted = Waking()
+        self._room = Waking()
+        self._sent_at = self._received_at = current_time()
+        self._error: ActionError | None = None
+        self._scope = CancelScope()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether messages can still be sent."""
+        return self._error is None
+
+    def post(self, frame: bytes) -> None:
+        """Queue a message. For small ones, of which there are few; after the end it is lost."""
+        self._queue.append(frame)
+        self._queued += len(frame)
+        self._wanted.wake()
+        if self._queued > OVERFULL * self._high_water + len(frame):
+            self.end(ProtocolError(f"{self.peer} asks for more than it reads"))
+
+    async def send(self, frame: bytes) -> None:
+        """Queue a message as soon as there is room in the queue.
+
+        Raises:
+            ConnectionLost: The connection has ended.
+        """
+        await self.send_all((frame,))
+
+    async def send_all(self, frames: Sequence[bytes]) -> None:
+        """Queue several messages, as `send` does each."""
+        for frame in frames:
+            while self._queued >= self._high_water and self._error is None:
+                await self._room.wait()
+            if self._error is not None:
+                raise ConnectionLost(str(self._error)) from self._error
+            self.post(frame)
+
+    async def flush(self) -> None:
+        """Wait until everything that is queued has been written, or the connection has ended."""
+        while self._queued and self._error is None:
+            await self._room.wait()
+
+    async def say_last(self, frame: bytes) -> None:
+        """After the end: tell the peer why, if it can still be told."""
+        with suppress(ActionError):
+            await self._channel.send([frame], timeout=1)
+
+    def end(self, error: ActionError) -> None:
+        """End the connection for that reason, unless it has ended before."""
+        if self._error is None:
+            self._error = error
+            self._room.wake()
+            self._scope.cancel()
+
+    async def run(self, handle: Callable[[bytes], None]) -> ActionError:
+        """Read, write and watch until the connection ends, and say why it did.
+
+        `handle` is called with each message that arrives, and raises nothing but `ActionError`,
+        which ends the connection.
+        """
+
+        async def read() -> None:
+            while True:
+                frames = await self._channel.receive()
+                self._received_at = current_time()
+                for frame in frames:
+                    handle(frame)
+
+        async def guarded(part: Callable[[], Awaitable[None]]) -> None:
+            try:
+                await part()
+            except ActionError as exc:
+                self.end(exc)
+
+        async with create_task_group() as tasks:
+            self._scope = tasks.cancel_scope
+            for part in (read, self._write, self._watch):
+                tasks.start_soon(guarded, part)
+            if self._error is not None:
+                self._scope.cancel()
+        assert self._error is not None
+        return self._error
+
+    async def _write(self) -> None:
+        while True:
+            while not self._queue:
+                await self._wanted.wait()
+            # Whatever else is to be said in this turn of the event loop goes into the same write.
+            await checkpoint()
+            frames, self._queue = self._queue, []
+            await self._channel.send(frames, MISSED * self._heartbeat)
+            self._sent_at = current_time()
+            self._queued -= sum(map(len, frames))
+            self._room.wake()
+
+    async def _watch(self) -> None:
+        while True:
+            await sleep(self._heartbeat)
+            now = current_time()
+            silent = now - self._received_at
+            if silent > MISSED * self.peer_heartbeat:
+                raise ConnectionLost(f"{self.peer} has been silent for {silent:.1f} s")
+            if now - self._sent_at > self._heartbeat / 2:
+                self.post(PING)

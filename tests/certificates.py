@@ -1,0 +1,39 @@
+"""Certificates for tests of TLS, of an authority that nobody else trusts; made once per run."""
+
+from __future__ import annotations
+
+import atexit
+import shutil
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import trustme
+
+HOST = "127.0.0.1"
+"""The host that `pems()` is for."""
+
+
+class Pems(NamedTuple):
+    """Paths of PEM files."""
+
+    ca: str
+    """The authority's certificate."""
+    cert: str
+    """A certificate with its key, for a server or a client."""
+
+
+@cache
+def pems(host: str = HOST) -> Pems:
+    """Files of an authority and of a certificate that it has given to `host`.
+
+    Each host has an authority of its own.
+    """
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder)
+    authority = trustme.CA()
+    found = Pems(str(folder / "ca.pem"), str(folder / "cert.pem"))
+    authority.cert_pem.write_to_path(found.ca)
+    authority.issue_cert(host).private_key_and_cert_chain_pem.write_to_path(found.cert)
+    return found

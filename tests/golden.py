@@ -1,0 +1,153 @@
+"""Every message of the protocol as the bytes that it is sent as, in the order of their tags.
+
+The format is pinned by this table: `tests/test_messages.py` checks the code against it.
+"""
+
+from __future__ import annotations
+
+from fibaction.action import ActionInfo
+from fibaction.goals import GoalID
+from fibaction.messages import (
+    Actions,
+    AwaitServer,
+    CancelAnswered,
+    CancelGoals,
+    Close,
+    Credit,
+    Done,
+    Ended,
+    Failed,
+    Feedback,
+    Finished,
+    Follow,
+    Following,
+    FromClient,
+    FromServer,
+    GoalChanged,
+    Goodbye,
+    Hello,
+    ListActions,
+    Ping,
+    Rejected,
+    SendGoal,
+    StatusChanged,
+    WatchStatus,
+    Welcome,
+    Why,
+)
+
+GOAL_ID = GoalID(bytes(range(16)))
+STAMP = 1_700_000_000_000_000_000
+GOAL = bytes.fromhex("81a56f726465720a")
+"""`{"order": 10}` in msgpack, as any payload is."""
+FEEDBACK = bytes.fromhex("81b07061727469616c5f73657175656e636593000101")
+"""`{"partial_sequence": [0, 1, 1]}`."""
+RESULT = bytes.fromhex("81a873657175656e63659400010102")
+"""`{"sequence": [0, 1, 1, 2]}`."""
+INFO = ActionInfo(
+    "fibonacci",
+    "example_interfaces/action/Fibonacci",
+    goal={"type": "object"},
+    feedback={"type": "object"},
+    result={"type": "object"},
+)
+
+GOLDEN: list[tuple[FromClient | FromServer, str]] = [
+    (
+        Ping(),
+        "9100",
+    ),
+    (
+        Goodbye("the client has what it wanted"),
+        "9301bd74686520636c69656e742068617320776861742069742077616e74656400",
+    ),
+    (
+        Hello(1, 1.0, "secret", bytes(range(16, 32))),
+        "951001cb3ff0000000000000a6736563726574c410101112131415161718191a1b1c1d1e1f",
+    ),
+    (
+        SendGoal(1, "fibonacci", GOAL_ID, GOAL, 64),
+        "961101a96669626f6e61636369c410000102030405060708090a0b0c0d0e0fc40881a56f726465720a40",
+    ),
+    (
+        Follow(2, "fibonacci", GOAL_ID, 3, True, 64),
+        "971202a96669626f6e61636369c410000102030405060708090a0b0c0d0e0f03c340",
+    ),
+    (
+        CancelGoals(3, "fibonacci", GOAL_ID, None),
+        "951303a96669626f6e61636369c410000102030405060708090a0b0c0d0e0fc0",
+    ),
+    (
+        WatchStatus(4, "fibonacci", 64),
+        "941404a96669626f6e6163636940",
+    ),
+    (
+        AwaitServer(5, "fibonacci"),
+        "931505a96669626f6e61636369",
+    ),
+    (
+        ListActions(6),
+        "921606",
+    ),
+    (
+        Credit(1, 32),
+        "93170120",
+    ),
+    (
+        Close(1),
+        "921801",
+    ),
+    (
+        Welcome(1, 1.0),
+        "932001cb3ff0000000000000",
+    ),
+    (
+        Following(1, STAMP, 1, False, 0),
+        "962101cf17979cfe362a000001c200",
+    ),
+    (
+        Rejected(1, "the order is negative"),
+        "932201b5746865206f72646572206973206e65676174697665",
+    ),
+    (
+        Failed(2, Why.SERVER_NOT_FOUND, "nobody serves it"),
+        "94230202b06e6f626f647920736572766573206974",
+    ),
+    (
+        Feedback(1, 1, FEEDBACK),
+        "94240101c41681b07061727469616c5f73657175656e636593000101",
+    ),
+    (
+        StatusChanged(1, 2),
+        "93250102",
+    ),
+    (
+        Ended(1, 4, RESULT, "", 9),
+        "96260104c40f81a873657175656e63659400010102a009",
+    ),
+    (
+        CancelAnswered(3, 0, [(GOAL_ID, STAMP, 3)], ""),
+        "952703009193c410000102030405060708090a0b0c0d0e0fcf17979cfe362a000003a0",
+    ),
+    (
+        GoalChanged(4, GOAL_ID, STAMP, 2, 0),
+        "962804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a00000200",
+    ),
+    (
+        Done(5),
+        "922905",
+    ),
+    (
+        Finished(4),
+        "922a04",
+    ),
+    (
+        Actions(6, [INFO]),
+        (
+            "932b069185a46e616d65a96669626f6e61636369a9747970655f6e616d65d9236578616d706c655f"
+            "696e74657266616365732f616374696f6e2f4669626f6e61636369a4676f616c81a474797065a66f"
+            "626a656374a8666565646261636b81a474797065a66f626a656374a6726573756c7481a474797065"
+            "a66f626a656374"
+        ),
+    ),
+]

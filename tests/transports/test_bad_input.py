@@ -1,0 +1,415 @@
+"""What a peer may send that no client would: each costs it its connection, and nobody else's."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import math
+import random
+import socket
+import struct
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio
+import msgspec
+import pytest
+from anyio.abc import SocketAttribute
+
+from fibaction import (
+    ActionClient,
+    ActionServer,
+    GoalHandle,
+    GoalID,
+    GoalStatus,
+    connect,
+    serve,
+)
+from fibaction.framing import MAX_FRAME, header
+from fibaction.messages import (
+    VERSION,
+    AwaitServer,
+    CancelAnswered,
+    CancelGoals,
+    Close,
+    Credit,
+    Done,
+    Ended,
+    Failed,
+    Follow,
+    Following,
+    Goodbye,
+    Hello,
+    Ping,
+    Rejected,
+    SendGoal,
+    Welcome,
+    Why,
+    encode,
+)
+from fibaction.wire.limits import Limits
+from fibaction.wire.link import Link
+from fibaction_transports.tcp import TcpTransport
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.transports.hearing import Hearing, Raw, hearing, port_of, raw
+
+pytestmark = pytest.mark.asyncio
+
+Client = ActionClient[Goal, Feedback, Result]
+HELLO = encode(Hello(VERSION, 3600))
+GOAL = FIBONACCI.goal.encode(Goal(3))
+NAME = "fibonacci"
+ID = bytes(range(16))
+
+
+def pack(*values: Any) -> bytes:
+    """A message that the library's own encoder would not make."""
+    return msgspec.msgpack.encode(values)
+
+
+def framed(*frames: bytes) -> bytes:
+    return b"".join(header(len(frame)) + frame for frame in frames)
+
+
+class Scene:
+    """A server, and a good client that must not notice anything."""
+
+    def __init__(self, url: str, heard: Hearing, client: Client) -> None:
+        self.url = url
+        self.heard = heard
+        self.client = client
+
+    async def is_well(self) -> bool:
+        with anyio.fail_after(5):
+            return await self.client.call(Goal(3)) == Result([0, 1, 1, 2])
+
+    async def ends(self, peer: Raw, problem: str) -> list[Any]:
+        """Wait until the server closes; check what it tells the peer, and what it logs."""
+        messages: list[Any] = await peer.hear_all()
+        assert messages[-1] == Goodbye(
+            f"the server has closed the connection: {problem}", Why.PROTOCOL
+        )
+        self.logged_once(peer, problem, logging.WARNING)
+        assert await self.is_well()
+        return messages
+
+    def logged_once(self, peer: Raw, problem: str, level: int) -> None:
+        (record,) = [one for one in self.heard.records if peer.name in one.getMessage()]
+        assert record.getMessage() == f"{peer.name}: {problem}"
+        assert (record.levelno, record.exc_info) == (level, None)
+
+
+@asynccontextmanager
+async def scene(
+    server: ActionServer[Goal, Feedback, Result] | None = None, **settings: Any
+) -> AsyncGenerator[Scene, None]:
+    server = server or ActionServer(FIBONACCI, fibonacci)
+    with hearing() as heard:
+        async with serve(server, TcpTransport(port=0, **settings)) as (url,):
+            async with connect(url, FIBONACCI) as client:
+                yield Scene(url, heard, client)
+
+
+def too_long(length: int) -> str:
+    return f"a frame of {length} bytes was announced, and {MAX_FRAME} are the limit"
+
+
+@pytest.mark.parametrize(
+    ("data", "problem"),
+    [
+        (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", too_long(0x47455420)),
+        (b"\xff\xff\xff\xff", too_long(2**32 - 1)),
+        (struct.pack(">I", MAX_FRAME + 1), too_long(MAX_FRAME + 1)),
+        (b"\x16\x03\x01\x02\x00\x01\x00", too_long(0x16030102)),
+    ],
+    ids=["HTTP", "4 GiB", "one byte more than the limit", "TLS"],
+)
+async def test_a_length_beyond_the_limit_is_not_waited_for(data: bytes, problem: str) -> None:
+    async with scene() as here, raw(here.url) as peer:
+        await peer.stream.send(data)
+        await here.ends(peer, problem)
+
+
+NO_MESSAGE = "this is no message of a client: "
+
+WRONG = {
+    "nothing": (b"", NO_MESSAGE + "Input data was truncated"),
+    "a number": (pack(1)[1:], NO_MESSAGE + "Expected `array`, got `int`"),
+    "a map": (msgspec.msgpack.encode({"tag": 16}), NO_MESSAGE + "Expected `array`, got `object`"),
+    "nothing in it": (pack(), NO_MESSAGE + "Expected `array` of at least length 1, got 0"),
+    "an unknown tag": (pack(99), NO_MESSAGE + "Invalid value 99 - at `$[0]`"),
+    "a tag that is text": (pack("Hello"), NO_MESSAGE + "Expected `int`, got `str` - at `$[0]`"),
+    "a message of a server": (pack(32, VERSION, 1.0), NO_MESSAGE + "Invalid value 32 - at `$[0]`"),
+    "too little": (pack(17, 1), NO_MESSAGE + "Expected `array` of at least length 6, got 2"),
+    "a wrong type": (pack(24, "x"), NO_MESSAGE + "Expected `int`, got `str` - at `$[1]`"),
+    "a negative ID": (pack(24, -1), NO_MESSAGE + "Expected `int` >= 0 - at `$[1]`"),
+    "a short goal ID": (
+        pack(17, 1, NAME, b"x", GOAL, 1),
+        NO_MESSAGE + "Expected `bytes` of length >= 16 - at `$[3]`",
+    ),
+    "a credit of 2**31": (pack(23, 1, 2**31), NO_MESSAGE + "Expected `int` <= 2147483647"),
+    "a credit of 2**63": (pack(17, 1, NAME, ID, GOAL, 2**63), NO_MESSAGE + "Expected `int` <= "),
+    "bad UTF-8": (b"\x93\x15\x01\xa2\xff\xff", NO_MESSAGE),
+    "deep nesting": (b"\x91" * 100_000, NO_MESSAGE),
+    "deep nesting in a field": (b"\x93\x15\x01" + b"\x91" * 100_000, NO_MESSAGE),
+    "deep nesting in a field that is ignored": (
+        b"\x93\x18\x01" + b"\x91" * 100_000 + b"\xc0",
+        NO_MESSAGE,
+    ),
+    "something behind it": (encode(Ping()) + b"\x00", NO_MESSAGE),
+}
+
+
+@pytest.mark.parametrize("first", [True, False], ids=["at once", "after the hello"])
+@pytest.mark.parametrize(("frame", "problem"), WRONG.values(), ids=WRONG)
+async def test_a_frame_that_is_no_message_ends_the_connection(
+    frame: bytes, problem: str, first: bool
+) -> None:
+    async with scene() as here, raw(here.url) as peer:
+        await peer.say(*([] if first else [HELLO]), frame)
+        messages: list[Any] = await peer.hear_all()
+        assert messages[-1].why == Why.PROTOCOL
+        said = messages[-1].reason.removeprefix("the server has closed the connection: ")
+        assert said.startswith(problem)
+        here.logged_once(peer, said, logging.WARNING)
+        assert await here.is_well()
+
+
+async def test_random_bytes_end_the_connection() -> None:
+    chance = random.Random(7)
+    async with scene() as here:
+        for size in [1, 2, 3, *(chance.randrange(4, 2**12) for _ in range(40))]:
+            async with raw(here.url) as peer:
+                await peer.say(*([HELLO] if size % 2 else []), chance.randbytes(size))
+                last: Any = (await peer.hear_all())[-1]
+                assert NO_MESSAGE in last.reason
+            async with raw(here.url) as peer:
+                await peer.stream.send(b"\x7f" + chance.randbytes(size + 3))
+                last = (await peer.hear_all())[-1]
+                assert "bytes was announced" in last.reason
+        assert await here.is_well()
+        assert len(here.heard.warnings) == 86
+
+
+@pytest.mark.parametrize(
+    ("frames", "problem"),
+    [
+        (
+            [encode(SendGoal(1, NAME, ID, GOAL, 1))],
+            "its first message was a SendGoal, not a Hello",
+        ),
+        ([encode(Ping())], "its first message was a Ping, not a Hello"),
+        ([HELLO, HELLO], "it said hello twice"),
+        (
+            [encode(Hello(VERSION + 1, 1))],
+            f"it speaks version {VERSION + 1} of the protocol, and this is {VERSION}",
+        ),
+        (
+            [HELLO, encode(AwaitServer(1, NAME)), encode(AwaitServer(1, NAME))],
+            "it used the ID 1 twice",
+        ),
+    ],
+    ids=["a goal first", "a ping first", "two hellos", "another version", "an ID twice"],
+)
+async def test_messages_out_of_order_end_the_connection(frames: list[bytes], problem: str) -> None:
+    async with scene() as here, raw(here.url) as peer:
+        await peer.say(*frames)
+        await here.ends(peer, problem)
+
+
+@pytest.mark.parametrize("heartbeat", [0, -1, 1e9, math.nan, math.inf])
+async def test_a_heartbeat_that_makes_no_sense_ends_the_connection(heartbeat: float) -> None:
+    async with scene() as here, raw(here.url) as peer:
+        await peer.say(pack(16, VERSION, float(heartbeat)))
+        messages: list[Any] = await peer.hear_all()
+        assert messages[-1].why == Why.PROTOCOL
+        assert await here.is_well()
+
+
+async def test_a_truncated_frame_is_told_from_a_connection_that_was_closed() -> None:
+    async with scene() as here:
+        for data, how in (
+            (b"\x00\x00\x00\x09\x93", "in the middle of a message"),
+            (b"", "its side"),
+        ):
+            async with raw(here.url) as peer:
+                await peer.stream.send(framed(HELLO) + data)
+                await peer.hear()
+                await peer.stream.send_eof()
+                await peer.hear_all()
+                here.logged_once(peer, f"{peer.name} closed {how}", logging.INFO)
+        assert await here.is_well()
+
+
+@pytest.mark.parametrize("data", [b"", b"\x00", framed(HELLO)[:-1]], ids=["none", "one", "most"])
+async def test_who_begins_to_say_hello_and_does_not_is_not_waited_for(data: bytes) -> None:
+    async with scene(limits=Limits(handshake=0.05)) as here, raw(here.url) as peer:
+        await peer.stream.send(data)
+        await here.ends(peer, "it has not said hello within 0.05 s")
+
+
+async def test_who_falls_silent_after_the_hello_is_not_waited_for() -> None:
+    async with scene() as here, raw(here.url) as peer:
+        await peer.say(encode(Hello(VERSION, 0.01)))
+        # The server looks once per its own heartbeat, which is 1 s.
+        with anyio.fail_after(5):
+            record = await here.heard.until(f"{peer.name}: {peer.name} has been silent for")
+        assert record.levelno == logging.INFO
+        assert isinstance((await peer.hear_all())[0], Welcome)
+        assert await here.is_well()
+
+
+async def test_messages_on_requests_that_there_are_not_are_ignored() -> None:
+    # They may have crossed with the end of the request.
+    async with scene() as here, raw(here.url) as peer:
+        await peer.say(HELLO, encode(Credit(5, 7)), encode(Close(5)), encode(Ping()))
+        await peer.say(encode(AwaitServer(5, NAME)))
+        assert isinstance(await peer.hear(), Welcome)
+        assert await peer.hear() == Done(5)
+        assert here.heard.warnings == []
+
+
+async def test_a_goal_id_in_use_is_a_rejection_and_not_the_end_of_the_connection() -> None:
+    release = anyio.Event()
+
+    async def executor(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        if goal.request.order == 1:
+            await release.wait()
+        yield Result([0, 1, 1, 2])
+
+    async with scene(ActionServer(FIBONACCI, executor)) as here, raw(here.url) as peer:
+        with anyio.fail_after(5):
+            goal = await here.client.send_goal(Goal(1), goal_id=GoalID(ID))
+            await peer.say(HELLO, encode(SendGoal(1, NAME, ID, GOAL, 1)))
+            assert isinstance(await peer.hear(), Welcome)
+            answer = await peer.hear()
+            assert isinstance(answer, Rejected)
+            await peer.say(encode(SendGoal(2, NAME, bytes(16), GOAL, 1)))
+            assert isinstance(await peer.hear(), Rejected | Failed | Following)
+            release.set()
+            assert (await goal.outcome()).status is GoalStatus.SUCCEEDED
+        assert await here.is_well()
+
+
+async def test_an_action_a_goal_or_a_place_that_there_is_not_is_an_answer() -> None:
+    async with scene() as here, raw(here.url) as peer:
+        await peer.say(
+            HELLO,
+            encode(SendGoal(1, "nothing\x00\n", ID, GOAL, 1)),
+            encode(SendGoal(2, NAME, ID, b"\xc1", 1)),
+            encode(Follow(3, NAME, ID, 2**63 - 1, True, 2**31 - 1)),
+            encode(CancelGoals(4, NAME, ID, 2**63 - 1)),
+        )
+        assert isinstance(await peer.hear(), Welcome)
+        answers = [await peer.hear() for _ in range(4)]
+        kinds = {type(answer).__name__ for answer in answers}
+        assert kinds == {Failed.__name__, Rejected.__name__, CancelAnswered.__name__}
+        assert await here.is_well()
+
+
+async def test_as_much_credit_as_there_can_be_is_taken() -> None:
+    async with scene() as here, raw(here.url) as peer:
+        most = 2**31 - 1
+        await peer.say(HELLO, encode(SendGoal(1, NAME, ID, FIBONACCI.goal.encode(Goal(40)), most)))
+        await peer.say(*[encode(Credit(1, most))] * 10)
+        while not isinstance(message := await peer.hear(), Ended):
+            pass
+        assert message.place == 39
+
+
+async def test_a_peer_that_never_reads_is_dropped_and_costs_no_more_than_its_queue() -> None:
+    size, queue = 2**14, 2**16
+    most = 0
+    canceled = anyio.Event()
+
+    async def executor(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        nonlocal most
+        if goal.request.order == 3:
+            yield Result([0, 1, 1, 2])
+            return
+        queues = links()
+        try:
+            while True:
+                yield Feedback([1] * size)
+                most = max(most, *(link._queued for link in queues))
+        except anyio.get_cancelled_exc_class():
+            canceled.set()
+            raise
+
+    server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=math.inf)
+    settings: dict[str, Any] = {"orphans": "cancel", "grace": 0.01}
+    async with scene(server, heartbeat=0.05, limits=Limits(queue=queue), **settings) as here:
+        async with raw(here.url) as peer:
+            endless = SendGoal(1, NAME, ID, FIBONACCI.goal.encode(Goal(1)), 2**31 - 1)
+            await peer.say(HELLO, encode(endless))
+            await here.heard.until(f"{peer.name}: {peer.name} has read nothing for 0.2 s")
+            with anyio.fail_after(5):
+                await canceled.wait()
+            assert queue < most < queue + 2 * size
+            assert await here.is_well()
+
+
+def links() -> list[Link]:
+    """All connections of this process that somebody still holds."""
+    return [one for one in gc.get_objects() if isinstance(one, Link)]
+
+
+async def test_a_peer_that_asks_and_never_reads_costs_no_more_than_its_queue() -> None:
+    queue = 2**16
+    limits = Limits(queue=queue, requests=10)
+    async with scene(heartbeat=0.1, limits=limits) as here, raw(here.url) as peer:
+        await peer.say(HELLO)
+        assert isinstance(await peer.hear(), Welcome)
+        queues = links()
+        most, asked = 0, 0
+        with anyio.fail_after(10):
+            try:
+                while True:
+                    cancel = [CancelGoals(asked + i, NAME, ID, None) for i in range(1000)]
+                    await peer.say(*map(encode, cancel))
+                    asked += 1000
+                    most = max(most, *(link._queued for link in queues))
+            except anyio.BrokenResourceError:
+                pass  # the server has dropped it, as it ought to
+        assert most < 4 * queue
+
+
+async def test_2000_connections_that_are_opened_and_closed_leave_nothing_behind() -> None:
+    abort = struct.pack("ii", 1, 0)
+    async with scene() as here:
+        assert await here.is_well()
+        before = len(anyio.get_running_tasks())
+        with anyio.fail_after(20):
+            for number in range(2000):
+                async with raw(here.url) as peer:
+                    if number % 3 == 1:
+                        await peer.say(HELLO)
+                    elif number % 3 == 2:
+                        made = peer.stream.extra(SocketAttribute.raw_socket)
+                        made.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, abort)
+            assert await here.is_well()
+            await here.heard.lines(2000)
+            await anyio.wait_all_tasks_blocked()
+            assert len(anyio.get_running_tasks()) <= before
+        assert here.heard.warnings == []
+        assert len(here.heard.records) == 2000
+
+
+async def test_a_peer_that_is_gone_before_it_is_looked_at_is_no_local_process() -> None:
+    async with scene() as here:
+        with socket.create_connection(("127.0.0.1", port_of(here.url))) as peer:
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        await here.heard.lines(1)
+        assert "a local process" not in here.heard.records[0].getMessage()
+
+
+async def test_who_comes_when_the_server_is_full_is_told_so() -> None:
+    async with scene(limits=Limits(connections=2)) as here, raw(here.url) as first:
+        await first.say(HELLO)
+        assert isinstance(await first.hear(), Welcome)
+        async with raw(here.url) as peer:
+            reason = "the server is full: it has 2 connections"
+            assert await peer.hear_all() == [Goodbye(reason, Why.LIMIT)]
+            assert here.heard.warnings == [f"{peer.name} is turned away: {reason}"]
+        assert await here.is_well()

@@ -1,0 +1,227 @@
+"""A connection in memory that can be spoiled, and a peer who says what a test tells it to."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any, TypeVar
+
+import anyio
+import pytest
+from anyio.lowlevel import checkpoint
+from trio.testing import MockClock
+
+from fibaction.exceptions import ConnectionLost
+from fibaction.messages import Ping, encode
+from fibaction.streams import Waking
+from fibaction.wire.channel import Channel
+
+T = TypeVar("T")
+
+LONG = 3600.0
+"""A heartbeat that no test lives to see."""
+
+
+async def settled() -> None:
+    """Wait until nothing moves any more."""
+    # On asyncio, anyio looks ten times a second: let the others have their turns before it does.
+    for _ in range(50):
+        await checkpoint()
+    await anyio.wait_all_tasks_blocked()
+
+
+class _Way:
+    """One direction."""
+
+    def __init__(self) -> None:
+        self.frames: deque[bytes] = deque()
+        self.is_stopped = False
+        self.is_muted = False
+        self.is_cut = False
+        self.news = Waking()
+
+
+class MemoryChannel(Channel):
+    """One end of a connection."""
+
+    def __init__(self, peer: str, incoming: _Way, outgoing: _Way) -> None:
+        self.peer = peer
+        self._incoming = incoming
+        self._outgoing = outgoing
+
+    async def send(self, frames: Sequence[bytes], timeout: float) -> None:
+        way = self._outgoing
+        await checkpoint()
+        try:
+            with anyio.fail_after(timeout):
+                while way.is_stopped and not way.is_cut:
+                    await way.news.wait()
+        except TimeoutError:
+            raise ConnectionLost(f"{self.peer} has read nothing for {timeout:g} s") from None
+        if way.is_cut:
+            raise ConnectionLost(f"the connection to {self.peer} broke")
+        if not way.is_muted:
+            way.frames += frames
+            way.news.wake()
+
+    async def receive(self) -> list[bytes]:
+        way = self._incoming
+        await checkpoint()
+        while not way.frames:
+            if way.is_cut:
+                raise ConnectionLost(f"{self.peer} closed its side")
+            await way.news.wait()
+        frames = list(way.frames)
+        way.frames.clear()
+        return frames
+
+    async def aclose(self) -> None:
+        self.cut()
+
+    def cut(self) -> None:
+        """End the connection, both ways. What was sent before can still be read."""
+        for way in (self._incoming, self._outgoing):
+            way.is_cut = True
+            way.news.wake()
+
+    def mute(self) -> None:
+        """From now on, what this end sends is lost on the way."""
+        self._outgoing.is_muted = True
+
+    def stop_reading(self) -> None:
+        """From now on, the other end cannot write."""
+        self._incoming.is_stopped = True
+
+    def go_on_reading(self) -> None:
+        self._incoming.is_stopped = False
+        self._incoming.news.wake()
+
+    @property
+    def is_cut(self) -> bool:
+        return self._incoming.is_cut
+
+
+def pair(one: str = "the client", other: str = "the server") -> tuple[MemoryChannel, MemoryChannel]:
+    """Two ends: the server's, whose peer is `one`, and the client's, whose peer is `other`."""
+    up, down = _Way(), _Way()
+    return MemoryChannel(one, up, down), MemoryChannel(other, down, up)
+
+
+class Peer:
+    """One end of a connection, in the hands of a test."""
+
+    def __init__(self, channel: MemoryChannel, decode: Callable[[bytes], Any]) -> None:
+        self.channel = channel
+        self._decode = decode
+        self._heard: deque[Any] = deque()
+
+    async def say(self, *messages: Any) -> None:
+        """Send messages, all at once."""
+        await self.channel.send([encode(message) for message in messages], timeout=5)
+
+    async def hear(self, kind: type[T], within: float = 5) -> T:
+        """The next message, signs of life apart; it is of that kind."""
+        with anyio.fail_after(within):
+            while not self._heard:
+                self._take(await self.channel.receive())
+        message = self._heard.popleft()
+        assert isinstance(message, kind), message
+        return message
+
+    async def hear_all(self) -> list[Any]:
+        """All messages until nothing moves any more, or the connection has ended."""
+        await settled()
+        if self.channel._incoming.frames:
+            self._take(await self.channel.receive())
+        messages = list(self._heard)
+        self._heard.clear()
+        return messages
+
+    async def hear_the_end(self) -> None:
+        """The other end closes the connection, and says no more before that."""
+        with anyio.fail_after(5), pytest.raises(ConnectionLost):
+            while True:
+                self._take(await self.channel.receive())
+        assert list(self._heard) == []
+
+    def _take(self, frames: list[bytes]) -> None:
+        messages = map(self._decode, frames)
+        self._heard += (message for message in messages if not isinstance(message, Ping))
+
+
+class Running:
+    """A function that runs beside a test, and its answer."""
+
+    def __init__(self, function: Callable[[], Any]) -> None:
+        self._function = function
+        self._group = anyio.create_task_group()
+        self._done = anyio.Event()
+        self._error: Exception | None = None
+        self._answer: Any = None
+
+    async def __aenter__(self) -> Running:
+        await self._group.__aenter__()
+        self._group.start_soon(self._run)
+        await settled()
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._group.cancel_scope.cancel()
+        await self._group.__aexit__(None, None, None)
+
+    async def _run(self) -> None:
+        try:
+            self._answer = await self._function()
+        except Exception as exc:
+            self._error = exc
+        self._done.set()
+
+    @property
+    def is_done(self) -> bool:
+        return self._done.is_set()
+
+    async def answer(self, within: float = 5) -> Any:
+        """What it gives or raises."""
+        with anyio.fail_after(within):
+            await self._done.wait()
+        if self._error is not None:
+            raise self._error
+        return self._answer
+
+
+class _Lines(logging.Handler):
+    def __init__(self) -> None:
+        super().__init__()
+        self.records: list[logging.LogRecord] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.records.append(record)
+
+
+@contextmanager
+def logged(level: int = logging.INFO) -> Generator[list[logging.LogRecord], None, None]:
+    """What `fibaction.wire` logs; unlike `caplog`, it can be had for each example of a property."""
+    handler = _Lines()
+    logger = logging.getLogger("fibaction.wire")
+    before = logger.level
+    logger.setLevel(level)
+    logger.addHandler(handler)
+    try:
+        yield handler.records
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(before)
+
+
+def in_virtual_time() -> pytest.MarkDecorator:
+    """Time goes on as soon as all tasks wait: hours pass at once."""
+    clock = MockClock(autojump_threshold=0)
+    return pytest.mark.parametrize("anyio_backend", [("trio", {"clock": clock})], ids=["virtual"])

@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import hmac
+from collections.abc import Mapping
+from typing import Any, cast
+
+import anyio
+import pytest
+from hypothesis import given, strategies
+
+from fibaction.wire.access import Access, Authorize, Peer, Verb
+
+ADDRESS = "127.0.0.1:51234"
+TOKENS = {"sesame": "ali", "réseau": "zoë", "longer than the others": "bob"}
+ALI = Peer(ADDRESS, "ali")
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+# Who may come in
+
+
+@pytest.mark.parametrize("token", ["", "sesame"])
+def test_without_tokens_everybody_may_come_in_and_has_no_name(token: str) -> None:
+    assert Access().admit(ADDRESS, token) == Peer(ADDRESS, "")
+
+
+@pytest.mark.parametrize(("token", "name"), TOKENS.items())
+def test_a_good_token_lets_its_owner_in(token: str, name: str) -> None:
+    assert Access(TOKENS).admit(ADDRESS, token) == Peer(ADDRESS, name)
+
+
+@given(strategies.text() | strategies.sampled_from(["", "Sesame", "sesam", "sesame ", "ali"]))
+def test_any_other_token_lets_nobody_in(token: str) -> None:
+    assert (Access(TOKENS).admit(ADDRESS, token) is None) == (token not in TOKENS)
+
+
+@pytest.mark.parametrize("token", ["", "sesame", "longer than the others", "bad"])
+def test_every_token_is_compared_so_that_time_tells_nothing(
+    token: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared: list[bytes] = []
+
+    def compare(one: bytes, other: bytes) -> bool:
+        compared.append(one)
+        return hmac.compare_digest(one, other)
+
+    monkeypatch.setattr("fibaction.wire.access.compare_digest", compare)
+    Access(TOKENS).admit(ADDRESS, token)
+    assert compared == [known.encode() for known in TOKENS]
+
+
+@pytest.mark.parametrize("tokens", [{}, {"": "ali"}, {"sesame": "ali", "": "bob"}])
+def test_tokens_that_would_let_nobody_or_everybody_in_are_refused(
+    tokens: Mapping[str, str],
+) -> None:
+    with pytest.raises(ValueError, match="at least one, and none empty"):
+        Access(tokens)
+
+
+def test_a_token_may_belong_to_somebody_without_a_name() -> None:
+    assert Access({"sesame": ""}).admit(ADDRESS, "sesame") == Peer(ADDRESS)
+
+
+def test_no_token_can_be_read_in_a_log() -> None:
+    assert repr(Access(TOKENS)) == str(Access(TOKENS)) == "<Access>"
+    assert "sesame" not in repr(Access(TOKENS).admit(ADDRESS, "sesame"))
+
+
+# What he may do
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("verb", Verb)
+async def test_without_a_rule_everything_is_allowed(verb: Verb) -> None:
+    assert await Access(TOKENS).allows(ALI, "fibonacci", verb) is True
+
+
+def may_only_observe(peer: Peer, action: str, verb: Verb) -> bool:
+    return (peer, action, verb) == (ALI, "fibonacci", Verb.OBSERVE)
+
+
+async def may_only_observe_says_another(peer: Peer, action: str, verb: Verb) -> bool:
+    await anyio.lowlevel.checkpoint()
+    return may_only_observe(peer, action, verb)
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("authorize", [may_only_observe, may_only_observe_says_another])
+@pytest.mark.parametrize(
+    ("peer", "action", "verb", "allowed"),
+    [
+        (ALI, "fibonacci", Verb.OBSERVE, True),
+        (ALI, "fibonacci", Verb.SEND, False),
+        (ALI, "fibonacci", Verb.CANCEL, False),
+        (ALI, "navigate", Verb.OBSERVE, False),
+        (Peer(ADDRESS, "bob"), "fibonacci", Verb.OBSERVE, False),
+    ],
+)
+async def test_a_rule_is_told_who_wants_what_of_which_action(
+    authorize: Authorize, peer: Peer, action: str, verb: Verb, allowed: bool
+) -> None:
+    with anyio.fail_after(5):
+        assert await Access(authorize=authorize).allows(peer, action, verb) is allowed
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("answer", [None, 1, "no", [False]])
+async def test_only_true_allows(answer: object) -> None:
+    async def later(peer: Peer, action: str, verb: Verb) -> bool:
+        return cast("bool", answer)
+
+    def at_once(peer: Peer, action: str, verb: Verb) -> bool:
+        return cast("bool", answer)
+
+    for authorize in (at_once, later):
+        assert await Access(authorize=authorize).allows(ALI, "fibonacci", Verb.SEND) is False
+
+
+@pytest.mark.anyio
+async def test_the_error_of_a_rule_allows_nothing() -> None:
+    def broken(peer: Peer, action: str, verb: Verb) -> bool:
+        raise LookupError("no such table")
+
+    with pytest.raises(LookupError, match="no such table"):
+        await Access(authorize=broken).allows(ALI, "fibonacci", Verb.SEND)

@@ -1,0 +1,327 @@
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import anyio
+import pytest
+from anyio.abc import ByteStream
+from trio.testing import MockClock
+
+from fibaction.exceptions import ConnectionLost, ProtocolError
+from fibaction.framing import HEADER, header
+from fibaction.streams import Waking
+from fibaction.wire.channel import CHUNK, StreamChannel
+
+pytestmark = pytest.mark.anyio
+
+LIMIT = 2**20
+BREAKS = [
+    OSError("no route"),
+    ConnectionResetError("reset"),
+    anyio.BrokenResourceError(),
+    anyio.ClosedResourceError(),
+]
+broken = pytest.mark.parametrize("error", BREAKS, ids=lambda error: type(error).__name__)
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+def virtual_time() -> pytest.MarkDecorator:
+    """On a trio whose clock jumps to the next thing to do."""
+    return pytest.mark.parametrize(
+        "anyio_backend",
+        [("trio", {"clock": MockClock(autojump_threshold=0)})],
+        ids=["virtual time"],
+    )
+
+
+class FakeStream(ByteStream):
+    """Notes what is sent, and gives the pieces that it is told to; then it ends."""
+
+    def __init__(self, *pieces: bytes) -> None:
+        self.pieces = deque(pieces)
+        self.sent: list[bytes] = []
+        self.error: Exception | None = None
+        self.asked: list[int] = []
+        self.wait: Callable[[], Any] = anyio.lowlevel.checkpoint
+        """What each call waits for."""
+        self.closed = False
+
+    async def receive(self, max_bytes: int = 65536) -> bytes:
+        self.asked.append(max_bytes)
+        await self.wait()
+        if self.error is not None:
+            raise self.error
+        if not self.pieces:
+            raise anyio.EndOfStream
+        return self.pieces.popleft()
+
+    async def send(self, item: bytes) -> None:
+        await self.wait()
+        if self.error is not None:
+            raise self.error
+        self.sent.append(item)
+
+    async def send_eof(self) -> None:
+        raise NotImplementedError
+
+    async def aclose(self) -> None:
+        await self.wait()
+        if self.error is not None:
+            raise self.error
+        self.closed = True
+
+
+class PipeEnd(ByteStream):
+    """One direction of a line that holds so many bytes; sending waits for the other end to read."""
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._buffer = bytearray()
+        self._changed = Waking()
+        self._ended = False
+
+    async def receive(self, max_bytes: int = 65536) -> bytes:
+        while not self._buffer:
+            if self._ended:
+                raise anyio.EndOfStream
+            await self._changed.wait()
+        data = bytes(self._buffer[:max_bytes])
+        del self._buffer[:max_bytes]
+        self._changed.wake()
+        return data
+
+    async def send(self, item: bytes) -> None:
+        self._buffer += item
+        self._changed.wake()
+        while len(self._buffer) > self._capacity:
+            await self._changed.wait()
+
+    async def send_eof(self) -> None:
+        raise NotImplementedError
+
+    async def aclose(self) -> None:
+        self._ended = True
+        self._changed.wake()
+
+
+def channel_over(stream: ByteStream, limit: int = LIMIT) -> StreamChannel:
+    return StreamChannel(stream, "10.0.0.1:7400", limit)
+
+
+def framed(*frames: bytes) -> bytes:
+    return b"".join(header(len(frame)) + frame for frame in frames)
+
+
+async def received(channel: StreamChannel) -> list[list[bytes]]:
+    """What comes at once, until the peer closes."""
+    batches = []
+    with anyio.fail_after(5), pytest.raises(ConnectionLost, match="closed its side"):
+        while True:
+            batches.append(await channel.receive())
+    return batches
+
+
+# Sending and receiving
+
+
+async def test_frames_arrive_whole_and_in_order() -> None:
+    frames = [b"", b"one", bytes(3 * CHUNK + 1), b"two" * 1000, b""]
+    pipe = PipeEnd(capacity=1000)
+    seen: list[bytes] = []
+
+    async def read() -> None:
+        for frames in await received(channel_over(pipe)):
+            seen.extend(frames)
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(read)
+            sender = channel_over(pipe)
+            await sender.send(frames[:2], timeout=5)
+            await sender.send(frames[2:], timeout=5)
+            await sender.aclose()
+    assert seen == frames
+
+
+async def test_small_frames_are_written_at_once() -> None:
+    stream = FakeStream()
+    await channel_over(stream).send([b"one", b"", b"three"], timeout=5)
+    assert stream.sent == [framed(b"one", b"", b"three")]
+
+
+async def test_no_frames_are_no_write() -> None:
+    stream = FakeStream()
+    await channel_over(stream).send([], timeout=5)
+    assert stream.sent == []
+
+
+@pytest.mark.parametrize(
+    ("size", "pieces"),
+    [
+        (CHUNK - HEADER, [CHUNK]),
+        (CHUNK - HEADER + 1, [CHUNK, 1]),
+        (3 * CHUNK, [CHUNK, CHUNK, CHUNK, HEADER]),
+    ],
+)
+async def test_large_frames_are_written_in_pieces(size: int, pieces: list[int]) -> None:
+    stream = FakeStream()
+    frame = bytes(range(256)) * (size // 256 + 1)
+    await channel_over(stream).send([frame[:size]], timeout=5)
+    assert [len(piece) for piece in stream.sent] == pieces
+    assert b"".join(stream.sent) == framed(frame[:size])
+
+
+async def test_frames_that_are_there_come_at_once_and_others_when_they_are_complete() -> None:
+    data = framed(b"one", b"two", b"three")
+    stream = FakeStream(data[:16], data[16:17], data[17:-1], data[-1:])
+    pieces = await received(channel_over(stream))
+    assert pieces == [[b"one", b"two"], [], [], [b"three"]]
+    assert set(stream.asked) == {CHUNK}
+
+
+async def test_a_frame_over_the_limit_is_the_peers_error() -> None:
+    channel = channel_over(FakeStream(framed(b"12345")), limit=4)
+    with pytest.raises(ProtocolError, match="a frame of 5 bytes"):
+        await channel.receive()
+
+
+# How a connection ends
+
+
+async def test_a_peer_that_closes_between_messages_closed_its_side() -> None:
+    channel = channel_over(FakeStream(framed(b"one")))
+    assert await channel.receive() == [b"one"]
+    with pytest.raises(ConnectionLost) as caught:
+        await channel.receive()
+    assert str(caught.value) == "10.0.0.1:7400 closed its side"
+
+
+@pytest.mark.parametrize("length", [1, HEADER, HEADER + 2])
+async def test_a_peer_that_closes_within_a_message_is_told_apart(length: int) -> None:
+    channel = channel_over(FakeStream(framed(b"one") + framed(b"two")[:length]))
+    assert await channel.receive() == [b"one"]
+    with pytest.raises(ConnectionLost) as caught:
+        await channel.receive()
+    assert str(caught.value) == "10.0.0.1:7400 closed in the middle of a message"
+
+
+@broken
+async def test_a_line_that_breaks_is_a_lost_connection_for_who_sends(error: Exception) -> None:
+    stream = FakeStream()
+    stream.error = error
+    with pytest.raises(ConnectionLost, match=r"^the connection to 10\.0\.0\.1:7400 broke$") as lost:
+        await channel_over(stream).send([b"one"], timeout=5)
+    assert lost.value.__cause__ is error
+
+
+@broken
+async def test_a_line_that_breaks_is_a_lost_connection_for_who_receives(error: Exception) -> None:
+    stream = FakeStream()
+    stream.error = error
+    with pytest.raises(ConnectionLost, match=r"^the connection to 10\.0\.0\.1:7400 broke$") as lost:
+        await channel_over(stream).receive()
+    assert lost.value.__cause__ is error
+
+
+@virtual_time()
+async def test_a_peer_that_reads_nothing_is_lost_after_the_time() -> None:
+    start = anyio.current_time()
+    with pytest.raises(ConnectionLost) as caught:
+        await channel_over(PipeEnd(capacity=10)).send([bytes(100)], timeout=2.5)
+    assert anyio.current_time() - start == 2.5
+    assert str(caught.value) == "10.0.0.1:7400 has read nothing for 2.5 s"
+    assert caught.value.__suppress_context__
+
+
+@virtual_time()
+async def test_a_peer_that_reads_slowly_is_not_lost() -> None:
+    pipe = PipeEnd(capacity=10)
+    start = anyio.current_time()
+
+    async def read_slowly() -> None:
+        while True:
+            await anyio.sleep(3.9)
+            await pipe.receive(CHUNK)
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(read_slowly)
+        await channel_over(pipe).send([bytes(10 * CHUNK)], timeout=4)
+        tasks.cancel_scope.cancel()
+    assert anyio.current_time() - start > 10 * 3.8
+
+
+async def test_a_wait_for_frames_can_be_canceled_and_nothing_is_lost() -> None:
+    pipe = PipeEnd(capacity=1000)
+    channel = channel_over(pipe)
+    data = framed(b"one")
+    with anyio.fail_after(5):
+        for start in range(len(data)):
+            await pipe.send(data[start : start + 1])
+            async with anyio.create_task_group() as tasks:
+                if start < len(data) - 1:
+                    tasks.start_soon(channel.receive)
+                    await anyio.wait_all_tasks_blocked()
+                    tasks.cancel_scope.cancel()
+        assert await channel.receive() == [b"one"]
+
+
+async def test_after_half_a_frame_nothing_more_is_sent() -> None:
+    stream = FakeStream()
+
+    async def let_one_through() -> None:
+        if stream.sent:
+            await anyio.sleep_forever()
+
+    stream.wait = let_one_through
+    channel = channel_over(stream)
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(channel.send, [bytes(2 * CHUNK)], 1000)
+            await anyio.wait_all_tasks_blocked()
+            tasks.cancel_scope.cancel()
+        assert len(stream.sent) == 1
+        stream.wait = anyio.lowlevel.checkpoint
+        with pytest.raises(ConnectionLost):
+            await channel.send([b"goodbye"], timeout=1)
+    assert len(stream.sent) == 1
+
+
+# Closing
+
+
+async def test_closing_closes_the_stream() -> None:
+    stream = FakeStream()
+    await channel_over(stream).aclose()
+    assert stream.closed
+
+
+@broken
+async def test_closing_what_is_broken_raises_nothing(error: Exception) -> None:
+    stream = FakeStream()
+    stream.error = error
+    with anyio.fail_after(5):
+        await channel_over(stream).aclose()
+    assert not stream.closed
+
+
+@virtual_time()
+async def test_closing_waits_for_nobody_longer_than_a_second() -> None:
+    stream = FakeStream()
+    stream.wait = anyio.sleep_forever
+    start = anyio.current_time()
+    await channel_over(stream).aclose()
+    assert anyio.current_time() - start == 1
+
+
+async def test_a_channel_is_closed_also_by_who_is_being_canceled() -> None:
+    stream = FakeStream()
+    with anyio.fail_after(5), anyio.CancelScope() as scope:
+        scope.cancel()
+        await channel_over(stream).aclose()
+    assert stream.closed

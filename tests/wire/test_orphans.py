@@ -1,0 +1,270 @@
+"""`fibaction.wire.orphans`: a real server's goals, whose clients come and go."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any, Literal
+
+import anyio
+import pytest
+
+from fibaction.abc import GoalStream
+from fibaction.background import Background
+from fibaction.exceptions import ConnectionLost
+from fibaction.goals import CancelAnswer, GoalID
+from fibaction.states import GoalStatus
+from fibaction.testing import ScriptedServer
+from fibaction.wire.orphans import Orphans
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.wire.memory import in_virtual_time, logged, settled
+
+pytestmark = pytest.mark.anyio
+
+GRACE = 10.0
+ANN, BOB = b"ann", b"bob"
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+class Server(ScriptedServer[Goal, Feedback, Result]):
+    """Its goals wait for `go`, and then succeed; a cancel may go wrong."""
+
+    def __init__(self, cancel_error: Exception | None = None) -> None:
+        self.go = anyio.Event()
+        self.canceled: list[GoalID | None] = []
+        self._cancel_error = cancel_error
+        super().__init__(FIBONACCI, [self.go, Result([1])])
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        self.canceled.append(goal_id)
+        if self._cancel_error is not None:
+            raise self._cancel_error
+        return await super().cancel_goals(goal_id, stamp)
+
+    async def goal(self) -> GoalStream:
+        stream = await self.send_goal(GoalID.random(), FIBONACCI.goal.encode(Goal(1)))
+        await told(stream)
+        return stream
+
+
+@asynccontextmanager
+async def nursery(
+    then: Literal["keep", "cancel"], server: Server | None = None
+) -> AsyncGenerator[tuple[Orphans, Server], None]:
+    server = server or Server()
+    async with server, Background() as tasks:
+        yield Orphans(tasks, grace=GRACE, then=then), server
+
+
+async def is_closed(stream: GoalStream) -> bool:
+    """Whether nobody holds the executor up any more: a closed stream says so at once."""
+    with anyio.move_on_after(0):
+        return await stream.next_event(feedback=False) is None
+    return False
+
+
+def lose(orphans: Orphans, server: Server, stream: GoalStream, *, left: bool) -> None:
+    """A client has the goal, and its connection is lost."""
+    orphans.own(stream, ANN)
+    orphans.adopt(server, stream, left=left)
+
+
+async def told(stream: GoalStream) -> None:
+    """Take the status that every goal has first."""
+    with anyio.fail_after(5):
+        assert await stream.next_event() is GoalStatus.EXECUTING
+
+
+@in_virtual_time()
+async def test_a_goal_that_is_kept_is_let_go_after_the_grace_and_runs_on() -> None:
+    async with nursery("keep") as (orphans, server):
+        stream = await server.goal()
+        lose(orphans, server, stream, left=False)
+        await anyio.sleep(GRACE - 0.1)
+        assert not await is_closed(stream)
+        await anyio.sleep(0.2)
+        assert await is_closed(stream)
+        assert server.canceled == []
+        server.go.set()
+        with anyio.fail_after(5):
+            assert (await stream.outcome()).status is GoalStatus.SUCCEEDED
+
+
+@in_virtual_time()
+async def test_a_goal_that_is_not_kept_is_canceled_after_the_grace() -> None:
+    async with nursery("cancel") as (orphans, server):
+        stream = await server.goal()
+        with logged() as lines:
+            lose(orphans, server, stream, left=False)
+            await anyio.sleep(GRACE - 0.1)
+            assert stream.status is GoalStatus.EXECUTING
+            await anyio.sleep(0.2)
+        with anyio.fail_after(5):
+            assert (await stream.outcome()).status is GoalStatus.CANCELED
+        assert [line.getMessage() for line in lines] == [
+            f"goal {stream.goal_id} is canceled: its client has not come back"
+        ]
+
+
+@in_virtual_time()
+async def test_a_goal_that_has_ended_by_then_is_not_canceled() -> None:
+    async with nursery("cancel") as (orphans, server):
+        stream = await server.goal()
+        lose(orphans, server, stream, left=False)
+        server.go.set()
+        await anyio.sleep(2 * GRACE)
+        assert server.canceled == []
+        assert (await stream.outcome()).status is GoalStatus.SUCCEEDED
+
+
+async def test_the_goal_of_a_client_that_said_goodbye_is_let_go_at_once() -> None:
+    async with nursery("keep") as (orphans, server):
+        stream = await server.goal()
+        lose(orphans, server, stream, left=True)
+        assert await is_closed(stream)
+        assert server.canceled == []
+
+
+async def test_the_goal_of_a_client_that_said_goodbye_is_canceled_at_once() -> None:
+    async with nursery("cancel") as (orphans, server):
+        stream = await server.goal()
+        lose(orphans, server, stream, left=True)
+        with anyio.fail_after(5):
+            assert (await stream.outcome()).status is GoalStatus.CANCELED
+
+
+@in_virtual_time()
+async def test_a_goal_whose_client_is_here_again_is_left_to_it() -> None:
+    async with nursery("cancel") as (orphans, server):
+        stream = await server.goal()
+        lose(orphans, server, stream, left=False)
+        again = await server.feedback(stream.goal_id, own=True)
+        orphans.own(again, ANN)
+        assert await is_closed(stream)
+        await anyio.sleep(2 * GRACE)
+        assert not await is_closed(again)
+        assert server.canceled == []
+
+
+@in_virtual_time()
+async def test_a_loss_that_is_noticed_when_the_client_is_here_again_does_nothing() -> None:
+    async with nursery("cancel") as (orphans, server):
+        stream = await server.goal()
+        orphans.own(stream, ANN)
+        again = await server.feedback(stream.goal_id, own=True)
+        orphans.own(again, ANN)
+        assert await is_closed(stream)
+        orphans.adopt(server, stream, left=False)
+        await anyio.sleep(2 * GRACE)
+        assert not await is_closed(again)
+        assert server.canceled == []
+
+
+@in_virtual_time()
+async def test_a_goal_whose_end_was_told_is_no_orphan() -> None:
+    async with nursery("cancel") as (orphans, server):
+        stream = await server.goal()
+        orphans.own(stream, ANN)
+        orphans.end(stream)
+        assert await is_closed(stream)
+        orphans.adopt(server, stream, left=False)
+        await anyio.sleep(2 * GRACE)
+        assert server.canceled == []
+
+
+async def test_the_end_of_a_stream_before_leaves_the_goal_to_the_one_after() -> None:
+    async with nursery("keep") as (orphans, server):
+        stream = await server.goal()
+        orphans.own(stream, ANN)
+        again = await server.feedback(stream.goal_id, own=True)
+        orphans.own(again, ANN)
+        orphans.end(stream)
+        assert not await is_closed(again)
+        third = await server.feedback(stream.goal_id, own=True)
+        orphans.own(third, ANN)
+        assert await is_closed(again)
+
+
+@in_virtual_time()
+async def test_a_goal_whose_client_is_lost_again_has_the_whole_grace_again() -> None:
+    async with nursery("cancel") as (orphans, server):
+        first = await server.goal()
+        lose(orphans, server, first, left=False)
+        await anyio.sleep(GRACE - 1)
+        second = await server.feedback(first.goal_id, own=True)
+        lose(orphans, server, second, left=False)
+        assert await is_closed(first)
+        await anyio.sleep(GRACE - 1)
+        assert second.status is GoalStatus.EXECUTING
+        await anyio.sleep(2)
+        assert server.canceled == [first.goal_id]
+
+
+async def test_a_goal_is_its_senders_until_its_end_was_told() -> None:
+    async with nursery("keep") as (orphans, server):
+        stream = await server.goal()
+        assert not orphans.is_own(stream.goal_id, ANN)
+        orphans.own(stream, ANN)
+        assert orphans.is_own(stream.goal_id, ANN)
+        assert not orphans.is_own(stream.goal_id, BOB)
+        orphans.adopt(server, stream, left=False)
+        assert orphans.is_own(stream.goal_id, ANN)
+        orphans.end(stream)
+        assert not orphans.is_own(stream.goal_id, ANN)
+
+
+async def test_a_goal_of_somebody_unnamed_is_nobodys() -> None:
+    async with nursery("keep") as (orphans, server):
+        stream = await server.goal()
+        orphans.own(stream, b"")
+        assert not orphans.is_own(stream.goal_id, b"")
+
+
+async def test_a_goal_that_cannot_be_canceled_is_logged() -> None:
+    server = Server(ConnectionLost("the gateway is away"))
+    async with nursery("cancel", server) as (orphans, server):
+        stream = await server.goal()
+        with logged() as lines:
+            lose(orphans, server, stream, left=True)
+            await settled()
+        assert lines[-1].getMessage() == (
+            f"goal {stream.goal_id} could not be canceled: the gateway is away"
+        )
+
+
+async def test_an_endpoint_that_raises_what_it_may_not_harms_nobody_else() -> None:
+    server = Server(ValueError("a bug"))
+    async with nursery("cancel", server) as (orphans, server):
+        lose(orphans, server, await server.goal(), left=True)
+        await settled()
+
+
+async def test_no_stream_is_left_open_when_the_hub_ends() -> None:
+    server = Server()
+    async with server:
+        async with Background() as tasks:
+            stream = await server.goal()
+            orphans = Orphans(tasks, grace=GRACE, then="keep")
+            lose(orphans, server, stream, left=False)
+            await settled()
+            orphans.close()
+        assert await is_closed(stream)
+
+
+async def test_a_goal_of_one_session_cannot_be_taken_over_by_another() -> None:
+    async with nursery("cancel") as (orphans, server):
+        stream = await server.goal()
+        assert orphans.own(stream, ANN)
+        other = await server.feedback(stream.goal_id, own=True)
+        assert not orphans.own(other, BOB)
+        assert not await is_closed(stream)
+        assert orphans.is_own(stream.goal_id, ANN)
+        assert not orphans.is_own(stream.goal_id, BOB)
+        orphans.end(stream)
+        server.go.set()

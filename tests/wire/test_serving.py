@@ -1,0 +1,1170 @@
+"""`fibaction.wire.serving`: a real server behind a session, and messages made by hand."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncGenerator, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager
+from itertools import pairwise
+from typing import Any, Literal, get_args
+
+import anyio
+import pytest
+from anyio.abc import ByteStream, TaskGroup
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fibaction.abc import Endpoint
+from fibaction.background import Background
+from fibaction.exceptions import (
+    ActionError,
+    AuthenticationFailed,
+    ConnectionLost,
+    GoalRejected,
+    ProtocolError,
+)
+from fibaction.framing import header
+from fibaction.goals import CancelCode, GoalID
+from fibaction.messages import (
+    VERSION,
+    Actions,
+    AwaitServer,
+    CancelAnswered,
+    CancelGoals,
+    Close,
+    Credit,
+    Done,
+    Ended,
+    Failed,
+    Feedback,
+    Finished,
+    Follow,
+    Following,
+    FromClient,
+    GoalChanged,
+    Goodbye,
+    Hello,
+    ListActions,
+    Ping,
+    Rejected,
+    SendGoal,
+    StatusChanged,
+    WatchStatus,
+    Welcome,
+    Why,
+    decode_from_server,
+    encode,
+)
+from fibaction.server import ActionServer
+from fibaction.states import GoalStatus
+from fibaction.testing import ScriptedServer
+from fibaction.wire.access import Access, Peer, Verb
+from fibaction.wire.channel import Channel, StreamChannel
+from fibaction.wire.hub import Hub
+from fibaction.wire.limits import Limits
+from fibaction.wire.link import Link
+from fibaction.wire.orphans import Orphans
+from fibaction.wire.serving import Session
+from tests import fibonacci as fib
+from tests.fibonacci import FIBONACCI
+from tests.wire import memory
+from tests.wire.memory import LONG, Running, in_virtual_time, logged, settled
+
+pytestmark = pytest.mark.anyio
+
+A, B = bytes([1] * 16), bytes([2] * 16)
+ANY = 2**31 - 1
+"""More credit than any goal here uses up."""
+ANN, BOB = b"ann", b"bob"
+GOAL = FIBONACCI.goal.encode(fib.Goal(3))
+EXECUTING = GoalStatus.EXECUTING
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+def feedback(*numbers: int) -> list[fib.Feedback]:
+    return [fib.Feedback([number]) for number in numbers]
+
+
+def scripted(*steps: Any) -> ScriptedServer[fib.Goal, fib.Feedback, fib.Result]:
+    """A server whose goals all go like that."""
+    return ScriptedServer(FIBONACCI, steps)
+
+
+def held() -> ScriptedServer[fib.Goal, fib.Feedback, fib.Result]:
+    """A server whose goals never end by themselves."""
+    return scripted(anyio.Event())
+
+
+class Client(memory.Peer):
+    """A client, and the session that serves it."""
+
+    def __init__(self, channel: memory.MemoryChannel, session: Session) -> None:
+        super().__init__(channel, decode_from_server)
+        self.session = session
+        self.error: ActionError | None = None
+
+    async def ask(self, message: Any, kind: type[memory.T]) -> memory.T:
+        await self.say(message)
+        return await self.hear(kind)
+
+    async def send(self, request: int, goal_id: bytes = A, credit: int | None = ANY) -> Following:
+        """Send a goal, and hear that it is accepted and executing."""
+        following = await self.ask(SendGoal(request, "fibonacci", goal_id, GOAL, credit), Following)
+        if credit is not None:
+            assert await self.hear(StatusChanged) == StatusChanged(request, EXECUTING)
+        return following
+
+    async def hear_by_id(self) -> dict[int, list[Any]]:
+        """As `hear_all`, but the order between requests is nobody's business."""
+        heard: dict[int, list[Any]] = {}
+        for message in await self.hear_all():
+            heard.setdefault(message.id, []).append(message)
+        return heard
+
+    async def is_served(self) -> bool:
+        """Whether its session goes on."""
+        answer = await self.ask(ListActions(99), Actions)
+        return answer.id == 99
+
+
+class Bench:
+    """Sessions, and what they share."""
+
+    def __init__(
+        self,
+        tasks: TaskGroup,
+        endpoints: Mapping[str, Endpoint],
+        access: Access,
+        limits: Limits,
+        orphans: Orphans,
+    ) -> None:
+        self.endpoints = dict(endpoints)
+        self._tasks = tasks
+        self._access = access
+        self._limits = limits
+        self._orphans = orphans
+
+    async def connect(self) -> Client:
+        """A client that has said nothing yet."""
+        end, other = memory.pair()
+        session = Session(
+            Link(end, LONG, self._limits.queue),
+            self.endpoints,
+            heartbeat=LONG,
+            access=self._access,
+            limits=self._limits,
+            orphans=self._orphans,
+        )
+        client = Client(other, session)
+
+        async def run() -> None:
+            client.error = await session.run()
+            await end.aclose()
+
+        self._tasks.start_soon(run)
+        return client
+
+    async def greet(self, session: bytes = ANN, token: str = "") -> Client:
+        """A client that was let in."""
+        client = await self.connect()
+        hello = Hello(VERSION, LONG, token, session)
+        assert await client.ask(hello, Welcome) == Welcome(VERSION, LONG)
+        return client
+
+
+@asynccontextmanager
+async def serving(
+    *servers: ActionServer[Any, Any, Any],
+    access: Access | None = None,
+    limits: Limits | None = None,
+    grace: float = 10.0,
+    then: Literal["keep", "cancel"] = "keep",
+) -> AsyncGenerator[Bench, None]:
+    async with AsyncExitStack() as stack:
+        for server in servers:
+            await stack.enter_async_context(server)
+        tasks = await stack.enter_async_context(Background())
+        endpoints = {server.info.name: server for server in servers}
+        orphans = Orphans(tasks, grace=grace, then=then)
+        yield Bench(tasks, endpoints, access or Access(), limits or Limits(), orphans)
+
+
+async def closes(client: Client, goodbye: Goodbye, error: type[ActionError]) -> None:
+    """The session ends like that, and with nothing else."""
+    assert await client.hear(Goodbye) == goodbye
+    await client.hear_the_end()
+    assert type(client.error) is error
+    assert goodbye.reason == f"the server has closed the connection: {client.error}"
+
+
+def over(text: str) -> Goodbye:
+    return Goodbye(f"the server has closed the connection: {text}", Why.PROTOCOL)
+
+
+# The handshake
+
+
+@pytest.mark.parametrize(
+    "message",
+    [ListActions(1), Ping(), Goodbye("early")],
+    ids=lambda message: type(message).__name__,
+)
+async def test_a_client_that_does_not_say_hello_first_is_told_so(message: Any) -> None:
+    async with serving(held()) as bench:
+        client = await bench.connect()
+        await client.say(message)
+        name = type(message).__name__
+        await closes(client, over(f"its first message was a {name}, not a Hello"), ProtocolError)
+
+
+async def test_a_client_of_another_version_is_told_so() -> None:
+    async with serving(held()) as bench:
+        client = await bench.connect()
+        await client.say(Hello(2, LONG))
+        text = "it speaks version 2 of the protocol, and this is 1"
+        await closes(client, over(text), ProtocolError)
+
+
+async def test_a_client_that_says_hello_twice_is_told_so() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        await client.say(Hello(VERSION, LONG))
+        await closes(client, over("it said hello twice"), ProtocolError)
+
+
+async def test_a_client_that_says_nothing_in_time_is_told_so() -> None:
+    async with serving(held(), limits=Limits(handshake=0.01)) as bench:
+        client = await bench.connect()
+        await closes(client, over("it has not said hello within 0.01 s"), ProtocolError)
+
+
+@in_virtual_time()
+async def test_a_client_that_said_hello_in_time_is_left_in_peace() -> None:
+    async with serving(held(), limits=Limits(handshake=5)) as bench:
+        client = await bench.greet()
+        await anyio.sleep(60)
+        assert await client.is_served()
+
+
+@pytest.mark.parametrize("token", ["", "wrong", "rigt", "right "])
+async def test_a_client_without_the_right_token_is_told_so(token: str) -> None:
+    async with serving(held(), access=Access({"right": "ann"})) as bench:
+        client = await bench.connect()
+        await client.say(Hello(VERSION, LONG, token), ListActions(1))
+        reason = "the server has closed the connection: its token is not one of this server's"
+        await closes(client, Goodbye(reason, Why.FORBIDDEN), AuthenticationFailed)
+
+
+async def test_what_is_no_message_ends_the_session_with_the_reason() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        await client.channel.send([b"\xc1"], timeout=5)
+        goodbye = await client.hear(Goodbye)
+        assert goodbye.why == Why.PROTOCOL
+        assert "this is no message of a client" in goodbye.reason
+        await client.hear_the_end()
+
+
+async def test_a_client_that_leaves_is_not_answered() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        await client.say(Goodbye("I am done"))
+        await client.hear_the_end()
+        assert isinstance(client.error, ConnectionLost)
+        assert str(client.error) == "the client left: I am done"
+
+
+async def test_a_client_that_is_lost_ends_its_session() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        client.channel.cut()
+        await settled()
+        assert isinstance(client.error, ConnectionLost)
+
+
+@in_virtual_time()
+async def test_a_client_is_given_the_time_that_it_asks_for_between_signs_of_life() -> None:
+    async with serving(held()) as bench:
+        client = await bench.connect()
+        await client.ask(Hello(VERSION, LONG / 2), Welcome)
+        await anyio.sleep(LONG * 1.5)
+        assert client.error is None
+        await anyio.sleep(LONG * 2)
+        assert isinstance(client.error, ConnectionLost)
+        assert "has been silent for" in str(client.error)
+
+
+async def test_a_sign_of_life_has_no_answer() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        await client.say(Ping())
+        assert await client.hear_all() == []
+        assert await client.is_served()
+
+
+# Goals
+
+
+async def test_a_goal_is_told_from_its_acceptance_to_its_end() -> None:
+    async with serving(scripted(*feedback(1, 2), fib.Result([3]))) as bench:
+        client = await bench.greet()
+        following = await client.send(1, credit=5)
+        assert (following.status, following.latest, following.place) == (1, False, 0)
+        for number in (1, 2):
+            payload = FIBONACCI.feedback.encode(fib.Feedback([number]))
+            assert await client.hear(Feedback) == Feedback(1, number, payload)
+        result = FIBONACCI.result.encode(fib.Result([3]))
+        assert await client.hear(Ended) == Ended(1, GoalStatus.SUCCEEDED, result, "", 2)
+        assert await client.hear_all() == []
+
+
+async def test_a_goal_that_is_rejected_is_told_with_the_reason() -> None:
+    async with serving(scripted(GoalRejected("no arm"))) as bench:
+        client = await bench.greet()
+        message = SendGoal(1, "fibonacci", A, GOAL, 1)
+        assert await client.ask(message, Rejected) == Rejected(1, "no arm")
+
+
+async def test_a_goal_of_the_wrong_type_is_rejected_and_the_session_goes_on() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        answer = await client.ask(SendGoal(1, "fibonacci", A, b"\xc1", 1), Rejected)
+        assert answer.reason
+        assert await client.is_served()
+
+
+async def test_a_goal_of_which_only_the_end_is_wanted_is_told_no_more() -> None:
+    async with serving(scripted(*feedback(1, 2), fib.Result([3]))) as bench:
+        client = await bench.greet()
+        await client.send(1, credit=None)
+        assert (await client.hear(Ended)).status == GoalStatus.SUCCEEDED
+
+
+async def test_a_goal_is_followed_from_the_place_that_is_asked_for() -> None:
+    go = anyio.Event()
+    async with serving(scripted(*feedback(1, 2, 3), go, fib.Result([4]))) as bench:
+        sender, other = await bench.greet(), await bench.greet()
+        await sender.send(1)
+        assert len(await sender.hear_all()) == 3
+        following = await other.ask(Follow(5, "fibonacci", A, 1, False, ANY), Following)
+        assert (following.status, following.place) == (EXECUTING, 1)
+        assert [(await other.hear(Feedback)).number for _ in range(2)] == [2, 3]
+        go.set()
+        assert (await other.hear(Ended)).id == 5
+        assert (await sender.hear(Ended)).id == 1
+
+
+async def test_a_goal_that_nobody_knows_cannot_be_followed() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        failed = await client.ask(Follow(1, "fibonacci", B, None, True, 1), Failed)
+        assert (failed.id, failed.why) == (1, Why.UNKNOWN_GOAL)
+        assert B.hex() in failed.text
+
+
+async def test_a_canceled_goal_is_answered_and_ends() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        stamp = (await client.send(1)).stamp
+        await client.say(CancelGoals(2, "fibonacci", A, None))
+        heard = await client.hear_by_id()
+        assert heard[2] == [CancelAnswered(2, 0, [(A, stamp, GoalStatus.CANCELING)], "")]
+        assert heard[1] == [
+            StatusChanged(1, GoalStatus.CANCELING),
+            Ended(1, GoalStatus.CANCELED, None, "", 0),
+        ]
+
+
+async def test_a_cancel_of_all_by_time_that_finds_none_is_answered() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        answer = await client.ask(CancelGoals(2, "fibonacci", None, 1), CancelAnswered)
+        assert answer == CancelAnswered(2, CancelCode.NONE, [], "")
+
+
+async def test_an_action_that_is_not_served_is_told_with_those_that_are() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        failed = await client.ask(SendGoal(1, "swim", A, GOAL, 1), Failed)
+        text = "nobody serves the action 'swim' here: there is 'fibonacci'"
+        assert failed == Failed(1, Why.SERVER_NOT_FOUND, text)
+
+
+async def test_where_nothing_is_served_that_is_what_is_told() -> None:
+    async with serving() as bench:
+        client = await bench.greet()
+        failed = await client.ask(WatchStatus(1, "swim", 1), Failed)
+        assert failed.text == "nobody serves the action 'swim' here: there is nothing"
+
+
+async def test_a_goal_of_a_server_that_has_stopped_is_not_found() -> None:
+    server = held()
+    async with serving(server) as bench:
+        client = await bench.greet()
+        await server.stop()
+        failed = await client.ask(SendGoal(1, "fibonacci", A, GOAL, 1), Failed)
+        assert failed.why == Why.SERVER_NOT_FOUND
+
+
+async def test_what_is_served_is_listed() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        assert await client.ask(ListActions(1), Actions) == Actions(1, [FIBONACCI.info])
+
+
+# Credit
+
+
+async def test_no_more_feedback_comes_than_there_is_credit_for() -> None:
+    async with serving(scripted(*feedback(1, 2, 3, 4, 5), fib.Result([]))) as bench:
+        client = await bench.greet()
+        await client.send(1, credit=2)
+        assert [message.number for message in await client.hear_all()] == [1, 2]
+        await client.say(Credit(1, 2))
+        assert [message.number for message in await client.hear_all()] == [3, 4]
+        await client.say(Credit(1, 0))
+        assert await client.hear_all() == []
+        await client.say(Credit(1, ANY), Credit(1, ANY))
+        assert [type(message) for message in await client.hear_all()] == [Feedback, Ended]
+
+
+async def test_credit_for_a_wait_that_has_not_begun_counts() -> None:
+    go = anyio.Event()
+    async with serving(scripted(go, *feedback(1, 2, 3), fib.Result([]))) as bench:
+        client = await bench.greet()
+        await client.send(1, credit=1)
+        await client.say(Credit(1, 1))
+        await settled()
+        go.set()
+        assert [message.number for message in await client.hear_all()] == [1, 2]
+
+
+async def test_credit_for_feedback_that_waits_while_the_goal_goes_on_lets_it_come() -> None:
+    async with serving(scripted(*feedback(1, 2, 3), anyio.Event())) as bench:
+        client = await bench.greet()
+        await client.send(1, credit=1)
+        assert [message.number for message in await client.hear_all()] == [1]
+        await client.say(Credit(1, 1))
+        assert [message.number for message in await client.hear_all()] == [2]
+
+
+async def test_a_status_comes_without_credit() -> None:
+    async with serving(scripted(*feedback(1, 2), anyio.Event())) as bench:
+        client = await bench.greet()
+        await client.send(1, credit=1)
+        assert (await client.hear(Feedback)).number == 1
+        await client.say(CancelGoals(2, "fibonacci", A, None))
+        heard = await client.hear_by_id()
+        assert heard[1] == [StatusChanged(1, GoalStatus.CANCELING)]
+
+
+async def test_the_end_waits_for_credit_while_feedback_is_left() -> None:
+    async with serving(scripted(*feedback(1, 2), fib.Result([]))) as bench:
+        client = await bench.greet()
+        await client.send(1, credit=1)
+        assert [type(message) for message in await client.hear_all()] == [Feedback]
+        await client.say(Credit(1, 2))
+        assert [type(message) for message in await client.hear_all()] == [Feedback, Ended]
+
+
+async def test_the_end_does_not_wait_for_credit_when_no_feedback_is_left() -> None:
+    async with serving(scripted(*feedback(1), fib.Result([]))) as bench:
+        client = await bench.greet()
+        await client.send(1, credit=1)
+        assert [type(message) for message in await client.hear_all()] == [Feedback, Ended]
+
+
+async def test_a_client_that_wants_no_more_is_told_the_end() -> None:
+    go = anyio.Event()
+    async with serving(scripted(*feedback(1, 2, 3), go, fib.Result([]))) as bench:
+        client = await bench.greet()
+        await client.send(1, credit=1)
+        assert [message.number for message in await client.hear_all()] == [1]
+        await client.say(Close(1))
+        assert await client.hear_all() == []
+        go.set()
+        assert [type(message) for message in await client.hear_all()] == [Ended]
+
+
+async def test_a_client_that_wants_no_more_before_the_answer_is_told_the_end() -> None:
+    decide = anyio.Event()
+
+    async def on_goal(goal: fib.Goal) -> None:
+        await decide.wait()
+
+    async with serving(ActionServer(FIBONACCI, fib.fibonacci, on_goal=on_goal)) as bench:
+        client = await bench.greet()
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, ANY), Close(1))
+        assert await client.hear_all() == []
+        decide.set()
+        assert [type(message) for message in await client.hear_all()] == [Following, Ended]
+
+
+async def test_credit_for_nothing_and_a_close_of_nothing_are_ignored() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        await client.say(Credit(7, 1), Close(7))
+        assert await client.hear_all() == []
+        assert await client.is_served()
+
+
+# Statuses, and waiting
+
+
+async def test_statuses_are_told_as_far_as_there_is_credit() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        stamp = (await client.send(1)).stamp
+        assert await client.ask(WatchStatus(2, "fibonacci", 1), Done) == Done(2)
+        assert await client.hear(GoalChanged) == GoalChanged(2, A, stamp, EXECUTING, 0)
+        await client.say(CancelGoals(3, "fibonacci", A, None))
+        assert 2 not in await client.hear_by_id()
+        await client.say(Credit(2, 5))
+        assert [message.status for message in await client.hear_all()] == [3, 5]
+
+
+async def test_a_client_that_wants_no_more_statuses_is_told_that_there_are_none() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        await client.ask(WatchStatus(2, "fibonacci", 1), Done)
+        assert await client.ask(Close(2), Finished) == Finished(2)
+
+
+async def test_a_close_while_statuses_wait_for_credit_ends_them() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        await client.send(1, A)
+        await client.send(2, B)
+        await client.ask(WatchStatus(3, "fibonacci", 1), Done)
+        assert [type(message) for message in await client.hear_all()] == [GoalChanged]
+        await client.say(Close(3))
+        assert await client.hear_all() == [Finished(3)]
+
+
+async def test_statuses_end_when_the_server_stops() -> None:
+    server = held()
+    async with serving(server) as bench:
+        client = await bench.greet()
+        await client.ask(WatchStatus(2, "fibonacci", 1), Done)
+        await server.stop()
+        assert await client.hear(Finished) == Finished(2)
+
+
+async def test_a_client_is_told_when_the_server_is_there() -> None:
+    server = held()
+    async with serving() as bench:
+        bench.endpoints["fibonacci"] = server
+        client = await bench.greet()
+        await client.say(AwaitServer(1, "fibonacci"), AwaitServer(2, "fibonacci"))
+        assert await client.hear_all() == []
+        await client.say(Close(1))
+        assert await client.hear_all() == []
+        async with server:
+            assert await client.hear(Done) == Done(2)
+            assert await client.hear_all() == []
+
+
+# Access
+
+REQUESTS: dict[Verb, list[Any]] = {
+    Verb.SEND: [SendGoal(1, "fibonacci", A, GOAL, 1)],
+    Verb.CANCEL: [CancelGoals(1, "fibonacci", A, None), CancelGoals(1, "fibonacci", None, None)],
+    Verb.OBSERVE: [
+        Follow(1, "fibonacci", A, None, False, 1),
+        Follow(1, "fibonacci", A, None, True, 1),
+        WatchStatus(1, "fibonacci", 1),
+        AwaitServer(1, "fibonacci"),
+    ],
+}
+
+
+class Untouched(Endpoint):
+    """Nobody may ask it for anything."""
+
+    @property
+    def info(self) -> Any:
+        raise AssertionError
+
+    async def send_goal(self, *args: Any, **kwargs: Any) -> Any:
+        raise AssertionError
+
+    async def feedback(self, *args: Any, **kwargs: Any) -> Any:
+        raise AssertionError
+
+    async def cancel_goals(self, *args: Any, **kwargs: Any) -> Any:
+        raise AssertionError
+
+    async def status(self) -> Any:
+        raise AssertionError
+
+    async def wait_for_server(self) -> None:
+        raise AssertionError
+
+
+@pytest.mark.parametrize(
+    ("verb", "message"),
+    [(verb, message) for verb, messages in REQUESTS.items() for message in messages],
+    ids=lambda value: getattr(value, "name", None) or type(value).__name__,
+)
+async def test_what_is_not_allowed_is_refused_and_the_endpoint_not_asked(
+    verb: Verb, message: Any
+) -> None:
+    asked = []
+
+    def authorize(peer: Peer, action: str, wanted: Verb) -> bool:
+        asked.append((peer, action, wanted))
+        return wanted is not verb
+
+    access = Access({"secret": "ann"}, authorize)
+    async with serving(access=access) as bench:
+        bench.endpoints["fibonacci"] = Untouched()
+        client = await bench.greet(token="secret")
+        failed = await client.ask(message, Failed)
+        text = f"this client may not {verb.value} at the action 'fibonacci'"
+        assert failed == Failed(1, Why.FORBIDDEN, text)
+        assert asked == [(Peer("the client", "ann"), "fibonacci", verb)]
+
+
+async def test_whoever_may_not_do_anything_is_not_told_what_there_is() -> None:
+    async with serving(access=Access(authorize=lambda *_: False)) as bench:
+        client = await bench.greet()
+        failed = await client.ask(WatchStatus(1, "swim", 1), Failed)
+        assert failed.why == Why.FORBIDDEN
+
+
+async def test_what_is_allowed_is_done() -> None:
+    async def authorize(peer: Peer, action: str, verb: Verb) -> bool:
+        await anyio.lowlevel.checkpoint()
+        return verb is Verb.SEND
+
+    async with serving(held(), access=Access(authorize=authorize)) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        assert (await client.ask(AwaitServer(2, "fibonacci"), Failed)).why == Why.FORBIDDEN
+
+
+async def test_whoever_may_only_send_may_follow_its_own_goal_again_and_nobody_elses() -> None:
+    access = Access(authorize=lambda _, __, verb: verb is Verb.SEND)
+    async with serving(held(), access=access) as bench:
+        client = await bench.greet(ANN)
+        await client.send(1)
+        client.channel.cut()
+        bob, unnamed, ann = [await bench.greet(who) for who in (BOB, b"", ANN)]
+        follow = Follow(1, "fibonacci", A, 0, True, 1)
+        for other in (bob, unnamed):
+            assert (await other.ask(follow, Failed)).why == Why.FORBIDDEN
+        assert (await ann.ask(follow, Following)).status == EXECUTING
+
+
+# What goes wrong
+
+
+class Broken(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
+    """A server with a bug."""
+
+    async def status(self) -> Any:
+        raise ValueError("a bug")
+
+
+async def test_an_endpoint_that_raises_what_it_may_not_fails_that_request_only() -> None:
+    async with serving(Broken(FIBONACCI, [anyio.Event()])) as bench:
+        client = await bench.greet()
+        with logged() as lines:
+            failed = await client.ask(WatchStatus(1, "fibonacci", 1), Failed)
+        assert failed == Failed(1, Why.SERVER_NOT_FOUND, "the server failed: ValueError")
+        (line,) = lines
+        assert line.levelno == logging.ERROR
+        assert line.exc_info is not None
+        assert line.getMessage().startswith("the client: its WatchStatus failed")
+        await client.send(1)
+
+
+async def test_an_error_of_the_way_behind_is_told_as_a_lost_connection() -> None:
+    class Away(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
+        async def status(self) -> Any:
+            raise ConnectionLost("the robot is away")
+
+    async with serving(Away(FIBONACCI, [anyio.Event()])) as bench:
+        client = await bench.greet()
+        failed = await client.ask(WatchStatus(1, "fibonacci", 1), Failed)
+        assert failed == Failed(1, Why.CONNECTION_LOST, "the robot is away")
+
+
+async def test_nothing_is_answered_after_the_end() -> None:
+    class Late(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
+        async def status(self) -> Any:
+            try:
+                await anyio.sleep_forever()
+            finally:
+                raise ConnectionLost("too late")
+
+    async with serving(Late(FIBONACCI, [anyio.Event()])) as bench:
+        client = await bench.greet()
+        await client.say(WatchStatus(1, "fibonacci", 1))
+        await settled()
+        await client.say(Hello(VERSION, LONG))
+        await closes(client, over("it said hello twice"), ProtocolError)
+
+
+async def test_a_reason_that_is_no_unicode_fails_that_request_only() -> None:
+    # As `os.fsdecode` makes it of a file name that is no UTF-8.
+    async with serving(scripted(GoalRejected("no file \udcff"))) as bench:
+        client = await bench.greet()
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, 1))
+        assert [message.id for message in await client.hear_all()] == [1]
+        assert await client.is_served()
+
+
+# Limits
+
+
+@pytest.mark.parametrize(
+    "message",
+    [AwaitServer(1, "fibonacci"), ListActions(1), SendGoal(1, "fibonacci", A, GOAL, 1)],
+    ids=lambda message: type(message).__name__,
+)
+async def test_an_id_that_is_in_use_ends_the_session(message: Any) -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        await client.say(message)
+        await closes(client, over("it used the ID 1 twice"), ProtocolError)
+
+
+async def test_an_id_that_was_answered_can_be_used_again() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        for _ in range(3):
+            assert await client.is_served()
+
+
+async def test_no_more_goals_are_taken_than_the_limit_and_more_once_one_has_ended() -> None:
+    async with serving(held(), limits=Limits(goals=1, requests=7)) as bench:
+        client = await bench.greet()
+        await client.send(1, A)
+        text = "too much at once: the limits of a connection are 1 goals and 7 other requests"
+        rejected = await client.ask(SendGoal(2, "fibonacci", B, GOAL, 1), Rejected)
+        assert rejected == Rejected(2, text)
+        other = await bench.greet()
+        await other.ask(CancelGoals(1, "fibonacci", A, None), CancelAnswered)
+        assert [type(message) for message in await client.hear_all()] == [StatusChanged, Ended]
+        await client.send(3, B)
+
+
+async def test_at_the_limit_of_goals_a_goal_can_still_be_canceled() -> None:
+    async with serving(held(), limits=Limits(goals=1)) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        await client.say(CancelGoals(2, "fibonacci", A, None))
+        assert [type(message) for message in (await client.hear_by_id())[2]] == [CancelAnswered]
+
+
+async def test_goals_that_are_sent_at_once_do_not_pass_the_limit() -> None:
+    async with serving(held(), limits=Limits(goals=2)) as bench:
+        client = await bench.greet()
+        await client.say(
+            *(SendGoal(i, "fibonacci", bytes([i] * 16), GOAL, None) for i in range(1, 6))
+        )
+        kinds = [type(message) for message in await client.hear_all()]
+        assert kinds.count(Following) == 2
+        assert kinds.count(Rejected) == 3
+
+
+async def test_no_more_requests_are_taken_than_the_limit() -> None:
+    async with serving(limits=Limits(requests=2)) as bench:
+        bench.endpoints["fibonacci"] = held()
+        client = await bench.greet()
+        await client.say(*(AwaitServer(i, "fibonacci") for i in range(1, 5)))
+        heard = await client.hear_all()
+        assert [(type(message), message.id, message.why) for message in heard] == [
+            (Failed, 3, Why.LIMIT),
+            (Failed, 4, Why.LIMIT),
+        ]
+        await client.say(Close(1))
+        await settled()
+        await client.say(AwaitServer(3, "fibonacci"))
+        assert await client.hear_all() == []
+
+
+async def test_goals_that_are_decided_upon_take_no_more_memory_than_the_limit() -> None:
+    decide = anyio.Event()
+
+    async def on_goal(goal: fib.Goal) -> None:
+        await decide.wait()
+
+    async def forever(goal: Any) -> AsyncGenerator[fib.Feedback | fib.Result, None]:
+        await anyio.sleep_forever()
+        yield fib.Result([])
+
+    server = ActionServer(FIBONACCI, forever, on_goal=on_goal)
+    async with serving(server, limits=Limits(memory=len(GOAL))) as bench:
+        client, other = await bench.greet(), await bench.greet()
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, None))
+        assert await client.hear_all() == []
+        rejected = await client.ask(SendGoal(2, "fibonacci", B, GOAL, None), Rejected)
+        assert rejected == Rejected(2, f"too many bytes at once: the limit is {len(GOAL)}")
+        await other.say(SendGoal(2, "fibonacci", B, GOAL, None))
+        decide.set()
+        await client.hear(Following)
+        await other.hear(Following)
+        await client.send(3, bytes([3] * 16), credit=None)
+
+
+@pytest.mark.parametrize("requests", [1, 1000], ids=["over the limit", "unknown goals"])
+async def test_a_client_that_asks_and_does_not_read_fills_no_memory(requests: int) -> None:
+    async with serving(held(), limits=Limits(requests=requests, queue=10_000)) as bench:
+        client = await bench.greet()
+        client.channel.stop_reading()
+        for start in range(0, 4000, 100):
+            await client.say(
+                *(Follow(i, "fibonacci", B, None, False, 1) for i in range(start, start + 100))
+            )
+            await settled()
+        # Twice the limit, and the message that was too much; the connection has ended over it.
+        assert client.session._link._queued < 2 * 10_000 + 200
+
+
+async def test_a_client_that_does_not_read_slows_itself_down_only() -> None:
+    many = scripted(*(fib.Feedback([0] * 100) for _ in range(50)), fib.Result([]))
+    async with serving(many, limits=Limits(queue=1000)) as bench:
+        client, other = await bench.greet(), await bench.greet()
+        client.channel.stop_reading()
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, ANY))
+        await settled()
+        assert client.session._link._queued < 2000
+        await other.send(1, B)
+        assert isinstance((await other.hear_all())[-1], Ended)
+        client.channel.go_on_reading()
+        assert isinstance((await client.hear_all())[-1], Ended)
+
+
+# Clients that are lost, and come back
+
+
+@in_virtual_time()
+async def test_the_goal_of_a_client_that_does_not_come_back_is_canceled() -> None:
+    async with serving(held(), then="cancel", grace=10) as bench:
+        client, other = await bench.greet(), await bench.greet()
+        await client.send(1)
+        client.channel.cut()
+        await anyio.sleep(11)
+        following = await other.ask(Follow(1, "fibonacci", A, None, False, 1), Following)
+        assert following.status == GoalStatus.CANCELED
+
+
+@in_virtual_time()
+async def test_the_goal_of_a_client_that_comes_back_goes_on() -> None:
+    async with serving(held(), then="cancel", grace=10) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        client.channel.cut()
+        await anyio.sleep(5)
+        again = await bench.greet()
+        await again.ask(Follow(1, "fibonacci", A, 0, True, 1), Following)
+        await anyio.sleep(60)
+        assert await again.hear_all() == []
+
+
+@in_virtual_time()
+async def test_the_goal_of_a_client_that_sends_it_again_goes_on() -> None:
+    async with serving(held(), then="cancel", grace=10) as bench:
+        client = await bench.greet()
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, 1))
+        await settled()
+        client.channel.cut()
+        await settled()
+        again = await bench.greet()
+        await again.ask(SendGoal(1, "fibonacci", A, GOAL, 1), Following)
+        await anyio.sleep(60)
+        assert await again.hear_all() == []
+
+
+@in_virtual_time()
+async def test_the_goal_of_a_client_that_is_back_before_its_loss_is_noticed_goes_on() -> None:
+    async with serving(held(), then="cancel", grace=10) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        again = await bench.greet()
+        await again.ask(Follow(1, "fibonacci", A, 0, True, 1), Following)
+        client.channel.cut()
+        await anyio.sleep(60)
+        assert await again.hear_all() == []
+
+
+async def test_a_goal_that_somebody_else_sends_too_stays_with_its_own_client() -> None:
+    go = anyio.Event()
+    async with serving(scripted(go, *feedback(1), fib.Result([]))) as bench:
+        ann, bob = await bench.greet(ANN), await bench.greet(BOB)
+        await ann.send(1)
+        await bob.ask(SendGoal(1, "fibonacci", A, GOAL, ANY), Following)
+        go.set()
+        assert [type(message) for message in await ann.hear_all()] == [Feedback, Ended]
+
+
+async def test_the_goal_of_a_client_that_leaves_is_canceled_at_once() -> None:
+    async with serving(held(), then="cancel") as bench:
+        client, other = await bench.greet(), await bench.greet()
+        await client.send(1)
+        await other.ask(Follow(1, "fibonacci", A, None, False, 1), Following)
+        await client.say(Goodbye("done"))
+        assert [message.status for message in await other.hear_all()] == [3, 5]
+
+
+async def test_an_observer_that_is_lost_leaves_no_orphan() -> None:
+    async with serving(held(), then="cancel", grace=0) as bench:
+        client, other = await bench.greet(), await bench.greet()
+        await client.send(1)
+        await other.ask(Follow(1, "fibonacci", A, None, False, 1), Following)
+        other.channel.cut()
+        assert await client.hear_all() == []
+
+
+# Leaving
+
+
+async def test_a_session_that_is_drained_tells_the_ends_and_says_goodbye() -> None:
+    server = scripted(*feedback(1, 2), anyio.Event())
+    async with serving(server) as bench:
+        client = await bench.greet()
+        await client.send(1, credit=1)
+        await client.hear(Feedback)
+        await server.stop()
+        async with Running(client.session.drain) as draining:
+            assert not draining.is_done
+            assert await client.hear_all() == []
+            await client.say(Credit(1, 2))
+            await draining.answer()
+        assert [type(message) for message in await client.hear_all()] == [Feedback, Ended, Goodbye]
+
+
+async def test_a_session_that_is_drained_does_not_wait_for_goals_that_go_on() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        with anyio.fail_after(5):
+            await client.session.drain()
+        assert await client.hear(Goodbye) == Goodbye("the server is closing the connection")
+
+
+async def test_a_session_that_is_drained_does_not_wait_for_a_client_that_is_lost() -> None:
+    server = scripted(*feedback(1, 2), fib.Result([]))
+    async with serving(server) as bench:
+        client = await bench.greet()
+        await client.send(1, credit=1)
+        await client.hear(Feedback)
+        async with Running(client.session.drain) as draining:
+            client.channel.cut()
+            await draining.answer()
+
+
+# Anything at all
+
+
+class Chunks(ByteStream):
+    """Bytes that arrive in pieces; what is sent is lost."""
+
+    def __init__(self, chunks: list[bytes]) -> None:
+        self._chunks = chunks
+
+    async def receive(self, max_bytes: int = 65536) -> bytes:
+        await anyio.lowlevel.checkpoint()
+        if not self._chunks:
+            raise anyio.EndOfStream
+        return self._chunks.pop(0)
+
+    async def send(self, item: bytes) -> None:
+        await anyio.lowlevel.checkpoint()
+
+    async def send_eof(self) -> None:
+        raise AssertionError
+
+    async def aclose(self) -> None:
+        await anyio.lowlevel.checkpoint()
+
+
+class Neighbours:
+    """A hub with a good client, and a bad one."""
+
+    limits = Limits(goals=3, requests=4, memory=1000, frame=1000, queue=5000)
+
+    def __init__(self, hub: Hub, tasks: TaskGroup) -> None:
+        self._hub = hub
+        self._tasks = tasks
+
+    async def good(self) -> Client:
+        end, other = memory.pair("the good one")
+        self._tasks.start_soon(self._hub.serve, end)
+        await settled()
+        (session,) = self._hub._sessions
+        client = Client(other, session)
+        await client.ask(Hello(VERSION, LONG), Welcome)
+        return client
+
+    async def serve(self, channel: Channel) -> None:
+        """Serve the bad one to its end, which must be an end in good order."""
+        with anyio.fail_after(5):
+            await self._hub.serve(channel)
+
+    def start(self, channel: Channel) -> None:
+        self._tasks.start_soon(self._hub.serve, channel)
+
+    def session(self, but: Session) -> Session | None:
+        """The bad one's session, as long as it goes on."""
+        return next((one for one in self._hub._sessions if one is not but), None)
+
+
+@asynccontextmanager
+async def neighbours() -> AsyncGenerator[Neighbours, None]:
+    server = ActionServer(FIBONACCI, fib.fibonacci, feedback_window=4, shutdown_timeout=0.5)
+    async with server, Background() as tasks:
+        hub = Hub(
+            tasks,
+            {"fibonacci": server},
+            heartbeat=LONG,
+            access=Access(),
+            limits=Neighbours.limits,
+            grace=LONG,
+            orphans="keep",
+        )
+        yield Neighbours(hub, tasks)
+
+
+numbers = st.integers(0, 4) | st.just(2**63 - 1)
+actions = st.sampled_from(["fibonacci", "fibonacci", "swim", ""])
+goal_ids = st.sampled_from([bytes(16), A, B, bytes([3] * 16), bytes([4] * 16)])
+goals = st.integers(-1, 9).map(lambda order: FIBONACCI.goal.encode(fib.Goal(order)))
+credits_ = st.sampled_from([0, 1, 2, 2**31 - 1])
+wanted = st.none() | credits_
+MESSAGES: dict[type, st.SearchStrategy[Any]] = {
+    Hello: st.builds(
+        Hello,
+        st.sampled_from([1, 2]),
+        st.just(LONG),
+        st.text(max_size=3),
+        st.sampled_from([b"", ANN, BOB]),
+    ),
+    SendGoal: st.builds(
+        SendGoal, numbers, actions, goal_ids, goals | st.binary(max_size=400), wanted
+    ),
+    Follow: st.builds(
+        Follow, numbers, actions, goal_ids, st.none() | numbers, st.booleans(), wanted
+    ),
+    CancelGoals: st.builds(
+        CancelGoals, numbers, actions, st.none() | goal_ids, st.none() | numbers
+    ),
+    WatchStatus: st.builds(WatchStatus, numbers, actions, credits_),
+    AwaitServer: st.builds(AwaitServer, numbers, actions),
+    ListActions: st.builds(ListActions, numbers),
+    Credit: st.builds(Credit, numbers, credits_),
+    Close: st.builds(Close, numbers),
+    Ping: st.builds(Ping),
+    Goodbye: st.builds(Goodbye, st.text(max_size=3), st.integers(0, 9)),
+}
+requests = st.one_of(
+    *(strategy for kind, strategy in MESSAGES.items() if kind not in (Hello, Goodbye))
+)
+sequences = st.lists(requests | requests | st.one_of(*MESSAGES.values()), max_size=30)
+
+
+def test_every_message_of_a_client_has_a_strategy() -> None:
+    assert set(MESSAGES) == set(get_args(FromClient))
+
+
+def chopped(data: bytes, cuts: list[int]) -> list[bytes]:
+    places = sorted({min(cut, len(data)) for cut in cuts} | {0, len(data)})
+    return [data[one:other] for one, other in pairwise(places)]
+
+
+def framed(frames: list[bytes]) -> bytes:
+    return b"".join(header(len(frame)) + frame for frame in frames)
+
+
+hello = encode(Hello(VERSION, LONG, session=ANN))
+valid = MESSAGES[SendGoal].map(encode) | requests.map(encode)
+almost = st.builds(
+    lambda frame, place, byte: frame[:place] + bytes([byte]) + frame[place + 1 :],
+    valid,
+    st.integers(0, 20),
+    st.integers(0, 255),
+)
+"""A message with one byte changed."""
+streams = st.binary(max_size=60) | st.builds(
+    lambda frames, rest: framed([hello, *frames]) + rest,
+    st.lists(valid | almost | st.binary(max_size=20), max_size=10),
+    st.binary(max_size=10),
+)
+
+
+def one_line(lines: list[logging.LogRecord], peer: str) -> str:
+    """The one line that tells of a peer."""
+    (line,) = [line for line in lines if line.getMessage().startswith(peer)]
+    assert line.exc_info is None
+    return line.getMessage()
+
+
+async def is_unharmed(good: Client) -> None:
+    """Its session is as good as before."""
+    goal_id = GoalID.random()
+    await good.send(1, goal_id)
+    for _ in range(2):
+        await good.hear(Feedback)
+    assert (await good.hear(Ended)).status == GoalStatus.SUCCEEDED
+    assert await good.is_served()
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+@given(data=streams, cuts=st.lists(st.integers(0, 300), max_size=10))
+def test_any_bytes_end_their_own_session_only_and_in_one_line(
+    backend: str, data: bytes, cuts: list[int]
+) -> None:
+    async def check() -> None:
+        async with neighbours() as both:
+            good = await both.good()
+            stream = Chunks(chopped(data, cuts))
+            with logged() as lines:
+                await both.serve(StreamChannel(stream, "the bad one", Neighbours.limits.frame))
+            assert one_line(lines, "the bad one: ").partition(": ")[2]
+            await is_unharmed(good)
+
+    anyio.run(check, backend=backend)
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+@given(messages=sequences, batches=st.integers(1, 30), reads=st.booleans())
+def test_any_messages_in_any_order_harm_their_own_session_at_most(
+    backend: str, messages: list[Any], batches: int, reads: bool
+) -> None:
+    async def check() -> None:
+        limits = Neighbours.limits
+        async with neighbours() as both:
+            good = await both.good()
+            end, other = memory.pair("the bad one")
+            both.start(end)
+            if not reads:
+                other.stop_reading()
+            bad = memory.Peer(other, decode_from_server)
+            with logged() as lines:
+                try:
+                    await bad.say(Hello(VERSION, LONG, session=ANN))
+                    for start in range(0, len(messages), batches):
+                        await bad.say(*messages[start : start + batches])
+                        await settled()
+                        session = both.session(but=good.session)
+                        if session is not None:
+                            assert len(session._streams) <= limits.goals + limits.requests
+                            assert len(session._flows) <= limits.goals + limits.requests
+                            assert session._held <= limits.memory
+                except ConnectionLost:
+                    pass
+                other.go_on_reading()
+                other.cut()
+                await settled()
+                assert both.session(but=good.session) is None
+            one_line(lines, "the bad one: ")
+            await is_unharmed(good)
+
+    anyio.run(check, backend=backend)

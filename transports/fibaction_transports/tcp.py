@@ -1,0 +1,444 @@
+"""`tcp://host:port`, `tls://host:port` and `unix:///path`: actions across processes.
+
+What is said over the connection is in `fibaction.wire`; this module opens and accepts connections.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import socket
+import ssl
+import stat
+from abc import abstractmethod
+from collections.abc import AsyncGenerator, Generator, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
+
+import anyio
+import msgspec
+from anyio.abc import AnyByteStream, ByteStream, Listener, SocketAttribute, TaskGroup
+from anyio.streams.tls import TLSListener, TLSStream
+
+from fibaction.abc import Connection, Endpoint, Transport
+from fibaction.background import Background
+from fibaction.exceptions import (
+    AuthenticationFailed,
+    ConnectionLost,
+    ServerNotFound,
+    TransportError,
+)
+from fibaction.wire.access import Access, Authorize
+from fibaction.wire.channel import Channel, StreamChannel
+from fibaction.wire.connecting import Keeping, connected
+from fibaction.wire.hub import Hub, hub
+from fibaction.wire.limits import Limits
+
+HOST, PORT = "127.0.0.1", 7400
+"""Where a server is if nothing else is said: on this machine only."""
+ACCEPT_PAUSE = 0.1
+"""Seconds without new connections after one could not be accepted: a lack of files passes."""
+
+logger = logging.getLogger("fibaction.wire")
+
+
+class _StreamTransport(Transport):
+    """What the transports over streams of bytes have in common."""
+
+    def __init__(
+        self,
+        *,
+        token: str = "",
+        tokens: Mapping[str, str] | None = None,
+        authorize: Authorize | None = None,
+        heartbeat: float = 1.0,
+        reconnect: bool = True,
+        reconnect_timeout: float = 30.0,
+        window: int = 256,
+        orphans: Literal["keep", "cancel"] = "keep",
+        grace: float = 10.0,
+        limits: Limits | None = None,
+    ) -> None:
+        """Both halves in one: each takes the settings that are its own.
+
+        Args:
+            token: What a client tells the server.
+            tokens: For a server: the tokens it lets in, each with the name of whom it belongs to;
+                None lets everybody in.
+            authorize: For a server: called with the client, the action's name and the verb.
+            heartbeat: Seconds between signs of life, both ways; who misses four is lost.
+            reconnect: For a client: whether a lost connection is opened again, and goes on.
+            reconnect_timeout: For a client: seconds that calls wait for that.
+            window: For a client: how many feedback messages of a goal are kept until they are read.
+            orphans: For a server: what becomes of the goals of a client that does not come back.
+            grace: For a server: seconds that it waits for the client.
+            limits: For a server: what one client may use.
+
+        Raises:
+            ValueError: A number is out of range, or `orphans` is neither.
+        """
+        for name, value, least, most in (
+            ("heartbeat", heartbeat, 0.001, 3600),
+            ("window", window, 1, 2**31 - 1),
+            ("reconnect_timeout", reconnect_timeout, 0, math.inf),
+            ("grace", grace, 0, math.inf),
+        ):
+            if not least <= value <= most:
+                raise ValueError(f"{name} is between {least} and {most}, not {value}")
+        if orphans not in ("keep", "cancel"):
+            raise ValueError(f"orphans is 'keep' or 'cancel', not {orphans!r}")
+        self._keeping = Keeping(
+            heartbeat=heartbeat,
+            token=token,
+            reconnect=reconnect,
+            reconnect_timeout=reconnect_timeout,
+            window=window,
+        )
+        self._access = Access(tokens, authorize)
+        self._heartbeat = heartbeat
+        self._orphans: Literal["keep", "cancel"] = orphans
+        self._grace = grace
+        self._limits = limits or Limits()
+
+    @asynccontextmanager
+    async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
+        """See `Transport.serve`. With port 0, the URL tells which port it became."""
+        served = {endpoint.info.name: endpoint for endpoint in endpoints}
+        if len(served) < len(endpoints):
+            raise TransportError("two of the endpoints serve actions of the same name")
+        opened = hub(
+            served,
+            heartbeat=self._heartbeat,
+            access=self._access,
+            limits=self._limits,
+            grace=self._grace,
+            orphans=self._orphans,
+        )
+        async with opened as (connections, tasks):
+            listener, url = await self._listen()
+            try:
+                async with Background() as accepting:
+                    accepting.start_soon(self._accept, listener, connections, tasks)
+                    yield url
+            finally:
+                with anyio.CancelScope(shield=True):
+                    await listener.aclose()
+                self._forget()
+
+    @asynccontextmanager
+    async def connect(self) -> AsyncGenerator[Connection, None]:
+        """See `Transport.connect`."""
+        async with connected(self._dial, self._where, self._keeping) as connection:
+            yield connection
+
+    @property
+    @abstractmethod
+    def _where(self) -> str:
+        """The URL, without anything secret."""
+
+    @abstractmethod
+    async def _open_stream(self) -> ByteStream:
+        """Connect."""
+
+    @abstractmethod
+    async def _listen(self) -> tuple[Listener[Any], str]:
+        """Begin to listen; gives the URL, too."""
+
+    def _forget(self) -> None:
+        """Nobody listens any more."""
+
+    async def _dial(self) -> Channel:
+        try:
+            stream = await self._open_stream()
+        except ssl.SSLError as exc:
+            raise AuthenticationFailed(f"no TLS with {self._where}: {_tls_reason(exc)}") from exc
+        except OSError as exc:
+            raise ServerNotFound(
+                f"nobody listens at {self._where} ({exc.strerror or exc}): start the server, or"
+                f" wait for it with wait_for_server()"
+            ) from exc
+        except (anyio.BrokenResourceError, anyio.EndOfStream) as exc:
+            raise ConnectionLost(f"{self._where} closed the connection at once") from exc
+        return StreamChannel(stream, self._where, self._limits.frame)
+
+    async def _accept(self, listener: Listener[Any], connections: Hub, tasks: TaskGroup) -> None:
+        async def serve(stream: ByteStream) -> None:
+            channel = StreamChannel(stream, _peer_of(stream), self._limits.frame)
+            await connections.serve(channel)
+
+        while True:
+            try:
+                await listener.serve(serve, tasks)
+            except Exception as exc:
+                # For instance too many open files. Those who are connected must not suffer.
+                logger.error("%s cannot accept connections: %s", self._where, exc, exc_info=exc)
+                await anyio.sleep(ACCEPT_PAUSE)
+
+
+class TlsFiles(msgspec.Struct, frozen=True):
+    """What to make TLS of: paths of PEM files."""
+
+    ca: str | None = None
+    """Whom to trust; None is whom the system trusts. With it, a server wants certificates."""
+    cert: str | None = None
+    """One's own certificate; a server must have one, and a client may."""
+    key: str | None = None
+    """Its key, if that is in another file."""
+
+    def client(self) -> ssl.SSLContext:
+        """For the connecting half: the server's certificate must be right, for its host.
+
+        Raises:
+            TransportError: The files cannot be used.
+        """
+        with self._translated():
+            context = ssl.create_default_context(cafile=self.ca)
+            if self.cert is not None:
+                context.load_cert_chain(self.cert, self.key)
+            return context
+
+    def server(self) -> ssl.SSLContext:
+        """For the serving half.
+
+        Raises:
+            TransportError: The files cannot be used, or there is no certificate.
+        """
+        if self.cert is None:
+            raise TransportError("a TLS server needs a certificate: say cert=, and key=")
+        with self._translated():
+            context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=self.ca)
+            context.load_cert_chain(self.cert, self.key)
+            if self.ca is not None:
+                context.verify_mode = ssl.CERT_REQUIRED
+            return context
+
+    @contextmanager
+    def _translated(self) -> Generator[None, None, None]:
+        try:
+            yield
+        except (OSError, ValueError) as exc:
+            files = ", ".join(name for name in (self.ca, self.cert, self.key) if name)
+            raise TransportError(f"there is no TLS with {files}: {exc}") from exc
+
+
+class _TlsListener(TLSListener):
+    """One whose handshakes fail in one line of the log, without a traceback."""
+
+    @staticmethod
+    async def handle_handshake_error(exc: BaseException, stream: AnyByteStream) -> None:
+        reason = _tls_reason(exc) if isinstance(exc, ssl.SSLError) else type(exc).__name__
+        logger.warning("%s: no TLS: %s", _peer_of(stream), reason)
+        try:
+            if not isinstance(exc, Exception):
+                raise exc
+        finally:
+            await anyio.aclose_forcefully(stream)
+
+
+class TcpTransport(_StreamTransport):
+    """TCP, with or without TLS."""
+
+    def __init__(
+        self,
+        host: str = HOST,
+        port: int = PORT,
+        *,
+        tls: TlsFiles | ssl.SSLContext | None = None,
+        insecure: bool = False,
+        **settings: Any,
+    ) -> None:
+        """Take an address, and the settings that all transports over streams have.
+
+        `tls` is a context of one's own, for the half that is used, or says which files to make it
+        from. A server at an address that others than this machine can reach must have TLS, or
+        `insecure`.
+        """
+        super().__init__(**settings)
+        self._host = host
+        self._port = port
+        self._tls = tls
+        self._insecure = insecure
+
+    @classmethod
+    def from_url(cls, url: str, **settings: Any) -> TcpTransport:
+        """Make it from `tcp://host:port` or `tls://host:port`.
+
+        Behind `?`: `token`, `heartbeat`, `reconnect`, `reconnect_timeout`, `window`, `orphans`,
+        `grace`, `insecure`, and for TLS `ca`, `cert` and `key`, which are paths of PEM files; a
+        server that is given a `ca` asks its clients for certificates.
+
+        Raises:
+            TransportError: The URL is another one.
+            TypeError: There is no such setting.
+        """
+        parts, query = _split(url)
+        try:
+            host, port = parts.hostname or HOST, PORT if parts.port is None else parts.port
+        except ValueError as exc:
+            raise TransportError(f"{_without_query(url)} has no good port: {exc}") from exc
+        files_of = {"ca", "cert", "key"} if parts.scheme == "tls" else set[str]()
+        found = _settings(url, query, {"insecure"} | files_of)
+        files = {name: found.pop(name, None) for name in ("ca", "cert", "key")}
+        tls = TlsFiles(**files) if parts.scheme == "tls" else None
+        made: dict[str, Any] = {"tls": tls, **found, **settings}
+        with _translated(url):
+            return cls(host, port, **made)
+
+    @property
+    def _where(self) -> str:
+        return self._url(self._port)
+
+    def _url(self, port: int) -> str:
+        host = f"[{self._host}]" if ":" in self._host else self._host
+        return f"{'tls' if self._tls else 'tcp'}://{host}:{port}"
+
+    async def _open_stream(self) -> ByteStream:
+        stream = await anyio.connect_tcp(self._host, self._port)
+        stream.extra(SocketAttribute.raw_socket).setsockopt(
+            socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
+        )
+        if self._tls is None:
+            return stream
+        async with AsyncExitStack() as on_failure:
+            on_failure.push_async_callback(anyio.aclose_forcefully, stream)
+            context = self._tls.client() if isinstance(self._tls, TlsFiles) else self._tls
+            tls = await TLSStream.wrap(stream, hostname=self._host, ssl_context=context)
+            on_failure.pop_all()
+        return tls
+
+    async def _listen(self) -> tuple[Listener[Any], str]:
+        if not (self._insecure or self._tls or _is_loopback(self._host)):
+            raise TransportError(
+                f"{self._where} can be reached from other machines: use tls://, or say"
+                f" insecure=True if the network is your own"
+            )
+        context = self._tls.server() if isinstance(self._tls, TlsFiles) else self._tls
+        try:
+            listener = await anyio.create_tcp_listener(local_host=self._host, local_port=self._port)
+        except OSError as exc:
+            raise TransportError(f"cannot listen at {self._where}: {exc.strerror or exc}") from exc
+        port = listener.extra(SocketAttribute.local_port)
+        if context is None:
+            return listener, self._url(port)
+        timeout = self._limits.handshake
+        return _TlsListener(listener, context, handshake_timeout=timeout), self._url(port)
+
+
+class UnixTransport(_StreamTransport):
+    """A Unix domain socket: processes of one machine, with the permissions of a file."""
+
+    def __init__(self, path: str | os.PathLike[str], **settings: Any) -> None:
+        """Take the socket's path, and the settings that all transports over streams have."""
+        super().__init__(**settings)
+        self._path = Path(path)
+
+    @classmethod
+    def from_url(cls, url: str, **settings: Any) -> UnixTransport:
+        """Make it from `unix:///path`, with the same settings behind `?` as TCP.
+
+        Raises:
+            TransportError: The URL is another one.
+            TypeError: There is no such setting.
+        """
+        parts, query = _split(url)
+        path = unquote(parts.path)
+        if parts.netloc or len(path) < 2 or "\0" in path:
+            where = _without_query(url)
+            raise TransportError(f"the URL of a socket is like unix:///run/robot.sock, not {where}")
+        with _translated(url):
+            return cls(path, **{**_settings(url, query, set()), **settings})
+
+    @property
+    def _where(self) -> str:
+        return f"unix://{self._path}"
+
+    async def _open_stream(self) -> ByteStream:
+        return await anyio.connect_unix(self._path)
+
+    async def _listen(self) -> tuple[Listener[Any], str]:
+        if await self._is_served():
+            raise TransportError(f"cannot listen at {self._where}: somebody does already")
+        try:
+            return await anyio.create_unix_listener(self._path, mode=0o600), self._where
+        except (OSError, ValueError) as exc:
+            raise TransportError(f"cannot listen at {self._where}: {exc}") from exc
+
+    async def _is_served(self) -> bool:
+        """Whether a server has the socket: a file that one has left behind is only in the way."""
+        try:
+            if not stat.S_ISSOCK(self._path.stat().st_mode):
+                return False
+            await (await anyio.connect_unix(self._path)).aclose()
+        except OSError:
+            return False
+        return True
+
+    def _forget(self) -> None:
+        self._path.unlink(missing_ok=True)
+
+
+def _split(url: str) -> tuple[SplitResult, dict[str, str]]:
+    with _translated(url):
+        parts = urlsplit(url)
+    return parts, dict(parse_qsl(parts.query, keep_blank_values=True))
+
+
+@contextmanager
+def _translated(url: str) -> Generator[None, None, None]:
+    """A value that cannot be is the URL's fault."""
+    try:
+        yield
+    except ValueError as exc:
+        raise TransportError(f"{_without_query(url)}: {exc}") from exc
+
+
+def _settings(url: str, query: Mapping[str, str], more: set[str]) -> dict[str, Any]:
+    """The settings in a URL, of their types."""
+    settings: dict[str, Any] = {}
+    for name, text in query.items():
+        try:
+            if name in ("heartbeat", "reconnect_timeout", "grace"):
+                settings[name] = float(text)
+            elif name == "reconnect" or name in more & {"insecure"}:
+                settings[name] = {"true": True, "false": False}[text]
+            elif name == "window":
+                settings[name] = int(text)
+            elif name in {"token", "orphans"} | more:
+                settings[name] = text
+            else:
+                raise TransportError(f"{_without_query(url)} has no setting {name!r}")
+        except (ValueError, KeyError):
+            raise TransportError(
+                f"{_without_query(url)}: the setting {name!r} cannot be {text!r}"
+            ) from None
+    return settings
+
+
+def _without_query(url: str) -> str:
+    return url.partition("?")[0]  # what is behind it may be a token
+
+
+def _tls_reason(exc: ssl.SSLError) -> str:
+    return getattr(exc, "verify_message", "") or exc.reason or str(exc)
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _peer_of(stream: AnyByteStream) -> str:
+    family = stream.extra(SocketAttribute.family)
+    if family == socket.AF_UNIX:
+        return "a local process"
+    address = stream.extra(SocketAttribute.remote_address, None)
+    # It is not known of a peer that has reset the connection before it was looked at.
+    return f"{address[0]}:{address[1]}" if isinstance(address, tuple) else "a peer that has left"
