@@ -1,4 +1,4 @@
-"""Two things measured in turn, so that a machine that slows down slows both."""
+"""Things measured in turn, so that a machine that slows down slows all of them."""
 
 from __future__ import annotations
 
@@ -19,14 +19,16 @@ async def seconds_each(work: Work, times: int) -> float:
     return (perf_counter() - start) / times
 
 
+async def in_turn(*works: Work, times: int) -> list[tuple[float, ...]]:
+    """The seconds that each takes for one, some rounds after one that does not count."""
+    for work in works:
+        await work(times // 5 + 1)
+    return [tuple([await seconds_each(work, times) for work in works]) for _ in range(ROUNDS)]
+
+
 async def beside(ours: Work, other: Work, times: int) -> dict[str, float]:
-    """Both, in turn, some rounds after one that does not count. `ratio` is of the rates: how much
-    of the other's speed is ours."""
-    await ours(times // 5 + 1)
-    await other(times // 5 + 1)
-    pairs = [
-        (await seconds_each(ours, times), await seconds_each(other, times)) for _ in range(ROUNDS)
-    ]
+    """Both, in turn. `ratio` is of the rates: how much of the other's speed is ours."""
+    pairs = await in_turn(ours, other, times=times)
     return {
         "per_second": round(1 / median(pair[0] for pair in pairs)),
         "other_per_second": round(1 / median(pair[1] for pair in pairs)),

@@ -1,0 +1,77 @@
+"""gRPC: a goal is a call of a method that streams the feedback, and the result last.
+
+The payloads are the same as fibaction's, so that only what carries them differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+
+from anyio import create_task_group
+
+from tests.benchmarks.contender import AT_ONCE, Contender
+from tests.benchmarks.inprocess import ACTION, Feedback, Goal, Result
+
+SERVICE, METHOD = "Count", "send_goal"
+GRACE = 1.0
+"""Seconds that calls under way have when the server stops."""
+
+
+@asynccontextmanager
+async def serve() -> AsyncGenerator[str, None]:
+    import grpc.aio  # here, because the other benchmarks run without it
+
+    async def send_goal(request: bytes, _context: Any) -> AsyncGenerator[bytes, None]:
+        goal = ACTION.goal.decode(request)
+        feedback = Feedback([1, 2, 3])
+        for _ in range(goal.count):
+            yield ACTION.feedback.encode(feedback)
+        yield ACTION.result.encode(Result(goal.count))
+
+    server = grpc.aio.server()
+    # Without serializers, bytes go through as they are.
+    methods = {METHOD: grpc.unary_stream_rpc_method_handler(send_goal)}
+    server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, methods),))
+    port = server.add_insecure_port("127.0.0.1:0")
+    await server.start()
+    try:
+        yield f"127.0.0.1:{port}"
+    finally:
+        await server.stop(GRACE)
+
+
+@asynccontextmanager
+async def connect(address: str) -> AsyncGenerator[Contender, None]:
+    import grpc.aio
+
+    async with grpc.aio.insecure_channel(address) as channel:
+        yield OverGrpc(channel)
+
+
+class OverGrpc(Contender):
+    def __init__(self, channel: Any) -> None:
+        self._send_goal = channel.unary_stream(f"/{SERVICE}/{METHOD}")
+
+    async def goals(self, times: int) -> None:
+        for _ in range(times):
+            await self._call(0)
+
+    async def batches(self, times: int) -> None:
+        for _ in range(times):
+            async with create_task_group() as tasks:
+                for _ in range(AT_ONCE):
+                    tasks.start_soon(self._call, 0)
+
+    async def feedback(self, times: int) -> None:
+        await self._call(times)
+
+    async def _call(self, count: int) -> None:
+        seen, last = 0, b""
+        async for message in self._send_goal(ACTION.goal.encode(Goal(count))):
+            if last:
+                ACTION.feedback.decode(last)
+                seen += 1
+            last = message
+        assert ACTION.result.decode(last) == Result(seen) == Result(count), "feedback was lost"

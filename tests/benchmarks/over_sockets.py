@@ -1,0 +1,131 @@
+"""The limit: fibaction's bytes over anyio's sockets, and nothing that decides, dispatches or waits.
+
+There is a port for goals, where each frame is answered with two, and one for feedback, where a
+number is answered with as many frames.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+
+import anyio
+from anyio.abc import SocketAttribute, SocketStream
+
+from fibaction import GoalStatus, messages
+from fibaction.framing import MAX_FRAME, FrameReader, header
+from fibaction.goals import GoalID
+from tests.benchmarks.contender import AT_ONCE, Contender
+from tests.benchmarks.inprocess import ACTION, Feedback, Goal, Result
+
+CHUNK = 2**16
+"""Bytes read or written at once, as over fibaction."""
+NUMBER = 4
+"""Bytes of the number of feedback messages that are wanted."""
+CALL = 100_000
+"""The ID of a call, and a goal's stamp: as long on the line as they are after many goals."""
+STAMP = 1_800_000_000_000_000_000
+
+
+def framed(message: object) -> bytes:
+    frame = messages.encode(message)
+    return header(len(frame)) + frame
+
+
+REQUEST = framed(
+    messages.SendGoal(
+        CALL, ACTION.name, GoalID(bytes(range(16))), ACTION.goal.encode(Goal(0)), credit=0
+    )
+)
+ANSWER = framed(
+    messages.Following(CALL, STAMP, GoalStatus.EXECUTING, latest=False, place=0)
+) + framed(messages.Ended(CALL, GoalStatus.SUCCEEDED, ACTION.result.encode(Result(0)), "", 0))
+
+
+@asynccontextmanager
+async def serve() -> AsyncGenerator[str, None]:
+    async with (
+        await anyio.create_tcp_listener(local_host="127.0.0.1") as for_goals,
+        await anyio.create_tcp_listener(local_host="127.0.0.1") as for_feedback,
+        anyio.create_task_group() as tasks,
+    ):
+        tasks.start_soon(for_goals.serve, answer_goals)
+        tasks.start_soon(for_feedback.serve, send_feedback)
+        yield " ".join(
+            str(listener.extra(SocketAttribute.local_port))
+            for listener in (for_goals, for_feedback)
+        )
+        tasks.cancel_scope.cancel()
+
+
+async def answer_goals(stream: SocketStream) -> None:
+    without_delay(stream)
+    reader = FrameReader(MAX_FRAME)
+    async with stream:
+        async for data in stream:
+            await stream.send(ANSWER * len(reader.feed(data)))
+
+
+async def send_feedback(stream: SocketStream) -> None:
+    without_delay(stream)
+    feedback = Feedback([1, 2, 3])
+    async with stream:
+        async for wanted in stream:
+            chunk = bytearray()
+            for number in range(1, int.from_bytes(wanted, "big") + 1):
+                frame = framed(messages.Feedback(CALL, number, ACTION.feedback.encode(feedback)))
+                if len(chunk) + len(frame) > CHUNK:
+                    await stream.send(bytes(chunk))
+                    chunk = bytearray()
+                chunk += frame
+            await stream.send(bytes(chunk))
+
+
+@asynccontextmanager
+async def connect(address: str) -> AsyncGenerator[Contender, None]:
+    goals, feedback = map(int, address.split())
+    async with (
+        await anyio.connect_tcp("127.0.0.1", goals) as for_goals,
+        await anyio.connect_tcp("127.0.0.1", feedback) as for_feedback,
+    ):
+        yield OverSockets(for_goals, for_feedback)
+
+
+class OverSockets(Contender):
+    def __init__(self, goals: SocketStream, feedback: SocketStream) -> None:
+        self._goals = goals
+        self._feedback = feedback
+        for stream in (goals, feedback):
+            without_delay(stream)
+
+    async def goals(self, times: int) -> None:
+        await self._exchange(times, 1)
+
+    async def batches(self, times: int) -> None:
+        await self._exchange(times, AT_ONCE)
+
+    async def feedback(self, times: int) -> None:
+        reader = FrameReader(MAX_FRAME)
+        await self._feedback.send(times.to_bytes(NUMBER, "big"))
+        seen = 0
+        while seen < times:
+            for frame in reader.feed(await self._feedback.receive(CHUNK)):
+                message = messages.decode_from_server(frame)
+                assert isinstance(message, messages.Feedback)
+                ACTION.feedback.decode(message.payload)
+                seen += 1
+
+    async def _exchange(self, times: int, size: int) -> None:
+        reader = FrameReader(MAX_FRAME)
+        requests = REQUEST * size
+        for _ in range(times):
+            await self._goals.send(requests)
+            seen = 0
+            while seen < 2 * size:
+                seen += len(reader.feed(await self._goals.receive(CHUNK)))
+
+
+def without_delay(stream: SocketStream) -> None:
+    raw = stream.extra(SocketAttribute.raw_socket)
+    raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

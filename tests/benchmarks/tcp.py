@@ -1,0 +1,89 @@
+"""TCP: goals in another process, beside gRPC and beside the least that anyio's sockets could do."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import AsyncGenerator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from importlib.metadata import PackageNotFoundError, version
+from statistics import median
+from typing import Any
+
+import anyio
+from anyio.streams.text import TextReceiveStream
+
+from tests.benchmarks import over_fibaction, over_grpc, over_sockets
+from tests.benchmarks.contender import AT_ONCE, Contender
+from tests.benchmarks.timing import Work, in_turn
+
+CONTENDERS = {"fibaction": over_fibaction, "grpc": over_grpc, "bare": over_sockets}
+
+START_TIMEOUT, STOP_TIMEOUT = 30.0, 5.0
+"""Seconds that a server has for its imports, and for the calls that are under way at its end."""
+
+
+async def measure(scale: float) -> dict[str, Any]:
+    try:
+        grpcio = version("grpcio")
+    except PackageNotFoundError:
+        raise SystemExit("grpcio is not installed: `make bench` installs it") from None
+    async with AsyncExitStack() as stack:
+        contenders: list[Contender] = []
+        for name, module in CONTENDERS.items():
+            address = await stack.enter_async_context(serving(name))
+            contenders.append(await stack.enter_async_context(module.connect(address)))
+
+        async def compare(
+            work: Callable[[Contender], Work], times: float, *, each: int = 1, **targets: float
+        ) -> dict[str, float]:
+            """`each` is how many of what is counted are in one of the `times`."""
+            rounds = await in_turn(*map(work, contenders), times=max(1, int(times * scale)))
+            columns = zip(CONTENDERS, zip(*rounds, strict=True), strict=True)
+            return {
+                **{f"{name}_per_second": round(each / median(of)) for name, of in columns},
+                "fibaction_to_grpc": round(median(grpc / ours for ours, grpc, _ in rounds), 3),
+                "fibaction_to_bare": round(median(bare / ours for ours, _, bare in rounds), 3),
+                **targets,
+            }
+
+        return {
+            "grpcio": grpcio,
+            "goals, one after another": await compare(
+                lambda contender: contender.goals, 2500, target_to_grpc=3, target_to_bare=0.5
+            ),
+            f"goals, {AT_ONCE} at once": await compare(
+                lambda contender: contender.batches, 8, each=AT_ONCE, target_to_grpc=3
+            ),
+            "feedback of one goal": await compare(
+                lambda contender: contender.feedback, 20_000, target_to_grpc=15
+            ),
+        }
+
+
+@asynccontextmanager
+async def serving(contender: str) -> AsyncGenerator[str, None]:
+    """A server in a process of its own, and its address."""
+    # Ctrl-C is for this process alone, which then stops the server.
+    process = await anyio.open_process(
+        [sys.executable, "-m", "tests.benchmarks.tcp_server", contender],
+        stderr=None,
+        start_new_session=True,
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        with anyio.fail_after(START_TIMEOUT):
+            address = ""
+            async for text in TextReceiveStream(process.stdout):
+                address += text
+                if address.endswith("\n"):
+                    break
+        if not address:
+            raise RuntimeError(f"the server of {contender} did not start")
+        yield address.strip()
+    finally:
+        with anyio.CancelScope(shield=True):
+            await process.stdin.aclose()
+            with anyio.move_on_after(STOP_TIMEOUT):
+                await process.wait()
+            await process.aclose()  # kills it if it is still there

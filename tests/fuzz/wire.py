@@ -1,0 +1,105 @@
+"""A fuzz target: what a server does with the bytes of somebody who means no good.
+
+    make fuzz            # for two minutes; or: python -m tests.fuzz.wire -max_total_time=3600
+
+The input is cut into pieces by its own first bytes, and goes through the real frames and a real
+session with a real server behind it. Whatever it is, the session goes on or ends with an
+`ActionError`; anything else is a finding. Needs atheris, which `make fuzz` installs.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from typing import Any
+
+import anyio
+import atheris
+
+from fibaction import ActionServer
+from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
+from fibaction.framing import FrameReader, header
+from fibaction.messages import VERSION, Hello, decode_from_client, decode_from_server, encode
+from fibaction.wire.access import Access
+from fibaction.wire.channel import Channel
+from fibaction.wire.limits import Limits
+from fibaction.wire.link import Link
+from fibaction.wire.orphans import Orphans
+from fibaction.wire.serving import Session
+from tests.fibonacci import FIBONACCI, fibonacci
+
+LIMIT = 2**16
+HELLO = encode(Hello(VERSION, 60.0))
+
+
+class Given(Channel):
+    """A channel on which the given bytes arrive, in pieces, and what is sent is thrown away."""
+
+    peer = "the fuzzer"
+
+    def __init__(self, pieces: Iterator[bytes]) -> None:
+        self._pieces = pieces
+        self._reader = FrameReader(LIMIT)
+
+    async def send(self, frames: Sequence[bytes], timeout: float) -> None:
+        for frame in frames:
+            decode_from_server(frame)  # what a server says is always a message
+
+    async def receive(self) -> list[bytes]:
+        await anyio.lowlevel.checkpoint()
+        for piece in self._pieces:
+            if frames := self._reader.feed(piece):
+                return frames
+        raise ConnectionLost("that was all")
+
+    async def aclose(self) -> None:
+        pass
+
+
+def pieces(data: bytes) -> Iterator[bytes]:
+    """A hello, or none, and then the data in pieces of a size that the data tells."""
+    if not data:
+        return
+    size, data = data[0] or 1, data[1:]
+    if size % 2:
+        yield header(len(HELLO)) + HELLO
+    for start in range(0, len(data), size):
+        yield data[start : start + size]
+
+
+async def serve(data: bytes) -> None:
+    async with ActionServer(FIBONACCI, fibonacci) as server, anyio.create_task_group() as tasks:
+        session = Session(
+            Link(Given(pieces(data)), 60.0),
+            {"fibonacci": server},
+            heartbeat=60.0,
+            access=Access(),
+            limits=Limits(goals=10, requests=10, memory=LIMIT),
+            orphans=Orphans(tasks, grace=0),
+        )
+        error = await session.run()
+        assert isinstance(error, ActionError), error
+
+
+def decode(data: bytes) -> None:
+    for read in (decode_from_client, decode_from_server):
+        with suppress(ProtocolError):
+            read(data)
+
+
+def one_input(data: bytes) -> None:
+    decode(data)
+    anyio.run(serve, data)
+
+
+def main() -> Any:
+    logging.disable()
+    atheris.instrument_all()
+    atheris.Setup(sys.argv, one_input)
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()
