@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any, TypeAlias
+from typing import Any
 
 from anyio import CancelScope, sleep
 from anyio.abc import TaskGroup
@@ -62,8 +62,6 @@ from fibaction.wire.link import Link
 from fibaction.wire.orphans import Orphans
 
 logger = logging.getLogger("fibaction.wire")
-
-Request: TypeAlias = SendGoal | Follow | CancelGoals | WatchStatus | AwaitServer | ListActions
 
 
 class _Flow:
@@ -247,17 +245,17 @@ class Session:
         try:
             await part(message)
         except ActionError as exc:
-            await self._fail(message.id, exc)
+            self._fail(message.id, exc)
         except Exception as exc:
             # An endpoint or a callback of somebody else's: that is its fault, and one client's.
             what = type(message).__name__
             logger.error("%s: its %s failed", self._link.peer, what, exc_info=exc)
-            await self._fail(message.id, ServerNotFound(f"the server failed: {type(exc).__name__}"))
+            self._fail(message.id, ServerNotFound(f"the server failed: {type(exc).__name__}"))
         finally:
             del self._flows[message.id]
             self._goals -= isinstance(message, SendGoal | Follow)
 
-    async def _fail(self, request: int, exc: ActionError) -> None:
+    def _fail(self, request: int, exc: ActionError) -> None:
         answer: Rejected | Failed
         if isinstance(exc, GoalRejected):
             answer = Rejected(request, _text(exc.reason))
