@@ -7,6 +7,7 @@ import sys
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
+from signal import SIGHUP, SIGINT, SIGTERM, raise_signal, signal
 
 import anyio
 from anyio.abc import Process
@@ -69,6 +70,9 @@ async def url_of(process: Process) -> str:
 
 
 if __name__ == "__main__":
+    # A kill or a terminal that is closed must not leave the server behind, either.
+    for other in (SIGTERM, SIGHUP):
+        signal(other, lambda number, frame: raise_signal(SIGINT))
     try:
         anyio.run(main)
     except KeyboardInterrupt:

@@ -24,7 +24,8 @@ from fibaction.exceptions import (
     UnknownGoal,
 )
 from fibaction.executor import GoalHandle
-from fibaction.goals import CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
+from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
+from fibaction.observing import Events, GoalFeedback
 from fibaction.server import ActionServer
 from fibaction.serving import serve
 from fibaction.states import GoalEvent, GoalStatus
@@ -34,6 +35,7 @@ __all__ = [
     "ActionClient",
     "ActionError",
     "ActionInfo",
+    "ActionPeers",
     "ActionServer",
     "AuthenticationFailed",
     "CancelAnswer",
@@ -43,9 +45,11 @@ __all__ = [
     "ClientGoal",
     "ConnectionLost",
     "Endpoint",
+    "Events",
     "GoalAborted",
     "GoalCanceled",
     "GoalEvent",
+    "GoalFeedback",
     "GoalHandle",
     "GoalID",
     "GoalInfo",

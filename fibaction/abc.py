@@ -12,14 +12,16 @@ whatever it is built on, `raise ... from exc`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Coroutine
 from contextlib import AbstractAsyncContextManager
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import UnknownGoal
-from fibaction.goals import UNKNOWN_OUTCOME, CancelAnswer, GoalID, GoalInfo, Outcome
+from fibaction.goals import UNKNOWN_OUTCOME, ActionPeers, CancelAnswer, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
+from fibaction.waking import Waking
 
 
 class FeedbackItem(NamedTuple):
@@ -58,7 +60,9 @@ class GoalStream(_Closing):
     latest: bool
     """Whether a reader who is late wants the newest feedback only: the server's policy."""
     place: int
-    """The number of the feedback that was received last, or skipped."""
+    """The number of the feedback that was taken last, or skipped."""
+    news: Waking
+    """Woken whenever there may be something to take, and when the goal has ended."""
 
     @property
     @abstractmethod
@@ -71,40 +75,67 @@ class GoalStream(_Closing):
         """How many feedback messages this stream has missed, because it was read too slowly."""
 
     @abstractmethod
-    async def next_event(self, *, feedback: bool = True) -> FeedbackItem | GoalStatus | None:
-        """What happens next to the goal: feedback, or the status that it has changed to; None when
-        there is no more, which is when the goal has ended or the stream was closed. Without
-        `feedback` that is left for later. Nothing is lost if the wait is canceled.
+    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
+        """What happens next to the goal, as far as it is known: the status that it has changed to,
+        or at most `limit` feedback messages. An empty list if there is nothing now; None if there
+        is no more, which is when the goal has ended or the stream was closed.
 
         Raises:
             ConnectionLost: The connection ended, and more was to come.
         """
 
-    def ready(self, limit: int) -> list[FeedbackItem]:
-        """Feedback that can be had without waiting, at most so much; none if a status comes first.
+    @abstractmethod
+    def ended(self) -> Outcome[bytes] | None:
+        """How the goal has ended, if that is known.
 
-        It is what `next_event` would give, for those who can use it in larger pieces.
+        Raises:
+            ConnectionLost: The connection ended before the goal did.
         """
-        return []
+
+    async def next_event(self) -> FeedbackItem | GoalStatus | None:
+        """Wait for what happens next to the goal: feedback, or the status that it has changed to;
+        None when there is no more. Nothing is lost if the wait is canceled.
+
+        Raises:
+            ConnectionLost: As for `take`.
+        """
+        while (event := self.take()) is not None:
+            if isinstance(event, GoalStatus):
+                return event
+            if event:
+                return event[0]
+            await self.news.wait()
+        return None
 
     async def receive(self) -> FeedbackItem | None:
         """The next feedback; None when there is no more.
 
         Raises:
-            ConnectionLost: As for `next_event`.
+            ConnectionLost: As for `take`.
         """
-        while isinstance(event := await self.next_event(), GoalStatus):
-            pass
-        return event
+        while (event := self.take()) is not None:
+            if isinstance(event, GoalStatus):
+                continue
+            if event:
+                return event[0]
+            await self.news.wait()
+        return None
 
-    @abstractmethod
     async def outcome(self) -> Outcome[bytes]:
         """Wait for the end of the goal, whether or not its feedback is read.
 
         It is answered also after the server has forgotten the result, or the stream was closed.
 
         Raises:
-            ConnectionLost: The connection ended before the goal did.
+            ConnectionLost: As for `ended`.
+        """
+        while (outcome := self.ended()) is None:
+            await self.news.wait()
+        return outcome
+
+    def rewind(self, after: int) -> None:
+        """Go back to what follows the feedback of that number, as far as it is still there. A
+        stream that cannot go back stays where it is.
         """
 
     @abstractmethod
@@ -118,6 +149,9 @@ class GoalStream(_Closing):
 
 class StatusStream(_Closing):
     """What happens to all goals of a server: first every goal it knows, then each change."""
+
+    known: int = 0
+    """How many goals the server knew when the stream began: so many come first."""
 
     @property
     @abstractmethod
@@ -152,7 +186,20 @@ class Endpoint(ABC):
             GoalRejected: The server did not accept it; `reason` says why.
             ServerNotFound: Nobody serves this action.
             ConnectionLost: The connection ended before the answer; the goal may have been accepted.
+            ProtocolError: The goal is too large to be sent.
         """
+
+    def offer_goal(
+        self, goal_id: GoalID, goal: bytes, *, feedback: bool = True, client: str = ""
+    ) -> GoalStream | Coroutine[Any, Any, GoalStream]:
+        """`send_goal` for the server half of a transport: gives the stream itself if there is
+        nothing to wait for, else a coroutine that waits for it. `client` says who has sent the
+        goal, for people to read; what is behind another transport is not told.
+
+        Raises:
+            ActionError: What `send_goal` raises, if that is known at once.
+        """
+        return self.send_goal(goal_id, goal, feedback=feedback)
 
     @abstractmethod
     async def feedback(
@@ -228,6 +275,15 @@ class Connection(ABC):
         Raises:
             ConnectionLost: The connection ended.
         """
+
+    async def peers(self, action: str) -> ActionPeers:
+        """Who serves that action and who uses it, as far as this transport knows.
+
+        Raises:
+            ConnectionLost: The connection ended.
+            AuthenticationFailed: This client may not know that.
+        """
+        return ActionPeers()
 
 
 class Transport(ABC):

@@ -10,17 +10,22 @@ import decimal
 import re
 import uuid
 from collections.abc import Iterator
+from importlib.metadata import entry_points
 from typing import Any, Generic, TypeGuard, TypeVar, cast, get_origin
 
 import msgspec
 from msgspec import inspect
 
-from fibaction.exceptions import ProtocolError
+from fibaction.exceptions import ProtocolError, TransportError
 
 GoalT = TypeVar("GoalT")
 FeedbackT = TypeVar("FeedbackT")
 ResultT = TypeVar("ResultT")
 T = TypeVar("T")
+
+INTERFACES = "fibaction.interfaces"
+"""The entry-point group of what makes message types: called with the name of a type, it gives
+those of the goal, the feedback and the result, or raises TransportError."""
 
 # ROS 2's rule for names (REP 144, `rmw/validate_full_topic_name.h`), so that an action can be
 # served over ROS under the same name: tokens that do not start with a digit, a `~` only in front.
@@ -155,8 +160,43 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         action.goal = action.feedback = action.result = anything
         return action
 
+    @classmethod
+    def from_ros(cls, type_name: str, *, name: str) -> Action[Any, Any, Any]:
+        """An action whose types are made from a ROS 2 type, for those who have only that.
+
+        They are structs with ROS's fields, defaults and constants: `action.goal.type(order=3)`.
+        The type is looked for where Python imports from, so ROS 2 and the package must be there.
+
+        Raises:
+            TransportError: The type cannot be had; the text says what is missing.
+            ValueError: The name breaks the rule for names.
+        """
+        goal, feedback, result = _interface(type_name)
+        return cls(name, goal=goal, feedback=feedback, result=result, type_name=type_name)
+
     def __repr__(self) -> str:
         return f"<Action {self.name!r}>"
+
+
+def _interface(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
+    """The types of a ROS 2 action, from whatever package knows how to make them."""
+    found = tuple(entry_points(group=INTERFACES, name="ros2"))
+    if not found:
+        raise TransportError(
+            f"no package that makes message types from ROS 2 is installed, so {type_name!r}"
+            " cannot be had"
+        )
+    try:
+        make = found[0].load()
+    except TransportError:
+        raise  # it says by itself what it needs
+    except Exception as exc:  # whatever somebody else's module does when it is imported
+        raise TransportError(
+            f"message types cannot be made from {type_name!r}, because {found[0].value}"
+            f" cannot be imported: {exc}"
+        ) from exc
+    goal, feedback, result = make(type_name)
+    return goal, feedback, result
 
 
 def _checked(rule: re.Pattern[str], text: str, meaning: str) -> str:

@@ -6,8 +6,9 @@ It knows nothing of goals; what yes and no mean is its caller's affair.
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable
-from typing import TypeAlias, TypeVar
+from collections.abc import Awaitable, Callable, Coroutine, Generator
+from contextlib import contextmanager
+from typing import Any, TypeAlias, TypeVar
 
 from anyio import CancelScope
 
@@ -34,28 +35,57 @@ class Callbacks:
         for scope in tuple(self._waiting):
             scope.cancel()
 
-    async def ask(
+    def ask(
         self,
         name: str,
         callback: Callback[T],
         argument: T,
         refusal: type[GoalRejected] | type[CancelRejected],
-    ) -> None:
-        """Call the callback of that name, and return if it agrees.
+    ) -> Coroutine[Any, Any, None] | None:
+        """Call the callback of that name, and return None if it agrees; if it has to be waited for,
+        a coroutine that does.
 
         Raises:
-            GoalRejected, CancelRejected: Whichever is `refusal`: the callback raised it, or failed,
-                or returned something, or the server stopped meanwhile.
+            GoalRejected, CancelRejected: Whichever is `refusal`, here or by the coroutine: the
+                callback raised it, or failed, or returned something, or the server stopped
+                meanwhile.
         """
-        try:
+        with self._refusing(name, refusal):
             answer: object = callback(argument)
             if isinstance(answer, Awaitable):
-                answer = await self._wait(answer, refusal)
-            if answer is not None:
-                raise TypeError(
-                    f"{name} returned {answer!r}: return None to agree,"
-                    f" raise {refusal.__name__}(reason) to refuse"
-                )
+                # From now on, and not only when the coroutine begins, `stop` is to reach it.
+                scope = CancelScope()
+                self._waiting.add(scope)
+                return self._wait(scope, name, answer, refusal)
+            _check(name, answer, refusal)
+        return None
+
+    async def _wait(
+        self,
+        scope: CancelScope,
+        name: str,
+        awaitable: Awaitable[object],
+        refusal: type[GoalRejected] | type[CancelRejected],
+    ) -> None:
+        try:
+            with self._refusing(name, refusal):
+                if scope.cancel_called:  # before anybody has waited
+                    if isinstance(awaitable, Coroutine):
+                        awaitable.close()
+                    raise refusal(SERVER_STOPPING)
+                with scope:
+                    _check(name, await awaitable, refusal)
+                if scope.cancelled_caught:
+                    raise refusal(SERVER_STOPPING)
+        finally:
+            self._waiting.discard(scope)
+
+    @contextmanager
+    def _refusing(
+        self, name: str, refusal: type[GoalRejected] | type[CancelRejected]
+    ) -> Generator[None, None, None]:
+        try:
+            yield
         except refusal:
             raise
         except Exception as exc:
@@ -63,13 +93,10 @@ class Callbacks:
             logger.error("action %r: %s", self._action, reason, exc_info=exc)
             raise refusal(reason) from exc
 
-    async def _wait(
-        self, answer: Awaitable[object], refusal: type[GoalRejected] | type[CancelRejected]
-    ) -> object:
-        with CancelScope() as scope:
-            self._waiting.add(scope)
-            try:
-                return await answer
-            finally:
-                self._waiting.discard(scope)
-        raise refusal(SERVER_STOPPING)
+
+def _check(name: str, answer: object, refusal: type[GoalRejected] | type[CancelRejected]) -> None:
+    if answer is not None:
+        raise TypeError(
+            f"{name} returned {answer!r}: return None to agree,"
+            f" raise {refusal.__name__}(reason) to refuse"
+        )

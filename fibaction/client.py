@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Awaitable, Callable, Coroutine, Generator
-from contextlib import suppress
+from contextlib import AbstractAsyncContextManager, suppress
 from types import TracebackType
 from typing import Any, Generic
 
@@ -24,7 +24,8 @@ from fibaction.exceptions import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.goals import CancelAnswer, GoalID, Outcome
+from fibaction.goals import CancelAnswer, GoalID, GoalInfo, Outcome
+from fibaction.observing import Events, events_of
 from fibaction.states import GoalStatus
 
 LEAVE_TIMEOUT = 5.0
@@ -271,6 +272,31 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             ServerNotFound, ConnectionLost: As for `send_goal`.
         """
         return await self.endpoint.cancel_goals(goal_id, before)
+
+    async def goals(self) -> list[GoalInfo]:
+        """Every goal that the server knows: those that have ended, then the active ones.
+
+        Raises:
+            ServerNotFound, ConnectionLost: As for `send_goal`.
+        """
+        goals: list[GoalInfo] = []
+        with await self.endpoint.status() as statuses:
+            for _ in range(statuses.known):
+                info = await statuses.receive()
+                if info is None:
+                    break
+                goals.append(info)
+        return goals
+
+    def events(self, *, feedback: bool = True) -> AbstractAsyncContextManager[Events[FeedbackT]]:
+        """`async with` this, and `async for` over what it gives: first every goal that the server
+        knows, then each change of a status, and, with `feedback`, the feedback of all goals, of new
+        ones from the beginning. A goal's end comes after its feedback.
+
+        Raises:
+            ServerNotFound, ConnectionLost: As for `send_goal`.
+        """
+        return events_of(self.endpoint, self.action.feedback, feedback=feedback)
 
     async def wait_for_server(self, timeout: float | None = None) -> None:
         """Return as soon as somebody serves the action.

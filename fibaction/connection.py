@@ -9,6 +9,7 @@ from typing import Any, overload
 from fibaction.abc import Connection, Endpoint, Transport
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.client import ActionClient
+from fibaction.goals import ActionPeers
 from fibaction.urls import transport_for
 
 
@@ -31,6 +32,10 @@ class ClientConnection(Connection):
     async def actions(self) -> list[ActionInfo]:
         """What can be reached now: see `Connection.actions`."""
         return await self._connection.actions()
+
+    async def peers(self, action: str) -> ActionPeers:
+        """Who serves an action and who uses it: see `Connection.peers`."""
+        return await self._connection.peers(action)
 
 
 @overload

@@ -66,6 +66,10 @@ class GoalInfo(msgspec.Struct, frozen=True):
     """When the goal was accepted: nanoseconds since 1970. Each goal of a server has another one."""
     status: GoalStatus
     """UNKNOWN says that the server has forgotten the goal."""
+    feedback_count: int = 0
+    """How many feedback messages there have been by then; 0 also where that is not carried."""
+    client: str = ""
+    """Who sent the goal, as its transport names clients; empty where nobody knows."""
 
 
 class Outcome(msgspec.Struct, Generic[T], frozen=True):
@@ -81,6 +85,13 @@ class Outcome(msgspec.Struct, Generic[T], frozen=True):
 
 UNKNOWN_OUTCOME: Outcome[Any] = Outcome(GoalStatus.UNKNOWN)
 """The answer for a goal that was never accepted, or whose result has expired."""
+
+
+class ActionPeers(msgspec.Struct, frozen=True):
+    """Who serves an action, and who uses it, as their transport names them."""
+
+    servers: tuple[str, ...] = ()
+    clients: tuple[str, ...] = ()
 
 
 class CancelCode(IntEnum):

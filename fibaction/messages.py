@@ -15,6 +15,7 @@ import msgspec
 
 from fibaction.action import ActionInfo
 from fibaction.exceptions import ProtocolError
+from fibaction.framing import MAX_FRAME
 from fibaction.goals import GoalID
 
 VERSION = 1
@@ -26,6 +27,7 @@ GoalBytes: TypeAlias = Annotated[bytes, msgspec.Meta(min_length=16, max_length=1
 Stamp: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 Status: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=6)]
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
+FrameSize: TypeAlias = Annotated[int, msgspec.Meta(ge=1, lt=2**32)]
 Seconds: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=3600)]
 
 
@@ -62,6 +64,8 @@ class Hello(_Message, tag=16):
     session: bytes = b""
     """The same on all connections of one client, and known to nobody else: by it the server knows
     whose goals are whose."""
+    max_frame: FrameSize = MAX_FRAME
+    """Bytes of the largest message that the client takes."""
 
     def __repr__(self) -> str:
         return f"Hello(version={self.version})"  # a token has no place in a log
@@ -101,7 +105,7 @@ class CancelGoals(_Message, tag=19):
 
 
 class WatchStatus(_Message, tag=20):
-    """Follow the statuses of all goals. Answered by `Done`, later `GoalChanged`, or `Failed`."""
+    """Follow the statuses of all goals. Answered by `Watching`, then `GoalChanged`, or `Failed`."""
 
     id: ID
     action: str
@@ -134,6 +138,19 @@ class Close(_Message, tag=24):
     id: ID
 
 
+class Received(_Message, tag=25):
+    """`Ended` has arrived. Until then the server keeps what it has of a goal for its client."""
+
+    id: ID
+
+
+class AskPeers(_Message, tag=26):
+    """Ask who else uses an action. Answered by `Peers` or `Failed`."""
+
+    id: ID
+    action: str
+
+
 # From the server
 
 
@@ -142,6 +159,8 @@ class Welcome(_Message, tag=32):
 
     version: int
     heartbeat: Seconds
+    max_frame: FrameSize = MAX_FRAME
+    """Bytes of the largest message that the server takes."""
 
 
 class Following(_Message, tag=33):
@@ -198,14 +217,14 @@ class StatusChanged(_Message, tag=37):
 
 
 class Ended(_Message, tag=38):
-    """The goal has ended. The last message of that ID."""
+    """The goal has ended. The last message of that ID; the client answers with `Received`."""
 
     id: ID
     status: Status
     result: bytes | None
     reason: str
     place: Stamp
-    """How many feedback messages there have been."""
+    """The number of the last feedback: what has not come by now is lost."""
 
 
 class CancelAnswered(_Message, tag=39):
@@ -225,7 +244,11 @@ class GoalChanged(_Message, tag=40):
     stamp: Stamp
     status: Status
     dropped: Stamp
-    """How many of these were left out so far, because there was no credit."""
+    """How many of these were left out so far, because they were not taken in time."""
+    feedback_count: Stamp = 0
+    """How many feedback messages of the goal there have been."""
+    client: str = ""
+    """Who sent the goal, as far as the server knows."""
 
 
 class Done(_Message, tag=41):
@@ -247,6 +270,22 @@ class Actions(_Message, tag=43):
     actions: list[ActionInfo]
 
 
+class Watching(_Message, tag=44):
+    """The statuses follow: first those of the goals that there are, then each change."""
+
+    id: ID
+    known: Stamp
+    """How many goals there are."""
+
+
+class Peers(_Message, tag=45):
+    """Who uses the action."""
+
+    id: ID
+    clients: list[str]
+    """Each as the server's log names it."""
+
+
 FromClient: TypeAlias = (
     Hello
     | SendGoal
@@ -257,6 +296,8 @@ FromClient: TypeAlias = (
     | ListActions
     | Credit
     | Close
+    | Received
+    | AskPeers
     | Ping
     | Goodbye
 )
@@ -273,6 +314,8 @@ FromServer: TypeAlias = (
     | Done
     | Finished
     | Actions
+    | Watching
+    | Peers
     | Ping
     | Goodbye
 )

@@ -33,12 +33,21 @@ ID_IN_USE = "its ID is in use by another goal"
 class Goal:
     """One accepted goal, as the server keeps it."""
 
-    __slots__ = ("feedback_count", "fingerprint", "goal_id", "outcome", "stamp", "status")
+    __slots__ = (
+        "client",
+        "feedback_count",
+        "fingerprint",
+        "goal_id",
+        "outcome",
+        "stamp",
+        "status",
+    )
 
-    def __init__(self, goal_id: GoalID, fingerprint: int, stamp: int) -> None:
+    def __init__(self, goal_id: GoalID, fingerprint: int, stamp: int, client: str = "") -> None:
         self.goal_id = goal_id
         self.fingerprint = fingerprint
         self.stamp = stamp
+        self.client = client
         self.status: GoalStatus = INITIAL
         self.outcome: Outcome[bytes] | None = None
         self.feedback_count = 0
@@ -46,7 +55,7 @@ class Goal:
     @property
     def info(self) -> GoalInfo:
         """The goal as a line of the status list."""
-        return GoalInfo(self.goal_id, self.stamp, self.status)
+        return GoalInfo(self.goal_id, self.stamp, self.status, self.feedback_count, self.client)
 
 
 class Admission(Enum):
@@ -160,14 +169,14 @@ class ServerProtocol:
             raise GoalRejected(ID_IN_USE, goal_id=goal_id)
         return admission
 
-    def accept(self, goal_id: GoalID, *, stamp: int) -> Goal:
-        """Take in a goal that `admit` left to decide.
+    def accept(self, goal_id: GoalID, *, stamp: int, client: str = "") -> Goal:
+        """Take in a goal that `admit` left to decide; `client` says who sent it.
 
         `stamp` is the wall clock's time in nanoseconds; the goal's own stamp is later than that of
         every goal before, so that "accepted at or before" never depends on the clock's steps.
         """
         self._last_stamp = max(stamp, self._last_stamp + 1)
-        goal = Goal(goal_id, self._undecided.pop(goal_id), self._last_stamp)
+        goal = Goal(goal_id, self._undecided.pop(goal_id), self._last_stamp, client)
         self._ended.discard(goal_id)  # it may be one that has expired, and that nobody has missed
         self._active[goal_id] = goal
         return goal

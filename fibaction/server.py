@@ -10,8 +10,10 @@ import inspect
 import logging
 import math
 import time
+from collections.abc import Awaitable, Coroutine, Generator
+from contextlib import contextmanager
 from types import TracebackType
-from typing import Generic, Literal, Self
+from typing import Any, Generic, Literal, NamedTuple, Self
 from weakref import WeakValueDictionary
 
 import anyio
@@ -33,7 +35,8 @@ from fibaction.executor import Execution, Executor, GoalHandle
 from fibaction.goals import CancelAnswer, GoalID, GoalInfo
 from fibaction.protocol import Admission, Cancellation, Ending, EndKind, Goal, ServerProtocol
 from fibaction.states import GoalStatus
-from fibaction.streams import FeedStream, GoalLog, LogStream, StatusFeed, Waking
+from fibaction.streams import FeedStream, GoalLog, LogStream, StatusFeed
+from fibaction.waking import Waking
 
 EXPIRY_STEP = 0.1
 """Seconds between two looks for expired results at most: an answer is exact to the moment all the
@@ -43,6 +46,15 @@ SERVER_STOPPED = "server stopped"
 CANCELED_UNASKED = "the executor ended as canceled, but nobody had asked for that"
 
 logger = logging.getLogger(__name__)
+
+
+class _Offer(NamedTuple):
+    """A goal that a client has sent."""
+
+    goal_id: GoalID
+    goal: bytes
+    feedback: bool
+    client: str
 
 
 class _Run(Generic[GoalT, FeedbackT, ResultT]):
@@ -214,10 +226,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 await self._ended.wait()
             not_before = current_time() + EXPIRY_STEP
             await anyio.sleep_until(max(self._protocol.next_expiry, not_before))
-            self._expire()
+            self._expire(current_time())
 
-    def _expire(self) -> None:
-        for goal_id in self._protocol.expire(current_time()):
+    def _expire(self, now: float) -> None:
+        for goal_id in self._protocol.expire(now):
             self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))
 
     # What clients ask for
@@ -235,24 +247,26 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
     async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> LogStream:
         """See `Endpoint.send_goal`."""
-        while (todo := self._admit(goal_id, goal)) is Admission.WAIT:
-            await self._decided.wait()
+        offered = self.offer_goal(goal_id, goal, feedback=feedback)
+        return offered if isinstance(offered, LogStream) else await offered
+
+    def offer_goal(
+        self, goal_id: GoalID, goal: bytes, *, feedback: bool = True, client: str = ""
+    ) -> LogStream | Coroutine[Any, Any, LogStream]:
+        """See `Endpoint.offer_goal`. Only an async `on_goal` has to be waited for."""
+        offer = _Offer(goal_id, goal, feedback, client)
+        todo = self._admit(goal_id, goal)
+        if todo is Admission.WAIT:
+            return self._offer_again(offer)
         if todo is Admission.REPEAT:
             return self._follow(goal_id, feedback=feedback, own=feedback, after=0)
-        try:
-            request = await self._decide(goal)
-        except GoalRejected as exc:
-            self._protocol.reject(goal_id, exc.reason, now=current_time())
-            logger.info("goal %s of action %r: rejected: %s", goal_id, self.action.name, exc.reason)
-            raise GoalRejected(exc.reason, goal_id=goal_id) from None
-        except BaseException:
-            # Canceled while deciding: if the goal is sent again, it is decided anew.
-            self._protocol.withdraw(goal_id)
-            raise
-        finally:
-            self._decided.wake()
-        run = self._start(self._protocol.accept(goal_id, stamp=time.time_ns()), request)
-        return run.log.follow(feedback=feedback, hold=feedback)
+        with self._deciding(goal_id):
+            request = self._decode(goal)
+            if self._on_goal is not None:
+                asking = self._callbacks.ask("on_goal", self._on_goal, request, GoalRejected)
+                if asking is not None:
+                    return self._accept_later(offer, request, asking)
+            return self._accept(offer, request)
 
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False
@@ -282,7 +296,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     async def status(self) -> FeedStream:
         """See `Endpoint.status`."""
         self._check_running()
-        self._expire()
+        self._expire(current_time())
         return self._statuses.follow(self._protocol.statuses())
 
     def _check_running(self) -> None:
@@ -297,25 +311,55 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             raise GoalRejected(SERVER_STOPPING, goal_id=goal_id)
         return self._protocol.admit(goal_id, goal, now=current_time())
 
-    async def _decide(self, goal: bytes) -> GoalT:
+    async def _offer_again(self, offer: _Offer) -> LogStream:
+        while self._protocol.is_undecided(offer.goal_id):
+            await self._decided.wait()
+        goal_id, goal, feedback, client = offer
+        offered = self.offer_goal(goal_id, goal, feedback=feedback, client=client)
+        return offered if isinstance(offered, LogStream) else await offered
+
+    async def _accept_later(
+        self, offer: _Offer, request: GoalT, asking: Awaitable[None]
+    ) -> LogStream:
+        with self._deciding(offer.goal_id):
+            await asking
+            return self._accept(offer, request)
+
+    @contextmanager
+    def _deciding(self, goal_id: GoalID) -> Generator[None, None, None]:
+        """What comes of it if a goal is not accepted."""
         try:
-            request = self.action.goal.decode(goal)
+            yield
+        except GoalRejected as exc:
+            self._protocol.reject(goal_id, exc.reason, now=current_time())
+            self._decided.wake()
+            logger.info("goal %s of action %r: rejected: %s", goal_id, self.action.name, exc.reason)
+            raise GoalRejected(exc.reason, goal_id=goal_id) from None
+        except BaseException:
+            # Canceled while deciding: if the goal is sent again, it is decided anew.
+            self._protocol.withdraw(goal_id)
+            self._decided.wake()
+            raise
+
+    def _decode(self, goal: bytes) -> GoalT:
+        try:
+            return self.action.goal.decode(goal)
         except ProtocolError as exc:
             raise GoalRejected(str(exc)) from exc
-        if self._on_goal is not None:
-            await self._callbacks.ask("on_goal", self._on_goal, request, GoalRejected)
+
+    def _accept(self, offer: _Offer, request: GoalT) -> LogStream:
         if self._stops():
             raise GoalRejected(SERVER_STOPPING)
-        return request
-
-    def _start(self, goal: Goal, request: GoalT) -> _Run[GoalT, FeedbackT, ResultT]:
+        goal_id = offer.goal_id
+        goal = self._protocol.accept(goal_id, stamp=time.time_ns(), client=offer.client)
+        self._decided.wake()
         log = GoalLog(goal, window=self._window, latest=self._latest)
         handle = GoalHandle(goal, request, self._stops)
         execution = Execution(self.action, self._executor, handle, log, self._stall_timeout)
-        run = self._runs[goal.goal_id] = _Run(goal, log, execution)
+        run = self._runs[goal_id] = _Run(goal, log, execution)
         self._tell_status(run)
         self._tasks.start_soon(self._run_goal, run, name=self._task_name)
-        return run
+        return log.follow(feedback=offer.feedback, hold=offer.feedback)
 
     async def _run_goal(self, run: _Run[GoalT, FeedbackT, ResultT]) -> None:
         ending = Ending(EndKind.CANCELED)
@@ -345,7 +389,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
             handle = self._runs[goal.goal_id].execution.handle
             try:
-                await self._callbacks.ask("on_cancel", self._on_cancel, handle, CancelRejected)
+                asking = self._callbacks.ask("on_cancel", self._on_cancel, handle, CancelRejected)
+                if asking is not None:
+                    await asking
             except CancelRejected as exc:
                 cancellation.refuse(exc.reason)
                 return
@@ -364,13 +410,14 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             unasked = ending.reason or CANCELED_UNASKED
             reason = SERVER_STOPPED if self._phase == "stopping" else unasked
             ending = Ending(EndKind.CANCELED, ending.result, reason)
-        self._protocol.finish(goal, ending, now=current_time())
+        now = current_time()
+        self._protocol.finish(goal, ending, now=now)
         del self._runs[goal.goal_id]
         if run.log.is_followed:
             self._unread[goal.goal_id] = run.log
         self._tell_status(run)
         run.log.finish()
-        self._expire()
+        self._expire(now)
         self._ended.wake()
 
     def _follow(
@@ -380,7 +427,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if goal is None:
             raise UnknownGoal(goal_id)
         run = self._runs.get(goal_id)
-        log = self._unread.get(goal_id, GoalLog(goal)) if run is None else run.log
+        log = self._unread.get(goal_id) if run is None else run.log
+        if log is None:  # nobody has its feedback any more
+            log = GoalLog(goal)
         return log.follow(feedback=feedback, hold=own, after=after)
 
     def __repr__(self) -> str:

@@ -12,36 +12,17 @@ from collections import deque
 from collections.abc import Iterable
 from itertools import islice
 from typing import TYPE_CHECKING
+from weakref import WeakSet
 
 import anyio
 
 from fibaction.abc import FeedbackItem, GoalStream, StatusStream
+from fibaction.states import GoalStatus
+from fibaction.waking import Waking
 
 if TYPE_CHECKING:
     from fibaction.goals import GoalInfo, Outcome
     from fibaction.protocol import Goal
-    from fibaction.states import GoalStatus
-
-
-class Waking:
-    """Lets any number of tasks wait for "something is new"."""
-
-    __slots__ = ("_event",)
-
-    def __init__(self) -> None:
-        self._event: anyio.Event | None = None
-
-    def wake(self) -> None:
-        """Wake all who wait now."""
-        if self._event is not None:
-            self._event.set()
-            self._event = None
-
-    async def wait(self) -> None:
-        """Wait for the next `wake()`."""
-        if self._event is None:
-            self._event = anyio.Event()
-        await self._event.wait()
 
 
 class GoalLog:
@@ -51,8 +32,9 @@ class GoalLog:
         "__weakref__",
         "_ended",
         "_items",
+        "_others",
+        "_readers",
         "_room",
-        "_streams",
         "_window",
         "goal",
         "latest",
@@ -67,7 +49,8 @@ class GoalLog:
         """The statuses that the goal has had since its acceptance."""
         self._window = window
         self._items: deque[FeedbackItem] = deque(maxlen=window)
-        self._streams: list[LogStream] = []
+        self._readers: list[LogStream] = []
+        self._others: WeakSet[LogStream] = WeakSet()  # they want to know of the end only
         self._room = Waking()
         self._ended = Waking()
 
@@ -79,26 +62,26 @@ class GoalLog:
     @property
     def is_followed(self) -> bool:
         """Whether anybody reads the feedback."""
-        return bool(self._streams)
+        return bool(self._readers)
 
     def append(self, payload: bytes) -> None:
         """Add feedback. If the log is full, that pushes out the oldest."""
         number = self.goal.feedback_count = self.goal.feedback_count + 1
         self._items.append(FeedbackItem(number, payload))
-        for stream in self._streams:
+        for stream in self._readers:
             stream.news.wake()
 
     def tell_status(self) -> None:
         """The goal has another status."""
         self.statuses.append(self.goal.status)
-        for stream in self._streams:
+        for stream in self._readers:
             stream.news.wake()
 
     @property
     def is_full(self) -> bool:
         """Whether more feedback would push out some that the goal's own client has yet to read."""
         # A loop, because any() costs three times as much, and this is done for each feedback.
-        for stream in self._streams:
+        for stream in self._readers:
             if stream.holding and self.count - stream.place >= self._window:
                 return True
         return False
@@ -112,13 +95,13 @@ class GoalLog:
             while self.is_full:
                 await self._room.wait()
             return
-        for stream in self._streams:
+        for stream in self._readers:
             if self.count - stream.place >= self._window:
                 stream.stall()
 
     def finish(self) -> None:
         """The goal has its outcome: wake all who wait for that, or for more feedback."""
-        for stream in self._streams:
+        for stream in (*self._readers, *self._others):
             stream.news.wake()
         self._ended.wake()
 
@@ -135,36 +118,38 @@ class GoalLog:
         place = self.count if after is None else min(max(after, 0), self.count)
         stream = LogStream(self, place, feedback=feedback, hold=hold and not self.latest)
         if feedback:
-            self._streams.append(stream)
+            self._readers.append(stream)
+        else:
+            self._others.add(stream)
         return stream
 
     def leave(self, stream: LogStream) -> None:
         """The stream reads no more."""
-        if stream in self._streams:
-            self._streams.remove(stream)
+        if stream in self._readers:
+            self._readers.remove(stream)
+            self._others.add(stream)
             self.make_room()
 
     def make_room(self) -> None:
         """Something was read: whoever waits for room may look again."""
         self._room.wake()
 
-    def all_after(self, place: int, limit: int) -> list[FeedbackItem]:
-        """Like `after`, but as many as there are, up to a limit."""
-        first = self.after(place)
-        if first is None or limit < 1:
-            return []
-        start = first.number - self._items[0].number
-        return list(islice(self._items, start, start + limit))
+    def has_after(self, place: int) -> bool:
+        """Whether there still is feedback to read from that place on."""
+        return place < self.count and bool(self._items)
 
-    def after(self, place: int) -> FeedbackItem | None:
-        """What to read from that place on: the next feedback that there still is, or, if only the
-        latest is wanted, the last.
+    def after(self, place: int, limit: int) -> list[FeedbackItem]:
+        """What to read from that place on, at most so much: the feedback that there still is, or,
+        if only the latest is wanted, the last.
         """
-        if place >= self.count or not self._items:
-            return None
+        if limit < 1 or not self.has_after(place):
+            return []
         if self.latest:
-            return self._items[-1]
-        return self._items[max(0, place - self._items[0].number + 1)]
+            return [self._items[-1]]
+        start = max(0, place - self._items[0].number + 1)
+        if limit == 1:
+            return [self._items[start]]
+        return list(islice(self._items, start, start + limit))
 
 
 class LogStream(GoalStream):
@@ -195,41 +180,25 @@ class LogStream(GoalStream):
     def dropped(self) -> int:
         return self._dropped
 
-    async def next_event(self, *, feedback: bool = True) -> FeedbackItem | GoalStatus | None:
-        while self._reads:
-            while self._statuses_told < len(self._log.statuses):
-                status = self._log.statuses[self._statuses_told]
-                self._statuses_told += 1
-                if status.is_active:
-                    return status
-            if feedback and self._log.after(self.place) is not None:
-                return await self.receive()
-            if self._log.goal.outcome is not None:
-                return await self.receive() if feedback else None
-            await self.news.wait()
-        return None
-
-    def ready(self, limit: int) -> list[FeedbackItem]:
-        if not self._reads or self._statuses_told < len(self._log.statuses):
-            return []
-        items = self._log.all_after(self.place, limit)
+    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
+        log = self._log
+        if not self._reads:
+            return None
+        while self._statuses_told < len(log.statuses):
+            status = log.statuses[self._statuses_told]
+            self._statuses_told += 1
+            if status.is_active:
+                return status
+        items = log.after(self.place, limit)
         if items:
-            self._take(items)
+            self._took(items)
+        elif log.goal.outcome is not None and not log.has_after(self.place):
+            self._dropped += log.count - self.place
+            self.place = log.count
+            return None
         return items
 
-    async def receive(self) -> FeedbackItem | None:
-        while (item := self._log.after(self.place)) is None or not self._reads:
-            if not self._reads:
-                return None
-            if self._log.goal.outcome is not None:
-                self._dropped += self._log.count - self.place
-                self.place = self._log.count
-                return None
-            await self.news.wait()
-        self._take([item])
-        return item
-
-    def _take(self, items: list[FeedbackItem]) -> None:
+    def _took(self, items: list[FeedbackItem]) -> None:
         place = items[-1].number
         self._dropped += place - self.place - len(items)
         self.place = place
@@ -238,8 +207,14 @@ class LogStream(GoalStream):
             self._update()
         self._log.make_room()
 
+    def ended(self) -> Outcome[bytes] | None:
+        return self._log.goal.outcome
+
     async def outcome(self) -> Outcome[bytes]:
         return await self._log.outcome()
+
+    def rewind(self, after: int) -> None:
+        self.place = min(max(after, 0), self.place)
 
     def hold(self, wanted: bool) -> None:
         self._wanted = wanted
@@ -300,6 +275,7 @@ class FeedStream(StatusStream):
     def __init__(self, feed: StatusFeed, known: Iterable[GoalInfo], limit: int) -> None:
         self._feed = feed
         self._items = deque(known)
+        self.known = len(self._items)
         self._limit = limit + len(self._items)
         self._open = True
         self._dropped = 0

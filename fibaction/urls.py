@@ -40,6 +40,8 @@ def transport_for(where: str | Transport, **settings: Any) -> Transport:
         )
     try:
         transport: type[Transport] = found[0].load()
+    except TransportError:
+        raise  # it says by itself what it needs
     except ModuleNotFoundError as exc:
         raise TransportError(
             f"{scheme}:// needs the module {exc.name!r}, which is not installed: install it,"

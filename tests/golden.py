@@ -9,6 +9,7 @@ from fibaction.action import ActionInfo
 from fibaction.goals import GoalID
 from fibaction.messages import (
     Actions,
+    AskPeers,
     AwaitServer,
     CancelAnswered,
     CancelGoals,
@@ -27,10 +28,13 @@ from fibaction.messages import (
     Goodbye,
     Hello,
     ListActions,
+    Peers,
     Ping,
+    Received,
     Rejected,
     SendGoal,
     StatusChanged,
+    Watching,
     WatchStatus,
     Welcome,
     Why,
@@ -62,8 +66,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "9301bd74686520636c69656e742068617320776861742069742077616e74656400",
     ),
     (
-        Hello(1, 1.0, "secret", bytes(range(16, 32))),
-        "951001cb3ff0000000000000a6736563726574c410101112131415161718191a1b1c1d1e1f",
+        Hello(1, 1.0, "secret", bytes(range(16, 32)), 65536),
+        "961001cb3ff0000000000000a6736563726574c410101112131415161718191a1b1c1d1e1fce00010000",
     ),
     (
         SendGoal(1, "fibonacci", GOAL_ID, GOAL, 64),
@@ -98,8 +102,16 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "921801",
     ),
     (
-        Welcome(1, 1.0),
-        "932001cb3ff0000000000000",
+        Received(1),
+        "921901",
+    ),
+    (
+        AskPeers(7, "fibonacci"),
+        "931a07a96669626f6e61636369",
+    ),
+    (
+        Welcome(1, 1.0, 65536),
+        "942001cb3ff0000000000000ce00010000",
     ),
     (
         Following(1, STAMP, 1, False, 0),
@@ -130,8 +142,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "952703009193c410000102030405060708090a0b0c0d0e0fcf17979cfe362a000003a0",
     ),
     (
-        GoalChanged(4, GOAL_ID, STAMP, 2, 0),
-        "962804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a00000200",
+        GoalChanged(4, GOAL_ID, STAMP, 2, 0, 1, "arm"),
+        "982804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000020001a361726d",
     ),
     (
         Done(5),
@@ -149,5 +161,13 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
             "626a656374a8666565646261636b81a474797065a66f626a656374a6726573756c7481a474797065"
             "a66f626a656374"
         ),
+    ),
+    (
+        Watching(4, 2),
+        "932c0402",
+    ),
+    (
+        Peers(7, ["10.0.0.7:51234"]),
+        "932d0791ae31302e302e302e373a3531323334",
     ),
 ]

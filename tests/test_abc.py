@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import inspect
+from collections import deque
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import anyio
@@ -15,24 +17,34 @@ from fibaction.abc import (
     StatusStream,
     Transport,
 )
-from fibaction.action import ActionInfo
+from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import ConnectionLost, UnknownGoal
-from fibaction.goals import UNKNOWN_OUTCOME, CancelAnswer, GoalID, Outcome
+from fibaction.goals import UNKNOWN_OUTCOME, ActionPeers, CancelAnswer, GoalID, Outcome
 from fibaction.states import GoalStatus
+from fibaction.waking import Waking
 
 KNOWN = GoalID(bytes(range(16)))
 OTHER = GoalID(bytes(range(1, 17)))
 
 
-class OneEnd(GoalStream):
-    """A stream of a goal whose events are known, and whose end is too, or an error."""
+Event = FeedbackItem | GoalStatus | Exception | None
+"""What `take` gives next; None is the end."""
 
-    def __init__(
-        self, end: Outcome[bytes] | Exception, *events: FeedbackItem | GoalStatus | None
-    ) -> None:
+
+class OneEnd(GoalStream):
+    """A stream of a goal to which things happen when the test says so."""
+
+    def __init__(self, end: Outcome[bytes] | Exception | None = None, *events: Event) -> None:
         self.closed = 0
-        self._end = end
-        self._events = iter(events)
+        self.news = Waking()
+        self.end = end
+        self.events: deque[Event] = deque(events)
+        self.limits: list[int] = []
+
+    def happen(self, *events: Event) -> None:
+        """Things that can be taken from now on."""
+        self.events.extend(events)
+        self.news.wake()
 
     @property
     def status(self) -> GoalStatus:
@@ -42,14 +54,19 @@ class OneEnd(GoalStream):
     def dropped(self) -> int:
         return 0
 
-    async def next_event(self, *, feedback: bool = True) -> FeedbackItem | GoalStatus | None:
-        assert feedback
-        return next(self._events)
+    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
+        self.limits.append(limit)
+        if not self.events:
+            return []
+        event = self.events.popleft()
+        if isinstance(event, Exception):
+            raise event
+        return [event] if isinstance(event, FeedbackItem) else event
 
-    async def outcome(self) -> Outcome[bytes]:
-        if isinstance(self._end, Exception):
-            raise self._end
-        return self._end
+    def ended(self) -> Outcome[bytes] | None:
+        if isinstance(self.end, Exception):
+            raise self.end
+        return self.end
 
     def hold(self, wanted: bool) -> None:
         raise NotImplementedError
@@ -59,17 +76,19 @@ class OneEnd(GoalStream):
 
 
 class OneGoal(Endpoint):
-    """An endpoint that knows one goal, and can only be asked to follow it."""
+    """An endpoint that knows one goal, and can be sent it, or asked to follow it."""
 
     def __init__(self, stream: OneEnd) -> None:
         self.stream = stream
+        self.sent: list[tuple[GoalID, bytes, bool]] = []
 
     @property
     def info(self) -> ActionInfo:
         return ActionInfo("one")
 
     async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> GoalStream:
-        raise NotImplementedError
+        self.sent.append((goal_id, goal, feedback))
+        return self.stream
 
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False
@@ -117,19 +136,174 @@ async def test_a_stream_is_closed_also_when_the_connection_ends_first() -> None:
     assert stream.closed == 1
 
 
+ONE, OTHER_ONE = FeedbackItem(1, b"1"), FeedbackItem(2, b"2")
+
+READ = [GoalStream.next_event, GoalStream.receive]
+each_way_to_read = pytest.mark.parametrize("read", READ, ids=["next_event", "receive"])
+Read = Callable[[GoalStream], Awaitable[FeedbackItem | GoalStatus | None]]
+
+
+async def all_by(read: Read, stream: OneEnd) -> list[FeedbackItem | GoalStatus]:
+    seen: list[FeedbackItem | GoalStatus] = []
+    while (event := await read(stream)) is not None:
+        seen.append(event)
+    return seen
+
+
 @pytest.mark.asyncio
 async def test_whoever_reads_feedback_only_is_not_told_of_statuses() -> None:
-    one, other = FeedbackItem(1, b"1"), FeedbackItem(2, b"2")
     stream = OneEnd(
         UNKNOWN_OUTCOME,
-        *(GoalStatus.ACCEPTED, GoalStatus.EXECUTING, one, other, GoalStatus.CANCELING, None),
+        *(GoalStatus.ACCEPTED, GoalStatus.EXECUTING, ONE, OTHER_ONE, GoalStatus.CANCELING, None),
     )
     with anyio.fail_after(5):
-        assert [await stream.receive() for _ in range(3)] == [one, other, None]
+        assert await all_by(GoalStream.receive, stream) == [ONE, OTHER_ONE]
 
 
-def test_a_stream_need_not_give_feedback_in_larger_pieces() -> None:
-    assert OneEnd(UNKNOWN_OUTCOME, FeedbackItem(1, b"1")).ready(10) == []
+@pytest.mark.asyncio
+async def test_whoever_reads_events_is_told_of_all_in_their_order() -> None:
+    events = (GoalStatus.EXECUTING, ONE, GoalStatus.CANCELING, OTHER_ONE)
+    stream = OneEnd(UNKNOWN_OUTCOME, *events, None)
+    with anyio.fail_after(5):
+        assert await all_by(GoalStream.next_event, stream) == list(events)
+
+
+@each_way_to_read
+@pytest.mark.asyncio
+async def test_a_reader_waits_as_long_as_there_is_nothing_and_goes_on_with_the_news(
+    read: Read,
+) -> None:
+    stream = OneEnd()
+    seen: list[FeedbackItem | GoalStatus] = []
+
+    async def read_all() -> None:
+        while (event := await read(stream)) is not None:
+            seen.append(event)
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(read_all)
+            for happens, expected in (([], []), ([ONE], [ONE]), ([OTHER_ONE], [ONE, OTHER_ONE])):
+                await anyio.wait_all_tasks_blocked()
+                stream.happen(*happens)
+                await anyio.wait_all_tasks_blocked()
+                assert seen == expected
+            stream.happen(None)
+    assert set(stream.limits) == {1}, "what is taken beyond the first would be lost"
+
+
+@each_way_to_read
+@pytest.mark.parametrize("late", [True, False], ids=["canceled after", "canceled before"])
+@pytest.mark.asyncio
+async def test_nothing_is_lost_if_the_wait_is_canceled(read: Read, late: bool) -> None:
+    stream = OneEnd()
+    seen: list[FeedbackItem | GoalStatus | None] = []
+
+    async def read_one() -> None:
+        seen.append(await read(stream))
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(read_one)
+            await anyio.wait_all_tasks_blocked()
+            if not late:
+                tasks.cancel_scope.cancel()
+            stream.happen(ONE, OTHER_ONE)
+            if late:
+                tasks.cancel_scope.cancel()
+        seen += [await read(stream) for _ in range(2 - len(seen))]
+    assert seen == [ONE, OTHER_ONE]
+
+
+@each_way_to_read
+@pytest.mark.asyncio
+async def test_a_lost_connection_is_told_to_who_reads_after_what_came_before(read: Read) -> None:
+    stream = OneEnd(None, ONE, ConnectionLost("gone"))
+    with anyio.fail_after(5):
+        assert await read(stream) == ONE
+        with pytest.raises(ConnectionLost, match="gone"):
+            await read(stream)
+
+
+@pytest.mark.asyncio
+async def test_an_outcome_is_waited_for_through_other_news_and_without_reading() -> None:
+    outcome = Outcome(GoalStatus.SUCCEEDED, b"done")
+    stream = OneEnd()
+    outcomes: list[Outcome[bytes]] = []
+
+    async def wait() -> None:
+        outcomes.append(await stream.outcome())
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            tasks.start_soon(wait)
+            await anyio.wait_all_tasks_blocked()
+            stream.happen(ONE)
+            await anyio.wait_all_tasks_blocked()
+            assert outcomes == []
+            stream.end = outcome
+            stream.news.wake()
+        assert outcomes == [outcome, outcome]
+        assert await stream.outcome() is outcome
+        assert stream.limits == []
+        assert await stream.receive() == ONE
+
+
+@pytest.mark.asyncio
+async def test_a_lost_connection_is_told_to_who_waits_for_the_outcome() -> None:
+    stream = OneEnd()
+
+    async def wait() -> None:
+        with pytest.raises(ConnectionLost, match="gone"):
+            await stream.outcome()
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            await anyio.wait_all_tasks_blocked()
+            stream.end = ConnectionLost("gone")
+            stream.news.wake()
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("feedback", [True, False])
+async def test_a_goal_is_offered_by_sending_it_unless_an_endpoint_knows_better(
+    feedback: bool,
+) -> None:
+    stream = OneEnd()
+    endpoint = OneGoal(stream)
+    offered = endpoint.offer_goal(KNOWN, b"goal", feedback=feedback)
+    assert not isinstance(offered, GoalStream)
+    assert endpoint.sent == []
+    with anyio.fail_after(5):
+        assert await offered is stream
+    assert endpoint.sent == [(KNOWN, b"goal", feedback)]
+
+
+@pytest.mark.asyncio
+async def test_who_sends_a_goal_is_no_affair_of_an_endpoint_that_does_not_ask() -> None:
+    endpoint = OneGoal(OneEnd())
+    offered = endpoint.offer_goal(KNOWN, b"goal", client="the arm")
+    assert not isinstance(offered, GoalStream)
+    with anyio.fail_after(5):
+        await offered
+    assert endpoint.sent == [(KNOWN, b"goal", True)]
+
+
+class Nowhere(Connection):
+    """A connection that knows as little as it may."""
+
+    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
+        raise NotImplementedError
+
+    async def actions(self) -> list[ActionInfo]:
+        raise NotImplementedError
+
+
+@pytest.mark.asyncio
+async def test_a_connection_need_not_know_who_else_there_is() -> None:
+    assert await Nowhere().peers("fibonacci") == ActionPeers((), ())
 
 
 def test_a_stream_is_closed_at_the_end_of_its_block_and_lets_errors_pass() -> None:
@@ -149,7 +323,7 @@ def test_feedback_has_a_number_and_a_payload() -> None:
 @pytest.mark.parametrize(
     ("interface", "to_write"),
     [
-        (GoalStream, {"status", "dropped", "next_event", "outcome", "hold", "close"}),
+        (GoalStream, {"status", "dropped", "take", "ended", "hold", "close"}),
         (StatusStream, {"dropped", "receive", "close"}),
         (
             Endpoint,

@@ -5,9 +5,12 @@ import datetime
 import decimal
 import enum
 import math
+import pathlib
+import re
 import typing
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import EntryPoint, EntryPoints
 from typing import (
     Annotated,
     Any,
@@ -24,12 +27,17 @@ import msgspec
 import pytest
 from hypothesis import example, given, strategies
 
-from fibaction.action import Action, ActionInfo, Codec
-from fibaction.exceptions import ProtocolError
+from fibaction.action import INTERFACES, Action, ActionInfo, Codec
+from fibaction.exceptions import ProtocolError, TransportError
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 T = TypeVar("T")
 Metres = NewType("Metres", float)
+
+
+def shown(value: object) -> str:
+    """As `repr`, but the same in each process: tests are spread over several."""
+    return re.sub(r" at 0x[0-9a-f]+", "", repr(value))
 
 
 class Pose(msgspec.Struct):
@@ -215,7 +223,7 @@ VALUES: list[tuple[Any, Any]] = [
 ]
 
 
-@pytest.mark.parametrize(("message_type", "value"), VALUES, ids=repr)
+@pytest.mark.parametrize(("message_type", "value"), VALUES, ids=shown)
 def test_a_value_becomes_bytes_and_comes_back(message_type: Any, value: Any) -> None:
     codec: Codec[Any] = Codec(message_type)
     assert codec.type is message_type
@@ -227,7 +235,7 @@ def test_a_value_becomes_bytes_and_comes_back(message_type: Any, value: Any) -> 
     assert codec.holds(back)
 
 
-@pytest.mark.parametrize(("message_type", "value"), VALUES, ids=repr)
+@pytest.mark.parametrize(("message_type", "value"), VALUES, ids=shown)
 def test_a_value_of_another_class_is_not_held(message_type: Any, value: Any) -> None:
     anything = message_type in (Any, object)
     assert Codec(message_type).holds(Stranger()) is anything
@@ -240,7 +248,7 @@ def test_a_value_that_type_checkers_let_pass_is_held(message_type: Any, value: A
     assert Codec(message_type).holds(value)
 
 
-@pytest.mark.parametrize("message_type", [list[int] | tuple[int, ...], Pose | DataPose], ids=repr)
+@pytest.mark.parametrize("message_type", [list[int] | tuple[int, ...], Pose | DataPose], ids=shown)
 def test_a_type_that_cannot_be_decoded_is_refused(message_type: Any) -> None:
     with pytest.raises(TypeError):
         Codec(message_type)
@@ -256,7 +264,7 @@ def test_a_type_that_cannot_be_decoded_is_refused(message_type: Any) -> None:
         (2**64, OverflowError),
         (-(2**63) - 1, OverflowError),
     ],
-    ids=repr,
+    ids=shown,
 )
 def test_a_value_that_msgpack_cannot_express_is_refused(
     value: object, error: type[Exception]
@@ -293,7 +301,7 @@ def test_a_value_that_msgpack_cannot_express_is_refused(
         (Annotated[int, msgspec.Meta(description="metres")], int),
         (Metres, float),
     ],
-    ids=repr,
+    ids=shown,
 )
 def test_feedback_and_result_that_cannot_be_told_apart_are_refused(
     feedback: Any, result: Any
@@ -316,7 +324,7 @@ def test_feedback_and_result_that_cannot_be_told_apart_are_refused(
         (bytes, bytearray),
         (Colour, str),
     ],
-    ids=repr,
+    ids=shown,
 )
 def test_the_class_tells_feedback_from_result(feedback: Any, result: Any) -> None:
     action = Action("a", goal=int, feedback=feedback, result=result)
@@ -353,7 +361,7 @@ def test_the_goal_may_be_of_the_same_type_as_the_result() -> None:
         (Annotated[int, msgspec.Meta(ge=1)], 0, "Expected `int` >= 1"),
         (uuid.UUID, "no", "Invalid UUID"),
     ],
-    ids=repr,
+    ids=shown,
 )
 def test_a_value_of_another_type_is_refused_and_the_field_is_named(
     message_type: Any, plain: Any, text: str
@@ -520,3 +528,100 @@ def test_an_untyped_action_takes_and_gives_plain_data() -> None:
 def test_an_untyped_action_cannot_tell_a_result_from_feedback() -> None:
     action = Action.untyped(FIBONACCI.info)
     assert action.feedback.classes == action.result.classes == (object,)
+
+
+# Types from ROS
+
+
+def make_three(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
+    """What a package that makes types might have."""
+    assert type_name == "arduinobot_msgs/action/Fibonacci"
+    return Goal, Feedback, Result
+
+
+def refuse(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
+    raise TransportError("the ROS package 'arduinobot_msgs' is not installed here")
+
+
+Install = Callable[[str | None], None]
+
+
+@pytest.fixture
+def install(monkeypatch: pytest.MonkeyPatch) -> Install:
+    """Makes this the one that makes types from those of ROS; None removes all."""
+
+    def install(value: str | None) -> None:
+        entries = [
+            EntryPoint(name="ros1", value="nowhere:make", group=INTERFACES),
+            EntryPoint(name="ros2", value="nowhere:make", group="fibaction.transports"),
+        ]
+        if value is not None:
+            entries.append(EntryPoint(name="ros2", value=value, group=INTERFACES))
+        monkeypatch.setattr("fibaction.action.entry_points", EntryPoints(entries).select)
+
+    return install
+
+
+def from_ros(name: str = "fibonacci") -> Action[Any, Any, Any]:
+    return Action.from_ros("arduinobot_msgs/action/Fibonacci", name=name)
+
+
+def test_an_action_from_ros_has_the_types_that_were_made(install: Install) -> None:
+    install(f"{__name__}:make_three")
+    action = from_ros("arm/fibonacci")
+    assert (action.goal.type, action.feedback.type, action.result.type) == (Goal, Feedback, Result)
+    assert (action.name, action.type_name) == ("arm/fibonacci", "arduinobot_msgs/action/Fibonacci")
+
+
+def test_an_action_from_ros_has_a_name_like_any_other(install: Install) -> None:
+    install(f"{__name__}:make_three")
+    with pytest.raises(ValueError, match="an action's name is like"):
+        from_ros("1")
+
+
+def test_what_is_said_of_a_type_that_cannot_be_had_is_not_changed(install: Install) -> None:
+    install(f"{__name__}:refuse")
+    with pytest.raises(TransportError, match=r"^the ROS package 'arduinobot_msgs' is not inst"):
+        from_ros()
+
+
+def test_without_a_package_that_makes_types_there_are_none(install: Install) -> None:
+    install(None)
+    with pytest.raises(TransportError) as caught:
+        from_ros()
+    assert str(caught.value) == (
+        "no package that makes message types from ROS 2 is installed, so"
+        " 'arduinobot_msgs/action/Fibonacci' cannot be had"
+    )
+
+
+@pytest.mark.parametrize(
+    ("source", "text"),
+    [
+        (
+            "raise ImportError('for another Python')",
+            (
+                "message types cannot be made from 'arduinobot_msgs/action/Fibonacci', because"
+                " interfaces_0:make cannot be imported: for another Python"
+            ),
+        ),
+        (
+            "from fibaction import TransportError\nraise TransportError('source your ROS')",
+            "source your ROS",
+        ),
+    ],
+    ids=["something", "what it needs"],
+)
+def test_a_package_that_cannot_be_imported_says_why(
+    install: Install,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: pathlib.Path,
+    source: str,
+    text: str,
+) -> None:
+    (tmp_path / "interfaces_0.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    install("interfaces_0:make")
+    with pytest.raises(TransportError) as caught:
+        from_ros()
+    assert str(caught.value) == text

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Coroutine
 from typing import Any
 
 import anyio
@@ -144,3 +145,40 @@ async def test_a_block_that_is_canceled_before_it_begins_leaves_nothing_behind()
             await anyio.sleep_forever()
     assert scope.cancelled_caught
     assert ended in ([True], [])
+
+
+async def test_a_task_that_is_started_just_before_the_end_at_least_begins() -> None:
+    done: list[str] = []
+
+    async def clean_up() -> None:
+        done.append("begun")
+        try:
+            await anyio.sleep_forever()
+        finally:
+            done.append("cleaned up")
+
+    with anyio.fail_after(5):
+        async with Background() as tasks:
+            tasks.start_soon(clean_up)
+    assert done == ["begun", "cleaned up"]
+
+
+async def test_a_task_that_is_started_just_before_an_error_can_clean_up_what_it_was_given() -> None:
+    given: list[str] = []
+
+    async def answer() -> None:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            given.append("cleaned up")
+
+    async def wait_for(answering: Coroutine[Any, Any, None]) -> None:
+        await answering
+
+    with anyio.fail_after(5), anyio.CancelScope() as scope:
+        with pytest.raises(LookupError):
+            async with Background() as tasks:
+                scope.cancel()
+                tasks.start_soon(wait_for, answer())
+                raise LookupError
+    assert given == ["cleaned up"]

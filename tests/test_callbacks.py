@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine, Generator
 from typing import Any
 
 import anyio
@@ -32,11 +32,19 @@ each_colour = pytest.mark.parametrize("colour", [as_given, as_async], ids=["sync
 Colour = Callable[[Callable[[Any], Any]], Callable[[Any], Any]]
 
 
+def waited_for(asking: Coroutine[Any, Any, None] | None) -> Coroutine[Any, Any, None]:
+    """What there is to wait for, of a callback that has to be waited for."""
+    assert asking is not None
+    return asking
+
+
 async def ask(
     callback: Callable[[Any], Any], refusal: Refusal = GoalRejected, argument: Any = None
 ) -> None:
     with anyio.fail_after(5):
-        await Callbacks("arm").ask("on_goal", callback, argument, refusal)
+        asking = Callbacks("arm").ask("on_goal", callback, argument, refusal)
+        if asking is not None:
+            await asking
 
 
 @each_colour
@@ -44,6 +52,84 @@ async def test_a_callback_that_returns_none_agrees_and_gets_the_argument(colour:
     seen: list[str] = []
     await ask(colour(seen.append), argument="a goal")
     assert seen == ["a goal"]
+
+
+def agrees(argument: Any) -> None:
+    """A callback that has nothing against it."""
+
+
+async def test_a_sync_callback_agrees_at_once() -> None:
+    assert Callbacks("arm").ask("on_goal", agrees, None, GoalRejected) is None
+
+
+@each_refusal
+async def test_a_sync_callback_refuses_at_once(refusal: Refusal) -> None:
+    def refuse(argument: Any) -> None:
+        raise refusal("too far")
+
+    with pytest.raises(refusal, match="too far"):
+        Callbacks("arm").ask("on_goal", refuse, None, refusal)
+
+
+async def test_a_sync_callback_that_is_wrong_refuses_at_once() -> None:
+    with pytest.raises(GoalRejected, match="on_goal returned True"):
+        Callbacks("arm").ask("on_goal", lambda argument: True, None, GoalRejected)  # type: ignore[arg-type, return-value]  # it is wrong on purpose
+
+
+class Promise:
+    """An awaitable that is no coroutine, as a future is none."""
+
+    def __init__(self, event: anyio.Event, answer: object = None) -> None:
+        self._event = event
+        self._answer = answer
+
+    def __await__(self) -> Generator[Any, Any, Any]:
+        yield from self._event.wait().__await__()
+        return self._answer
+
+
+async def test_an_async_callback_is_waited_for_by_whoever_asks() -> None:
+    go = anyio.Event()
+    seen: list[str] = []
+    answered = anyio.Event()
+
+    async def wait_and_agree(argument: str) -> None:
+        await go.wait()
+        seen.append(argument)
+
+    asking = waited_for(Callbacks("arm").ask("on_goal", wait_and_agree, "a goal", GoalRejected))
+
+    async def wait() -> None:
+        await asking
+        answered.set()
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            await anyio.wait_all_tasks_blocked()
+            assert seen == []
+            assert not answered.is_set()
+            go.set()
+    assert seen == ["a goal"]
+    assert answered.is_set()
+
+
+@pytest.mark.parametrize("answer", [None, "yes"])
+async def test_a_sync_callback_that_returns_an_awaitable_is_waited_for(answer: object) -> None:
+    go = anyio.Event()
+    callbacks = Callbacks("arm")
+
+    def promise(argument: object) -> Promise:
+        return Promise(go, answer)
+
+    asking = waited_for(callbacks.ask("on_goal", promise, None, GoalRejected))
+    go.set()
+    with anyio.fail_after(5):
+        if answer is None:
+            await asking
+        else:
+            with pytest.raises(GoalRejected, match="on_goal returned 'yes'"):
+                await asking
 
 
 @each_refusal
@@ -135,7 +221,7 @@ async def test_stopping_refuses_what_is_still_being_asked(
 
     async def ask(argument: str) -> None:
         with pytest.raises(refusal) as caught:
-            await callbacks.ask("on_goal", wait_for_ever, argument, refusal)
+            await waited_for(callbacks.ask("on_goal", wait_for_ever, argument, refusal))
         reasons.append(caught.value.reason)
 
     with anyio.fail_after(5):
@@ -150,10 +236,31 @@ async def test_stopping_refuses_what_is_still_being_asked(
     assert caplog.records == []
 
 
+@each_refusal
+@pytest.mark.parametrize("promises", [False, True], ids=["a coroutine", "an awaitable"])
+async def test_stopping_refuses_also_what_has_been_asked_and_nobody_waits_for_yet(
+    refusal: Refusal, promises: bool
+) -> None:
+    callbacks = Callbacks("arm")
+
+    async def wait_for_ever(argument: None) -> None:
+        await anyio.sleep_forever()
+
+    def promise(argument: None) -> Promise:
+        return Promise(anyio.Event())
+
+    callback = promise if promises else wait_for_ever
+    asking = waited_for(callbacks.ask("on_goal", callback, None, refusal))
+    callbacks.stop()
+    with anyio.fail_after(5):
+        with pytest.raises(refusal, match=SERVER_STOPPING):
+            await asking
+
+
 async def test_stopping_does_not_touch_what_was_answered_before() -> None:
     callbacks = Callbacks("arm")
     with anyio.fail_after(5):
-        await callbacks.ask("on_goal", as_async(lambda argument: None), None, GoalRejected)
+        await waited_for(callbacks.ask("on_goal", as_async(agrees), None, GoalRejected))
         # Or it would grow with every goal.
         assert not callbacks._waiting
         callbacks.stop()
@@ -172,7 +279,7 @@ async def test_a_callback_that_answers_in_spite_of_the_stop_has_answered() -> No
 
     async def ask() -> None:
         with pytest.raises(GoalRejected, match="the arm is folded"):
-            await callbacks.ask("on_goal", answer_at_last, None, GoalRejected)
+            await waited_for(callbacks.ask("on_goal", answer_at_last, None, GoalRejected))
         answered.set()
 
     with anyio.fail_after(5):
@@ -189,10 +296,13 @@ async def test_a_caller_who_is_canceled_is_not_told_that_the_server_stops() -> N
     async def wait_for_ever(argument: None) -> None:
         await anyio.sleep_forever()
 
+    async def ask() -> None:
+        await waited_for(callbacks.ask("on_goal", wait_for_ever, None, GoalRejected))
+
     with anyio.fail_after(5):
         with anyio.CancelScope() as caller:
             async with anyio.create_task_group() as tasks:
-                tasks.start_soon(callbacks.ask, "on_goal", wait_for_ever, None, GoalRejected)
+                tasks.start_soon(ask)
                 await anyio.wait_all_tasks_blocked()
                 caller.cancel()
         assert caller.cancelled_caught

@@ -18,8 +18,10 @@ from fibaction import (
     Endpoint,
     GoalAborted,
     GoalCanceled,
+    GoalFeedback,
     GoalHandle,
     GoalID,
+    GoalInfo,
     GoalRejected,
     GoalStatus,
     Outcome,
@@ -29,6 +31,7 @@ from fibaction import (
 )
 from fibaction.abc import FeedbackItem, GoalStream, StatusStream
 from fibaction.testing import ScriptedServer
+from fibaction.waking import Waking
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.asyncio
@@ -49,13 +52,14 @@ class BrokenStream(GoalStream):
         self.unknown = unknown
         self.closed = 0
         self.held: list[bool] = []
+        self.news = Waking()
 
-    async def next_event(self, *, feedback: bool = True) -> FeedbackItem | GoalStatus | None:
+    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
         if self.nonsense:
-            return FeedbackItem(1, b"\xc0")
+            return [FeedbackItem(1, b"\xc0")]
         raise ConnectionLost("the line is dead")
 
-    async def outcome(self) -> Outcome[bytes]:
+    def ended(self) -> Outcome[bytes] | None:
         if self.nonsense:
             return Outcome(GoalStatus.SUCCEEDED, b"\xc0")
         if self.unknown:
@@ -226,6 +230,66 @@ async def test_another_goal_is_attached_to_by_its_id() -> None:
         assert await other.result() == await mine.result() == Result([2])
         with pytest.raises(UnknownGoal):
             await client.attach(GoalID.random())
+
+
+async def test_the_goals_that_the_server_knows_are_listed_and_no_later_ones() -> None:
+    hold = anyio.Event()
+    async with ScriptedServer(FIBONACCI, [Result([])], [hold, Result([])]) as server:
+        client = client_of(server)
+        assert await client.goals() == []
+        ended = await client.send_goal(Goal(1))
+        await ended.outcome()
+        active = await client.send_goal(Goal(2))
+        goals = await client.goals()
+        assert [(info.goal_id, info.stamp) for info in goals] == [
+            (ended.goal_id, ended.stamp),
+            (active.goal_id, active.stamp),
+        ]
+        assert [info.status.is_active for info in goals] == [False, True]
+        hold.set()
+
+
+async def test_a_list_of_goals_ends_where_the_server_does() -> None:
+    class Short(StatusStream):
+        """A stream that ends before all is told that was known."""
+
+        known = 2
+        dropped = 0
+
+        def __init__(self) -> None:
+            self.items = [GoalInfo(GoalID(bytes(range(16))), 7, GoalStatus.EXECUTING)]
+            self.closed = False
+
+        async def receive(self) -> GoalInfo | None:
+            return self.items.pop() if self.items else None
+
+        def close(self) -> None:
+            self.closed = True
+
+    class Ending(Broken):
+        async def status(self) -> StatusStream:
+            return statuses
+
+    statuses = Short()
+    with anyio.fail_after(5):
+        assert [info.stamp for info in await client_of(Ending(BrokenStream())).goals()] == [7]
+    assert statuses.closed
+
+
+async def test_the_events_of_an_action_are_read_through_its_client() -> None:
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), Result([2])]) as server:
+        client = client_of(server)
+        for feedback, expected in ((True, ["1", "SUCCEEDED"]), (False, ["SUCCEEDED"])):
+            seen: list[str] = []
+            async with client.events(feedback=feedback) as events:
+                goal = await client.send_goal(Goal(1))
+                async for event in events:
+                    if isinstance(event, GoalFeedback):
+                        seen.append(str(event.number))
+                    elif event.goal_id == goal.goal_id and not event.status.is_active:
+                        seen.append(event.status.name)
+                        break
+            assert seen == expected
 
 
 async def test_feedback_and_result_that_are_not_of_their_type_are_the_servers_error() -> None:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+
 import pytest
 
 from fibaction import (
+    ActionPeers,
     ActionServer,
     ClientConnection,
     ServerNotFound,
@@ -12,6 +16,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction.abc import Connection
 from fibaction_transports.inprocess import InProcessTransport
 from tests.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
@@ -27,6 +32,25 @@ async def test_with_an_action_it_gives_a_client_and_without_one_a_connection() -
             assert await connection.client(FIBONACCI).call(Goal(1)) == Result([0, 1])
             assert await connection.actions() == [FIBONACCI.info]
             assert connection.endpoint(FIBONACCI).info == FIBONACCI.info
+
+
+async def test_who_serves_and_who_uses_an_action_is_what_the_transport_knows() -> None:
+    class Told(InProcessTransport):
+        """A transport that knows."""
+
+        @asynccontextmanager
+        async def connect(self) -> AsyncGenerator[Connection, None]:
+            async with super().connect() as connection:
+                yield Knowing(connection)
+
+    class Knowing(ClientConnection):
+        async def peers(self, action: str) -> ActionPeers:
+            return ActionPeers(servers=(f"who serves {action}",))
+
+    async with connect(Told()) as connection:
+        assert await connection.peers("fibonacci") == ActionPeers(("who serves fibonacci",))
+    async with connect(InProcessTransport()) as connection:
+        assert await connection.peers("fibonacci") == ActionPeers()
 
 
 async def test_a_transport_does_as_well_as_a_url() -> None:

@@ -87,7 +87,7 @@ async def test_feedback_is_handed_over_as_it_is_yielded_and_the_result_is_the_en
     bench = Bench(fibonacci, order=5)
     assert await bench.run() == Ending(EndKind.RESULT, packed([0, 1, 1, 2, 3, 5]))
     assert await bench.read() == [1, 2, 3, 5]
-    item = bench.log.after(0)
+    (item,) = bench.log.after(0, 1)
     assert item == FeedbackItem(1, FIBONACCI.feedback.encode(Feedback([0, 1, 1])))
 
 

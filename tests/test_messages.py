@@ -17,6 +17,7 @@ from fibaction.goals import GoalID
 from fibaction.messages import (
     VERSION,
     Actions,
+    AskPeers,
     AwaitServer,
     CancelAnswered,
     CancelGoals,
@@ -35,10 +36,13 @@ from fibaction.messages import (
     Goodbye,
     Hello,
     ListActions,
+    Peers,
     Ping,
+    Received,
     Rejected,
     SendGoal,
     StatusChanged,
+    Watching,
     WatchStatus,
     Welcome,
     Why,
@@ -118,7 +122,7 @@ def test_the_reasons_differ_and_none_is_zero() -> None:
 def test_statuses_and_goal_ids_are_sent_as_plain_numbers_and_bytes() -> None:
     goal_id = GoalID(bytes(range(16)))
     assert fields(GoalChanged(1, goal_id, 2, GoalStatus.CANCELING, 0)) == [
-        *(40, 1, bytes(range(16)), 2, 3, 0)
+        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "")
     ]
 
 
@@ -138,6 +142,7 @@ IDS = strategies.integers(0, 2**63 - 1)
 STAMPS = strategies.integers(0, 2**63 - 1)
 STATUSES = strategies.sampled_from(GoalStatus)
 COUNTS = strategies.integers(0, 2**31 - 1)
+FRAME_SIZES = strategies.integers(1, 2**32 - 1)
 SECONDS = strategies.floats(0, 3600, exclude_min=True)
 NUMBERS = strategies.integers(-(2**63), 2**64 - 1)
 TEXT = strategies.text()
@@ -157,7 +162,7 @@ builds = strategies.builds
 MESSAGES: dict[type, SearchStrategy[Any]] = {
     Ping: builds(Ping),
     Goodbye: builds(Goodbye, TEXT, NUMBERS),
-    Hello: builds(Hello, NUMBERS, SECONDS, TEXT),
+    Hello: builds(Hello, NUMBERS, SECONDS, TEXT, BYTES, FRAME_SIZES),
     SendGoal: builds(SendGoal, IDS, TEXT, GOAL_IDS, BYTES, COUNTS),
     Follow: builds(
         *(Follow, IDS, TEXT, GOAL_IDS, strategies.none() | STAMPS, strategies.booleans(), COUNTS)
@@ -170,7 +175,9 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
     ListActions: builds(ListActions, IDS),
     Credit: builds(Credit, IDS, COUNTS),
     Close: builds(Close, IDS),
-    Welcome: builds(Welcome, NUMBERS, SECONDS),
+    Received: builds(Received, IDS),
+    AskPeers: builds(AskPeers, IDS, TEXT),
+    Welcome: builds(Welcome, NUMBERS, SECONDS, FRAME_SIZES),
     Following: builds(Following, IDS, STAMPS, STATUSES, strategies.booleans(), STAMPS),
     Rejected: builds(Rejected, IDS, TEXT),
     Failed: builds(Failed, IDS, NUMBERS, TEXT),
@@ -182,10 +189,12 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
         strategies.lists(strategies.tuples(GOAL_IDS, STAMPS, STATUSES)),
         TEXT,
     ),
-    GoalChanged: builds(GoalChanged, IDS, GOAL_IDS, STAMPS, STATUSES, STAMPS),
+    GoalChanged: builds(GoalChanged, IDS, GOAL_IDS, STAMPS, STATUSES, STAMPS, STAMPS, TEXT),
     Done: builds(Done, IDS),
     Finished: builds(Finished, IDS),
     Actions: builds(Actions, IDS, strategies.lists(INFOS, max_size=3)),
+    Watching: builds(Watching, IDS, STAMPS),
+    Peers: builds(Peers, IDS, strategies.lists(TEXT)),
 }
 ANY = strategies.recursive(
     strategies.none() | strategies.booleans() | NUMBERS | strategies.floats() | TEXT | BYTES,
@@ -239,8 +248,10 @@ def test_fields_that_an_older_peer_does_not_send_get_their_default(
                 assert [getattr(old, name) for name in names] == expected
 
 
-def test_a_reason_and_a_token_need_not_be_sent() -> None:
+def test_a_reason_a_token_a_session_and_a_limit_need_not_be_sent() -> None:
     assert decode_from_client(packed(16, 1, 1.0)) == Hello(1, 1.0, "")
+    assert decode_from_client(packed(16, 1, 1.0, "a", b"b")) == Hello(1, 1.0, "a", b"b", 2**24)
+    assert decode_from_server(packed(32, 1, 1.0)) == Welcome(1, 1.0, 2**24)
     assert decode_from_client(packed(1, "over")) == Goodbye("over", 0)
     assert decode_from_server(packed(1, "over")) == Goodbye("over", 0)
 
@@ -267,6 +278,10 @@ def test_a_reason_and_a_token_need_not_be_sent() -> None:
         [16, 1, "1"],
         [16, "1", 1.0],
         [16, 1, 1.0, b"sesame"],
+        [16, 1, 1.0, "", b"", 0],
+        [16, 1, 1.0, "", b"", -1],
+        [16, 1, 1.0, "", b"", 2**32],
+        [16, 1, 1.0, "", b"", None],
         [17, 1, "fibonacci", GOAL_ID[:15], b"", 1],
         [17, 1, "fibonacci", GOAL_ID[:15] + b"ab", b"", 1],
         [17, 1, "fibonacci", GOAL_ID.hex()[:16], b"", 1],
@@ -277,8 +292,10 @@ def test_a_reason_and_a_token_need_not_be_sent() -> None:
         [18, 1, "fibonacci", bytes(16), 0, 1, 1],
         [19, 1, "fibonacci", None, -1],
         [19, 1, "fibonacci", None, 2**63],
+        [25, -1],
+        [25],
         [15],
-        [25, 1],
+        [26, 1],
         [-1, 1],
         ["Ping"],
         [],
@@ -293,6 +310,9 @@ def test_a_client_that_says_what_it_may_not_is_told_apart(array: list[Any]) -> N
 @pytest.mark.parametrize(
     "array",
     [
+        [32, 1, 1.0, 0],
+        [32, 1, 1.0, 2**32],
+        [32, 1, 1.0, "65536"],
         [33, 1, STAMP, 7, False, 0],
         [33, 1, STAMP, -1, False, 0],
         [33, 1, -STAMP, 1, False, 0],

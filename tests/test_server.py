@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import tracemalloc
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Coroutine
 from typing import Any, cast
 
 import anyio
@@ -379,6 +379,250 @@ async def test_a_goal_sent_again_is_followed_from_its_first_feedback() -> None:
         assert numbers == [1, 2, 3]
         with pytest.raises(UnknownGoal):
             await server.feedback(GoalID.random())
+
+
+# Offering a goal
+
+
+def at_once(
+    offered: GoalStream | Coroutine[Any, Any, GoalStream],
+) -> GoalStream:
+    """What was offered, and need not be waited for."""
+    assert isinstance(offered, GoalStream)
+    return offered
+
+
+def waited_for(
+    offered: GoalStream | Coroutine[Any, Any, GoalStream],
+) -> Coroutine[Any, Any, GoalStream]:
+    """What there is to wait for."""
+    assert not isinstance(offered, GoalStream)
+    return offered
+
+
+def agree(goal: Goal) -> None:
+    """A callback that has nothing against it."""
+
+
+async def agree_later(goal: Goal) -> None:
+    await anyio.lowlevel.checkpoint()
+
+
+@pytest.mark.parametrize("on_goal", [None, agree], ids=["no on_goal", "a sync one"])
+async def test_a_goal_that_nobody_has_to_wait_for_is_accepted_at_once(on_goal: Any) -> None:
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
+        goal_id = GoalID.random()
+        stream = at_once(server.offer_goal(goal_id, packed(2)))
+        assert (stream.goal_id, stream.status) == (goal_id, GoalStatus.ACCEPTED)
+        item = await stream.receive()
+        assert item is not None
+        assert item.number == 1
+        assert await stream.receive() is None
+        assert await stream.outcome() == Outcome(GoalStatus.SUCCEEDED, result([0, 1, 1]))
+
+
+async def test_a_goal_is_offered_with_or_without_its_feedback() -> None:
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=agree) as server:
+        goal_id = GoalID.random()
+        without = at_once(server.offer_goal(goal_id, packed(2), feedback=False))
+        again = at_once(server.offer_goal(goal_id, packed(2), feedback=False))
+        assert without.take() is again.take() is None
+        assert (await without.outcome()).status is GoalStatus.SUCCEEDED
+
+
+@pytest.mark.parametrize(
+    "on_goal", [agree_later, lambda goal: agree_later(goal)], ids=["async", "gives an awaitable"]
+)
+async def test_only_a_callback_that_takes_its_time_is_waited_for(on_goal: Any) -> None:
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
+        goal_id = GoalID.random()
+        asking = waited_for(server.offer_goal(goal_id, packed(2)))
+        assert repr(server).endswith("goals=0>")
+        stream = await asking
+        assert stream.goal_id == goal_id
+        assert (await stream.outcome()).status is GoalStatus.SUCCEEDED
+
+
+async def test_a_goal_that_cannot_be_is_rejected_at_once_and_again() -> None:
+    def refuse(goal: Goal) -> None:
+        raise GoalRejected("never")
+
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=refuse) as server:
+        for payload, reason in ((b"\x01", "Expected `object`, got `int`"), (packed(1), "never$")):
+            goal_id = GoalID.random()
+            for _ in range(2):
+                with pytest.raises(GoalRejected, match=reason) as caught:
+                    server.offer_goal(goal_id, payload)
+                assert caught.value.goal_id == goal_id
+    with pytest.raises(ServerNotFound, match="'fibonacci' is not running"):
+        server.offer_goal(GoalID.random(), packed(1))
+
+
+async def test_a_goal_that_is_refused_after_a_while_is_rejected_by_what_was_waited_for() -> None:
+    async def refuse(goal: Goal) -> None:
+        await anyio.lowlevel.checkpoint()
+        raise GoalRejected("not today")
+
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=refuse) as server:
+        goal_id = GoalID.random()
+        asking = waited_for(server.offer_goal(goal_id, packed(1)))
+        with pytest.raises(GoalRejected, match="not today") as caught:
+            await asking
+        assert caught.value.goal_id == goal_id
+        # It is remembered, so that the next one need not wait.
+        with pytest.raises(GoalRejected, match="not today"):
+            server.offer_goal(goal_id, packed(1))
+
+
+async def test_a_goal_that_is_offered_again_is_there_at_once_with_its_first_feedback() -> None:
+    async with ActionServer(FIBONACCI, fibonacci) as server:
+        goal_id = GoalID.random()
+        first = at_once(server.offer_goal(goal_id, packed(4)))
+        again = at_once(server.offer_goal(goal_id, packed(4)))
+        assert again.stamp == first.stamp
+        await first.outcome()
+        late = at_once(server.offer_goal(goal_id, packed(4)))
+        for stream in (again, late):
+            numbers = []
+            while (item := await stream.receive()) is not None:
+                numbers.append(item.number)
+            assert numbers == [1, 2, 3]
+
+
+class Gate:
+    """An `on_goal` that decides when it is told to."""
+
+    def __init__(self) -> None:
+        self.asked: list[Goal] = []
+        self.open = anyio.Event()
+
+    async def __call__(self, goal: Goal) -> None:
+        self.asked.append(goal)
+        await self.open.wait()
+
+
+@pytest.mark.parametrize("late", [False, True], ids=["before", "after"])
+async def test_a_goal_that_is_being_decided_waits_for_that_decision(late: bool) -> None:
+    gate = Gate()
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:
+        goal_id = GoalID.random()
+        stamps: list[int] = []
+
+        async def wait(asking: Coroutine[Any, Any, GoalStream]) -> None:
+            stamps.append((await asking).stamp)
+
+        with anyio.fail_after(5):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(wait, waited_for(server.offer_goal(goal_id, packed(2))))
+                await anyio.wait_all_tasks_blocked()
+                again = waited_for(server.offer_goal(goal_id, packed(2)))
+                if late:  # the decision is there before anybody waits for it
+                    gate.open.set()
+                    await anyio.wait_all_tasks_blocked()
+                    assert len(stamps) == 1
+                tasks.start_soon(wait, again)
+                await anyio.wait_all_tasks_blocked()
+                assert len(stamps) == (2 if late else 0)
+                gate.open.set()
+        assert len(set(stamps)) == 1
+    assert gate.asked == [Goal(2)]
+
+
+async def test_a_goal_that_is_canceled_while_it_waits_can_be_sent_anew() -> None:
+    gate = Gate()
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:
+        goal_id = GoalID.random()
+        asking = waited_for(server.offer_goal(goal_id, packed(2)))
+
+        async def wait() -> None:
+            await asking
+
+        with anyio.fail_after(5):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(wait)
+                await anyio.wait_all_tasks_blocked()
+                tasks.cancel_scope.cancel()
+            assert (await server.cancel_goals(goal_id)).return_code is CancelCode.UNKNOWN_GOAL_ID
+            gate.open.set()
+            # Another goal even, with the same ID: nothing is left of the first.
+            stream = await waited_for(server.offer_goal(goal_id, packed(3)))
+            assert (await stream.outcome()).result == result([0, 1, 1, 2])
+    assert gate.asked == [Goal(2), Goal(3)]
+
+
+async def test_a_goal_whose_decision_is_not_awaited_yet_is_rejected_by_the_stop() -> None:
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=Gate()) as server:
+        asking = waited_for(server.offer_goal(GoalID.random(), packed(2)))
+        await server.stop()
+    with anyio.fail_after(5):
+        with pytest.raises(GoalRejected, match="the server is stopping"):
+            await asking
+
+
+async def test_who_has_sent_a_goal_is_told_with_each_of_its_statuses() -> None:
+    gate = Gate()
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:
+        with await server.status() as statuses:
+            assert statuses.known == 0
+            goal_id = GoalID.random()
+            gate.open.set()
+            stream = await waited_for(server.offer_goal(goal_id, packed(2), client="the arm"))
+            # Whoever sends it again has not sent it.
+            again = at_once(server.offer_goal(goal_id, packed(2), client="the leg"))
+            assert again.stamp == stream.stamp
+            await stream.outcome()
+            told = [await statuses.receive() for _ in range(3)]
+        assert [info.client for info in told if info is not None] == ["the arm"] * 3
+        with await server.status() as statuses:
+            assert statuses.known == 1
+
+
+async def test_whoever_waited_for_the_decision_and_then_decides_is_the_one_who_sent_it() -> None:
+    gate = Gate()
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:
+        goal_id = GoalID.random()
+        first = waited_for(server.offer_goal(goal_id, packed(2), client="the arm"))
+        scope = anyio.CancelScope()
+        streams: list[GoalStream] = []
+
+        async def give_up() -> None:
+            with scope:
+                await first
+
+        async def wait(asking: Coroutine[Any, Any, GoalStream]) -> None:
+            streams.append(await asking)
+
+        with anyio.fail_after(5):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(give_up)
+                await anyio.wait_all_tasks_blocked()
+                again = server.offer_goal(goal_id, packed(2), feedback=False, client="the leg")
+                tasks.start_soon(wait, waited_for(again))
+                await anyio.wait_all_tasks_blocked()
+                scope.cancel()
+                await anyio.wait_all_tasks_blocked()
+                gate.open.set()
+            assert streams[0].take() is None  # without feedback, as it was asked for
+            with await server.status() as statuses:
+                info = await statuses.receive()
+            assert info is not None
+            assert info.client == "the leg"
+
+
+@pytest.mark.parametrize("followed", [True, False])
+async def test_whoever_comes_after_the_end_gets_the_feedback_that_somebody_else_has_kept(
+    followed: bool,
+) -> None:
+    async with ActionServer(FIBONACCI, fibonacci) as server:
+        stream = at_once(server.offer_goal(GoalID.random(), packed(4), feedback=followed))
+        await stream.outcome()
+        late = await server.feedback(stream.goal_id, after=0)
+        numbers = []
+        while (item := await late.receive()) is not None:
+            numbers.append(item.number)
+        assert numbers == ([1, 2, 3] if followed else [])
+        assert late.dropped == (0 if followed else 3)
+        assert await late.outcome() == await stream.outcome()
 
 
 # Canceling

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import gc
 import math
+import weakref
 from collections.abc import Awaitable, Callable
 from functools import partial
 
@@ -9,11 +11,11 @@ import pytest
 import trio.testing
 from hypothesis import given, strategies
 
-from fibaction.abc import FeedbackItem
+from fibaction.abc import FeedbackItem, GoalStream
 from fibaction.goals import GoalID, GoalInfo, Outcome
 from fibaction.protocol import Goal
 from fibaction.states import GoalStatus
-from fibaction.streams import FeedStream, GoalLog, LogStream, StatusFeed, Waking
+from fibaction.streams import FeedStream, GoalLog, LogStream, StatusFeed
 
 GOAL_ID = GoalID(bytes(range(16)))
 OUTCOME = Outcome(GoalStatus.SUCCEEDED, b"done")
@@ -75,33 +77,6 @@ async def while_waiting(waiting: Callable[[], Awaitable[object]], then: Callable
             await anyio.wait_all_tasks_blocked()
             assert not done.is_set()
             then()
-
-
-# Waking
-
-
-@pytest.mark.asyncio
-async def test_waking_wakes_all_who_wait_and_nobody_who_comes_later() -> None:
-    waking = Waking()
-    woken: list[int] = []
-
-    async def wait(number: int) -> None:
-        await waking.wait()
-        woken.append(number)
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            waking.wake()
-            tasks.start_soon(wait, 1)
-            tasks.start_soon(wait, 2)
-            await anyio.wait_all_tasks_blocked()
-            assert woken == []
-            waking.wake()
-            tasks.start_soon(wait, 3)
-            await anyio.wait_all_tasks_blocked()
-            assert sorted(woken) == [1, 2]
-            waking.wake()
-    assert sorted(woken) == [1, 2, 3]
 
 
 # What a follower reads
@@ -322,20 +297,26 @@ def test_what_was_read_and_what_was_dropped_is_all_there_was(
     anyio.run(check)
 
 
-# Feedback in larger pieces
+# What is there already
+
+
+def numbers_of(taken: list[FeedbackItem] | GoalStatus | None) -> list[int]:
+    assert isinstance(taken, list)
+    return [item.number for item in taken]
 
 
 def test_what_is_there_already_is_given_at_once_up_to_a_limit() -> None:
     log = new_log()
     stream = log.follow()
-    assert stream.ready(10) == []
-    append(log, 5)
-    assert [item.number for item in stream.ready(3)] == [1, 2, 3]
-    assert [item.number for item in stream.ready(10)] == [4, 5]
-    assert stream.ready(10) == []
+    assert stream.take(10) == []
+    append(log, 6)
+    assert stream.take() == [FeedbackItem(1, b"1")]
+    assert numbers_of(stream.take(3)) == [2, 3, 4]
+    assert numbers_of(stream.take(10)) == [5, 6]
+    assert stream.take(10) == []
     append(log, 1)
-    assert stream.ready(0) == []
-    assert stream.place == 5
+    assert stream.take(0) == []
+    assert stream.place == 6
 
 
 def test_larger_pieces_count_what_was_dropped_and_make_room() -> None:
@@ -343,31 +324,182 @@ def test_larger_pieces_count_what_was_dropped_and_make_room() -> None:
     stream = log.follow(hold=True)
     append(log, 10)
     assert log.is_full
-    assert [item.number for item in stream.ready(2)] == [7, 8]
+    assert numbers_of(stream.take(2)) == [7, 8]
     assert (stream.dropped, stream.place, log.is_full) == (6, 8, False)
-    assert [item.number for item in stream.ready(9)] == [9, 10]
+    assert numbers_of(stream.take(9)) == [9, 10]
     assert stream.dropped == 6
 
 
-def test_with_latest_a_larger_piece_is_the_newest() -> None:
+@pytest.mark.parametrize("limit", [1, 10])
+def test_with_latest_a_piece_is_the_newest_whatever_its_limit(limit: int) -> None:
     log = new_log(latest=True)
     stream = log.follow()
     append(log, 5)
-    assert [item.number for item in stream.ready(10)] == [5]
+    assert stream.take(0) == []
+    assert numbers_of(stream.take(limit)) == [5]
     assert stream.dropped == 4
+    assert stream.take(limit) == []
 
 
-def test_no_larger_piece_comes_before_a_status_or_after_closing() -> None:
+def test_no_feedback_is_taken_before_a_status_or_after_closing() -> None:
+    log = new_log()
+    stream = log.follow()
+    append(log, 2)
+    change(log, GoalStatus.EXECUTING)
+    change(log, GoalStatus.CANCELING)
+    assert stream.take(10) is GoalStatus.EXECUTING
+    assert stream.place == 0
+    assert stream.take(10) is GoalStatus.CANCELING
+    assert numbers_of(stream.take(1)) == [1]
+    stream.close()
+    assert stream.take(10) is None
+    assert stream.place == 1
+
+
+def test_statuses_are_taken_also_by_one_who_wants_no_feedback_now() -> None:
     log = new_log()
     stream = log.follow()
     append(log, 1)
     change(log, GoalStatus.EXECUTING)
-    assert stream.ready(10) == []
-    other = log.follow(after=0)
-    assert len(other.ready(10)) == 1
+    assert stream.take(0) is GoalStatus.EXECUTING
+    assert stream.take(0) == []
+    assert numbers_of(stream.take(9)) == [1]
+    end(log)
+    # The last one is not a change to tell: it is the end.
+    assert stream.take(0) is None
+
+
+@pytest.mark.parametrize("latest", [False, True])
+def test_a_goal_that_has_ended_has_no_end_for_one_who_has_feedback_left_to_take(
+    latest: bool,
+) -> None:
+    log = new_log(latest=latest)
+    stream = log.follow()
     append(log, 1)
-    other.close()
-    assert other.ready(10) == []
+    assert stream.ended() is None
+    end(log)
+    assert stream.take(0) == []
+    assert stream.ended() is OUTCOME
+    assert (stream.place, stream.dropped) == (0, 0)
+    assert numbers_of(stream.take(5)) == [1]
+    assert stream.take(5) is None
+    assert stream.take(0) is None
+    assert (stream.place, stream.dropped) == (1, 0)
+
+
+def test_what_an_ended_goal_no_longer_has_counts_as_dropped_also_for_who_takes_nothing() -> None:
+    goal = Goal(GOAL_ID, 0, 7)
+    goal.feedback_count = 3
+    goal.outcome = OUTCOME
+    stream = GoalLog(goal).follow(after=1)
+    assert stream.take(0) is None
+    assert (stream.place, stream.dropped) == (3, 2)
+
+
+@given(
+    window=strategies.integers(1, 5),
+    latest=strategies.booleans(),
+    steps=strategies.lists(
+        strategies.sampled_from(["append", "status"]) | strategies.integers(0, 4), max_size=30
+    ),
+)
+def test_pieces_of_any_size_are_in_order_and_leave_nothing_out_but_what_is_counted(
+    window: int, latest: bool, steps: list[str | int]
+) -> None:
+    log = new_log(window, latest=latest)
+    stream = log.follow()
+    seen: list[int] = []
+    statuses = told = 0
+
+    def take(limit: int) -> bool:
+        nonlocal told
+        taken = stream.take(limit)
+        if isinstance(taken, GoalStatus):
+            told += 1
+        else:
+            assert told == statuses
+            assert len(taken or []) <= limit
+            seen.extend(item.number for item in taken or [])
+            assert stream.place == len(seen) + stream.dropped
+        return taken is None
+
+    for step in steps:
+        if step == "append":
+            append(log, 1)
+        elif step == "status":
+            change(log, GoalStatus.EXECUTING)
+            statuses += 1
+        else:
+            assert isinstance(step, int)
+            assert not take(step)
+    end(log)
+    while not take(2):
+        pass
+    assert seen == sorted(set(seen))
+    assert len(seen) + stream.dropped == log.count
+
+
+# Who is told that there is something
+
+
+def count_wakes(stream: LogStream) -> list[None]:
+    """A list that grows at each of the stream's wakes."""
+    wakes: list[None] = []
+    stream.news.listener = lambda: wakes.append(None)
+    return wakes
+
+
+def test_a_reader_is_told_of_feedback_of_statuses_of_the_end_and_of_its_being_closed() -> None:
+    for happens in (
+        lambda log, stream: append(log, 1),
+        lambda log, stream: change(log, GoalStatus.EXECUTING),
+        lambda log, stream: log.finish(),
+        lambda log, stream: stream.close(),
+    ):
+        log = new_log()
+        stream = log.follow()
+        wakes = count_wakes(stream)
+        happens(log, stream)
+        assert len(wakes) == 1
+
+
+@pytest.mark.parametrize("reads", [True, False], ids=["closed", "without feedback"])
+def test_who_reads_no_feedback_is_told_of_the_end_and_of_nothing_else(reads: bool) -> None:
+    log = new_log()
+    stream = log.follow(feedback=reads)
+    if reads:
+        stream.close()
+    wakes = count_wakes(stream)
+    append(log, 3)
+    change(log, GoalStatus.EXECUTING)
+    assert wakes == []
+    end(log)
+    assert len(wakes) == 1
+    assert stream.ended() is OUTCOME
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("reads", [True, False], ids=["closed", "without feedback"])
+async def test_who_reads_no_feedback_can_wait_for_news_of_the_end(reads: bool) -> None:
+    log = new_log()
+    stream = log.follow(feedback=reads)
+    if reads:
+        stream.close()
+    await while_waiting(lambda: GoalStream.outcome(stream), lambda: end(log))
+
+
+def test_a_log_keeps_alive_who_reads_it_and_nobody_else() -> None:
+    log = new_log()
+    reader, closed = log.follow(), log.follow()
+    without = log.follow(feedback=False)
+    closed.close()
+    streams = [weakref.ref(stream) for stream in (reader, closed, without)]
+    wakes = count_wakes(reader)
+    del reader, closed, without
+    gc.collect()
+    assert [stream() is not None for stream in streams] == [True, False, False]
+    end(log)  # and it does not stumble over those that are gone
+    assert wakes
 
 
 # What a follower hears of the status
@@ -453,23 +585,28 @@ async def test_feedback_that_is_not_asked_for_is_left_for_later() -> None:
     log = new_log()
     stream = log.follow()
     append(log, 1)
-    statuses: list[GoalStatus | FeedbackItem | None] = []
+    heard: list[GoalStatus] = []
 
     async def listen() -> None:
-        while not statuses or statuses[-1] is not None:
-            statuses.append(await stream.next_event(feedback=False))
+        while stream.ended() is None:
+            taken = stream.take(0)
+            if isinstance(taken, GoalStatus):
+                heard.append(taken)
+            else:
+                assert taken == []
+                await stream.news.wait()
 
     with anyio.fail_after(5):
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(listen)
             await anyio.wait_all_tasks_blocked()
-            assert statuses == []
+            assert heard == []
             append(log, 1)
             change(log, GoalStatus.EXECUTING)
             await anyio.wait_all_tasks_blocked()
-            assert statuses == [GoalStatus.EXECUTING]
+            assert heard == [GoalStatus.EXECUTING]
             end(log)
-        assert statuses == [GoalStatus.EXECUTING, None]
+        assert heard == [GoalStatus.EXECUTING]
         assert await events(stream) == [1, 2]
     assert stream.dropped == 0
 
@@ -531,7 +668,54 @@ def test_a_follower_holds_nothing_up_unless_told_to_and_a_log_keeps_one_feedback
     assert not log.follow().holding
     assert log.follow(hold=True).holding
     append(log, 2)
-    assert log.after(0) == FeedbackItem(2, b"2")
+    assert log.after(0, 10) == [FeedbackItem(2, b"2")]
+
+
+@pytest.mark.parametrize(
+    ("place", "limit", "expected"),
+    [
+        (0, 1, [4]),
+        (0, 2, [4, 5]),
+        (3, 9, [4, 5, 6]),
+        (4, 1, [5]),
+        (4, 2, [5, 6]),
+        (5, 9, [6]),
+        (6, 9, []),
+        (0, 0, []),
+        (0, -1, []),
+    ],
+)
+def test_a_log_gives_what_there_still_is_behind_a_place(
+    place: int, limit: int, expected: list[int]
+) -> None:
+    log = new_log(window=3)
+    assert not log.has_after(0)
+    append(log, 6)
+    assert [item.number for item in log.after(place, limit)] == expected
+    assert log.has_after(place) is (place < 6)
+
+
+def test_a_follower_goes_back_as_far_as_the_log_remembers_and_never_forward() -> None:
+    log = GoalLog(Goal(GOAL_ID, 0, 7), window=3)
+    stream = log.follow(after=0)
+    for number in range(1, 6):
+        log.append(b"%d" % number)
+        stream.take()
+    for after, first in ((-1, 3), (0, 3), (4, 5)):
+        stream.rewind(after)
+        items = stream.take(9)
+        assert isinstance(items, list)
+        assert [item.number for item in items] == list(range(first, 6))
+    stream.rewind(9)
+    assert stream.place == 5
+
+
+def test_a_log_whose_feedback_is_all_gone_has_nothing_behind_any_place() -> None:
+    goal = Goal(GOAL_ID, 0, 7)
+    goal.feedback_count = 3
+    log = GoalLog(goal)
+    assert not log.has_after(0)
+    assert log.after(0, 10) == []
 
 
 @pytest.mark.asyncio
@@ -563,9 +747,7 @@ async def test_an_observer_never_fills_a_log_and_with_latest_nobody_does(
 
 
 def read_one(log: GoalLog, stream: LogStream) -> None:
-    # An item is there, so that the coroutine ends without having waited.
-    with pytest.raises(StopIteration):
-        stream.receive().send(None)
+    assert stream.take()
 
 
 @pytest.mark.asyncio
@@ -698,6 +880,16 @@ async def test_a_status_stream_begins_with_what_is_known_and_goes_on_with_each_c
         assert await stamps(stream) == [2, 3]
         assert await stream.receive() is None
     assert stream.dropped == 0
+
+
+@pytest.mark.asyncio
+async def test_a_status_stream_says_how_much_of_it_was_known_when_it_began() -> None:
+    feed = StatusFeed()
+    one, other = feed.follow([info(1), info(2)]), feed.follow([])
+    feed.publish(info(3))
+    with anyio.fail_after(5):
+        await one.receive()
+    assert (one.known, other.known) == (2, 0)
 
 
 @pytest.mark.asyncio

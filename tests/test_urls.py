@@ -146,6 +146,18 @@ def test_a_module_that_is_installed_but_wrong_is_a_transport_error(
         transport_for("pigeon://loft")
 
 
+def test_what_a_transport_says_that_cannot_be_imported_is_not_changed(
+    install: Install, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "pigeon_without_a_loft.py").write_text(
+        "from fibaction import TransportError\nraise TransportError('build a loft first')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    install(EntryPoints([entry("pigeon", "pigeon_without_a_loft:PigeonTransport")]))
+    with pytest.raises(TransportError, match=r"^build a loft first$"):
+        transport_for("pigeon://loft")
+
+
 def test_what_a_transport_says_of_its_url_is_not_changed(
     install: Install, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -57,6 +57,11 @@ class Access:
                 found = Peer(address, name)
         return found
 
+    @property
+    def is_open(self) -> bool:
+        """Whether everybody who is in may do everything."""
+        return self._authorize is None
+
     async def allows(self, peer: Peer, action: str, verb: Verb) -> bool:
         """Whether the client may do that."""
         if self._authorize is None:

@@ -26,7 +26,6 @@ from fibaction.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Outcome
 from fibaction.messages import (
     Close,
     Credit,
-    Done,
     Ended,
     Failed,
     Feedback,
@@ -35,14 +34,16 @@ from fibaction.messages import (
     Following,
     FromClient,
     GoalChanged,
+    Received,
     Rejected,
     SendGoal,
     StatusChanged,
+    Watching,
     WatchStatus,
     Why,
 )
 from fibaction.states import GoalStatus
-from fibaction.streams import Waking
+from fibaction.waking import Waking
 
 Post: TypeAlias = Callable[[FromClient], None]
 """Sends a small message if there is a connection; if there is none, it is not needed."""
@@ -67,7 +68,7 @@ class Call(ABC):
         """What to send on a new connection, so that it goes on."""
 
     @abstractmethod
-    def take(self, message: Any) -> bool:
+    def hear(self, message: Any) -> bool:
         """Take a message of its ID, and say whether that was the last one.
 
         Raises:
@@ -96,7 +97,7 @@ class Question(Call):
     def opening(self) -> FromClient:
         return self._message
 
-    def take(self, message: Any) -> bool:
+    def hear(self, message: Any) -> bool:
         if isinstance(message, Failed):
             self.fail(error_of(message))
         else:
@@ -119,6 +120,42 @@ class Question(Call):
         return self._answer
 
 
+class _Credits:
+    """How many more messages of one call the other end may send."""
+
+    def __init__(self, call_id: int, window: int, post: Post) -> None:
+        self._id = call_id
+        self._window = window
+        self._post = post
+        self._allowed = window
+        self._ungranted = 0
+
+    def restart(self, unread: int) -> int:
+        """On a new connection: how many may come, as so many of the window are still unread."""
+        self._ungranted = 0
+        self._allowed = self._window - unread
+        return self._allowed
+
+    def spend(self) -> None:
+        """A message has come.
+
+        Raises:
+            ProtocolError: It was one too many.
+        """
+        if self._allowed <= 0:
+            raise ProtocolError("there were more messages than credit for them")
+        self._allowed -= 1
+
+    def grant(self, count: int = 1) -> None:
+        """So many were read, and as many more may come."""
+        self._ungranted += count
+        # In larger pieces: one message for each would cost more than what it is for.
+        if self._ungranted >= (self._window + 1) // 2:
+            self._allowed += self._ungranted
+            self._post(Credit(self._id, self._ungranted))
+            self._ungranted = 0
+
+
 class RemoteGoal(Call, GoalStream):
     """One goal at the other end."""
 
@@ -139,8 +176,7 @@ class RemoteGoal(Call, GoalStream):
         self._delivered = 0
         self._items: deque[FeedbackItem] = deque()
         self._statuses: deque[GoalStatus] = deque()
-        self._ungranted = 0
-        self._allowed = window  # how much more feedback may come on this connection
+        self._credit = _Credits(call_id, window, post)
         self._own = isinstance(opening, SendGoal) or opening.own
         self._holds = self._own  # an observer slows nobody down, here neither
         self._reads = opening.credit is not None
@@ -163,29 +199,27 @@ class RemoteGoal(Call, GoalStream):
             self.raise_error()
             await self.news.wait()
 
-    async def next_event(self, *, feedback: bool = True) -> FeedbackItem | GoalStatus | None:
-        while self._reads:
-            if self._statuses:
-                return self._statuses.popleft()
-            if feedback and self._items:
-                item = self._items.popleft()
-                self.place = item.number
-                self._delivered += 1
-                if not self.latest:
-                    self._grant()
-                return item
+    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
+        if not self._reads:
+            return None
+        if self._statuses:
+            return self._statuses.popleft()
+        items = [self._items.popleft() for _ in range(min(limit, len(self._items)))]
+        if items:
+            self.place = items[-1].number
+            self._delivered += len(items)
+            if not self.latest:
+                self._grant(len(items))
+        elif not self._items:
             if self._outcome is not None:
-                if feedback:
-                    self.place = self._last
+                self.place = self._last
                 return None
             self.raise_error()
-            await self.news.wait()
-        return None
+        return items
 
-    async def outcome(self) -> Outcome[bytes]:
-        while self._outcome is None:
+    def ended(self) -> Outcome[bytes] | None:
+        if self._outcome is None:
             self.raise_error()
-            await self.news.wait()
         return self._outcome
 
     def hold(self, wanted: bool) -> None:
@@ -202,14 +236,13 @@ class RemoteGoal(Call, GoalStream):
                 self._post(Close(self.id))
 
     def opening(self) -> FromClient:
-        self._ungranted = 0
-        self._allowed = self._window if self.latest else self._window - len(self._items)
+        allowed = self._credit.restart(0 if self.latest else len(self._items))
         if not self._accepted:
             return self._opening
-        credit = self._allowed if self._reads else None
+        credit = allowed if self._reads else None
         return Follow(self.id, self._opening.action, self.goal_id, self._last, self._own, credit)
 
-    def take(self, message: Any) -> bool:
+    def hear(self, message: Any) -> bool:
         if not self._accepted and not isinstance(message, Following | Failed | Rejected):
             raise _unfitting(message)
         if isinstance(message, Feedback):
@@ -220,6 +253,7 @@ class RemoteGoal(Call, GoalStream):
             self._end(
                 Outcome(GoalStatus(message.status), message.result, message.reason), message.place
             )
+            self._post(Received(self.id))
         elif isinstance(message, Following):
             self._take_following(message)
         elif isinstance(message, Failed) and self._accepted and message.why == Why.UNKNOWN_GOAL:
@@ -251,9 +285,7 @@ class RemoteGoal(Call, GoalStream):
     def _take_feedback(self, message: Feedback) -> None:
         if message.number <= self._last:
             raise ProtocolError(f"feedback {message.number} came after {self._last}")
-        if self._allowed <= 0:
-            raise ProtocolError("there was more feedback than credit for it")
-        self._allowed -= 1
+        self._credit.spend()
         self._last = message.number
         if self._reads:
             if self.latest:
@@ -275,13 +307,9 @@ class RemoteGoal(Call, GoalStream):
             self._items.popleft()
             self._grant()
 
-    def _grant(self) -> None:
-        # In larger pieces: one message for each feedback would cost more than the feedback does.
-        self._ungranted += 1
-        if self._ungranted >= (self._window + 1) // 2 and self._outcome is None:
-            self._allowed += self._ungranted
-            self._post(Credit(self.id, self._ungranted))
-            self._ungranted = 0
+    def _grant(self, count: int = 1) -> None:
+        if self._outcome is None:
+            self._credit.grant(count)
 
 
 class RemoteStatuses(Call, StatusStream):
@@ -293,12 +321,12 @@ class RemoteStatuses(Call, StatusStream):
         self._window = window
         self._post = post
         self._begun = False
+        self.known = 0
         self._items: deque[GoalInfo] = deque()
         self._ended = False
         self._dropped = 0
         self._dropped_before = 0  # on connections before this one
-        self._allowed = window
-        self._ungranted = 0
+        self._credit = _Credits(call_id, window, post)
 
     @property
     def is_over(self) -> bool:
@@ -324,11 +352,8 @@ class RemoteStatuses(Call, StatusStream):
                 return None
             self.raise_error()
             await self.news.wait()
-        self._ungranted += 1
-        if self._ungranted >= (self._window + 1) // 2 and not self._ended:
-            self._allowed += self._ungranted
-            self._post(Credit(self.id, self._ungranted))
-            self._ungranted = 0
+        if not self._ended:
+            self._credit.grant()
         return self._items.popleft()
 
     def close(self) -> None:
@@ -338,23 +363,28 @@ class RemoteStatuses(Call, StatusStream):
             self.news.wake()
 
     def opening(self) -> FromClient:
-        self._ungranted = 0
         self._dropped_before, self._dropped = self.dropped, 0
-        self._allowed = self._window - len(self._items)
-        return WatchStatus(self.id, self._action, self._allowed)
+        return WatchStatus(self.id, self._action, self._credit.restart(len(self._items)))
 
-    def take(self, message: Any) -> bool:
-        if not self._begun and not isinstance(message, Done | Failed):
+    def hear(self, message: Any) -> bool:
+        if not self._begun and not isinstance(message, Watching | Failed):
             raise _unfitting(message)
         if isinstance(message, GoalChanged):
-            if self._allowed <= 0:
-                raise ProtocolError("there were more statuses than credit for them")
-            self._allowed -= 1
+            self._credit.spend()
             self._dropped = message.dropped
             status = GoalStatus(message.status)
             if not self._ended:
-                self._items.append(GoalInfo(GoalID(message.goal_id), message.stamp, status))
-        elif isinstance(message, Done):
+                info = GoalInfo(
+                    GoalID(message.goal_id),
+                    message.stamp,
+                    status,
+                    message.feedback_count,
+                    message.client,
+                )
+                self._items.append(info)
+        elif isinstance(message, Watching):
+            if not self._begun:
+                self.known = message.known
             self._begun = True
         elif isinstance(message, Finished):
             self._ended = True

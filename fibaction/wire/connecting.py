@@ -29,21 +29,25 @@ from fibaction.exceptions import (
     TransportError,
 )
 from fibaction.framing import MAX_FRAME
-from fibaction.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
 from fibaction.messages import (
     VERSION,
     Actions,
+    AskPeers,
     AwaitServer,
     CancelAnswered,
     CancelGoals,
     Close,
     Done,
+    Ended,
     Follow,
     FromClient,
     Goodbye,
     Hello,
     ListActions,
+    Peers,
     Ping,
+    Received,
     SendGoal,
     Welcome,
     Why,
@@ -51,7 +55,7 @@ from fibaction.messages import (
     encode,
 )
 from fibaction.states import GoalStatus
-from fibaction.streams import Waking
+from fibaction.waking import Waking
 from fibaction.wire.calls import Call, Question, RemoteGoal, RemoteStatuses
 from fibaction.wire.channel import Channel
 from fibaction.wire.link import Link
@@ -83,6 +87,8 @@ class Keeping(msgspec.Struct, frozen=True):
     """Seconds that calls wait for a lost connection to come back."""
     window: int = 256
     """How many feedback messages of a goal wait here to be read, before the server keeps them."""
+    max_frame: int = MAX_FRAME
+    """Bytes of the largest message that is taken."""
 
     def __repr__(self) -> str:
         return "<Keeping>"  # a token has no place in a log
@@ -99,6 +105,7 @@ class RemoteConnection(Connection):
         self._ready = False
         self._absent: TransportError | None = None
         self._final = False
+        self._max_frame = MAX_FRAME
         self._session = secrets.token_bytes(16)
         self._patience_ends: float | None = None
         self._calls: dict[int, Call] = {}
@@ -113,6 +120,10 @@ class RemoteConnection(Connection):
     async def actions(self) -> list[ActionInfo]:
         answer = await self.ask(lambda call_id: ListActions(call_id), Actions)
         return list(answer.actions)
+
+    async def peers(self, action: str) -> ActionPeers:
+        answer: Peers = await self.ask(lambda call_id: AskPeers(call_id, action), Peers)
+        return ActionPeers((self._where,), tuple(answer.clients))
 
     # For endpoints
 
@@ -167,15 +178,19 @@ class RemoteConnection(Connection):
     async def _open(self, call: Call) -> None:
         if self._absent is not None:
             raise _anew(self._absent)
-        frame = encode(call.opening())
-        if len(frame) > MAX_FRAME:
-            raise ProtocolError(
-                f"the message has {len(frame)} bytes, and {MAX_FRAME} are the limit"
-            )
+        frame = self._opening(call)
         self._calls[call.id] = call
         if self._link is not None and self._ready:
             with suppress(ConnectionLost):  # then it is opened on the next connection, or fails
                 await self._link.send(frame)
+
+    def _opening(self, call: Call) -> bytes:
+        frame = encode(call.opening())
+        if len(frame) > self._max_frame:
+            raise ProtocolError(
+                f"the message has {len(frame)} bytes, and {self._max_frame} are the server's limit"
+            )
+        return frame
 
     def _post(self, message: FromClient) -> None:
         if self._link is not None and self._ready:
@@ -233,7 +248,9 @@ class RemoteConnection(Connection):
         try:
             self._link = Link(channel, self._keeping.heartbeat)
             keeping = self._keeping
-            hello = Hello(VERSION, keeping.heartbeat, keeping.token, self._session)
+            hello = Hello(
+                VERSION, keeping.heartbeat, keeping.token, self._session, keeping.max_frame
+            )
             self._link.post(encode(hello))
             return await self._link.run(self._handle)
         finally:
@@ -262,20 +279,28 @@ class RemoteConnection(Connection):
             self._begin(message)
         elif not self._ready:
             raise ProtocolError(f"the first message was a {type(message).__name__}, no Welcome")
-        elif (call := self._calls.get(message.id)) is not None and call.take(message):
-            del self._calls[message.id]
+        elif (call := self._calls.get(message.id)) is not None:
+            if call.hear(message):
+                del self._calls[message.id]
+        elif isinstance(message, Ended):
+            self._post(Received(message.id))  # nobody wants it any more
 
     def _begin(self, welcome: Welcome) -> None:
         assert self._link is not None
         if self._ready or welcome.version != VERSION:
             raise ProtocolError(f"a Welcome of version {welcome.version} was not expected")
         self._link.peer_heartbeat = welcome.heartbeat
+        self._max_frame = welcome.max_frame
         self._ready = True
         self._absent = None
         self._patience_ends = None
         self._calls = {call.id: call for call in self._calls.values() if not call.is_over}
-        for call in self._calls.values():
-            self._link.post(encode(call.opening()))
+        for call in tuple(self._calls.values()):
+            try:
+                self._link.post(self._opening(call))
+            except ProtocolError as exc:  # this server takes less than the one before
+                del self._calls[call.id]
+                call.fail(exc)
         self._changed.wake()
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager
-from typing import Literal
 
 import anyio
 from anyio.abc import TaskGroup
@@ -14,12 +13,10 @@ from fibaction.abc import Endpoint
 from fibaction.background import Background
 from fibaction.exceptions import AuthenticationFailed, ProtocolError
 from fibaction.messages import Goodbye, Why, encode
-from fibaction.wire.access import Access
 from fibaction.wire.channel import Channel
-from fibaction.wire.limits import Limits
 from fibaction.wire.link import Link
 from fibaction.wire.orphans import Orphans
-from fibaction.wire.serving import Session
+from fibaction.wire.serving import Session, Terms
 
 LEAVE_TIMEOUT = 1.0
 """Seconds that a server which closes gives its clients to take what there still is to say."""
@@ -30,22 +27,10 @@ logger = logging.getLogger("fibaction.wire")
 class Hub:
     """Serves endpoints to whoever connects."""
 
-    def __init__(
-        self,
-        tasks: TaskGroup,
-        endpoints: Mapping[str, Endpoint],
-        *,
-        heartbeat: float,
-        access: Access,
-        limits: Limits,
-        grace: float,
-        orphans: Literal["keep", "cancel"],
-    ) -> None:
+    def __init__(self, tasks: TaskGroup, endpoints: Mapping[str, Endpoint], terms: Terms) -> None:
         self._endpoints = endpoints
-        self._heartbeat = heartbeat
-        self._access = access
-        self._limits = limits
-        self._orphans = Orphans(tasks, grace=grace, then=orphans)
+        self._terms = terms
+        self._orphans = Orphans(tasks, grace=terms.grace, then=terms.orphans)
         self._sessions: set[Session] = set()
 
     async def serve(self, channel: Channel) -> None:
@@ -59,20 +44,15 @@ class Hub:
             await channel.aclose()
 
     async def _serve(self, channel: Channel) -> None:
-        if len(self._sessions) >= self._limits.connections:
-            reason = f"the server is full: it has {self._limits.connections} connections"
+        heartbeat, limits = self._terms.heartbeat, self._terms.limits
+        if len(self._sessions) >= limits.connections:
+            reason = f"the server is full: it has {limits.connections} connections"
             logger.warning("%s is turned away: %s", channel.peer, reason)
-            link = Link(channel, self._heartbeat)
+            link = Link(channel, heartbeat)
             await link.say_last(encode(Goodbye(reason, Why.LIMIT)))
             return
-        session = Session(
-            Link(channel, self._heartbeat, self._limits.queue),
-            self._endpoints,
-            heartbeat=self._heartbeat,
-            access=self._access,
-            limits=self._limits,
-            orphans=self._orphans,
-        )
+        link = Link(channel, heartbeat, limits.queue)
+        session = Session(link, self._endpoints, self._terms, self._orphans, self._clients_of)
         self._sessions.add(session)
         try:
             error = await session.run()
@@ -80,6 +60,9 @@ class Hub:
             self._sessions.discard(session)
         wrong = isinstance(error, ProtocolError | AuthenticationFailed)
         logger.log(logging.WARNING if wrong else logging.INFO, "%s: %s", channel.peer, error)
+
+    def _clients_of(self, action: str) -> list[str]:
+        return sorted(session.client for session in self._sessions if action in session.actions)
 
     async def drain(self) -> None:
         """Let every client know how its goals have ended, and say goodbye."""
@@ -92,25 +75,11 @@ class Hub:
 
 @asynccontextmanager
 async def hub(
-    endpoints: Mapping[str, Endpoint],
-    *,
-    heartbeat: float,
-    access: Access,
-    limits: Limits,
-    grace: float,
-    orphans: Literal["keep", "cancel"],
+    endpoints: Mapping[str, Endpoint], terms: Terms
 ) -> AsyncGenerator[tuple[Hub, TaskGroup], None]:
     """A hub, and a task group for its connections; at the end of the block all of them are left."""
     async with Background() as tasks:
-        opened = Hub(
-            tasks,
-            endpoints,
-            heartbeat=heartbeat,
-            access=access,
-            limits=limits,
-            grace=grace,
-            orphans=orphans,
-        )
+        opened = Hub(tasks, endpoints, terms)
         try:
             yield opened, tasks
         finally:

@@ -7,12 +7,11 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 
-from anyio import CancelScope, create_task_group, current_time, sleep
-from anyio.lowlevel import checkpoint
+from anyio import CancelScope, create_task_group, move_on_after, sleep
 
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
 from fibaction.messages import Ping, encode
-from fibaction.streams import Waking
+from fibaction.waking import Waking
 from fibaction.wire.channel import Channel
 
 MISSED = 4
@@ -39,9 +38,12 @@ class Link:
         self._high_water = high_water
         self._queue: list[bytes] = []
         self._queued = 0
+        self._source: Callable[[], list[bytes]] = list
         self._wanted = Waking()
         self._room = Waking()
-        self._sent_at = self._received_at = current_time()
+        self._is_writing = False
+        self._writes = 0
+        self._has_said = self._has_heard = True  # since `_watch` looked last
         self._error: ActionError | None = None
         self._scope = CancelScope()
 
@@ -49,6 +51,10 @@ class Link:
     def is_open(self) -> bool:
         """Whether messages can still be sent."""
         return self._error is None
+
+    def stir(self) -> None:
+        """There is something to fetch from the source."""
+        self._wanted.wake()
 
     def post(self, frame: bytes) -> None:
         """Queue a message. For small ones, of which there are few; after the end it is lost."""
@@ -82,8 +88,8 @@ class Link:
 
     async def say_last(self, frame: bytes) -> None:
         """After the end: tell the peer why, if it can still be told."""
-        with suppress(ActionError):
-            await self._channel.send([frame], timeout=1)
+        with suppress(ActionError), move_on_after(1):
+            await self._channel.send([frame])
 
     def end(self, error: ActionError) -> None:
         """End the connection for that reason, unless it has ended before."""
@@ -92,17 +98,23 @@ class Link:
             self._room.wake()
             self._scope.cancel()
 
-    async def run(self, handle: Callable[[bytes], None]) -> ActionError:
+    async def run(
+        self, handle: Callable[[bytes], None], source: Callable[[], list[bytes]] | None = None
+    ) -> ActionError:
         """Read, write and watch until the connection ends, and say why it did.
 
         `handle` is called with each message that arrives, and raises nothing but `ActionError`,
-        which ends the connection.
+        which ends the connection. `source` is asked for messages whenever the connection can take
+        more, after each `stir()`, until it has none: so what there is to say waits where it is
+        made, and not in a queue.
         """
+        if source is not None:
+            self._source = source
 
         async def read() -> None:
             while True:
                 frames = await self._channel.receive()
-                self._received_at = current_time()
+                self._has_heard = True
                 for frame in frames:
                     handle(frame)
 
@@ -122,23 +134,41 @@ class Link:
         return self._error
 
     async def _write(self) -> None:
-        while True:
-            while not self._queue:
+        while self._error is None:  # what is cut off by the end would cut off the last word, too
+            queue, self._queue = self._queue, []
+            queued = sum(map(len, queue))
+            frames = queue + self._source()
+            if not frames:
                 await self._wanted.wait()
-            # Whatever else is to be said in this turn of the event loop goes into the same write.
-            await checkpoint()
-            frames, self._queue = self._queue, []
-            await self._channel.send(frames, MISSED * self._heartbeat)
-            self._sent_at = current_time()
-            self._queued -= sum(map(len, frames))
+                continue
+            self._is_writing = True
+            await self._channel.send(frames)
+            self._is_writing = False
+            self._writes += 1
+            self._has_said = True
+            self._queued -= queued
             self._room.wake()
 
     async def _watch(self) -> None:
+        # It counts its own rounds, and reads no clock: what happens at each message stays cheap,
+        # and a peer is not blamed for the time in which this process has not run.
+        step = self._heartbeat / 2
+        silent = stuck = 0.0
+        progress = self._progress
         while True:
-            await sleep(self._heartbeat)
-            now = current_time()
-            silent = now - self._received_at
+            await sleep(step)
+            silent = 0.0 if self._has_heard else silent + step
             if silent > MISSED * self.peer_heartbeat:
                 raise ConnectionLost(f"{self.peer} has been silent for {silent:.1f} s")
-            if now - self._sent_at > self._heartbeat / 2:
+            is_stuck = self._is_writing and progress == self._progress
+            stuck = stuck + step if is_stuck else 0.0
+            if stuck > MISSED * self._heartbeat:
+                raise ConnectionLost(f"{self.peer} has read nothing for {stuck:.1f} s")
+            if not self._has_said:
                 self.post(PING)
+            self._has_said = self._has_heard = False
+            progress = self._progress
+
+    @property
+    def _progress(self) -> tuple[int, int]:
+        return self._writes, self._channel.progress

@@ -31,6 +31,7 @@ class Orphans:
         self._then = then
         self._streams: dict[GoalID, GoalStream] = {}
         self._sessions: dict[GoalID, bytes] = {}
+        self._losses: dict[GoalStream, object] = {}
 
     def is_own(self, goal_id: GoalID, session: bytes) -> bool:
         """Whether it was a client of this session that sent the goal."""
@@ -48,9 +49,15 @@ class Orphans:
             return False
         self._streams[stream.goal_id] = stream
         self._sessions[stream.goal_id] = session
-        if before is not None:
+        self._losses.pop(before or stream, None)
+        if before is not None and before is not stream:
             before.close()
         return True
+
+    def ended(self, goal_id: GoalID) -> GoalStream | None:
+        """The stream of a goal that has ended, and whose client has not heard of it."""
+        stream = self._streams.get(goal_id)
+        return stream if stream is not None and stream.status.is_terminal else None
 
     def close(self) -> None:
         """The server closes: no goal waits for its client any longer."""
@@ -60,6 +67,7 @@ class Orphans:
     def end(self, stream: GoalStream) -> None:
         """The client has been told how the goal ended, or follows it elsewhere."""
         stream.close()
+        self._losses.pop(stream, None)
         if self._streams.get(stream.goal_id) is stream:
             del self._streams[stream.goal_id], self._sessions[stream.goal_id]
 
@@ -69,12 +77,15 @@ class Orphans:
         if not owned or (left and self._then == "keep"):
             self.end(stream)
         else:
-            self._tasks.start_soon(self._wait, endpoint, stream, 0 if left else self._grace)
+            loss = self._losses[stream] = object()
+            self._tasks.start_soon(self._wait, endpoint, stream, loss, 0 if left else self._grace)
 
-    async def _wait(self, endpoint: Endpoint, stream: GoalStream, grace: float) -> None:
+    async def _wait(
+        self, endpoint: Endpoint, stream: GoalStream, loss: object, grace: float
+    ) -> None:
         await sleep(grace)
-        if self._streams.get(stream.goal_id) is not stream:
-            return
+        if self._losses.get(stream) is not loss:
+            return  # the client came back, and may have been lost again
         self.end(stream)
         if self._then == "cancel" and not stream.status.is_terminal:
             logger.info("goal %s is canceled: its client has not come back", stream.goal_id)

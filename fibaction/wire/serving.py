@@ -6,13 +6,15 @@ It decides nothing about goals. What a client may do is asked of `Access`, befor
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable, Mapping
-from typing import Any
+from collections.abc import Awaitable, Callable, Generator, Mapping
+from contextlib import contextmanager
+from typing import Any, Literal, TypeAlias
 
+import msgspec
 from anyio import CancelScope, sleep
 from anyio.abc import TaskGroup
 
-from fibaction.abc import Endpoint, FeedbackItem, GoalStream
+from fibaction.abc import Endpoint, GoalStream
 from fibaction.background import Background
 from fibaction.exceptions import (
     ActionError,
@@ -23,101 +25,62 @@ from fibaction.exceptions import (
     ServerNotFound,
     UnknownGoal,
 )
+from fibaction.framing import MAX_FRAME
 from fibaction.goals import GoalID
 from fibaction.messages import (
     VERSION,
     Actions,
+    AskPeers,
     AwaitServer,
     CancelAnswered,
     CancelGoals,
     Close,
     Credit,
     Done,
-    Ended,
     Failed,
-    Feedback,
     Finished,
     Follow,
-    Following,
     FromClient,
     GoalChanged,
     Goodbye,
     Hello,
     ListActions,
+    Peers,
     Ping,
+    Received,
     Rejected,
     SendGoal,
-    StatusChanged,
+    Watching,
     WatchStatus,
     Welcome,
     Why,
     decode_from_client,
     encode,
 )
-from fibaction.states import GoalStatus
-from fibaction.streams import Waking
+from fibaction.waking import Waking
 from fibaction.wire.access import Access, Peer, Verb
+from fibaction.wire.channel import CHUNK
+from fibaction.wire.flows import Flow, GoalFlow, WaitingFlow, failure, fit, refusal, text_of
 from fibaction.wire.limits import Limits
 from fibaction.wire.link import Link
 from fibaction.wire.orphans import Orphans
 
 logger = logging.getLogger("fibaction.wire")
 
+Question: TypeAlias = CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers
 
-class _Flow:
-    """How much more a client wants of one request."""
 
-    def __init__(self, credit: int | None) -> None:
-        self.credit = credit or 0
-        self.closed = credit is None
-        """Whether nothing is wanted but the end."""
-        self.stop: Callable[[], None] | None = None
-        """What to do when the client wants no more."""
-        self._more = Waking()
-        self._scope: CancelScope | None = None
+class Terms(msgspec.Struct, frozen=True):
+    """What a server offers its clients, and asks of them."""
 
-    def add(self, count: int) -> None:
-        """The client wants so much more."""
-        self.credit = min(self.credit + count, 2**31)
-        self._wake()
-
-    def close(self) -> None:
-        """The client wants no more."""
-        self.closed = True
-        if self.stop is not None:
-            self.stop()
-        self._wake()
-
-    def stop_with(self, stop: Callable[[], None]) -> None:
-        """From now on, this is what to do when the client wants no more."""
-        self.stop = stop
-        if self.closed:
-            stop()
-
-    async def wait(self) -> None:
-        """Wait until the client wants more, or no more at all."""
-        while self.credit <= 0 and not self.closed:
-            await self._more.wait()
-
-    async def next_event(self, stream: GoalStream) -> FeedbackItem | GoalStatus | None:
-        """What to send next of a goal: feedback if there is credit for it, statuses always."""
-        while self.credit <= 0 and not self.closed:
-            event = None
-            with CancelScope() as self._scope:
-                event = await stream.next_event(feedback=False)
-            if event is not None:
-                return event
-            if not self._scope.cancelled_caught:
-                last = await stream.next_event()
-                if last is not None:
-                    await self.wait()  # the goal has ended, and what is left waits for credit
-                return last
-        return await stream.next_event()
-
-    def _wake(self) -> None:
-        self._more.wake()
-        if self._scope is not None:
-            self._scope.cancel()
+    heartbeat: float
+    """Seconds between the server's signs of life."""
+    access: Access
+    limits: Limits
+    orphans: Literal["keep", "cancel"]
+    """What becomes of the goals of a client that does not come back."""
+    grace: float
+    """Seconds that it has to come back."""
 
 
 class Session:
@@ -127,60 +90,62 @@ class Session:
         self,
         link: Link,
         endpoints: Mapping[str, Endpoint],
-        *,
-        heartbeat: float,
-        access: Access,
-        limits: Limits,
+        terms: Terms,
         orphans: Orphans,
+        clients_of: Callable[[str], list[str]],
     ) -> None:
+        """`clients_of` says who uses an action, this client and all others."""
+        self.actions: set[str] = set()
+        """The actions that the client has named."""
+        self._clients_of = clients_of
         self._link = link
         self._endpoints = endpoints
-        self._heartbeat = heartbeat
-        self._access = access
-        self._limits = limits
+        self._terms = terms
         self._orphans = orphans
         self._peer: Peer | None = None
         self._session = b""
+        self._max_frame = MAX_FRAME
         self._left = False
-        self._flows: dict[int, _Flow] = {}
-        self._streams: dict[int, GoalStream] = {}
-        self._goals = 0
+        self._waiting: dict[int, WaitingFlow] = {}
+        self._goals: dict[int, GoalFlow] = {}
+        self._ready: dict[GoalFlow, None] = {}
         self._held = 0
         self._progress = Waking()
         self._tasks: TaskGroup
-        self._parts: dict[type, Callable[[Any], Awaitable[None]]] = {
-            SendGoal: self._send_goal,
-            Follow: self._follow,
+        self._parts: dict[type, Callable[[Any, WaitingFlow], Awaitable[None]]] = {
             CancelGoals: self._cancel_goals,
             WatchStatus: self._watch_status,
             AwaitServer: self._await_server,
             ListActions: self._list_actions,
+            AskPeers: self._ask_peers,
         }
 
     async def run(self) -> ActionError:
         """Serve the client until the connection ends, and say why it did."""
-        async with Background() as self._tasks:
-            self._tasks.start_soon(self._expect_hello)
-            error = await self._link.run(self._handle)
-            if isinstance(error, ProtocolError | AuthenticationFailed):
-                await self._link.say_last(encode(_goodbye(error)))
-            return error
+        try:
+            async with Background() as self._tasks:
+                self._tasks.start_soon(self._expect_hello)
+                error = await self._link.run(self._handle, self._collect)
+                if isinstance(error, ProtocolError | AuthenticationFailed):
+                    await self._link.say_last(encode(_goodbye(error)))
+                return error
+        finally:
+            for flow in self._goals.values():
+                self._give_up(flow)
+            self._progress.wake()
 
     async def drain(self) -> None:
         """Wait until the client has been told of every goal that has ended, and say goodbye."""
-        while self._link.is_open and any(
-            stream.status.is_terminal for stream in self._streams.values()
-        ):
+        while self._link.is_open and any(flow.has_end_to_tell for flow in self._goals.values()):
             await self._progress.wait()
         self._link.post(encode(Goodbye("the server is closing the connection")))
         await self._link.flush()
 
     async def _expect_hello(self) -> None:
-        await sleep(self._limits.handshake)
+        handshake = self._terms.limits.handshake
+        await sleep(handshake)
         if self._peer is None:
-            self._link.end(
-                ProtocolError(f"it has not said hello within {self._limits.handshake:g} s")
-            )
+            self._link.end(ProtocolError(f"it has not said hello within {handshake:g} s"))
 
     # What arrives
 
@@ -188,23 +153,26 @@ class Session:
         message = decode_from_client(frame)
         if self._peer is None:
             self._welcome(message)
-            return
-        part = self._parts.get(type(message))
-        if part is not None:
-            self._begin(part, message)
+        elif isinstance(message, SendGoal | Follow):
+            self._begin_goal(message)
+        elif isinstance(message, Received):
+            if (goal := self._goals.get(message.id)) is not None and goal.told:
+                self._end(goal)
         elif isinstance(message, Credit):
-            if (flow := self._flows.get(message.id)) is not None:
+            if (flow := self._flow(message.id)) is not None:
                 flow.add(message.count)
         elif isinstance(message, Close):
-            if (flow := self._flows.get(message.id)) is not None:
+            if (flow := self._flow(message.id)) is not None:
                 flow.close()
         elif isinstance(message, Goodbye):
             self._left = True
             # It goes into a log, so it is one line of it, and not of any length.
             reason = "".join(c if c.isprintable() else " " for c in message.reason[:200])
             self._link.end(ConnectionLost(f"{self._link.peer} left: {reason}"))
-        elif not isinstance(message, Ping):
+        elif isinstance(message, Hello):
             raise ProtocolError("it said hello twice")
+        elif not isinstance(message, Ping):
+            self._begin(message)
 
     def _welcome(self, message: FromClient) -> None:
         if not isinstance(message, Hello):
@@ -213,180 +181,248 @@ class Session:
             raise ProtocolError(
                 f"it speaks version {message.version} of the protocol, and this is {VERSION}"
             )
-        self._peer = self._access.admit(self._link.peer, message.token)
+        self._peer = self._terms.access.admit(self._link.peer, message.token)
         if self._peer is None:
             raise AuthenticationFailed("its token is not one of this server's")
         self._session = message.session
+        self._max_frame = message.max_frame
         self._link.peer_heartbeat = message.heartbeat
-        self._link.post(encode(Welcome(VERSION, self._heartbeat)))
+        welcome = Welcome(VERSION, self._terms.heartbeat, self._terms.limits.frame)
+        self._link.post(encode(welcome))
 
-    def _begin(self, part: Callable[[Any], Awaitable[None]], message: Any) -> None:
-        if message.id in self._flows:
+    def _flow(self, request: int) -> Flow | None:
+        return self._goals.get(request) or self._waiting.get(request)
+
+    def _admits(self, message: SendGoal | Follow | Question, *, has_room: bool) -> bool:
+        if self._flow(message.id) is not None:
             raise ProtocolError(f"it used the ID {message.id} twice")
-        is_goal = isinstance(message, SendGoal | Follow)
-        others = len(self._flows) - self._goals
-        if (self._goals >= self._limits.goals) if is_goal else (others >= self._limits.requests):
+        if not has_room:
+            limits = self._terms.limits
             text = (
-                f"too much at once: the limits of a connection are {self._limits.goals} goals"
-                f" and {self._limits.requests} other requests"
+                f"too much at once: the limits of a connection are {limits.goals} goals"
+                f" and {limits.requests} other requests"
             )
             refused: Rejected | Failed = Failed(message.id, Why.LIMIT, text)
             if isinstance(message, SendGoal):
                 refused = Rejected(message.id, text)
             self._link.post(encode(refused))
+        return has_room
+
+    # Goals
+
+    def _begin_goal(self, message: SendGoal | Follow) -> None:
+        if not self._admits(message, has_room=len(self._goals) < self._terms.limits.goals):
             return
-        self._flows[message.id] = _Flow(getattr(message, "credit", 0))
-        self._goals += is_goal
-        self._tasks.start_soon(self._answer, part, message)
+        flow = GoalFlow(message.id, message.credit, self._tell, self._max_frame)
+        self._goals[message.id] = flow
+        if isinstance(message, Follow):
+            self._tasks.start_soon(self._follow, message, flow)
+        elif self._terms.access.is_open:
+            # Nobody has to be asked, so most goals need no task here.
+            with self._answering(message):
+                self._offer(message, flow, self._find(message.action))
+        else:
+            self._tasks.start_soon(self._send_goal, message, flow)
 
-    # What is answered
+    async def _send_goal(self, message: SendGoal, flow: GoalFlow) -> None:
+        with self._answering(message):
+            self._offer(message, flow, await self._endpoint(message.action, Verb.SEND))
 
-    async def _answer(self, part: Callable[[Any], Awaitable[None]], message: Any) -> None:
+    def _offer(self, message: SendGoal, flow: GoalFlow, endpoint: Endpoint) -> None:
+        size = len(message.goal)
+        if self._held + size > self._terms.limits.memory:
+            raise GoalRejected(f"too many bytes at once: the limit is {self._terms.limits.memory}")
+        feedback = message.credit is not None
+        offered = endpoint.offer_goal(
+            GoalID(message.goal_id), message.goal, feedback=feedback, client=self.client
+        )
+        if isinstance(offered, GoalStream):
+            self._begin_stream(flow, endpoint, offered, own=True)
+        else:
+            self._held += size
+            self._tasks.start_soon(self._await_answer, message, flow, endpoint, offered)
+
+    async def _await_answer(
+        self, message: SendGoal, flow: GoalFlow, endpoint: Endpoint, offered: Awaitable[GoalStream]
+    ) -> None:
+        with self._answering(message):
+            try:
+                stream = await offered
+            finally:
+                self._held -= len(message.goal)
+            self._begin_stream(flow, endpoint, stream, own=True)
+
+    async def _follow(self, message: Follow, flow: GoalFlow) -> None:
+        with self._answering(message):
+            goal_id = GoalID(message.goal_id)
+            own = message.own and self._orphans.is_own(goal_id, self._session)
+            endpoint = await self._endpoint(message.action, Verb.SEND if own else Verb.OBSERVE)
+            stream: GoalStream | None
+            try:
+                stream = await endpoint.feedback(goal_id, after=message.after, own=own)
+            except UnknownGoal:
+                # Its server has forgotten it, but its client has not yet heard the end.
+                stream = self._orphans.ended(goal_id) if own else None
+                if stream is None:
+                    raise
+                if message.after is not None:
+                    stream.rewind(message.after)
+            self._begin_stream(flow, endpoint, stream, own=own)
+
+    def _begin_stream(
+        self, flow: GoalFlow, endpoint: Endpoint, stream: GoalStream, *, own: bool
+    ) -> None:
+        flow.begin(endpoint, stream, own=own and self._orphans.own(stream, self._session))
+
+    def _tell(self, flow: GoalFlow) -> None:
+        self._ready[flow] = None
+        self._link.stir()
+
+    def _collect(self) -> list[bytes]:
+        """What there is to tell of goals: some of each in turn, as much as fills one write."""
+        frames: list[bytes] = []
+        size = 0
+        while self._ready and size < CHUNK:
+            flow = next(iter(self._ready))
+            del self._ready[flow]
+            more = flow.take()
+            if more and not flow.told:
+                self._ready[flow] = None  # behind the others
+            frames += more
+            size += sum(map(len, more))
+            if flow.told:
+                self._progress.wake()
+                if not flow.own:
+                    self._end(flow)
+        return frames
+
+    def _end(self, flow: GoalFlow) -> None:
+        """The client has heard the end of a goal, or there is nothing to hear."""
+        del self._goals[flow.request]
+        self._ready.pop(flow, None)
+        if flow.stream is not None:
+            flow.leave()
+            self._orphans.end(flow.stream)
+
+    def _give_up(self, flow: GoalFlow) -> None:
+        """The connection has ended, and with it what the client could be told."""
+        if flow.stream is None or flow.endpoint is None:
+            return
+        flow.leave()
+        if flow.own:
+            self._orphans.adopt(flow.endpoint, flow.stream, left=self._left)
+        else:
+            self._orphans.end(flow.stream)
+
+    # Other requests
+
+    def _begin(self, message: Question) -> None:
+        if self._admits(message, has_room=len(self._waiting) < self._terms.limits.requests):
+            flow = WaitingFlow(message.id, getattr(message, "credit", 0))
+            self._waiting[message.id] = flow
+            self._tasks.start_soon(self._answer, message, flow)
+
+    async def _answer(self, message: Question, flow: WaitingFlow) -> None:
         try:
-            await part(message)
+            with self._answering(message):
+                await self._parts[type(message)](message, flow)
+        finally:
+            del self._waiting[message.id]
+
+    @contextmanager
+    def _answering(self, message: SendGoal | Follow | Question) -> Generator[None, None, None]:
+        """Whatever goes wrong is an answer, too."""
+        try:
+            yield
         except ActionError as exc:
-            self._fail(message.id, exc)
+            self._refuse(message.id, exc)
         except Exception as exc:
             # An endpoint or a callback of somebody else's: that is its fault, and one client's.
             what = type(message).__name__
             logger.error("%s: its %s failed", self._link.peer, what, exc_info=exc)
-            self._fail(message.id, ServerNotFound(f"the server failed: {type(exc).__name__}"))
-        finally:
-            del self._flows[message.id]
-            self._goals -= isinstance(message, SendGoal | Follow)
+            self._refuse(message.id, failure(exc))
 
-    def _fail(self, request: int, exc: ActionError) -> None:
-        answer: Rejected | Failed
-        if isinstance(exc, GoalRejected):
-            answer = Rejected(request, _text(exc.reason))
-        else:
-            answer = Failed(request, _why(exc), _text(str(exc)))
+    def _refuse(self, request: int, exc: ActionError) -> None:
+        if request in self._goals:
+            self._end(self._goals[request])
         if self._link.is_open:
-            self._link.post(encode(answer))
+            self._link.post(refusal(request, exc, self._max_frame))
 
     async def _endpoint(self, action: str, verb: Verb) -> Endpoint:
         assert self._peer is not None
-        if not await self._access.allows(self._peer, action, verb):
+        if not await self._terms.access.allows(self._peer, action, verb):
             raise AuthenticationFailed(f"this client may not {verb.value} at the action {action!r}")
+        return self._find(action)
+
+    @property
+    def client(self) -> str:
+        """The client as people know it: where it is, and whom its token belongs to."""
+        name = self._peer.name if self._peer is not None else ""
+        return f"{name} at {self._link.peer}" if name else self._link.peer
+
+    def _find(self, action: str) -> Endpoint:
         try:
-            return self._endpoints[action]
+            endpoint = self._endpoints[action]
         except KeyError:
             known = ", ".join(map(repr, sorted(self._endpoints))) or "nothing"
             raise ServerNotFound(
                 f"nobody serves the action {action!r} here: there is {known}"
             ) from None
+        self.actions.add(action)
+        return endpoint
 
-    async def _send_goal(self, message: SendGoal) -> None:
-        size = len(message.goal)
-        if self._held + size > self._limits.memory:
-            raise GoalRejected(f"too many bytes at once: the limit is {self._limits.memory}")
-        self._held += size
-        try:
-            endpoint = await self._endpoint(message.action, Verb.SEND)
-            stream = await endpoint.send_goal(
-                GoalID(message.goal_id), message.goal, feedback=message.credit is not None
-            )
-        finally:
-            self._held -= size
-        await self._stream_goal(message.id, endpoint, stream, own=True)
-
-    async def _follow(self, message: Follow) -> None:
-        goal_id = GoalID(message.goal_id)
-        own = message.own and self._orphans.is_own(goal_id, self._session)
-        endpoint = await self._endpoint(message.action, Verb.SEND if own else Verb.OBSERVE)
-        stream = await endpoint.feedback(goal_id, after=message.after, own=own)
-        await self._stream_goal(message.id, endpoint, stream, own=own)
-
-    async def _stream_goal(
-        self, request: int, endpoint: Endpoint, stream: GoalStream, *, own: bool
-    ) -> None:
-        flow = self._flows[request]
-        flow.stop_with(stream.close)
-        own = own and self._orphans.own(stream, self._session)
-        self._streams[request] = stream
-        told = False
-        try:
-            send = self._link.send
-            following = Following(request, stream.stamp, stream.status, stream.latest, stream.place)
-            await send(encode(following))
-            while True:
-                if items := stream.ready(flow.credit):
-                    flow.credit -= len(items)
-                    await self._link.send_all(
-                        [encode(Feedback(request, number, payload)) for number, payload in items]
-                    )
-                    continue
-                event = await flow.next_event(stream)
-                if event is None:
-                    break
-                if isinstance(event, GoalStatus):
-                    await send(encode(StatusChanged(request, event)))
-                else:
-                    flow.credit -= 1
-                    await send(encode(Feedback(request, event.number, event.payload)))
-            end = await stream.outcome()
-            reason = _text(end.reason)
-            await send(encode(Ended(request, end.status, end.result, reason, stream.place)))
-            told = True
-        finally:
-            del self._streams[request]
-            if told or not own:
-                self._orphans.end(stream)
-            else:
-                self._orphans.adopt(endpoint, stream, left=self._left)
-            self._progress.wake()
-
-    async def _cancel_goals(self, message: CancelGoals) -> None:
+    async def _cancel_goals(self, message: CancelGoals, _flow: WaitingFlow) -> None:
         endpoint = await self._endpoint(message.action, Verb.CANCEL)
         goal_id = None if message.goal_id is None else GoalID(message.goal_id)
         answer = await endpoint.cancel_goals(goal_id, message.stamp)
         goals: list[tuple[bytes, int, int]] = [
             (info.goal_id, info.stamp, info.status) for info in answer.goals_canceling
         ]
-        await self._link.send(
-            encode(CancelAnswered(message.id, answer.return_code, goals, _text(answer.reason)))
+        await self._say(
+            CancelAnswered(message.id, answer.return_code, goals, text_of(answer.reason))
         )
 
-    async def _watch_status(self, message: WatchStatus) -> None:
-        flow = self._flows[message.id]
+    async def _watch_status(self, message: WatchStatus, flow: WaitingFlow) -> None:
         endpoint = await self._endpoint(message.action, Verb.OBSERVE)
         with await endpoint.status() as statuses:
             flow.stop_with(statuses.close)
-            await self._link.send(encode(Done(message.id)))
+            await self._say(Watching(message.id, statuses.known))
             while (info := await statuses.receive()) is not None:
                 await flow.wait()
                 if flow.closed:
                     break
                 flow.credit -= 1
                 changed = GoalChanged(
-                    message.id, info.goal_id, info.stamp, info.status, statuses.dropped
+                    message.id,
+                    info.goal_id,
+                    info.stamp,
+                    info.status,
+                    statuses.dropped,
+                    info.feedback_count,
+                    info.client,
                 )
-                await self._link.send(encode(changed))
-            await self._link.send(encode(Finished(message.id)))
+                await self._say(changed)
+            await self._say(Finished(message.id))
 
-    async def _await_server(self, message: AwaitServer) -> None:
+    async def _await_server(self, message: AwaitServer, flow: WaitingFlow) -> None:
         endpoint = await self._endpoint(message.action, Verb.OBSERVE)
         with CancelScope() as scope:
-            self._flows[message.id].stop_with(scope.cancel)
+            flow.stop_with(scope.cancel)
             await endpoint.wait_for_server()
-            await self._link.send(encode(Done(message.id)))
+            await self._say(Done(message.id))
 
-    async def _list_actions(self, message: ListActions) -> None:
+    async def _ask_peers(self, message: AskPeers, _flow: WaitingFlow) -> None:
+        await self._endpoint(message.action, Verb.OBSERVE)
+        await self._say(Peers(message.id, self._clients_of(message.action)))
+
+    async def _list_actions(self, message: ListActions, _flow: WaitingFlow) -> None:
         infos = [endpoint.info for endpoint in self._endpoints.values()]
-        await self._link.send(encode(Actions(message.id, infos)))
+        await self._say(Actions(message.id, infos))
 
-
-def _text(reason: str) -> str:
-    """A reason as it can be sent: what is no Unicode in it becomes `?`."""
-    return reason.encode("utf-8", "replace").decode()
-
-
-def _why(exc: ActionError) -> int:
-    if isinstance(exc, UnknownGoal):
-        return Why.UNKNOWN_GOAL
-    if isinstance(exc, AuthenticationFailed):
-        return Why.FORBIDDEN
-    return Why.SERVER_NOT_FOUND if isinstance(exc, ServerNotFound) else Why.CONNECTION_LOST
+    async def _say(
+        self, answer: CancelAnswered | Done | Watching | GoalChanged | Finished | Actions | Peers
+    ) -> None:
+        await self._link.send(fit(answer.id, encode(answer), self._max_frame))
 
 
 def _goodbye(error: ActionError) -> Goodbye:

@@ -18,6 +18,7 @@ from fibaction import (
     GoalStatus,
     Outcome,
 )
+from fibaction.abc import StatusStream
 from tests.contract.conftest import Reach
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 
@@ -390,18 +391,26 @@ async def test_leaving_the_block_early_cancels_the_goal(reach: Reach) -> None:
                 break
         assert (await goal.outcome()).status is GoalStatus.CANCELED
 
-        with anyio.move_on_after(0.01) as patience:
+        with anyio.CancelScope() as scope:
             async with client.send_goal(Goal(1)) as second:
+                scope.cancel()
                 await second.result()
-        assert patience.cancelled_caught
+        assert scope.cancelled_caught
         assert (await second.outcome()).status is GoalStatus.CANCELED
 
-        with await client.endpoint.status() as statuses, anyio.move_on_after(0.01):
-            await client.call(Goal(1))
-        while (info := await statuses.receive()) is not None:
-            if info.status is GoalStatus.CANCELING:
-                break
-        assert info is not None
+        with await client.endpoint.status() as statuses:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(client.call, Goal(1))
+                await first_with(statuses, GoalStatus.EXECUTING)
+                tasks.cancel_scope.cancel()
+            await first_with(statuses, GoalStatus.CANCELING)
+
+
+async def first_with(statuses: StatusStream, status: GoalStatus) -> None:
+    while (info := await statuses.receive()) is not None:
+        if info.status is status:
+            return
+    raise AssertionError(f"the statuses ended without {status.name}")
 
 
 async def test_the_callers_own_exception_arrives_as_itself(reach: Reach) -> None:

@@ -27,11 +27,13 @@ from fibaction.wire.channel import Channel
 from fibaction.wire.limits import Limits
 from fibaction.wire.link import Link
 from fibaction.wire.orphans import Orphans
-from fibaction.wire.serving import Session
+from fibaction.wire.serving import Session, Terms
 from tests.fibonacci import FIBONACCI, fibonacci
 
 LIMIT = 2**16
 HELLO = encode(Hello(VERSION, 60.0))
+LIMITS = Limits(goals=10, requests=10, memory=LIMIT)
+TERMS = Terms(heartbeat=60.0, access=Access(), limits=LIMITS, orphans="keep", grace=0)
 
 
 class Given(Channel):
@@ -43,7 +45,7 @@ class Given(Channel):
         self._pieces = pieces
         self._reader = FrameReader(LIMIT)
 
-    async def send(self, frames: Sequence[bytes], timeout: float) -> None:
+    async def send(self, frames: Sequence[bytes]) -> None:
         for frame in frames:
             decode_from_server(frame)  # what a server says is always a message
 
@@ -71,14 +73,8 @@ def pieces(data: bytes) -> Iterator[bytes]:
 
 async def serve(data: bytes) -> None:
     async with ActionServer(FIBONACCI, fibonacci) as server, anyio.create_task_group() as tasks:
-        session = Session(
-            Link(Given(pieces(data)), 60.0),
-            {"fibonacci": server},
-            heartbeat=60.0,
-            access=Access(),
-            limits=Limits(goals=10, requests=10, memory=LIMIT),
-            orphans=Orphans(tasks, grace=0),
-        )
+        link = Link(Given(pieces(data)), 60.0)
+        session = Session(link, {"fibonacci": server}, TERMS, Orphans(tasks, grace=0), lambda action: [])
         error = await session.run()
         assert isinstance(error, ActionError), error
 

@@ -13,7 +13,7 @@ from anyio.abc import SocketAttribute, SocketStream
 
 from fibaction.framing import FrameReader, header
 from fibaction.messages import FromServer, decode_from_server
-from fibaction.streams import Waking
+from fibaction.waking import Waking
 
 
 class Hearing(logging.Handler):

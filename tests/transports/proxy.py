@@ -11,7 +11,7 @@ import anyio
 from anyio.abc import SocketAttribute, SocketStream
 
 from fibaction.background import Background
-from fibaction.streams import Waking
+from fibaction.waking import Waking
 
 BROKEN: tuple[type[Exception], ...] = (
     OSError,

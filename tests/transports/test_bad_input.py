@@ -48,6 +48,7 @@ from fibaction.messages import (
     Why,
     encode,
 )
+from fibaction.streams import LogStream
 from fibaction.wire.limits import Limits
 from fibaction.wire.link import Link
 from fibaction_transports.tcp import TcpTransport
@@ -319,25 +320,32 @@ async def test_as_much_credit_as_there_can_be_is_taken() -> None:
 
 
 async def test_a_peer_that_never_reads_is_dropped_and_costs_no_more_than_its_queue() -> None:
-    size, queue = 2**14, 2**16
-    most = 0
+    size, queue, window = 2**14, 2**16, 4
+    most = most_unread = 0
+    taken = 0
     canceled = anyio.Event()
 
     async def executor(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-        nonlocal most
+        nonlocal most, most_unread, taken
         if goal.request.order == 3:
             yield Result([0, 1, 1, 2])
             return
         queues = links()
+        followed: list[LogStream] = []
+        made = 0
         try:
             while True:
+                made += 1
                 yield Feedback([1] * size)
                 most = max(most, *(link._queued for link in queues))
+                followed = followed or streams()
+                taken = max(taken, *(stream.place for stream in followed))
+                most_unread = max(most_unread, made - taken)
         except anyio.get_cancelled_exc_class():
             canceled.set()
             raise
 
-    server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=math.inf)
+    server = ActionServer(FIBONACCI, executor, feedback_window=window, stall_timeout=math.inf)
     settings: dict[str, Any] = {"orphans": "cancel", "grace": 0.01}
     async with scene(server, heartbeat=0.05, limits=Limits(queue=queue), **settings) as here:
         async with raw(here.url) as peer:
@@ -346,13 +354,22 @@ async def test_a_peer_that_never_reads_is_dropped_and_costs_no_more_than_its_que
             await here.heard.until(f"{peer.name}: {peer.name} has read nothing for 0.2 s")
             with anyio.fail_after(5):
                 await canceled.wait()
-            assert queue < most < queue + 2 * size
+            assert taken * size > queue  # more than that is on the line, whatever it holds
+            assert most < queue
+            # The rest waits where it is made.
+            assert most_unread == window
             assert await here.is_well()
 
 
 def links() -> list[Link]:
     """All connections of this process that somebody still holds."""
     return [one for one in gc.get_objects() if isinstance(one, Link)]
+
+
+def streams() -> list[LogStream]:
+    """All streams of goals of this process that go on."""
+    found = [one for one in gc.get_objects() if isinstance(one, LogStream)]
+    return [one for one in found if one.status is GoalStatus.EXECUTING]
 
 
 async def test_a_peer_that_asks_and_never_reads_costs_no_more_than_its_queue() -> None:

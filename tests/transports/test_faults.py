@@ -26,7 +26,6 @@ from fibaction import (
     ConnectionLost,
     GoalHandle,
     GoalID,
-    GoalInfo,
     GoalStatus,
     Outcome,
     ServerNotFound,
@@ -112,6 +111,26 @@ async def test_after_a_cut_the_feedback_goes_on_with_no_gap_or_a_counted_one(mor
     lost = goal.feedback_dropped
     assert got == [*range(1, 51), *range(51 + lost, 51 + more)]
     assert lost == 0 if more < 16 else lost <= 8
+    assert list(executor.runs.values()) == [1]
+    assert line.opened == 2
+
+
+@pytest.mark.parametrize("result_timeout", [10, 0])
+async def test_an_end_that_is_lost_with_the_line_arrives_on_the_next(result_timeout: float) -> None:
+    executor = Counting(stop=3)
+    server = ActionServer(FIBONACCI, executor, result_timeout=result_timeout)
+    async with bad_line(server) as line, connect(line.url, FIBONACCI) as client:
+        with anyio.fail_after(5):
+            goal = await client.send_goal(Goal(3))
+            got = [(await anext(goal.feedback)).partial_sequence[0] for _ in range(3)]
+            line.hush("to client")
+            executor.go_on.set()
+            await line.swallows()
+            line.cut()
+            line.hush()
+            got += await numbers(goal)
+            assert await goal.result() == Result([3])
+    assert (got, goal.feedback_dropped) == ([1, 2, 3], 0)
     assert list(executor.runs.values()) == [1]
     assert line.opened == 2
 
@@ -247,8 +266,8 @@ async def test_a_line_that_is_closed_on_one_side_is_opened_anew() -> None:
 async def pending(client: Client, goal: ClientGoal[Feedback, Result]) -> list[Callable[[], Any]]:
     """Calls of all kinds that wait for the server."""
     statuses = await client.endpoint.status()
-    while (await statuses.receive()) != await executing(client, goal.goal_id):
-        pass
+    for _ in range(statuses.known):
+        assert await statuses.receive() is not None
     return [
         goal.outcome,
         lambda: anext(goal.feedback),
@@ -259,13 +278,6 @@ async def pending(client: Client, goal: ClientGoal[Feedback, Result]) -> list[Ca
         lambda: client.endpoint.get_result(goal.goal_id),
         client.cancel_goals,
     ]
-
-
-async def executing(client: Client, goal_id: GoalID) -> object:
-    """The last line of the goal before its end."""
-    stream = await client.endpoint.feedback(goal_id)
-    with stream:
-        return GoalInfo(goal_id, stream.stamp, GoalStatus.EXECUTING)
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ from fibaction import (
     GoalHandle,
     GoalID,
     Outcome,
+    ProtocolError,
     ServerNotFound,
     TransportError,
     UnknownGoal,
@@ -122,7 +123,8 @@ async def test_the_settings_behind_a_url_have_types_and_those_given_count_for_mo
     keeping = made._keeping
     assert (keeping.token, keeping.heartbeat, keeping.window) == (SECRET, 0.5, 5)
     assert (keeping.reconnect, keeping.reconnect_timeout) == (False, 7.0)
-    assert (made._insecure, made._grace, made._orphans) == (True, 2.0, "cancel")
+    assert (made._insecure, made._terms.grace, made._terms.orphans) == (True, 2.0, "cancel")
+    assert made._terms.heartbeat == 0.5
     assert made._tls == TlsFiles("a", "b", "c")
     local = UnixTransport.from_url("unix:///run/a%20b?window=3&reconnect=true", window=4)
     assert (local._path, local._keeping.window) == (Path("/run/a b"), 4)
@@ -182,6 +184,29 @@ async def test_a_bad_url_is_refused_without_telling_its_token(url: str) -> None:
 async def test_a_bad_url_is_a_transport_error_whatever_is_bad(url: str) -> None:
     with pytest.raises(TransportError):
         connect(url)
+
+
+@pytest.mark.parametrize(
+    ("url", "what"),
+    [
+        (f"tcp://me:{SECRET}@robot:7400", "tcp://robot:7400 has a user"),
+        (f"tls://{SECRET}@robot?ca=x", "tls://robot has a user"),
+        ("tcp://@robot", "tcp://robot has a user"),
+        ("tcp://robot:7400/arm", "tcp://robot:7400/arm has a path"),
+        ("tcp:///run/robot.sock", "tcp:///run/robot.sock has a path"),
+        (f"tcp://robot?token={SECRET}#1", "tcp://robot has a part behind #"),
+    ],
+)
+async def test_what_a_url_says_besides_is_refused_and_not_left_out_silently(
+    url: str, what: str
+) -> None:
+    with pytest.raises(TransportError) as caught:
+        connect(url)
+    assert str(caught.value) == (
+        f"{what}, and the URL of a server is like {url[:3]}://host:port,"
+        f" with settings behind ? such as token="
+    )
+    assert TcpTransport.from_url("tcp://robot:7400/")._where == "tcp://robot:7400"
 
 
 async def test_a_socket_whose_path_cannot_be_is_refused() -> None:
@@ -570,7 +595,7 @@ async def test_a_token_opens_the_door_and_nothing_else_does(
         return True
 
     serving = TcpTransport(port=0, tokens={SECRET: "ann", "other": "bob"}, authorize=authorize)
-    shown: list[object] = [serving, serving._access, serving._keeping, serving.__dict__]
+    shown: list[object] = [serving, serving._terms, serving._keeping, serving.__dict__]
     async with serve(new_server(), serving) as (url,):
         for wrong in (f"{url}?token=wrong-{SECRET}", f"{url}?token={SECRET[:-1]}", url):
             for reconnect in (True, False):
@@ -768,3 +793,67 @@ async def test_what_is_to_end_python_itself_goes_on_from_a_handshake_that_is_clo
     with pytest.raises(KeyboardInterrupt):
         await tcp._TlsListener.handle_handshake_error(KeyboardInterrupt(), stream)
     assert stream.closed
+
+
+# Messages that are too large
+
+
+async def test_what_is_too_large_is_one_goals_error_and_the_connection_lives(
+    heard: Hearing,
+) -> None:
+    go = anyio.Event()
+
+    async def executor(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        if goal.request.order:
+            yield Feedback([0] * goal.request.order)
+        else:
+            await go.wait()
+        yield Feedback([1])
+        yield Result([0] * goal.request.order)
+
+    server = ActionServer(FIBONACCI, executor)
+    small = TcpTransport(port=0, limits=Limits(frame=1000))
+    async with serve(server, small) as (url,):
+        connecting = TcpTransport.from_url(url, limits=Limits(frame=500))
+        async with connect(connecting) as connection:
+            client = connection.client(FIBONACCI)
+            with anyio.fail_after(5):
+                other = await client.send_goal(Goal(0))
+                goal = await client.send_goal(Goal(700))
+                assert (await anext(goal.feedback)).partial_sequence == [1]
+                assert goal.feedback_dropped == 1
+                with pytest.raises(TransportError, match="500 are the limit"):
+                    await goal.result()
+                with pytest.raises(ProtocolError, match="1000 are the server's limit"):
+                    await connection.endpoint(FIBONACCI).send_goal(GoalID.random(), bytes(1000))
+                go.set()
+                assert await other.result() == Result([])
+        await heard.until("left: ")
+        lines = [one.getMessage() for one in heard.records if one.levelno == logging.INFO]
+        assert len(lines) == 1  # there was one connection, to the end
+
+
+async def test_a_wait_at_a_unix_socket_that_is_canceled_as_data_comes_leaves_no_trace(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(tmp_path / "socket"))
+    listener.listen()
+    stream = await UnixTransport(tmp_path / "socket")._open_stream()
+    with anyio.fail_after(5):
+        async with stream:
+            other, _ = listener.accept()
+            with other, listener:
+                async with anyio.create_task_group() as tasks:
+                    tasks.start_soon(stream.receive)
+                    await anyio.wait_all_tasks_blocked()
+                    other.send(b"1")
+                    await anyio.lowlevel.checkpoint()  # now the event loop knows of it
+                    tasks.cancel_scope.cancel()
+                await anyio.lowlevel.checkpoint()
+                assert await stream.receive() == b"1"
+                await stream.send_eof()
+                assert other.recv(1) == b""
+        with pytest.raises(anyio.ClosedResourceError):
+            await stream.receive()
+    assert caplog.records == []

@@ -16,7 +16,7 @@ from trio.testing import MockClock
 
 from fibaction.exceptions import ConnectionLost
 from fibaction.messages import Ping, encode
-from fibaction.streams import Waking
+from fibaction.waking import Waking
 from fibaction.wire.channel import Channel
 
 T = TypeVar("T")
@@ -52,15 +52,11 @@ class MemoryChannel(Channel):
         self._incoming = incoming
         self._outgoing = outgoing
 
-    async def send(self, frames: Sequence[bytes], timeout: float) -> None:
+    async def send(self, frames: Sequence[bytes]) -> None:
         way = self._outgoing
         await checkpoint()
-        try:
-            with anyio.fail_after(timeout):
-                while way.is_stopped and not way.is_cut:
-                    await way.news.wait()
-        except TimeoutError:
-            raise ConnectionLost(f"{self.peer} has read nothing for {timeout:g} s") from None
+        while way.is_stopped and not way.is_cut:
+            await way.news.wait()
         if way.is_cut:
             raise ConnectionLost(f"the connection to {self.peer} broke")
         if not way.is_muted:
@@ -120,7 +116,7 @@ class Peer:
 
     async def say(self, *messages: Any) -> None:
         """Send messages, all at once."""
-        await self.channel.send([encode(message) for message in messages], timeout=5)
+        await self.channel.send([encode(message) for message in messages])
 
     async def hear(self, kind: type[T], within: float = 5) -> T:
         """The next message, signs of life apart; it is of that kind."""

@@ -127,3 +127,9 @@ async def test_the_error_of_a_rule_allows_nothing() -> None:
 
     with pytest.raises(LookupError, match="no such table"):
         await Access(authorize=broken).allows(ALI, "fibonacci", Verb.SEND)
+
+
+def test_only_where_nobody_is_asked_everybody_may_do_everything() -> None:
+    assert Access().is_open
+    assert Access({"secret": "ann"}).is_open  # for those who are in
+    assert not Access(authorize=lambda *_: True).is_open

@@ -35,9 +35,11 @@ from fibaction.messages import (
     FromClient,
     GoalChanged,
     Ping,
+    Received,
     Rejected,
     SendGoal,
     StatusChanged,
+    Watching,
     WatchStatus,
     Why,
 )
@@ -232,26 +234,26 @@ def test_a_question_is_asked_alike_on_each_connection() -> None:
 async def test_a_question_waits_for_its_answer_which_is_the_last_of_it() -> None:
     question = a_question()
     answer = await while_waiting(
-        lambda: question.answer(Actions), lambda: question.take(Actions(ID, []))
+        lambda: question.answer(Actions), lambda: question.hear(Actions(ID, []))
     )
     assert answer == Actions(ID, [])
-    assert a_question().take(Actions(ID, []))
+    assert a_question().hear(Actions(ID, []))
 
 
 async def test_a_question_that_fails_has_had_its_answer() -> None:
     question = a_question()
     error = await while_waiting(
         lambda: question.answer(Done),
-        lambda: question.take(Failed(ID, Why.SERVER_NOT_FOUND, "nobody")),
+        lambda: question.hear(Failed(ID, Why.SERVER_NOT_FOUND, "nobody")),
     )
     assert isinstance(error, ServerNotFound)
-    assert a_question().take(Failed(ID, Why.SERVER_NOT_FOUND, "nobody"))
+    assert a_question().hear(Failed(ID, Why.SERVER_NOT_FOUND, "nobody"))
 
 
 @pytest.mark.parametrize("answer", [Done(ID), Rejected(ID, "no"), Following(ID, 1, 1, False, 0)])
 def test_an_answer_to_another_question_is_the_peers_error(answer: Any) -> None:
     question = a_question()
-    assert question.take(answer)
+    assert question.hear(answer)
     name = type(answer).__name__
     with pytest.raises(ProtocolError, match=rf"^a {name} does not answer what was asked$"):
         at_once(question.answer(Actions))
@@ -282,17 +284,17 @@ class Bench:
     def follow(
         self, status: GoalStatus = GoalStatus.ACCEPTED, *, latest: bool = False, place: int = 0
     ) -> None:
-        assert not self.goal.take(Following(ID, STAMP, status, latest, place))
+        assert not self.goal.hear(Following(ID, STAMP, status, latest, place))
 
     def feed(self, *numbers: int) -> None:
         for number in numbers:
-            assert not self.goal.take(Feedback(ID, number, b"%d" % number))
+            assert not self.goal.hear(Feedback(ID, number, b"%d" % number))
 
     def end(self, place: int = 0, status: GoalStatus = GoalStatus.SUCCEEDED) -> None:
-        assert self.goal.take(Ended(ID, status, b"result", "as it was", place))
+        assert self.goal.hear(Ended(ID, status, b"result", "as it was", place))
 
-    def next(self, *, feedback: bool = True) -> FeedbackItem | GoalStatus | None:
-        return at_once(self.goal.next_event(feedback=feedback))
+    def next(self) -> FeedbackItem | GoalStatus | None:
+        return at_once(self.goal.next_event())
 
     def read(self, count: int) -> list[int]:
         """The numbers of so much feedback, which is there, perhaps behind a status."""
@@ -359,9 +361,9 @@ async def test_a_goal_that_is_refused_was_not_accepted(
     refusal: Rejected | Failed, kind: type[ActionError]
 ) -> None:
     bench = Bench(accepted=False)
-    error = await while_waiting(bench.goal.accepted, lambda: bench.goal.take(refusal))
+    error = await while_waiting(bench.goal.accepted, lambda: bench.goal.hear(refusal))
     assert type(error) is kind
-    assert Bench(accepted=False).goal.take(refusal)
+    assert Bench(accepted=False).goal.hear(refusal)
 
 
 async def test_feedback_and_statuses_are_waited_for_and_come_in_order() -> None:
@@ -369,7 +371,7 @@ async def test_feedback_and_statuses_are_waited_for_and_come_in_order() -> None:
     next_event = bench.goal.next_event
     assert await while_waiting(next_event, lambda: bench.feed(1)) == FeedbackItem(1, b"1")
     status = await while_waiting(
-        next_event, lambda: bench.goal.take(StatusChanged(ID, GoalStatus.EXECUTING))
+        next_event, lambda: bench.goal.hear(StatusChanged(ID, GoalStatus.EXECUTING))
     )
     assert status is GoalStatus.EXECUTING
     assert bench.goal.status is GoalStatus.EXECUTING
@@ -379,25 +381,97 @@ async def test_feedback_and_statuses_are_waited_for_and_come_in_order() -> None:
     assert await while_waiting(next_event, lambda: bench.end(3)) is None
 
 
-async def test_without_feedback_only_statuses_are_given_and_feedback_is_left() -> None:
+def test_where_no_feedback_is_taken_only_statuses_are_given_and_feedback_is_left() -> None:
     bench = Bench()
     bench.feed(1)
-    status = await while_waiting(
-        lambda: bench.goal.next_event(feedback=False),
-        lambda: bench.feed(2),
-        lambda: bench.goal.take(StatusChanged(ID, GoalStatus.CANCELING)),
-    )
-    assert status is GoalStatus.CANCELING
+    assert bench.goal.take(0) == []
+    bench.feed(2)
+    bench.goal.hear(StatusChanged(ID, GoalStatus.CANCELING))
+    assert bench.goal.take(0) is GoalStatus.CANCELING
     bench.end(2)
-    assert bench.next(feedback=False) is None
+    assert bench.goal.take(0) == []  # there is more, for who wants it
     assert (bench.goal.place, bench.goal.dropped) == (0, 0)
     assert bench.read(2) == [1, 2]
+    assert bench.goal.take(0) is None
     assert bench.next() is None
+
+
+def test_as_much_feedback_is_taken_as_is_asked_for_and_there_is() -> None:
+    bench = Bench()
+    assert bench.goal.take(5) == []
+    bench.feed(1, 2, 3)
+    assert bench.goal.take(2) == [FeedbackItem(1, b"1"), FeedbackItem(2, b"2")]
+    assert bench.goal.place == 2
+    assert bench.goal.take(5) == [FeedbackItem(3, b"3")]
+    assert credits_in(bench.posted) == [2]
+
+
+def test_the_end_is_known_without_waiting_as_soon_as_it_has_come() -> None:
+    bench = Bench()
+    assert bench.goal.ended() is None
+    bench.end()
+    bench.goal.fail(LOST)  # whatever becomes of the connection after that
+    assert bench.goal.ended() == Outcome(GoalStatus.SUCCEEDED, b"result", "as it was")
+
+
+def test_a_failure_before_the_end_is_known_without_waiting() -> None:
+    bench = Bench()
+    bench.goal.fail(LOST)
+    with pytest.raises(ConnectionLost):
+        bench.goal.ended()
+
+
+def test_everything_that_comes_is_heard_of() -> None:
+    bench = Bench(accepted=False)
+    heard: list[str] = []
+    steps: dict[str, Callable[[], object]] = {
+        "accepted": bench.follow,
+        "feedback": lambda: bench.feed(1),
+        "status": lambda: bench.goal.hear(StatusChanged(ID, GoalStatus.EXECUTING)),
+        "end": bench.end,
+    }
+    for name, step in steps.items():
+        bench.goal.news.listener = lambda name=name: heard.append(name)
+        step()
+    assert heard == list(steps)
+
+
+@pytest.mark.parametrize("closed", [False, True])
+@pytest.mark.parametrize("window", [0, 4])
+def test_the_end_is_answered_with_received_whether_or_not_feedback_is_wanted(
+    closed: bool, window: int
+) -> None:
+    bench = Bench(window)
+    if closed:
+        bench.goal.close()
+    before = list(bench.posted)
+    bench.end()
+    assert bench.posted == [*before, Received(ID)]
+
+
+@pytest.mark.parametrize(
+    "message", [Failed(ID, Why.UNKNOWN_GOAL, ""), Failed(ID, Why.LIMIT, "the answer is too large")]
+)
+def test_what_is_no_end_is_not_answered(message: Failed) -> None:
+    bench = Bench()
+    assert bench.goal.hear(message)
+    assert bench.posted == []
+
+
+def test_a_result_over_the_limit_is_an_error_of_this_goal_after_its_feedback() -> None:
+    bench = Bench()
+    bench.feed(1)
+    bench.goal.hear(Failed(ID, Why.LIMIT, "the answer has 2000 bytes, and 1000 are the limit"))
+    assert bench.read(1) == [1]
+    for _ in range(2):
+        with pytest.raises(TransportError, match="2000 bytes") as caught:
+            at_once(bench.goal.outcome())
+        assert type(caught.value) is TransportError
 
 
 def test_the_stream_of_feedback_leaves_statuses_out() -> None:
     bench = Bench()
-    bench.goal.take(StatusChanged(ID, GoalStatus.EXECUTING))
+    bench.goal.hear(StatusChanged(ID, GoalStatus.EXECUTING))
     bench.feed(1)
     assert at_once(bench.goal.receive()) == FeedbackItem(1, b"1")
 
@@ -422,7 +496,7 @@ def test_all_feedback_comes_before_the_end() -> None:
 def test_what_has_come_can_be_read_before_a_failure_is_heard_of() -> None:
     bench = Bench()
     bench.feed(1)
-    bench.goal.take(StatusChanged(ID, GoalStatus.EXECUTING))
+    bench.goal.hear(StatusChanged(ID, GoalStatus.EXECUTING))
     bench.goal.fail(LOST)
     assert bench.next() is GoalStatus.EXECUTING
     assert bench.read(1) == [1]
@@ -433,13 +507,13 @@ def test_what_has_come_can_be_read_before_a_failure_is_heard_of() -> None:
 @pytest.mark.parametrize("message", [Done(ID), Finished(ID), Ping()], ids=type)
 def test_what_is_about_no_goal_is_the_peers_error(message: object) -> None:
     with pytest.raises(ProtocolError, match=f"a {type(message).__name__} does not answer"):
-        Bench().goal.take(message)
+        Bench().goal.hear(message)
 
 
 def test_a_goal_that_the_server_has_forgotten_has_ended_as_unknown() -> None:
     bench = Bench()
     bench.feed(1, 2)
-    assert bench.goal.take(Failed(ID, Why.UNKNOWN_GOAL, "never heard of it"))
+    assert bench.goal.hear(Failed(ID, Why.UNKNOWN_GOAL, "never heard of it"))
     assert at_once(bench.goal.outcome()) is UNKNOWN_OUTCOME
     assert bench.goal.status is GoalStatus.UNKNOWN
     assert bench.read(2) == [1, 2]
@@ -449,7 +523,7 @@ def test_a_goal_that_the_server_has_forgotten_has_ended_as_unknown() -> None:
 
 def test_a_goal_that_was_accepted_can_still_fail_for_other_reasons() -> None:
     bench = Bench()
-    assert bench.goal.take(Failed(ID, Why.SERVER_NOT_FOUND, "nobody"))
+    assert bench.goal.hear(Failed(ID, Why.SERVER_NOT_FOUND, "nobody"))
     with pytest.raises(ServerNotFound):
         at_once(bench.goal.outcome())
 
@@ -457,7 +531,7 @@ def test_a_goal_that_was_accepted_can_still_fail_for_other_reasons() -> None:
 def test_an_end_before_the_acceptance_is_the_peers_error() -> None:
     bench = Bench(accepted=False)
     with pytest.raises(ProtocolError):
-        bench.goal.take(ENDED)
+        bench.goal.hear(ENDED)
 
 
 # Feedback and credit
@@ -481,7 +555,7 @@ def test_feedback_from_before_the_place_is_the_peers_error() -> None:
 def test_feedback_beyond_the_credit_is_the_peers_error(window: int) -> None:
     bench = Bench(window)
     bench.feed(*range(1, window + 1))
-    with pytest.raises(ProtocolError, match="more feedback than credit"):
+    with pytest.raises(ProtocolError, match=r"^there were more messages than credit for them$"):
         bench.feed(window + 1, window + 2)  # one too many may be from a connection before
 
 
@@ -501,7 +575,7 @@ def test_no_credit_is_given_after_the_end() -> None:
     bench.feed(1, 2, 3, 4)
     bench.end(4)
     assert bench.read(4) == [1, 2, 3, 4]
-    assert bench.posted == []
+    assert bench.posted == [Received(ID)]
 
 
 class Peer:
@@ -657,13 +731,13 @@ def test_an_end_that_counts_less_than_has_come_changes_nothing() -> None:
 def test_closing_says_so_once_and_ends_the_stream_but_not_the_goal() -> None:
     bench = Bench()
     bench.feed(1)
-    bench.goal.take(StatusChanged(ID, GoalStatus.EXECUTING))
+    bench.goal.hear(StatusChanged(ID, GoalStatus.EXECUTING))
     bench.goal.close()
     bench.goal.close()
     assert bench.posted == [Close(ID)]
     assert bench.next() is None
     bench.feed(2)
-    bench.goal.take(StatusChanged(ID, GoalStatus.CANCELING))
+    bench.goal.hear(StatusChanged(ID, GoalStatus.CANCELING))
     assert bench.next() is None
     assert bench.goal.status is GoalStatus.CANCELING
     bench.end(2)
@@ -675,7 +749,7 @@ def test_closing_keeps_an_outcome_and_need_not_be_said_after_it() -> None:
     bench.feed(1)
     bench.end(1)
     bench.goal.close()
-    assert bench.posted == []
+    assert bench.posted == [Received(ID)]
     assert bench.next() is None
     assert at_once(bench.goal.outcome()).result == b"result"
 
@@ -702,14 +776,14 @@ def test_the_end_of_a_block_closes() -> None:
 
 def test_a_stream_without_feedback_gives_only_the_outcome_and_need_not_be_closed() -> None:
     bench = Bench(window=0)
-    bench.goal.take(StatusChanged(ID, GoalStatus.EXECUTING))
+    bench.goal.hear(StatusChanged(ID, GoalStatus.EXECUTING))
     assert bench.next() is None
     assert bench.goal.status is GoalStatus.EXECUTING
     bench.goal.hold(False)
     bench.goal.close()
     bench.end(9)
     assert at_once(bench.goal.outcome()).status is GoalStatus.SUCCEEDED
-    assert bench.posted == []
+    assert bench.posted == [Received(ID)]
 
 
 # Another connection
@@ -830,12 +904,12 @@ class StatusBench:
         self.posted: list[FromClient] = []
         self.statuses = RemoteStatuses(ID, "fibonacci", window, self.posted.append)
         if begun:
-            assert not self.statuses.take(Done(ID))
+            assert not self.statuses.hear(Watching(ID, 0))
 
     def change(self, *stamps: int, dropped: int = 0) -> None:
         for stamp in stamps:
             changed = GoalChanged(ID, bytes(GOAL_ID), stamp, GoalStatus.EXECUTING, dropped)
-            assert not self.statuses.take(changed)
+            assert not self.statuses.hear(changed)
 
     def read(self, count: int) -> list[int]:
         stamps = []
@@ -846,7 +920,7 @@ class StatusBench:
         return stamps
 
     def finish(self) -> None:
-        assert self.statuses.take(Finished(ID))
+        assert self.statuses.hear(Finished(ID))
 
     def reopened(self) -> WatchStatus:
         """What is sent on another connection."""
@@ -858,15 +932,22 @@ class StatusBench:
 async def test_statuses_begin_when_the_server_says_so() -> None:
     bench = StatusBench(begun=False)
     assert bench.statuses.opening() == WatchStatus(ID, "fibonacci", 4)
-    await while_waiting(bench.statuses.begun, lambda: bench.statuses.take(Done(ID)))
+    await while_waiting(bench.statuses.begun, lambda: bench.statuses.hear(Watching(ID, 0)))
+
+
+def test_how_many_goals_there_were_is_what_the_first_connection_said() -> None:
+    bench = StatusBench(begun=False)
+    assert not bench.statuses.hear(Watching(ID, 2))
+    assert not bench.statuses.hear(Watching(ID, 7))  # on another connection, later
+    assert bench.statuses.known == 2
 
 
 async def test_statuses_that_the_server_refuses_do_not_begin() -> None:
     bench = StatusBench(begun=False)
     refusal = Failed(ID, Why.FORBIDDEN, "no")
-    error = await while_waiting(bench.statuses.begun, lambda: bench.statuses.take(refusal))
+    error = await while_waiting(bench.statuses.begun, lambda: bench.statuses.hear(refusal))
     assert isinstance(error, AuthenticationFailed)
-    assert StatusBench().statuses.take(refusal)
+    assert StatusBench().statuses.hear(refusal)
 
 
 async def test_statuses_are_waited_for_and_come_in_order() -> None:
@@ -893,7 +974,7 @@ async def test_statuses_end_after_what_there_was() -> None:
 def test_an_end_of_statuses_before_the_beginning_is_the_peers_error() -> None:
     bench = StatusBench(begun=False)
     with pytest.raises(ProtocolError):
-        bench.statuses.take(Finished(ID))
+        bench.statuses.hear(Finished(ID))
 
 
 def test_what_the_server_left_out_of_the_statuses_is_told() -> None:
@@ -926,14 +1007,14 @@ def test_no_credit_for_statuses_is_given_after_the_end() -> None:
 def test_statuses_beyond_the_credit_are_the_peers_error(window: int) -> None:
     bench = StatusBench(window)
     bench.change(*range(window))
-    with pytest.raises(ProtocolError, match="more statuses than credit"):
+    with pytest.raises(ProtocolError, match=r"^there were more messages than credit for them$"):
         bench.change(window, window + 1)  # one too many may be from a connection before
 
 
 @pytest.mark.parametrize("message", [ENDED, Following(ID, 1, 1, False, 0), Ping()], ids=type)
 def test_what_is_about_no_statuses_is_the_peers_error(message: object) -> None:
     with pytest.raises(ProtocolError, match=f"a {type(message).__name__} does not answer"):
-        StatusBench().statuses.take(message)
+        StatusBench().statuses.hear(message)
 
 
 async def test_closing_the_statuses_says_so_once_and_wakes_who_reads() -> None:
@@ -960,7 +1041,7 @@ def test_on_another_connection_statuses_are_asked_for_as_far_as_there_is_room() 
     assert bench.statuses.opening() == WatchStatus(ID, "fibonacci", 3)
     bench.change(2, 3, 4)
     assert bench.statuses.opening() == WatchStatus(ID, "fibonacci", 0)
-    with pytest.raises(ProtocolError, match="more statuses than credit"):
+    with pytest.raises(ProtocolError, match=r"^there were more messages than credit for them$"):
         bench.change(5)
     assert bench.read(4) == [1, 2, 3, 4]
 

@@ -23,10 +23,11 @@ from fibaction.exceptions import (
     UnknownGoal,
 )
 from fibaction.framing import MAX_FRAME
-from fibaction.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
 from fibaction.messages import (
     VERSION,
     Actions,
+    AskPeers,
     AwaitServer,
     CancelAnswered,
     CancelGoals,
@@ -42,17 +43,22 @@ from fibaction.messages import (
     Goodbye,
     Hello,
     ListActions,
+    Peers,
     Ping,
+    Received,
     Rejected,
     SendGoal,
+    Watching,
     WatchStatus,
     Welcome,
     Why,
     decode_from_client,
+    encode,
 )
+from fibaction.server import ActionServer
 from fibaction.states import GoalStatus
-from fibaction.streams import Waking
 from fibaction.testing import ScriptedServer
+from fibaction.waking import Waking
 from fibaction.wire.access import Access
 from fibaction.wire.connecting import (
     DIAL_TIMEOUT,
@@ -64,6 +70,7 @@ from fibaction.wire.connecting import (
 from fibaction.wire.hub import Hub
 from fibaction.wire.limits import Limits
 from fibaction.wire.link import HIGH_WATER
+from fibaction.wire.serving import Terms
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.wire import memory
@@ -272,15 +279,33 @@ async def test_a_server_that_says_welcome_twice_is_left_for_good() -> None:
 async def test_what_is_no_message_ends_the_connection_for_good() -> None:
     network = Network()
     async with reached(network) as (connection, server):
-        await server.channel.send([b"\xc1"], timeout=5)
+        await server.channel.send([b"\xc1"])
         await settled()
         assert "this is no message of a server" in await fails_at_once(connection, ConnectionLost)
     assert network.dialed == 1
 
 
+async def test_an_end_is_answered_with_received() -> None:
+    async with reached(Network()) as (connection, server):
+        async with goal_of(connection, server) as (_, call_id):
+            await server.say(Ended(call_id, 4, b"result", "", 0))
+            assert await server.hear(Received) == Received(call_id)
+            assert connection._calls == {}
+
+
+async def test_the_end_of_a_goal_that_was_given_up_before_its_answer_is_answered() -> None:
+    async with reached(Network()) as (connection, server):
+        async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, b"goal")):
+            sent = await server.hear(SendGoal)
+        assert await server.hear_all() == [Close(sent.id)]
+        await server.say(following(sent), Ended(sent.id, 4, b"result", "", 0))
+        assert await server.hear_all() == [Received(sent.id)]
+
+
 async def test_signs_of_life_and_answers_that_nobody_waits_for_are_ignored() -> None:
     async with reached(Network()) as (connection, server):
         await server.say(Ping(), Done(77), Ended(78, 4, None, "", 0))
+        assert await server.hear_all() == [Received(78)]  # so that nothing is kept for it
         async with Running(connection.actions) as asking:
             question = await server.hear(ListActions)
             await server.say(Actions(question.id, [FIBONACCI.info]))
@@ -318,7 +343,7 @@ async def test_an_attempt_that_hangs_has_its_time() -> None:
 async def test_a_server_that_does_not_answer_the_hello_is_lost() -> None:
     network = Network()
     keeping = Keeping(heartbeat=1, reconnect=False)
-    with pytest.raises(ConnectionLost, match="has been silent for 5"):
+    with pytest.raises(ConnectionLost, match=r"has been silent for 4\.5 s"):
         async with connected(network.dial, WHERE, keeping):
             raise AssertionError
     assert anyio.current_time() < 6
@@ -428,12 +453,20 @@ async def test_following_an_unknown_goal_is_an_error_and_its_result_is_unknown()
             assert (await asking.answer()).status is GoalStatus.UNKNOWN
 
 
+async def test_who_uses_an_action_is_asked_of_the_server() -> None:
+    async with reached(Network()) as (connection, server):
+        async with Running(lambda: connection.peers("fibonacci")) as asking:
+            asked = await server.hear(AskPeers)
+            await server.say(Peers(asked.id, ["10.0.0.7:1"]))
+            assert await asking.answer() == ActionPeers((WHERE,), ("10.0.0.7:1",))
+
+
 async def test_statuses_are_watched() -> None:
     async with reached(Network()) as (connection, server):
         async with Running(endpoint_of(connection).status) as asking:
             asked = await server.hear(WatchStatus)
             assert asked == WatchStatus(asked.id, "fibonacci", WINDOW)
-            await server.say(Done(asked.id), GoalChanged(asked.id, GOAL_ID, 5, 2, 0))
+            await server.say(Watching(asked.id, 1), GoalChanged(asked.id, GOAL_ID, 5, 2, 0))
             statuses = await asking.answer()
         with anyio.fail_after(5):
             assert await statuses.receive() == GoalInfo(GOAL_ID, 5, GoalStatus.EXECUTING)
@@ -444,10 +477,51 @@ async def test_statuses_are_watched() -> None:
 
 async def test_a_message_that_no_server_takes_is_not_sent() -> None:
     async with reached(Network()) as (connection, server):
-        with anyio.fail_after(5), pytest.raises(ProtocolError, match=f"{MAX_FRAME} are the limit"):
+        with (
+            anyio.fail_after(5),
+            pytest.raises(ProtocolError, match=f"{MAX_FRAME} are the server's limit"),
+        ):
             await endpoint_of(connection).send_goal(GOAL_ID, bytes(MAX_FRAME))
         assert await server.hear_all() == [Close(1)]
         assert connection._calls == {}
+
+
+async def test_each_side_says_how_much_it_takes() -> None:
+    network = Network()
+    keeping = Keeping(heartbeat=LONG, window=WINDOW, max_frame=1234)
+    async with Background() as tasks:
+        connection = RemoteConnection(network.dial, WHERE, keeping)
+        tasks.start_soon(connection.run)
+        await settled()
+        server = network._waiting.popleft()
+        assert (await server.hear(Hello)).max_frame == 1234
+        await server.say(Welcome(VERSION, LONG, 60))
+        await settled()
+        assert connection._max_frame == 60
+        size = len(encode(SendGoal(1, "fibonacci", GOAL_ID, bytes(10), WINDOW)))
+        text = rf"^the message has {size + 30} bytes, and 60 are the server's limit$"
+        with anyio.fail_after(5), pytest.raises(ProtocolError, match=text):
+            await endpoint_of(connection).send_goal(GOAL_ID, bytes(40))
+        assert await server.hear_all() == [Close(1)]
+        async with Running(
+            lambda: endpoint_of(connection).send_goal(GOAL_ID, bytes(10 + 60 - size))
+        ):
+            sent = await server.hear(SendGoal)
+            assert len(encode(sent)) == 60
+
+
+async def test_a_goal_that_the_next_server_does_not_take_is_not_sent_to_it() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        network.refusal = AWAY
+        server.channel.cut()
+        await settled()
+        async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, bytes(2000))) as send:
+            network.refusal = None
+            server = await network.answer()
+            await server.say(Welcome(VERSION, LONG, 1000))
+            with pytest.raises(ProtocolError, match="1000 are the server's limit"):
+                await send.answer(within=1)
 
 
 def test_an_endpoint_says_what_it_was_asked_for() -> None:
@@ -676,12 +750,12 @@ async def test_statuses_are_watched_again() -> None:
     async with reached(network) as (connection, server):
         async with Running(endpoint_of(connection).status) as asking:
             asked = await server.hear(WatchStatus)
-            await server.say(Done(asked.id))
+            await server.say(Watching(asked.id, 0))
             statuses = await asking.answer()
             server.channel.cut()
             server = await network.accept()
             assert await server.hear(WatchStatus) == asked
-            await server.say(Done(asked.id), GoalChanged(asked.id, GOAL_ID, 5, 2, 0))
+            await server.say(Watching(asked.id, 1), GoalChanged(asked.id, GOAL_ID, 5, 2, 0))
             with anyio.fail_after(5):
                 assert (await statuses.receive()).goal_id == GOAL_ID
 
@@ -691,7 +765,7 @@ async def test_statuses_that_nobody_reads_any_more_are_not_watched_again() -> No
     async with reached(network) as (connection, server):
         async with Running(endpoint_of(connection).status) as asking:
             asked = await server.hear(WatchStatus)
-            await server.say(Done(asked.id))
+            await server.say(Watching(asked.id, 0))
             (await asking.answer()).close()
             await server.hear(Close)
             server.channel.cut()
@@ -899,28 +973,41 @@ async def test_an_exception_of_the_block_goes_on_as_itself() -> None:
 # With a real server at the other end
 
 
+class Lines:
+    """All connections to one server: a test may spoil them."""
+
+    def __init__(self) -> None:
+        self.ends: list[memory.MemoryChannel] = []
+
+    @property
+    def end(self) -> memory.MemoryChannel:
+        """The server's end of the connection that there is."""
+        return self.ends[-1]
+
+
 @asynccontextmanager
-async def real(*steps: Any) -> AsyncGenerator[Endpoint, None]:
+async def real(
+    *steps: Any,
+    server: ActionServer[Any, Any, Any] | None = None,
+    lines: Lines | None = None,
+    keeping: Keeping = PATIENT,
+    limits: Limits | None = None,
+) -> AsyncGenerator[Endpoint, None]:
     """A server of such goals, over the wire."""
-    server = ScriptedServer(FIBONACCI, steps)
+    server = server or ScriptedServer(FIBONACCI, steps)
+    lines = lines or Lines()
     async with server, Background() as tasks:
-        hub = Hub(
-            tasks,
-            {"fibonacci": server},
-            heartbeat=LONG,
-            access=Access(),
-            limits=Limits(),
-            grace=10,
-            orphans="keep",
-        )
+        terms = Terms(LONG, Access(), limits or Limits(), "keep", 10)
+        hub = Hub(tasks, {"fibonacci": server}, terms)
 
         async def dial() -> memory.MemoryChannel:
             end, other = memory.pair(other=WHERE)
+            lines.ends.append(end)
             tasks.start_soon(hub.serve, end)
             await anyio.lowlevel.checkpoint()
             return other
 
-        async with connected(dial, WHERE, PATIENT) as connection:
+        async with connected(dial, WHERE, keeping) as connection:
             yield connection.endpoint(FIBONACCI)
 
 
@@ -953,3 +1040,158 @@ async def test_what_no_server_can_read_is_not_asked_for_ever() -> None:
     async with real(anyio.Event()) as endpoint:
         with anyio.fail_after(2), pytest.raises(ConnectionLost):
             await endpoint.cancel_goals(stamp=-1)
+
+
+# What is on its way when the line dies
+
+
+def in_two_parts(
+    *parts: list[fib.Feedback | fib.Result], go: anyio.Event, result_timeout: float
+) -> ActionServer[Any, Any, Any]:
+    """A server whose goals give the first part, wait, and give the second."""
+
+    async def executor(goal: Any) -> AsyncGenerator[fib.Feedback | fib.Result, None]:
+        for number, part in enumerate(parts):
+            if number:
+                await go.wait()
+            for item in part:
+                yield item
+
+    return ActionServer(FIBONACCI, executor, result_timeout=result_timeout)
+
+
+async def heard_of(goal: Any) -> list[int]:
+    """The numbers of all feedback to the end."""
+    numbers = []
+    with anyio.fail_after(5):
+        while (item := await goal.receive()) is not None:
+            numbers.append(item.number)
+    return numbers
+
+
+FIRST: list[fib.Feedback | fib.Result] = [fib.Feedback([1]), fib.Feedback([2])]
+
+
+@pytest.mark.parametrize("result_timeout", [10, 0])
+@pytest.mark.parametrize("feedback", [True, False])
+async def test_an_end_that_got_lost_with_the_line_arrives_on_the_next(
+    result_timeout: float, feedback: bool
+) -> None:
+    go, lines = anyio.Event(), Lines()
+    server = in_two_parts(FIRST, [fib.Result([9])], go=go, result_timeout=result_timeout)
+    async with real(server=server, lines=lines) as endpoint:
+        sent = FIBONACCI.goal.encode(fib.Goal(1))
+        goal = await endpoint.send_goal(GOAL_ID, sent, feedback=feedback)
+        await settled()
+        lines.end.mute()
+        go.set()
+        await settled()
+        assert goal.status is not GoalStatus.SUCCEEDED
+        lines.end.cut()
+        assert await heard_of(goal) == ([1, 2] if feedback else [])
+        with anyio.fail_after(5):
+            outcome = await goal.outcome()
+        assert outcome.status is GoalStatus.SUCCEEDED
+        assert FIBONACCI.result.decode(outcome.result or b"") == fib.Result([9])
+        assert len(lines.ends) == 2
+        if feedback:
+            assert goal.dropped == 0
+
+
+@pytest.mark.parametrize(
+    "result_timeout",
+    [
+        10,
+        0,
+    ],
+)
+async def test_feedback_that_got_lost_with_the_line_arrives_on_the_next(
+    result_timeout: float,
+) -> None:
+    go, lines = anyio.Event(), Lines()
+    server = in_two_parts(
+        FIRST,
+        [fib.Feedback([3]), fib.Feedback([4]), fib.Result([9])],
+        go=go,
+        result_timeout=result_timeout,
+    )
+    async with real(server=server, lines=lines) as endpoint:
+        goal = await endpoint.send_goal(GOAL_ID, FIBONACCI.goal.encode(fib.Goal(1)))
+        await settled()
+        lines.end.mute()
+        go.set()
+        await settled()
+        lines.end.cut()
+        assert await heard_of(goal) == [1, 2, 3, 4]
+        assert goal.dropped == 0
+        with anyio.fail_after(5):
+            assert (await goal.outcome()).status is GoalStatus.SUCCEEDED
+
+
+async def test_a_received_that_got_lost_with_the_line_is_no_goal_of_the_next() -> None:
+    lines = Lines()
+    async with real(*FIRST, fib.Result([9]), lines=lines) as endpoint:
+        goal = await endpoint.send_goal(GOAL_ID, FIBONACCI.goal.encode(fib.Goal(1)))
+        assert await heard_of(goal) == [1, 2]
+        lines.end.cut()
+        with anyio.fail_after(5):
+            assert (await goal.outcome()).status is GoalStatus.SUCCEEDED
+            again = await endpoint.send_goal(
+                GoalID(bytes([2] * 16)), FIBONACCI.goal.encode(fib.Goal(1))
+            )
+            assert await heard_of(again) == [1, 2]
+
+
+# What is too large
+
+
+SMALL = Keeping(heartbeat=LONG, window=WINDOW, max_frame=500)
+
+
+async def test_a_goal_over_the_servers_limit_is_refused_here_and_the_connection_lives() -> None:
+    lines = Lines()
+    async with real(fib.Result([9]), lines=lines, limits=Limits(frame=500)) as endpoint:
+        with anyio.fail_after(5):
+            with pytest.raises(ProtocolError, match="500 are the server's limit"):
+                await endpoint.send_goal(GOAL_ID, bytes(500))
+            goal = await endpoint.send_goal(GOAL_ID, FIBONACCI.goal.encode(fib.Goal(1)))
+            assert (await goal.outcome()).status is GoalStatus.SUCCEEDED
+        assert len(lines.ends) == 1
+
+
+async def test_a_result_over_the_clients_limit_is_that_goals_error_and_no_others() -> None:
+    go, lines = anyio.Event(), Lines()
+    server = ScriptedServer(
+        FIBONACCI,
+        [fib.Feedback([1]), fib.Result([0] * 1000)],
+        [fib.Feedback([1]), go, fib.Feedback([2]), fib.Result([9])],
+    )
+    async with real(server=server, lines=lines, keeping=SMALL) as endpoint:
+        sent = FIBONACCI.goal.encode(fib.Goal(1))
+        large = await endpoint.send_goal(GOAL_ID, sent)
+        other = await endpoint.send_goal(GoalID(bytes([2] * 16)), sent)
+        with anyio.fail_after(5):
+            item = await large.receive()
+            assert item is not None
+            assert item.number == 1
+            with pytest.raises(TransportError, match="500 are the limit") as caught:
+                await large.outcome()
+            assert type(caught.value) is TransportError
+        go.set()
+        assert await heard_of(other) == [1, 2]
+        with anyio.fail_after(5):
+            assert (await other.outcome()).status is GoalStatus.SUCCEEDED
+        assert len(lines.ends) == 1
+
+
+async def test_feedback_over_the_clients_limit_is_left_out_and_counted() -> None:
+    lines = Lines()
+    large = fib.Feedback([0] * 1000)
+    many = [fib.Feedback([1]), *[large] * (3 * WINDOW), fib.Feedback([2]), large, fib.Result([9])]
+    async with real(*many, lines=lines, keeping=SMALL) as endpoint:
+        goal = await endpoint.send_goal(GOAL_ID, FIBONACCI.goal.encode(fib.Goal(1)))
+        assert await heard_of(goal) == [1, 3 * WINDOW + 2]
+        assert goal.dropped == 3 * WINDOW + 1
+        with anyio.fail_after(5):
+            assert (await goal.outcome()).status is GoalStatus.SUCCEEDED
+        assert len(lines.ends) == 1

@@ -15,6 +15,7 @@ from fibaction.goals import GoalID
 from fibaction.messages import (
     VERSION,
     Actions,
+    AskPeers,
     Credit,
     Ended,
     Feedback,
@@ -22,6 +23,7 @@ from fibaction.messages import (
     Goodbye,
     Hello,
     ListActions,
+    Peers,
     SendGoal,
     StatusChanged,
     Welcome,
@@ -33,6 +35,7 @@ from fibaction.testing import ScriptedServer
 from fibaction.wire.access import Access
 from fibaction.wire.hub import LEAVE_TIMEOUT, Hub, hub
 from fibaction.wire.limits import Limits
+from fibaction.wire.serving import Terms
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.wire import memory
@@ -81,15 +84,8 @@ class Bench:
 async def serving(
     server: Server | None = None, *, access: Access | None = None, limits: Limits | None = None
 ) -> AsyncGenerator[Bench, None]:
-    opened = hub(
-        {"fibonacci": server or Server()},
-        heartbeat=LONG,
-        access=access or Access(),
-        limits=limits or Limits(),
-        grace=LONG,
-        orphans="keep",
-    )
-    async with opened as (connections, tasks):
+    terms = Terms(LONG, access or Access(), limits or Limits(), "keep", LONG)
+    async with hub({"fibonacci": server or Server()}, terms) as (connections, tasks):
         yield Bench(connections, tasks)
 
 
@@ -109,6 +105,17 @@ async def test_clients_are_served_side_by_side() -> None:
         clients = [await bench.greet() for _ in range(3)]
         for client in clients:
             assert await is_served(client)
+
+
+async def test_who_uses_an_action_is_told_of_all_connections() -> None:
+    async with serving() as bench:
+        ann, bob = await bench.greet("10.0.0.7:1"), await bench.greet("10.0.0.8:2")
+        await bench.greet("10.0.0.9:3")
+        with anyio.fail_after(5):
+            await bob.say(AskPeers(2, "fibonacci"))
+            assert await bob.hear(Peers) == Peers(2, ["10.0.0.8:2"])
+            await ann.say(AskPeers(2, "fibonacci"))
+            assert await ann.hear(Peers) == Peers(2, ["10.0.0.7:1", "10.0.0.8:2"])
 
 
 async def test_a_client_too_many_is_told_so_and_another_is_taken_once_there_is_room() -> None:
@@ -277,15 +284,8 @@ async def test_a_hub_that_has_closed_holds_no_executor_up() -> None:
         FIBONACCI, [*(fib.Feedback([number]) for number in range(100)), fib.Result([])]
     )
     async with server:
-        opened = hub(
-            {"fibonacci": server},
-            heartbeat=LONG,
-            access=Access(),
-            limits=Limits(),
-            grace=LONG,
-            orphans="keep",
-        )
-        async with opened as (connections, tasks):
+        terms = Terms(LONG, Access(), Limits(), "keep", LONG)
+        async with hub({"fibonacci": server}, terms) as (connections, tasks):
             client = await Bench(connections, tasks).greet()
             await send(client, A, credit=1)
         observer = await server.feedback(GoalID(A), after=0)

@@ -7,6 +7,7 @@ from typing import Any
 
 import anyio
 import pytest
+import trio
 from anyio.abc import ByteStream
 from trio.testing import MockClock
 
@@ -18,7 +19,7 @@ from fibaction.exceptions import (
 )
 from fibaction.framing import header
 from fibaction.messages import Ping, decode_from_client, decode_from_server
-from fibaction.streams import Waking
+from fibaction.waking import Waking
 from fibaction.wire.channel import Channel, StreamChannel
 from fibaction.wire.link import HIGH_WATER, MISSED, PING, Link
 
@@ -51,9 +52,12 @@ class FakeChannel(Channel):
         self.peer = PEER
         self.sent: list[list[bytes]] = []
         self.times: list[float] = []
-        self.timeouts: list[float] = []
+        self.asked = 0
+        """How many writes have begun."""
         self.error: ActionError | None = None
         self.is_stuck = False
+        self.pause = 0.0
+        """Seconds that a write takes."""
         self._arrived: list[bytes] = []
         self._changed = Waking()
 
@@ -69,10 +73,12 @@ class FakeChannel(Channel):
         self.is_stuck = False
         self._changed.wake()
 
-    async def send(self, frames: Sequence[bytes], timeout: float) -> None:
-        self.timeouts.append(timeout)
+    async def send(self, frames: Sequence[bytes]) -> None:
+        self.asked += 1
         while self.is_stuck:
             await self._changed.wait()
+        if self.pause:
+            await anyio.sleep(self.pause)
         if self.error is not None:
             raise self.error
         self.sent.append(list(frames))
@@ -98,12 +104,13 @@ class Bench:
         self.link = Link(self.channel, heartbeat, high_water)
         self.handled: list[bytes] = []
         self.error: ActionError | None = None
+        self.source: Callable[[], list[bytes]] | None = None
 
     def handle(self, frame: bytes) -> None:
         self.handled.append(frame)
 
     async def run(self, handle: Callable[[bytes], None] | None = None) -> None:
-        self.error = await self.link.run(handle or self.handle)
+        self.error = await self.link.run(handle or self.handle, self.source)
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None, None]:
@@ -157,14 +164,14 @@ async def test_what_several_tasks_post_in_one_turn_of_the_loop_is_one_write() ->
         for number in range(10):
             tasks.start_soon(post, b"%d" % number)
         await anyio.wait_all_tasks_blocked()
-        bench.link.post(b"first")
         turn.set()
         await anyio.wait_all_tasks_blocked()
         (frames,) = bench.channel.sent
-        assert frames[0] == b"first"
-        assert sorted(frames[1:]) == [b"%d" % number for number in range(10)]
+        assert sorted(frames) == [b"%d" % number for number in range(10)]
 
 
+# Trio takes the tasks of a turn in an order of chance, so there it fails every other time only.
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
 async def test_what_is_posted_during_a_write_goes_into_the_next() -> None:
     bench = Bench()
     async with bench.running():
@@ -186,12 +193,110 @@ async def test_what_was_posted_before_it_ran_is_sent_first() -> None:
         assert bench.channel.sent == [[b"hello"]]
 
 
-async def test_a_write_may_take_as_long_as_silence() -> None:
-    bench = Bench(heartbeat=30)
+# What is fetched
+
+
+class Spring:
+    """A source of messages, and how often it was asked."""
+
+    def __init__(self, bench: Bench) -> None:
+        bench.source = self
+        self.left: list[list[bytes]] = []
+        self.asked = 0
+
+    def __call__(self) -> list[bytes]:
+        self.asked += 1
+        return self.left.pop(0) if self.left else []
+
+
+async def test_what_there_is_to_fetch_is_fetched_until_there_is_no_more() -> None:
+    bench = Bench()
+    spring = Spring(bench)
     async with bench.running():
-        bench.link.post(b"one")
+        assert bench.channel.sent == []
+        spring.left = [[b"one", b"two"], [b"three"]]
         await anyio.wait_all_tasks_blocked()
-        assert bench.channel.timeouts == [MISSED * 30]
+        assert bench.channel.sent == []  # nobody has said that there is something
+        bench.link.stir()
+        await anyio.wait_all_tasks_blocked()
+        assert bench.channel.sent == [[b"one", b"two"], [b"three"]]
+        assert bench.link._queued == 0  # it was never in the queue
+        asked = spring.asked
+        await anyio.wait_all_tasks_blocked()
+        assert spring.asked == asked
+
+
+async def test_what_was_there_before_it_ran_is_fetched() -> None:
+    bench = Bench()
+    Spring(bench).left = [[b"one"]]
+    bench.link.stir()
+    async with bench.running():
+        assert bench.channel.sent == [[b"one"]]
+
+
+async def test_nothing_is_fetched_as_long_as_the_line_takes_nothing() -> None:
+    bench = Bench(high_water=10)
+    spring = Spring(bench)
+    bench.channel.is_stuck = True
+    async with bench.running():
+        spring.left = [[bytes(100)]] * 100
+        for _ in range(3):
+            bench.link.stir()
+            await anyio.wait_all_tasks_blocked()
+        assert len(spring.left) == 99
+        assert bench.link._queued == 0
+        bench.channel.unstick()
+        await anyio.wait_all_tasks_blocked()
+        assert bench.channel.sent == [[bytes(100)]] * 100
+
+
+async def test_what_is_posted_goes_before_what_is_fetched_and_into_the_same_write() -> None:
+    bench = Bench()
+    spring = Spring(bench)
+    async with bench.running():
+        spring.left = [[b"fetched"]]
+        bench.link.stir()
+        bench.link.post(b"posted")
+        await anyio.wait_all_tasks_blocked()
+        assert bench.channel.sent == [[b"posted", b"fetched"]]
+
+
+async def test_what_is_posted_does_not_wait_until_all_is_fetched() -> None:
+    bench = Bench()
+    spring = Spring(bench)
+    bench.channel.is_stuck = True
+    async with bench.running():
+        spring.left = [[b"fetched"]] * 3
+        bench.link.stir()
+        await anyio.wait_all_tasks_blocked()
+        bench.link.post(b"posted")
+        bench.channel.unstick()
+        await anyio.wait_all_tasks_blocked()
+        assert bench.channel.sent == [[b"fetched"], [b"posted", b"fetched"], [b"fetched"]]
+
+
+async def test_flush_does_not_wait_for_what_there_is_to_fetch() -> None:
+    bench = Bench()
+    spring = Spring(bench)
+    bench.channel.is_stuck = True
+    async with bench.running():
+        spring.left = [[b"fetched"]]
+        bench.link.stir()
+        await anyio.wait_all_tasks_blocked()
+        with anyio.fail_after(1):
+            await bench.link.flush()
+
+
+async def test_an_error_of_the_source_is_not_taken_for_one_of_the_connection() -> None:
+    bench = Bench()
+
+    def source() -> list[bytes]:
+        raise LookupError("a bug")
+
+    bench.source = source
+    with anyio.fail_after(5), pytest.raises(ExceptionGroup) as caught:
+        await bench.run()
+    assert caught.group_contains(LookupError, match=r"^a bug$")
 
 
 # A queue that is full
@@ -222,7 +327,8 @@ async def test_what_is_being_written_counts_until_it_is_written() -> None:
     async with bench.running(), anyio.create_task_group() as tasks:
         await bench.link.send(bytes(10))
         await anyio.wait_all_tasks_blocked()
-        assert bench.channel.timeouts  # the queue itself is empty: all is in the write
+        assert bench.channel.asked == 1
+        assert bench.link._queue == []  # all is in the write
         tasks.start_soon(sender)
         await anyio.wait_all_tasks_blocked()
         assert not sender.is_done
@@ -348,6 +454,21 @@ async def test_an_error_of_who_handles_ends_it_for_that_reason() -> None:
     assert not bench.link.is_open
 
 
+async def test_what_is_posted_in_the_turn_of_the_end_is_not_begun_to_be_written() -> None:
+    bench = Bench()
+
+    def handle(frame: bytes) -> None:
+        bench.link.post(b"welcome")
+        raise ProtocolError("nonsense")
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(bench.run, handle)
+            await anyio.wait_all_tasks_blocked()
+            bench.channel.arrive(b"one")
+    assert bench.channel.asked == 0  # half a message would be in the way of the last word
+
+
 async def test_who_handles_may_end_it() -> None:
     bench = Bench()
     error = ConnectionLost("it left")
@@ -451,7 +572,16 @@ async def test_the_last_word_goes_past_the_queue() -> None:
     bench.link.post(b"late")
     await bench.link.say_last(b"goodbye")
     assert bench.channel.sent == [[b"goodbye"]]
-    assert bench.channel.timeouts == [1]
+
+
+@virtual_time()
+async def test_the_last_word_is_given_up_after_a_second() -> None:
+    bench = Bench()
+    bench.channel.is_stuck = True
+    start = anyio.current_time()
+    await bench.link.say_last(b"goodbye")
+    assert anyio.current_time() - start == 1
+    assert bench.channel.sent == []
 
 
 async def test_a_last_word_that_nobody_hears_is_no_error() -> None:
@@ -493,7 +623,8 @@ async def test_a_silent_peer_is_noticed_after_four_of_its_heartbeats() -> None:
     took = await bench.run_for(100)
     assert 4 * 2 < took <= 4 * 2 + 2
     assert isinstance(bench.error, ConnectionLost)
-    assert str(bench.error) == f"{PEER} has been silent for {took:.1f} s"
+    # It does not count the half heartbeat in which it began: the peer may have spoken before that.
+    assert str(bench.error) == f"{PEER} has been silent for {took - 1:.1f} s"
 
 
 @virtual_time()
@@ -524,6 +655,62 @@ async def test_silence_counts_from_the_last_message() -> None:
         bench.channel.arrive(b"alive")
 
     assert 3.5 + 4 < await bench.run_for(100, speak_once) <= 3.5 + 5
+
+
+@virtual_time()
+async def test_a_peer_that_reads_nothing_is_lost_after_four_of_ones_own_heartbeats() -> None:
+    bench = Stopwatch(heartbeat=2)
+    bench.link.peer_heartbeat = 1000
+    bench.channel.is_stuck = True
+    took = await bench.run_for(100, lambda: bench.hear_from_the_peer(1))
+    # The first ping is what gets stuck.
+    assert 4 * 2 < took <= 4 * 2 + 2 + 2
+    assert isinstance(bench.error, ConnectionLost)
+    assert str(bench.error) == f"{PEER} has read nothing for 9.0 s"
+
+
+@virtual_time()
+@pytest.mark.parametrize(("pause", "is_lost"), [(0.5, False), (3.9, False), (5.1, True)])
+async def test_a_peer_that_takes_a_piece_now_and_then_is_not_lost(
+    pause: float, is_lost: bool
+) -> None:
+    bench = Stopwatch(heartbeat=1)
+    bench.channel.is_stuck = True
+    bench.link.post(bytes(2**20))
+
+    async def take_a_piece() -> None:
+        while True:
+            await anyio.sleep(pause)
+            bench.channel.progress += 1
+
+    took = await bench.run_for(100, lambda: bench.hear_from_the_peer(1), take_a_piece)
+    assert (took < 100) == is_lost
+    assert (bench.error is not None) == is_lost
+
+
+@virtual_time()
+async def test_a_peer_that_takes_one_message_after_the_other_is_not_lost() -> None:
+    bench = Stopwatch(heartbeat=1)
+    Spring(bench).left = [[b"news"] for _ in range(1000)]
+    bench.channel.pause = 0.3
+    bench.link.stir()
+    await bench.run_for(100, lambda: bench.hear_from_the_peer(1))
+    assert bench.error is None
+    assert len(bench.channel.sent) > 300
+
+
+@virtual_time()
+async def test_time_in_which_this_process_does_not_run_is_not_the_peers_silence() -> None:
+    bench = Stopwatch(heartbeat=1)
+
+    async def stop_the_process() -> None:
+        await anyio.sleep(10.2)
+        clock = trio.lowlevel.current_clock()
+        assert isinstance(clock, MockClock)
+        clock.jump(1000)
+
+    await bench.run_for(2000, lambda: bench.hear_from_the_peer(0.9), stop_the_process)
+    assert bench.error is None
 
 
 @virtual_time()

@@ -62,11 +62,9 @@ async def nursery(
         yield Orphans(tasks, grace=GRACE, then=then), server
 
 
-async def is_closed(stream: GoalStream) -> bool:
+def is_closed(stream: GoalStream) -> bool:
     """Whether nobody holds the executor up any more: a closed stream says so at once."""
-    with anyio.move_on_after(0):
-        return await stream.next_event(feedback=False) is None
-    return False
+    return stream.take(0) is None
 
 
 def lose(orphans: Orphans, server: Server, stream: GoalStream, *, left: bool) -> None:
@@ -87,9 +85,9 @@ async def test_a_goal_that_is_kept_is_let_go_after_the_grace_and_runs_on() -> No
         stream = await server.goal()
         lose(orphans, server, stream, left=False)
         await anyio.sleep(GRACE - 0.1)
-        assert not await is_closed(stream)
+        assert not is_closed(stream)
         await anyio.sleep(0.2)
-        assert await is_closed(stream)
+        assert is_closed(stream)
         assert server.canceled == []
         server.go.set()
         with anyio.fail_after(5):
@@ -127,7 +125,7 @@ async def test_the_goal_of_a_client_that_said_goodbye_is_let_go_at_once() -> Non
     async with nursery("keep") as (orphans, server):
         stream = await server.goal()
         lose(orphans, server, stream, left=True)
-        assert await is_closed(stream)
+        assert is_closed(stream)
         assert server.canceled == []
 
 
@@ -146,9 +144,9 @@ async def test_a_goal_whose_client_is_here_again_is_left_to_it() -> None:
         lose(orphans, server, stream, left=False)
         again = await server.feedback(stream.goal_id, own=True)
         orphans.own(again, ANN)
-        assert await is_closed(stream)
+        assert is_closed(stream)
         await anyio.sleep(2 * GRACE)
-        assert not await is_closed(again)
+        assert not is_closed(again)
         assert server.canceled == []
 
 
@@ -159,10 +157,10 @@ async def test_a_loss_that_is_noticed_when_the_client_is_here_again_does_nothing
         orphans.own(stream, ANN)
         again = await server.feedback(stream.goal_id, own=True)
         orphans.own(again, ANN)
-        assert await is_closed(stream)
+        assert is_closed(stream)
         orphans.adopt(server, stream, left=False)
         await anyio.sleep(2 * GRACE)
-        assert not await is_closed(again)
+        assert not is_closed(again)
         assert server.canceled == []
 
 
@@ -172,7 +170,7 @@ async def test_a_goal_whose_end_was_told_is_no_orphan() -> None:
         stream = await server.goal()
         orphans.own(stream, ANN)
         orphans.end(stream)
-        assert await is_closed(stream)
+        assert is_closed(stream)
         orphans.adopt(server, stream, left=False)
         await anyio.sleep(2 * GRACE)
         assert server.canceled == []
@@ -185,10 +183,10 @@ async def test_the_end_of_a_stream_before_leaves_the_goal_to_the_one_after() -> 
         again = await server.feedback(stream.goal_id, own=True)
         orphans.own(again, ANN)
         orphans.end(stream)
-        assert not await is_closed(again)
+        assert not is_closed(again)
         third = await server.feedback(stream.goal_id, own=True)
         orphans.own(third, ANN)
-        assert await is_closed(again)
+        assert is_closed(again)
 
 
 @in_virtual_time()
@@ -199,7 +197,7 @@ async def test_a_goal_whose_client_is_lost_again_has_the_whole_grace_again() -> 
         await anyio.sleep(GRACE - 1)
         second = await server.feedback(first.goal_id, own=True)
         lose(orphans, server, second, left=False)
-        assert await is_closed(first)
+        assert is_closed(first)
         await anyio.sleep(GRACE - 1)
         assert second.status is GoalStatus.EXECUTING
         await anyio.sleep(2)
@@ -217,6 +215,65 @@ async def test_a_goal_is_its_senders_until_its_end_was_told() -> None:
         assert orphans.is_own(stream.goal_id, ANN)
         orphans.end(stream)
         assert not orphans.is_own(stream.goal_id, ANN)
+
+
+async def test_a_goal_that_has_ended_is_there_until_its_client_has_heard_of_it() -> None:
+    async with nursery("keep") as (orphans, server):
+        stream = await server.goal()
+        goal_id = stream.goal_id
+        assert orphans.ended(goal_id) is None
+        orphans.own(stream, ANN)
+        assert orphans.ended(goal_id) is None  # it goes on
+        server.go.set()
+        await settled()
+        assert orphans.ended(goal_id) is stream
+        orphans.adopt(server, stream, left=False)
+        assert orphans.ended(goal_id) is stream
+        orphans.end(stream)
+        assert orphans.ended(goal_id) is None
+
+
+@in_virtual_time()
+@pytest.mark.parametrize("then", ["keep", "cancel"])
+async def test_an_end_that_nobody_fetches_is_kept_for_the_grace_and_no_longer(
+    then: Literal["keep", "cancel"],
+) -> None:
+    async with nursery(then) as (orphans, server):
+        stream = await server.goal()
+        server.go.set()
+        await settled()
+        lose(orphans, server, stream, left=False)
+        await anyio.sleep(GRACE - 0.1)
+        assert orphans.ended(stream.goal_id) is stream
+        await anyio.sleep(0.2)
+        assert orphans.ended(stream.goal_id) is None
+        assert server.canceled == []
+
+
+@in_virtual_time()
+async def test_an_end_that_is_fetched_again_is_kept_until_it_is_heard_of() -> None:
+    async with nursery("keep") as (orphans, server):
+        stream = await server.goal()
+        server.go.set()
+        await settled()
+        lose(orphans, server, stream, left=False)
+        await anyio.sleep(GRACE - 1)
+        assert orphans.own(stream, ANN)
+        await anyio.sleep(2 * GRACE)
+        assert orphans.ended(stream.goal_id) is stream
+
+
+@in_virtual_time()
+async def test_an_end_whose_client_is_lost_again_is_kept_for_the_whole_grace_again() -> None:
+    async with nursery("keep") as (orphans, server):
+        stream = await server.goal()
+        server.go.set()
+        await settled()
+        lose(orphans, server, stream, left=False)
+        await anyio.sleep(GRACE - 1)
+        lose(orphans, server, stream, left=False)
+        await anyio.sleep(GRACE - 1)
+        assert orphans.ended(stream.goal_id) is stream
 
 
 async def test_a_goal_of_somebody_unnamed_is_nobodys() -> None:
@@ -254,7 +311,7 @@ async def test_no_stream_is_left_open_when_the_hub_ends() -> None:
             lose(orphans, server, stream, left=False)
             await settled()
             orphans.close()
-        assert await is_closed(stream)
+        assert is_closed(stream)
 
 
 async def test_a_goal_of_one_session_cannot_be_taken_over_by_another() -> None:
@@ -263,7 +320,7 @@ async def test_a_goal_of_one_session_cannot_be_taken_over_by_another() -> None:
         assert orphans.own(stream, ANN)
         other = await server.feedback(stream.goal_id, own=True)
         assert not orphans.own(other, BOB)
-        assert not await is_closed(stream)
+        assert not is_closed(stream)
         assert orphans.is_own(stream.goal_id, ANN)
         assert not orphans.is_own(stream.goal_id, BOB)
         orphans.end(stream)

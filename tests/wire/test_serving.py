@@ -23,11 +23,12 @@ from fibaction.exceptions import (
     GoalRejected,
     ProtocolError,
 )
-from fibaction.framing import header
+from fibaction.framing import MAX_FRAME, header
 from fibaction.goals import CancelCode, GoalID
 from fibaction.messages import (
     VERSION,
     Actions,
+    AskPeers,
     AwaitServer,
     CancelAnswered,
     CancelGoals,
@@ -45,10 +46,13 @@ from fibaction.messages import (
     Goodbye,
     Hello,
     ListActions,
+    Peers,
     Ping,
+    Received,
     Rejected,
     SendGoal,
     StatusChanged,
+    Watching,
     WatchStatus,
     Welcome,
     Why,
@@ -60,11 +64,12 @@ from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.access import Access, Peer, Verb
 from fibaction.wire.channel import Channel, StreamChannel
+from fibaction.wire.flows import PIECE
 from fibaction.wire.hub import Hub
 from fibaction.wire.limits import Limits
 from fibaction.wire.link import Link
 from fibaction.wire.orphans import Orphans
-from fibaction.wire.serving import Session
+from fibaction.wire.serving import Session, Terms
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.wire import memory
@@ -138,27 +143,22 @@ class Bench:
         self,
         tasks: TaskGroup,
         endpoints: Mapping[str, Endpoint],
-        access: Access,
-        limits: Limits,
+        terms: Terms,
         orphans: Orphans,
     ) -> None:
         self.endpoints = dict(endpoints)
+        self.orphans = orphans
         self._tasks = tasks
-        self._access = access
-        self._limits = limits
-        self._orphans = orphans
+        self._terms = terms
+
+    def clients_of(self, action: str) -> list[str]:
+        return [f"who uses {action}"]
 
     async def connect(self) -> Client:
         """A client that has said nothing yet."""
         end, other = memory.pair()
-        session = Session(
-            Link(end, LONG, self._limits.queue),
-            self.endpoints,
-            heartbeat=LONG,
-            access=self._access,
-            limits=self._limits,
-            orphans=self._orphans,
-        )
+        link = Link(end, LONG, self._terms.limits.queue)
+        session = Session(link, self.endpoints, self._terms, self.orphans, self.clients_of)
         client = Client(other, session)
 
         async def run() -> None:
@@ -168,11 +168,14 @@ class Bench:
         self._tasks.start_soon(run)
         return client
 
-    async def greet(self, session: bytes = ANN, token: str = "") -> Client:
+    async def greet(
+        self, session: bytes = ANN, token: str = "", max_frame: int = MAX_FRAME
+    ) -> Client:
         """A client that was let in."""
         client = await self.connect()
-        hello = Hello(VERSION, LONG, token, session)
-        assert await client.ask(hello, Welcome) == Welcome(VERSION, LONG)
+        hello = Hello(VERSION, LONG, token, session, max_frame)
+        welcome = Welcome(VERSION, LONG, self._terms.limits.frame)
+        assert await client.ask(hello, Welcome) == welcome
         return client
 
 
@@ -190,7 +193,8 @@ async def serving(
         tasks = await stack.enter_async_context(Background())
         endpoints = {server.info.name: server for server in servers}
         orphans = Orphans(tasks, grace=grace, then=then)
-        yield Bench(tasks, endpoints, access or Access(), limits or Limits(), orphans)
+        terms = Terms(LONG, access or Access(), limits or Limits(), then, grace)
+        yield Bench(tasks, endpoints, terms, orphans)
 
 
 async def closes(client: Client, goodbye: Goodbye, error: type[ActionError]) -> None:
@@ -262,7 +266,7 @@ async def test_a_client_without_the_right_token_is_told_so(token: str) -> None:
 async def test_what_is_no_message_ends_the_session_with_the_reason() -> None:
     async with serving(held()) as bench:
         client = await bench.greet()
-        await client.channel.send([b"\xc1"], timeout=5)
+        await client.channel.send([b"\xc1"])
         goodbye = await client.hear(Goodbye)
         assert goodbye.why == Why.PROTOCOL
         assert "this is no message of a client" in goodbye.reason
@@ -512,6 +516,338 @@ async def test_credit_for_nothing_and_a_close_of_nothing_are_ignored() -> None:
         assert await client.is_served()
 
 
+# The end, and who has heard of it
+
+
+def giving(*items: fib.Feedback | fib.Result, **settings: Any) -> ActionServer[Any, Any, Any]:
+    """A server whose goals give that at once."""
+
+    async def executor(goal: Any) -> AsyncGenerator[fib.Feedback | fib.Result, None]:
+        for item in items:
+            yield item
+
+    return ActionServer(FIBONACCI, executor, **settings)
+
+
+def follow(after: int | None, *, own: bool = True, request: int = 1) -> Follow:
+    return Follow(request, "fibonacci", A, after, own, ANY)
+
+
+@pytest.mark.parametrize("credit", [None, ANY])
+async def test_a_goal_is_kept_until_its_client_has_heard_the_end(credit: int | None) -> None:
+    async with serving(scripted(*feedback(1), fib.Result([]))) as bench:
+        client = await bench.greet()
+        await client.send(1, credit=credit)
+        assert isinstance((await client.hear_all())[-1], Ended)
+        assert list(client.session._goals) == [1]
+        assert bench.orphans.is_own(GoalID(A), ANN)
+        await client.say(Received(1))
+        assert await client.hear_all() == []
+        assert client.session._goals == {}
+        assert not bench.orphans.is_own(GoalID(A), ANN)
+        await client.send(1, B)  # and the ID can be used again
+
+
+async def test_a_goal_that_is_observed_is_kept_for_nobody() -> None:
+    go = anyio.Event()
+    async with serving(scripted(go, fib.Result([]))) as bench:
+        client, other = await bench.greet(ANN), await bench.greet(BOB)
+        await client.send(1)
+        for own in (False, True):  # whatever it says of itself
+            await other.ask(follow(0, own=own, request=5 + own), Following)
+        go.set()
+        assert len(await other.hear_by_id()) == 2
+        assert other.session._goals == {}
+        await other.say(Received(5), Received(6))
+        assert await other.is_served()
+        assert list(client.session._goals) == [1]
+
+
+async def test_what_is_received_before_the_end_or_of_nothing_is_ignored() -> None:
+    go = anyio.Event()
+    async with serving(scripted(go, fib.Result([]))) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        await client.say(Received(1), Received(7), AwaitServer(8, "fibonacci"), Received(8))
+        assert await client.hear_all() == [Done(8)]
+        go.set()
+        assert [type(message) for message in await client.hear_all()] == [Ended]
+        assert list(client.session._goals) == [1]
+        await client.say(Received(1), Received(1))
+        assert await client.is_served()
+
+
+async def test_goals_whose_ends_are_received_leave_nothing_behind() -> None:
+    async with serving(giving(*feedback(1, 2), fib.Result([]), result_timeout=0)) as bench:
+        client = await bench.greet()
+        for number in range(1, 300):
+            await client.say(SendGoal(number, "fibonacci", number.to_bytes(16, "big"), GOAL, ANY))
+            while not isinstance(await client.hear(object), Ended):
+                pass
+            await client.say(Received(number))
+        assert await client.is_served()
+        session, orphans = client.session, bench.orphans
+        assert (session._goals, session._ready, session._held) == ({}, {}, 0)
+        assert (orphans._streams, orphans._sessions, orphans._losses) == ({}, {}, {})
+
+
+@pytest.mark.parametrize("result_timeout", [10, 0])
+async def test_an_end_that_was_lost_with_the_line_is_told_again(result_timeout: float) -> None:
+    result = fib.Result([3])
+    async with serving(giving(*feedback(1, 2), result, result_timeout=result_timeout)) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        (*_, ended) = await client.hear_all()
+        for _ in range(3):  # it may be lost again
+            client.channel.cut()
+            client = await bench.greet()
+            following = await client.ask(follow(2), Following)
+            assert (following.status, following.place) == (GoalStatus.SUCCEEDED, 2)
+            assert await client.hear_all() == [ended]
+        assert ended == Ended(
+            1, GoalStatus.SUCCEEDED, FIBONACCI.result.encode(fib.Result([3])), "", 2
+        )
+        await client.say(Received(1))
+        assert await client.is_served()
+        assert bench.orphans._streams == {}
+
+
+@pytest.mark.parametrize(
+    "result_timeout",
+    [
+        10,
+        0,
+    ],
+)
+async def test_feedback_that_was_lost_with_the_line_is_told_again(result_timeout: float) -> None:
+    server = giving(*feedback(1, 2, 3), fib.Result([4]), result_timeout=result_timeout)
+    async with serving(server) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        assert isinstance((await client.hear_all())[-1], Ended)
+        client.channel.cut()
+        again = await bench.greet()
+        assert (await again.ask(follow(1), Following)).place == 1
+        heard = await again.hear_all()
+        assert [message.number for message in heard[:-1]] == [2, 3]
+        assert isinstance(heard[-1], Ended)
+
+
+@pytest.mark.parametrize("result_timeout", [10, 0])
+async def test_feedback_that_there_was_no_credit_for_is_told_on_the_next_connection(
+    result_timeout: float,
+) -> None:
+    server = giving(*feedback(1, 2, 3), fib.Result([4]), result_timeout=result_timeout)
+    async with serving(server) as bench:
+        client = await bench.greet()
+        await client.send(1, credit=1)
+        assert [message.number for message in await client.hear_all()] == [1]
+        client.channel.cut()
+        again = await bench.greet()
+        assert (await again.ask(follow(1), Following)).place == 1
+        assert [type(message) for message in await again.hear_all()] == [Feedback, Feedback, Ended]
+
+
+@in_virtual_time()
+@pytest.mark.parametrize("result_timeout", [10, 0])
+async def test_an_end_that_is_not_fetched_again_is_kept_as_long_as_a_client_has_to_come_back(
+    result_timeout: float,
+) -> None:
+    async with serving(
+        giving(*feedback(1), fib.Result([]), result_timeout=result_timeout), grace=50
+    ) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        assert isinstance((await client.hear_all())[-1], Ended)
+        client.channel.cut()
+        await anyio.sleep(49)
+        again = await bench.greet()
+        assert (await again.ask(follow(1), Following)).status == GoalStatus.SUCCEEDED
+        assert [type(message) for message in await again.hear_all()] == [Ended]
+        again.channel.cut()
+        await anyio.sleep(51)
+        late = await bench.greet()
+        assert (await late.ask(follow(1), Failed)).why == Why.UNKNOWN_GOAL
+
+
+async def test_a_client_that_wants_no_old_feedback_is_told_the_end_that_was_lost() -> None:
+    async with serving(giving(*feedback(1), fib.Result([]), result_timeout=0)) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        assert isinstance((await client.hear_all())[-1], Ended)
+        client.channel.cut()
+        again = await bench.greet()
+        assert (await again.ask(follow(None), Following)).place == 1
+        assert [type(message) for message in await again.hear_all()] == [Ended]
+
+
+async def test_an_end_that_was_lost_is_told_to_nobody_else() -> None:
+    async with serving(giving(fib.Result([]), result_timeout=0)) as bench:
+        client = await bench.greet(ANN)
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, ANY))
+        await client.hear_all()
+        client.channel.cut()
+        for other in (await bench.greet(BOB), await bench.greet(b"")):
+            assert (await other.ask(follow(0), Failed)).why == Why.UNKNOWN_GOAL
+        ann = await bench.greet(ANN)
+        assert (await ann.ask(follow(0, own=False), Failed)).why == Why.UNKNOWN_GOAL
+        assert (await ann.ask(follow(0, request=2), Following)).status == GoalStatus.SUCCEEDED
+
+
+async def test_who_has_left_is_told_no_end_again() -> None:
+    async with serving(giving(fib.Result([]), result_timeout=0)) as bench:
+        client = await bench.greet()
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, ANY))
+        await client.hear_all()
+        await client.say(Goodbye("I know enough"))
+        await client.hear_the_end()
+        assert bench.orphans._streams == {}
+
+
+# What is larger than the client takes
+
+
+LARGE = fib.Result([0] * 1000)
+
+
+async def test_a_result_over_the_clients_limit_fails_that_goal_and_no_other() -> None:
+    go = anyio.Event()
+    server = ScriptedServer(
+        FIBONACCI, [*feedback(1), go, LARGE], [*feedback(1), go, *feedback(2), fib.Result([])]
+    )
+    async with serving(server) as bench:
+        client = await bench.greet(max_frame=500)
+        await client.send(1, A)
+        await client.hear(Feedback)
+        await client.send(2, B)
+        await client.hear(Feedback)
+        go.set()
+        heard = await client.hear_by_id()
+        size = len(encode(Ended(1, 4, FIBONACCI.result.encode(LARGE), "", 1)))
+        text = f"the answer has {size} bytes, and 500 are the limit"
+        assert heard[1] == [Failed(1, Why.LIMIT, text)]
+        assert [type(message) for message in heard[2]] == [Feedback, Ended]
+        assert await client.is_served()
+
+
+async def test_a_goal_whose_result_could_not_be_told_is_not_kept() -> None:
+    async with serving(giving(LARGE)) as bench:
+        client = await bench.greet(max_frame=500)
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, None))
+        await client.hear(Following)
+        await client.hear(Failed)
+        assert await client.is_served()
+        assert client.session._goals == {}
+
+
+async def test_feedback_over_the_clients_limit_is_left_out_and_the_goal_goes_on() -> None:
+    large = fib.Feedback([0] * 1000)
+    async with serving(giving(*feedback(1), large, *feedback(3), large, fib.Result([]))) as bench:
+        client = await bench.greet(max_frame=500)
+        await client.send(1, credit=2)
+        assert [message.number for message in await client.hear_all()] == [1, 3]
+        await client.say(Credit(1, 1))  # for what comes behind; it takes credit to find out
+        result = FIBONACCI.result.encode(fib.Result([]))
+        assert await client.hear_all() == [Ended(1, GoalStatus.SUCCEEDED, result, "", 4)]
+
+
+async def test_an_answer_over_the_clients_limit_fails_that_request_only() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet(max_frame=150)
+        for number in range(10):
+            await client.say(SendGoal(number, "fibonacci", bytes([number + 1] * 16), GOAL, None))
+            await client.hear(Following)
+        await client.say(CancelGoals(50, "fibonacci", None, None), ListActions(51))
+        heard = await client.hear_by_id()
+        for request in (50, 51):
+            (failed,) = heard[request]
+            assert (type(failed), failed.why) == (Failed, Why.LIMIT)
+        await client.ask(AwaitServer(52, "fibonacci"), Done)
+
+
+async def test_a_refusal_is_no_larger_than_the_client_takes() -> None:
+    async with serving(scripted(GoalRejected("x" * 1000))) as bench:
+        client = await bench.greet(max_frame=500)
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, 1))
+        (answer,) = await client.hear_all()
+        assert len(encode(answer)) <= 500
+
+
+async def test_a_server_says_how_much_it_takes() -> None:
+    async with serving(held(), limits=Limits(frame=1234)) as bench:
+        client = await bench.connect()
+        welcome = await client.ask(Hello(VERSION, LONG, "", ANN), Welcome)
+        assert welcome.max_frame == 1234
+
+
+# Each in its turn
+
+
+async def test_a_goal_with_endless_feedback_does_not_delay_another() -> None:
+    async def endless(goal: Any) -> AsyncGenerator[fib.Feedback | fib.Result, None]:
+        while goal.request.order:
+            yield fib.Feedback([0] * 1000)  # a piece of it fills a write
+        yield fib.Result([])
+
+    async with serving(ActionServer(FIBONACCI, endless, feedback_window=1000)) as bench:
+        client = await bench.greet()
+        client.channel.stop_reading()
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, ANY))
+        await settled()
+        few = FIBONACCI.goal.encode(fib.Goal(0))
+        await client.say(SendGoal(2, "fibonacci", B, few, ANY))
+        await settled()
+        client.channel.go_on_reading()
+        before = 0
+        with anyio.fail_after(5):
+            while not isinstance(message := await client.hear(object), Ended):
+                before += isinstance(message, Feedback) and message.id == 1
+        assert message.id == 2
+        # One piece before each message of the other goal, and what was on its way before.
+        assert PIECE < before <= 6 * PIECE
+
+
+@pytest.mark.parametrize("count", [2, 20])
+async def test_goals_with_as_much_to_tell_take_turns(count: int) -> None:
+    piece = [fib.Feedback([0] * 1000)] * PIECE
+    server = giving(*piece * 8, fib.Result([]), feedback_window=1000)
+    async with serving(server) as bench:
+        client = await bench.greet()
+        client.channel.stop_reading()
+        for number in range(count):
+            goal_id = bytes([number + 1] * 16)
+            await client.say(SendGoal(number, "fibonacci", goal_id, GOAL, ANY))
+        await settled()
+        client.channel.go_on_reading()
+        told = dict.fromkeys(range(count), 0)
+        spread = 0
+        for message in await client.hear_all():
+            if isinstance(message, Feedback):
+                told[message.id] += 1
+                spread = max(spread, max(told.values()) - min(told.values()))
+        assert set(told.values()) == {8 * PIECE}
+        # The first is some turns ahead: one that was being written, and two in which those that
+        # came after it were told only that they are followed, and executing.
+        assert spread <= 4 * PIECE
+
+
+async def test_what_there_is_to_tell_waits_where_it_is_made() -> None:
+    async def endless(goal: Any) -> AsyncGenerator[fib.Feedback | fib.Result, None]:
+        while True:
+            yield fib.Feedback([0] * 1000)
+
+    async with serving(ActionServer(FIBONACCI, endless, feedback_window=10)) as bench:
+        client = await bench.greet()
+        client.channel.stop_reading()
+        for number in range(20):
+            goal_id = bytes([number + 1] * 16)
+            await client.say(SendGoal(number, "fibonacci", goal_id, GOAL, ANY))
+        await settled()
+        assert client.session._link._queued == 0
+        assert len(client.session._goals) == 20
+        assert not client.session._link._queue
+
+
 # Statuses, and waiting
 
 
@@ -519,18 +855,37 @@ async def test_statuses_are_told_as_far_as_there_is_credit() -> None:
     async with serving(held()) as bench:
         client = await bench.greet()
         stamp = (await client.send(1)).stamp
-        assert await client.ask(WatchStatus(2, "fibonacci", 1), Done) == Done(2)
-        assert await client.hear(GoalChanged) == GoalChanged(2, A, stamp, EXECUTING, 0)
+        assert await client.ask(WatchStatus(2, "fibonacci", 1), Watching) == Watching(2, 1)
+        who = client.session.client
+        assert await client.hear(GoalChanged) == GoalChanged(2, A, stamp, EXECUTING, 0, 0, who)
         await client.say(CancelGoals(3, "fibonacci", A, None))
         assert 2 not in await client.hear_by_id()
         await client.say(Credit(2, 5))
         assert [message.status for message in await client.hear_all()] == [3, 5]
 
 
+async def test_who_uses_an_action_is_told() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        assert client.session.actions == set()
+        answer = await client.ask(AskPeers(2, "fibonacci"), Peers)
+        assert answer == Peers(2, ["who uses fibonacci"])
+        assert client.session.actions == {"fibonacci"}
+
+
+async def test_a_client_is_known_by_the_name_of_its_token_and_its_address() -> None:
+    async with serving(held()) as bench:
+        client = await bench.greet()
+        assert client.session.client == "the client"
+    async with serving(held(), access=Access({"sesame": "ann"})) as bench:
+        client = await bench.greet(token="sesame")
+        assert client.session.client == "ann at the client"
+
+
 async def test_a_client_that_wants_no_more_statuses_is_told_that_there_are_none() -> None:
     async with serving(held()) as bench:
         client = await bench.greet()
-        await client.ask(WatchStatus(2, "fibonacci", 1), Done)
+        await client.ask(WatchStatus(2, "fibonacci", 1), Watching)
         assert await client.ask(Close(2), Finished) == Finished(2)
 
 
@@ -539,7 +894,7 @@ async def test_a_close_while_statuses_wait_for_credit_ends_them() -> None:
         client = await bench.greet()
         await client.send(1, A)
         await client.send(2, B)
-        await client.ask(WatchStatus(3, "fibonacci", 1), Done)
+        await client.ask(WatchStatus(3, "fibonacci", 1), Watching)
         assert [type(message) for message in await client.hear_all()] == [GoalChanged]
         await client.say(Close(3))
         assert await client.hear_all() == [Finished(3)]
@@ -549,7 +904,7 @@ async def test_statuses_end_when_the_server_stops() -> None:
     server = held()
     async with serving(server) as bench:
         client = await bench.greet()
-        await client.ask(WatchStatus(2, "fibonacci", 1), Done)
+        await client.ask(WatchStatus(2, "fibonacci", 1), Watching)
         await server.stop()
         assert await client.hear(Finished) == Finished(2)
 
@@ -752,6 +1107,9 @@ async def test_no_more_goals_are_taken_than_the_limit_and_more_once_one_has_ende
         other = await bench.greet()
         await other.ask(CancelGoals(1, "fibonacci", A, None), CancelAnswered)
         assert [type(message) for message in await client.hear_all()] == [StatusChanged, Ended]
+        # It is kept for a client that has not said that it knows.
+        await client.ask(SendGoal(3, "fibonacci", B, GOAL, 1), Rejected)
+        await client.say(Received(1))
         await client.send(3, B)
 
 
@@ -961,6 +1319,183 @@ async def test_a_session_that_is_drained_does_not_wait_for_a_client_that_is_lost
             await draining.answer()
 
 
+# A connection that ends in the middle of something
+
+
+class Slow(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
+    """A server that takes its time, and notes who has waited in vain."""
+
+    def __init__(self, *, shielded: bool = False) -> None:
+        super().__init__(FIBONACCI, [anyio.Event()])
+        self.go = anyio.Event()
+        self.shielded = shielded
+        self.given_up = 0
+        self.asked = 0
+
+    async def pause(self) -> None:
+        self.asked += 1
+        try:
+            with anyio.CancelScope(shield=self.shielded):
+                await self.go.wait()
+        except BaseException:
+            self.given_up += 1
+            raise
+
+    def offer_goal(self, *args: Any, **kwargs: Any) -> Any:
+        async def answer() -> Any:
+            await self.pause()
+            return ScriptedServer.offer_goal(self, *args, **kwargs)
+
+        return answer()
+
+    async def feedback(self, *args: Any, **kwargs: Any) -> Any:
+        await self.pause()
+        return await super().feedback(*args, **kwargs)
+
+
+@pytest.mark.parametrize("message", [SendGoal(1, "fibonacci", A, GOAL, 1), follow(0)], ids=type)
+@pytest.mark.parametrize("begun", [True, False])
+async def test_what_is_being_answered_when_the_connection_ends_is_given_up(
+    message: Any, begun: bool
+) -> None:
+    server = Slow()
+    async with serving(server) as bench:
+        client = await bench.greet()
+        await client.say(message)
+        if begun:
+            await settled()
+            assert server.asked == 1
+        client.channel.cut()
+        await settled()
+        assert isinstance(client.error, ConnectionLost)
+        assert server.given_up == server.asked
+        assert client.session._held == 0
+        assert (bench.orphans._streams, bench.orphans._losses) == ({}, {})
+
+
+async def test_a_decision_that_the_end_of_the_connection_cut_off_is_made_anew() -> None:
+    asked = 0
+    decide = anyio.Event()
+
+    async def on_goal(goal: fib.Goal) -> None:
+        nonlocal asked
+        asked += 1
+        await decide.wait()
+
+    async with serving(ActionServer(FIBONACCI, fib.fibonacci, on_goal=on_goal)) as bench:
+        client = await bench.greet()
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, ANY))
+        await settled()
+        assert asked == 1
+        client.channel.cut()
+        await settled()
+        client = await bench.greet()
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, ANY))
+        await settled()
+        assert asked == 2
+        decide.set()
+        await client.hear(Following)
+
+
+async def test_a_permission_that_the_end_of_the_connection_cut_off_sends_nothing() -> None:
+    allow = anyio.Event()
+
+    async def authorize(peer: Peer, action: str, verb: Verb) -> bool:
+        await allow.wait()
+        return True
+
+    server = scripted(anyio.Event())
+    async with serving(server, access=Access(authorize=authorize)) as bench:
+        client = await bench.greet()
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, ANY))
+        await settled()
+        client.channel.cut()
+        await settled()
+        allow.set()
+        await settled()
+        assert server.received == []
+        assert client.session._held == 0
+
+
+@in_virtual_time()
+async def test_a_goal_that_is_accepted_while_the_connection_ends_is_an_orphan() -> None:
+    server = Slow(shielded=True)
+    async with serving(server, then="cancel", grace=10) as bench:
+        client = await bench.greet()
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, ANY))
+        await settled()
+        client.channel.cut()
+        await settled()
+        server.go.set()
+        await settled()
+        assert isinstance(client.error, ConnectionLost)
+        assert bench.orphans.is_own(GoalID(A), ANN)
+        again = await bench.greet()
+        stream = await server.feedback(GoalID(A))
+        await anyio.sleep(11)
+        assert stream.status is GoalStatus.CANCELED
+        assert await again.is_served()
+
+
+async def test_a_refusal_after_the_connection_has_ended_is_told_to_nobody() -> None:
+    class Unsure(Slow):
+        def offer_goal(self, *args: Any, **kwargs: Any) -> Any:
+            async def answer() -> Any:
+                await self.pause()
+                raise GoalRejected("no arm")
+
+            return answer()
+
+    server = Unsure(shielded=True)
+    async with serving(server) as bench:
+        client = await bench.greet()
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, ANY))
+        await settled()
+        client.channel.cut()
+        await settled()
+        assert not client.session._link.is_open
+        server.go.set()
+        await settled()
+        assert isinstance(client.error, ConnectionLost)
+        assert client.session._goals == {}
+        assert client.session._link._queued == 0
+
+
+async def test_a_stream_that_fails_is_told_and_the_session_goes_on() -> None:
+    server = held()
+    async with serving(server) as bench:
+        client = await bench.greet()
+        await client.send(1)
+
+        def fails(limit: int = 1) -> Any:
+            raise ValueError("a bug")
+
+        stream = client.session._goals[1].stream
+        assert stream is not None
+        stream.take = fails  # type: ignore[method-assign]  # as an endpoint of somebody else's
+        with logged():
+            await client.say(Credit(1, 1))
+            failed = await client.hear(Failed)
+        assert failed == Failed(1, Why.SERVER_NOT_FOUND, "the server failed: ValueError")
+        assert client.session._goals == {}
+        assert await client.is_served()
+
+
+async def test_a_connection_that_is_lost_leaves_no_listener_behind() -> None:
+    server = held()
+    async with serving(server) as bench:
+        client, other = await bench.greet(ANN), await bench.greet(BOB)
+        await client.send(1)
+        await other.ask(follow(0, own=False), Following)
+        streams = [one.session._goals[1].stream for one in (client, other)]
+        for one in (client, other):
+            one.channel.cut()
+        await settled()
+        for stream in streams:
+            assert stream is not None
+            assert stream.news.listener is None
+
+
 # Anything at all
 
 
@@ -1021,15 +1556,8 @@ class Neighbours:
 async def neighbours() -> AsyncGenerator[Neighbours, None]:
     server = ActionServer(FIBONACCI, fib.fibonacci, feedback_window=4, shutdown_timeout=0.5)
     async with server, Background() as tasks:
-        hub = Hub(
-            tasks,
-            {"fibonacci": server},
-            heartbeat=LONG,
-            access=Access(),
-            limits=Neighbours.limits,
-            grace=LONG,
-            orphans="keep",
-        )
+        terms = Terms(LONG, Access(), Neighbours.limits, "keep", LONG)
+        hub = Hub(tasks, {"fibonacci": server}, terms)
         yield Neighbours(hub, tasks)
 
 
@@ -1061,6 +1589,8 @@ MESSAGES: dict[type, st.SearchStrategy[Any]] = {
     ListActions: st.builds(ListActions, numbers),
     Credit: st.builds(Credit, numbers, credits_),
     Close: st.builds(Close, numbers),
+    Received: st.builds(Received, numbers),
+    AskPeers: st.builds(AskPeers, numbers, actions),
     Ping: st.builds(Ping),
     Goodbye: st.builds(Goodbye, st.text(max_size=3), st.integers(0, 9)),
 }
@@ -1155,8 +1685,9 @@ def test_any_messages_in_any_order_harm_their_own_session_at_most(
                         await settled()
                         session = both.session(but=good.session)
                         if session is not None:
-                            assert len(session._streams) <= limits.goals + limits.requests
-                            assert len(session._flows) <= limits.goals + limits.requests
+                            assert len(session._goals) <= limits.goals
+                            assert len(session._waiting) <= limits.requests
+                            assert set(session._ready) <= set(session._goals.values())
                             assert session._held <= limits.memory
                 except ConnectionLost:
                     pass

@@ -17,7 +17,7 @@ from fibaction.abc import Connection, Endpoint, GoalStream, StatusStream, Transp
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import ServerNotFound, TransportError
 from fibaction.goals import CancelAnswer, GoalID
-from fibaction.streams import Waking
+from fibaction.waking import Waking
 
 _URL = re.compile(r"inproc://([\w.-]+)", re.ASCII)
 

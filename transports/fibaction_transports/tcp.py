@@ -8,11 +8,12 @@ from __future__ import annotations
 import logging
 import math
 import os
+import re
 import socket
 import ssl
 import stat
 from abc import abstractmethod
-from collections.abc import AsyncGenerator, Generator, Mapping
+from collections.abc import AsyncGenerator, Callable, Generator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from ipaddress import ip_address
 from pathlib import Path
@@ -21,7 +22,14 @@ from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
 import anyio
 import msgspec
-from anyio.abc import AnyByteStream, ByteStream, Listener, SocketAttribute, TaskGroup
+from anyio.abc import (
+    AnyByteStream,
+    ByteStream,
+    Listener,
+    SocketAttribute,
+    TaskGroup,
+    UNIXSocketStream,
+)
 from anyio.streams.tls import TLSListener, TLSStream
 
 from fibaction.abc import Connection, Endpoint, Transport
@@ -37,6 +45,7 @@ from fibaction.wire.channel import Channel, StreamChannel
 from fibaction.wire.connecting import Keeping, connected
 from fibaction.wire.hub import Hub, hub
 from fibaction.wire.limits import Limits
+from fibaction.wire.serving import Terms
 
 HOST, PORT = "127.0.0.1", 7400
 """Where a server is if nothing else is said: on this machine only."""
@@ -97,12 +106,10 @@ class _StreamTransport(Transport):
             reconnect=reconnect,
             reconnect_timeout=reconnect_timeout,
             window=window,
+            max_frame=(limits or Limits()).frame,
         )
-        self._access = Access(tokens, authorize)
-        self._heartbeat = heartbeat
-        self._orphans: Literal["keep", "cancel"] = orphans
-        self._grace = grace
         self._limits = limits or Limits()
+        self._terms = Terms(heartbeat, Access(tokens, authorize), self._limits, orphans, grace)
 
     @asynccontextmanager
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
@@ -110,15 +117,7 @@ class _StreamTransport(Transport):
         served = {endpoint.info.name: endpoint for endpoint in endpoints}
         if len(served) < len(endpoints):
             raise TransportError("two of the endpoints serve actions of the same name")
-        opened = hub(
-            served,
-            heartbeat=self._heartbeat,
-            access=self._access,
-            limits=self._limits,
-            grace=self._grace,
-            orphans=self._orphans,
-        )
-        async with opened as (connections, tasks):
+        async with hub(served, self._terms) as (connections, tasks):
             listener, url = await self._listen()
             try:
                 async with Background() as accepting:
@@ -166,7 +165,8 @@ class _StreamTransport(Transport):
         return StreamChannel(stream, self._where, self._limits.frame)
 
     async def _accept(self, listener: Listener[Any], connections: Hub, tasks: TaskGroup) -> None:
-        async def serve(stream: ByteStream) -> None:
+        async def serve(accepted: ByteStream) -> None:
+            stream = _UnixStream(accepted) if isinstance(accepted, UNIXSocketStream) else accepted
             channel = StreamChannel(stream, _peer_of(stream), self._limits.frame)
             await connections.serve(channel)
 
@@ -276,6 +276,7 @@ class TcpTransport(_StreamTransport):
             TypeError: There is no such setting.
         """
         parts, query = _split(url)
+        _check_is_all_known(url, parts)
         try:
             host, port = parts.hostname or HOST, PORT if parts.port is None else parts.port
         except ValueError as exc:
@@ -328,6 +329,38 @@ class TcpTransport(_StreamTransport):
         return _TlsListener(listener, context, handshake_timeout=timeout), self._url(port)
 
 
+class _UnixStream(ByteStream):
+    """A stream over a Unix socket whose `receive` can be canceled at any moment without a trace.
+
+    anyio's own leaves a callback behind on asyncio, which fails, and says so in the log, if it is
+    canceled just as something arrives: as it is when a client leaves and its server closes.
+    """
+
+    def __init__(self, stream: UNIXSocketStream) -> None:
+        self._stream = stream
+        self._socket = stream.extra(SocketAttribute.raw_socket)
+
+    @property
+    def extra_attributes(self) -> Mapping[Any, Callable[[], Any]]:
+        return self._stream.extra_attributes
+
+    async def receive(self, max_bytes: int = 65536) -> bytes:
+        try:
+            await anyio.wait_readable(self._socket)
+        except ValueError:  # it has no number any more
+            raise anyio.ClosedResourceError from None
+        return await self._stream.receive(max_bytes)
+
+    async def send(self, item: bytes) -> None:
+        await self._stream.send(item)
+
+    async def send_eof(self) -> None:
+        await self._stream.send_eof()
+
+    async def aclose(self) -> None:
+        await self._stream.aclose()
+
+
 class UnixTransport(_StreamTransport):
     """A Unix domain socket: processes of one machine, with the permissions of a file."""
 
@@ -357,7 +390,7 @@ class UnixTransport(_StreamTransport):
         return f"unix://{self._path}"
 
     async def _open_stream(self) -> ByteStream:
-        return await anyio.connect_unix(self._path)
+        return _UnixStream(await anyio.connect_unix(self._path))
 
     async def _listen(self) -> tuple[Listener[Any], str]:
         if await self._is_served():
@@ -385,6 +418,20 @@ def _split(url: str) -> tuple[SplitResult, dict[str, str]]:
     with _translated(url):
         parts = urlsplit(url)
     return parts, dict(parse_qsl(parts.query, keep_blank_values=True))
+
+
+def _check_is_all_known(url: str, parts: SplitResult) -> None:
+    """Raise if there is something in the URL that would otherwise be left out silently."""
+    for what, is_there in (
+        ("user", "@" in parts.netloc),
+        ("path", parts.path not in ("", "/")),
+        ("part behind #", bool(parts.fragment)),
+    ):
+        if is_there:
+            raise TransportError(
+                f"{_without_query(url)} has a {what}, and the URL of a server is like"
+                f" {parts.scheme}://host:port, with settings behind ? such as token="
+            )
 
 
 @contextmanager
@@ -419,7 +466,8 @@ def _settings(url: str, query: Mapping[str, str], more: set[str]) -> dict[str, A
 
 
 def _without_query(url: str) -> str:
-    return url.partition("?")[0]  # what is behind it may be a token
+    # What is behind it may be a token, and what stands before an @ a password.
+    return re.sub("://[^/]*@", "://", url.partition("?")[0])
 
 
 def _tls_reason(exc: ssl.SSLError) -> str:
