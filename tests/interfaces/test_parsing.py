@@ -1,0 +1,264 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, strategies
+
+from fibaction.interfaces.definitions import Definition, FieldType, InterfaceError
+from fibaction.interfaces.parsing import parse_action, parse_message
+from fibaction.ros_types import PRIMITIVES
+
+FILE = Path("Lift.msg")
+
+
+def parse(text: str) -> Definition:
+    return parse_message(text, FILE)
+
+
+def refusal(text: str) -> str:
+    with pytest.raises(InterfaceError) as caught:
+        parse(text)
+    return str(caught.value)
+
+
+def comments(text: str) -> dict[str, str]:
+    """What is said of the message, and of each of its fields and constants."""
+    found = parse(text)
+    fields = {field.name: field.comment for field in found.fields}
+    return {"": found.comment, **fields, **{one.name: one.comment for one in found.constants}}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("int32", FieldType("int32")),
+        ("string<=5", FieldType("string", characters=5)),
+        ("wstring<=5[<=3]", FieldType("wstring", characters=5, is_array=True, bound=3)),
+        ("float64[9]", FieldType("float64", is_array=True, size=9)),
+        ("byte[]", FieldType("byte", is_array=True)),
+        ("Pose", FieldType("Pose")),
+        ("geometry_msgs/Pose[2]", FieldType("Pose", "geometry_msgs", is_array=True, size=2)),
+    ],
+)
+def test_a_type_is_read(text: str, expected: FieldType) -> None:
+    (field,) = parse(f"{text} name").fields
+
+    assert field.type == expected
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "int33", "Int32[", "int32]", "int32[-1]", "int32[0]", "int32[<=]", "int32[<3]",
+        "string<=0", "string<=", "a/b/Pose", "geometry_msgs/pose", "Geometry/Pose", "pkg_/Pose",
+        "/Pose", "int32[9999999999]", "int32[2][2]",
+    ],
+)  # fmt: skip
+def test_a_type_that_is_none_is_refused(text: str) -> None:
+    assert refusal(f"# x\n{text} name") == (
+        "Lift.msg:2: expected a type like 'int32', 'string<=10', 'float64[3]' or"
+        f" 'geometry_msgs/Pose', found {text!r}"
+    )
+
+
+def test_a_type_of_ros_1_is_refused_with_what_ros_2_has() -> None:
+    assert refusal("time stamp") == ("Lift.msg:1: expected 'builtin_interfaces/Time', found 'time'")
+
+
+def test_only_a_string_has_a_bound_without_brackets() -> None:
+    assert refusal("int32<=5 x") == (
+        "Lift.msg:1: expected '<=' behind a string only, or within '[]', found 'int32<=5'"
+    )
+
+
+@pytest.mark.parametrize("name", ["Order", "2nd", "a__b", "a_", "_a", "größe", "a.b"])
+def test_a_name_that_ros_does_not_take_is_refused(name: str) -> None:
+    assert refusal(f"int32 {name}") == (
+        "Lift.msg:1: expected a field's name, like 'frame_id' (lower case, no '__'),"
+        f" found {name!r}"
+    )
+
+
+def test_a_field_may_have_a_default() -> None:
+    one, other = parse("int32 order 5\nint32[<=2] few [1, 2]").fields
+
+    assert (one.name, one.default) == ("order", 5)
+    assert (other.name, other.default) == ("few", [1, 2])
+
+
+def test_a_message_has_no_default_in_a_file() -> None:
+    assert refusal("Pose pose 1") == (
+        "Lift.msg:1: expected no default, as messages have their own, found '1'"
+    )
+
+
+def test_a_line_with_a_type_only_is_refused() -> None:
+    assert refusal("int32 a\n\nint32\n") == (
+        "Lift.msg:3: expected a type and a name, like 'int32 order', found 'int32'"
+    )
+
+
+def test_a_constant_has_a_type_a_name_and_a_value() -> None:
+    found = parse('int8 MOST=-0x10\nstring WHO = "a b"\nfloat32 PI_2 =1.5').constants
+
+    assert [(one.type, one.name, one.value) for one in found] == [
+        ("int8", "MOST", -16),
+        ("string", "WHO", "a b"),
+        ("float32", "PI_2", 1.5),
+    ]
+
+
+@pytest.mark.parametrize("name", ["most", "MOST_", "A__B", "_A", "A b"])
+def test_a_constant_s_name_that_ros_does_not_take_is_refused(name: str) -> None:
+    assert refusal(f"int8 {name} = 1") == (
+        f"Lift.msg:1: expected a constant's name, like 'MAX_SPEED', before the '=', found {name!r}"
+    )
+
+
+@pytest.mark.parametrize("kind", ["int8[]", "string<=5", "Pose"])
+def test_a_constant_of_another_type_is_refused(kind: str) -> None:
+    assert refusal(f"{kind} A = 1") == (
+        f"Lift.msg:1: expected a constant's type, like 'int32' or 'string', found {kind!r}"
+    )
+
+
+def test_a_name_is_there_once() -> None:
+    assert refusal("int8 a\nint8 b\nint8 a") == (
+        "Lift.msg:3: expected a name of its own, found 'a', which line 1 has"
+    )
+    assert refusal("int8 A=1\nint8 A=1") == (
+        "Lift.msg:2: expected a name of its own, found 'A', which line 1 has"
+    )
+
+
+def test_comments_describe_what_they_stand_beside() -> None:
+    text = (
+        "# The message,\n"
+        "#   and more of it.\n"
+        "\n"
+        "# Above.\n"
+        "int32 a # Behind.\n"
+        "  # Below.\n"
+        "\n"
+        "## Before a gap,\n"
+        "\n"
+        "# and after.\n"
+        "int32 MOST=1\n"
+        "int32 b\n"
+        "# About nothing.\n"
+    )
+
+    assert comments(text) == {
+        "": "The message,\nand more of it.",
+        "a": "Above.\nBehind.\nBelow.",
+        "MOST": "Before a gap,\nand after.",
+        "b": "",
+    }
+
+
+def test_an_indented_comment_before_any_field_is_about_nothing() -> None:
+    assert comments("\n  # lost\nint32 a") == {"": "", "a": ""}
+
+
+def test_comments_alone_describe_the_message() -> None:
+    assert comments("# Nothing to say.") == {"": "Nothing to say."}
+    assert comments("") == {"": ""}
+
+
+def test_a_comment_has_no_control_characters() -> None:
+    assert comments("# a\0b\x1b[1mc") == {"": "a b [1mc"}
+
+
+def test_a_hash_starts_a_comment_wherever_it_is_as_in_ros() -> None:
+    (field,) = parse('string a "x # y"').fields
+
+    assert field.default == '"x'
+    assert field.comment == 'y"'
+
+
+def test_tabs_and_the_line_ends_of_windows_are_taken() -> None:
+    first, second = parse("int32\ta\t5\r\nint32 b\r\n").fields
+
+    assert (first.name, first.default, second.name) == ("a", 5, "b")
+
+
+def test_an_action_is_a_goal_a_result_and_a_feedback() -> None:
+    text = "# The goal.\nint32 order\n---\n# The result.\nint32 a\n--- \nint32 b\n"
+    goal, result, feedback = parse_action(text, Path("Lift.action"))
+
+    assert [part.name for part in (goal, result, feedback)] == [
+        "Lift_Goal",
+        "Lift_Result",
+        "Lift_Feedback",
+    ]
+    assert [part.fields[0].name for part in (goal, result, feedback)] == ["order", "a", "b"]
+    assert [part.fields[0].line for part in (goal, result, feedback)] == [2, 5, 7]
+    assert [part.comment for part in (goal, result, feedback)] == ["The goal.", "The result.", ""]
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "count"),
+    [("", 1, 0), ("int32 a\n---\nint32 b", 3, 1), ("---\n---\nint32 a\n---\n", 4, 3)],
+)
+def test_an_action_without_three_parts_is_refused(text: str, line: int, count: int) -> None:
+    with pytest.raises(InterfaceError) as caught:
+        parse_action(text, Path("Lift.action"))
+
+    assert str(caught.value) == (
+        f"Lift.action:{line}: expected two lines '---', between goal and result and between"
+        f" result and feedback, found {count}"
+    )
+
+
+def test_the_parts_of_an_action_have_names_of_their_own() -> None:
+    parts = parse_action("int32 a\n---\nint32 a\n---\nint32 a\n", FILE)
+
+    assert [len(part.fields) for part in parts] == [1, 1, 1]
+
+
+names = strategies.from_regex(r"[a-z](_?[a-z0-9]){0,5}", fullmatch=True)
+messages = strategies.from_regex(r"[A-Z][A-Za-z0-9]{0,5}", fullmatch=True)
+
+
+@strategies.composite
+def types(draw: strategies.DrawFn) -> FieldType:
+    base = draw(strategies.sampled_from(sorted(PRIMITIVES)) | messages)
+    package = "" if base in PRIMITIVES else draw(strategies.just("") | names)
+    lengths = strategies.integers(1, 10**6)
+    characters = draw(strategies.none() | lengths) if "string" in base else None
+    is_array = draw(strategies.booleans())
+    size = draw(strategies.none() | lengths) if is_array else None
+    bound = draw(strategies.none() | lengths) if is_array and size is None else None
+    return FieldType(base, package, characters, is_array, size, bound)
+
+
+def written(kind: FieldType) -> str:
+    text = f"{kind.package}/{kind.base}" if kind.package else kind.base
+    if kind.characters is not None:
+        text += f"<={kind.characters}"
+    if kind.size is not None:
+        return f"{text}[{kind.size}]"
+    if kind.bound is not None:
+        return f"{text}[<={kind.bound}]"
+    return f"{text}[]" if kind.is_array else text
+
+
+@given(types(), names)
+def test_any_field_that_is_written_is_read_again(kind: FieldType, name: str) -> None:
+    (field,) = parse(f"{written(kind)} {name}").fields
+
+    assert (field.type, field.name, field.default) == (kind, name, None)
+
+
+pieces = strategies.sampled_from(
+    ["int32", "string", "<=", "[", "]", "3", " ", "\t", "a", "A", "=", "#", '"', "'", "---", "\n"]
+)
+
+
+@given(strategies.text() | strategies.lists(pieces).map("".join))
+def test_any_text_is_a_message_or_refused_with_its_line(text: str) -> None:
+    try:
+        parse(text)
+    except InterfaceError as exc:
+        assert 1 <= exc.line <= len(text.splitlines())  # noqa: PT017 - no error is as good

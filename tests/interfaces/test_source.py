@@ -1,0 +1,154 @@
+"""The modules in `tests/action_files` are generated: so linters and type checkers see such."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import ModuleType
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings, strategies
+
+from fibaction.action import Action
+from fibaction.action_files import load_action
+from fibaction.interfaces.files import read_action
+from fibaction.interfaces.source import python_source
+from tests.action_files import awkward_types, count_types, pick_up_types
+
+FILES = Path(__file__).parent.parent / "action_files"
+GENERATED = {
+    "robot_msgs/action/PickUp.action": pick_up_types,
+    "plain/Count.action": count_types,
+    "plain/Awkward.action": awkward_types,
+}
+
+every_file = pytest.mark.parametrize("name", GENERATED)
+
+
+def source_of(path: Path) -> str:
+    return python_source(read_action(path, search=[FILES]))
+
+
+def run(source: str) -> ModuleType:
+    module = ModuleType("generated_types")
+    # This file's `from __future__` is not that of the module.
+    exec(compile(source, "generated_types.py", "exec", dont_inherit=True), module.__dict__)
+    return module
+
+
+def action_in(module: ModuleType) -> Action[Any, Any, Any]:
+    (found,) = [thing for thing in vars(module).values() if isinstance(thing, Action)]
+    return found
+
+
+def unindented(thing: Any) -> Any:
+    """A schema without the indent that Python, before 3.13, leaves in docstrings."""
+    if isinstance(thing, dict):
+        return {
+            key: inspect.cleandoc(value)
+            if key == "description" and isinstance(value, str)
+            else unindented(value)
+            for key, value in thing.items()
+        }
+    return [unindented(one) for one in thing] if isinstance(thing, list) else thing
+
+
+def constants(kind: type) -> dict[str, Any]:
+    return {name: value for name, value in vars(kind).items() if name.isupper()}
+
+
+def check_that_they_agree(one: Action[Any, Any, Any], other: Action[Any, Any, Any]) -> None:
+    assert unindented(msgspec.to_builtins(one.info)) == unindented(msgspec.to_builtins(other.info))
+    for part in ("goal", "feedback", "result"):
+        left, right = getattr(one, part).type, getattr(other, part).type
+        assert left.__struct_fields__ == right.__struct_fields__
+        assert left.__struct_encode_fields__ == right.__struct_encode_fields__
+        assert left.__struct_config__.forbid_unknown_fields
+        assert right.__struct_config__.forbid_unknown_fields
+        assert msgspec.to_builtins(left()) == msgspec.to_builtins(right())
+        assert constants(left) == constants(right)
+
+
+@every_file
+def test_the_source_is_what_linters_and_type_checkers_have_seen(name: str) -> None:
+    file = GENERATED[name].__file__
+    assert file is not None
+
+    assert source_of(FILES / name) == Path(file).read_text(encoding="utf-8")
+
+
+@every_file
+def test_the_module_and_the_loaded_action_agree(name: str) -> None:
+    check_that_they_agree(action_in(GENERATED[name]), load_action(FILES / name, search=[FILES]))
+
+
+def test_what_comes_from_a_module_is_typed() -> None:
+    goal: pick_up_types.PickUp_Goal = pick_up_types.PICK_UP.goal.decode(b"\x80")
+
+    assert goal.gripper.pads[1].wear == 0
+    assert pick_up_types.PickUp_Goal.HASTY == 2
+
+
+def test_a_constant_of_the_module_is_called_as_no_class(tmp_path: Path) -> None:
+    path = tmp_path / "Imu.action"
+    path.write_text("IMU imu\n---\n---\n")
+    (tmp_path / "IMU.msg").write_text("")
+
+    module = run(source_of(path))
+
+    assert isinstance(module.IMU_, Action)
+    assert module.IMU_.goal.type().imu == module.IMU()
+
+
+def test_a_name_with_slashes_makes_a_constant() -> None:
+    action = read_action(FILES / "plain/Count.action", name="~/arm/count", search=[FILES])
+
+    assert run(python_source(action)).ARM_COUNT.name == "~/arm/count"
+
+
+names = strategies.from_regex(r"[a-z](_?[a-z0-9]){0,8}", fullmatch=True) | strategies.sampled_from(
+    ["int", "str", "bytes", "list", "field", "from", "class", "range", "msgspec", "self", "cls"]
+)
+# What a line of a file can hold: `splitlines` knows more ends of lines than `\n`.
+texts = strategies.text(max_size=200).map(lambda text: " ".join(text.split()))
+integers = ["int8", "uint8", "int32", "uint64", "byte", "char"]
+bases = [*integers, "bool", "float32", "float64", "string", "wstring<=5", "Step", "string<=1000"]
+lengths = ["", "[]", "[2]", "[<=300]"]
+
+
+@strategies.composite
+def lines(draw: strategies.DrawFn) -> str:
+    base, length = draw(strategies.sampled_from(bases)), draw(strategies.sampled_from(lengths))
+    default = ""
+    if not length and draw(strategies.booleans()):
+        if base in integers:
+            default = f" {draw(strategies.integers(0, 127))}"
+        elif base == "float64":
+            default = f" {draw(strategies.floats(allow_nan=False, allow_infinity=False))}"
+        elif base.endswith("1000"):
+            text = draw(texts).replace("#", "").replace("=", "").replace("\\", "\\ ")
+            default = ' "' + text.replace('"', '\\"') + '"'
+    above = "".join(f"# {comment}\n" for comment in draw(strategies.lists(texts, max_size=3)))
+    return f"{above}{base}{length} {{name}}{default}\n"
+
+
+@strategies.composite
+def parts(draw: strategies.DrawFn) -> str:
+    about = "".join(f"# {comment}\n" for comment in draw(strategies.lists(texts, max_size=3)))
+    unique = draw(strategies.lists(names, unique=True, max_size=4))
+    fields = [draw(lines()).replace("{name}", name) for name in unique]
+    return "\n".join([about, f'string TEXT="{draw(names)}"\n', *fields])
+
+
+@settings(max_examples=60)
+@given(strategies.lists(parts(), min_size=3, max_size=3).map("---\n".join))
+def test_any_module_agrees_with_the_loaded_action(text: str) -> None:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "Lift.action"
+        path.write_text(text, encoding="utf-8")
+        loaded = load_action(path, search=[FILES / "plain"])
+        module = run(python_source(read_action(path, search=[FILES / "plain"])))
+    check_that_they_agree(module.LIFT, loaded)
