@@ -5,6 +5,13 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
+# ROS 2 has a virtual environment of its own: its wheels start each Python of theirs twice.
+ROS_VENV := .venv-ros
+ROS_BIN := $(ROS_VENV)/bin
+INTERFACES := examples/ros2/arduinobot_msgs tests/ros2/fibaction_test_msgs
+# It is the wheels that are tested, not a ROS that the shell has been told of.
+no_other_ros = env -u AMENT_PREFIX_PATH -u PYTHONPATH -u RMW_IMPLEMENTATION
+
 ifneq ($(shell command -v uv 2>/dev/null),)
 new_venv = uv venv --quiet --allow-existing --python $(PYTHON) $(1)
 install = uv pip install --quiet --python $(1)/bin/python
@@ -14,7 +21,7 @@ install = $(1)/bin/python -m pip install --quiet
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test format lint types imports unit own-coverage docs docs-serve bench soak fuzz test-wheel clean
+.PHONY: help demo test format lint types imports unit own-coverage docs docs-serve bench soak fuzz test-ros test-wheel ros clean
 
 help:  ## Say what there is
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -22,7 +29,9 @@ help:  ## Say what there is
 demo: $(VENV)/.installed  ## Watch a Fibonacci goal: feedback, a cancel half-way, a result
 	@$(BIN)/python examples/fibonacci_demo.py
 
-test: lint types imports unit own-coverage docs  ## The whole check
+test: lint types imports unit own-coverage docs  ## The whole check, with ROS 2 where it can be had
+	@why=$$($(PYTHON) examples/ros2/build_interfaces.py --platform); if [ -z "$$why" ]; \
+	    then $(MAKE) --no-print-directory test-ros; else echo "test-ros is left out: $$why"; fi
 
 format: $(VENV)/.tools  ## Lay out the code, and mend what can be mended
 	$(BIN)/ruff check --fix .
@@ -40,8 +49,7 @@ imports: $(VENV)/.tools
 	$(BIN)/lint-imports
 
 unit: $(VENV)/.tools
-	$(BIN)/coverage run -m pytest
-	$(BIN)/coverage report --fail-under=100
+	$(BIN)/pytest -n auto --dist worksteal
 
 own-coverage: $(VENV)/.tools  ## Is each module covered by its own test file?
 	$(BIN)/python tests/own_coverage.py
@@ -67,11 +75,25 @@ test-wheel: $(VENV)/.tools  ## Run the tests against the built wheel, from anoth
 	$(BIN)/python -m build --quiet --wheel --outdir dist .
 	$(call new_venv,build/wheel)
 	$(call install,build/wheel) dist/*.whl --group test
-	cd build && wheel/bin/python -m pytest -c ../pyproject.toml --rootdir .. -o pythonpath= \
+	cd build && wheel/bin/python -m pytest -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
 	    -o cache_dir=build/.pytest_cache ../tests
 
+# `timeout` is for a process that does not even end by what the tests have against hanging. The tests
+# spend half of their time waiting for other processes, so two of them run at once.
+test-ros: $(ROS_VENV)/.interfaces  ## Test the ROS 2 transport with ROS 2, from wheels
+	rm -f .coverage-ros .coverage-ros.*
+	FIBACTION_ROS=required COVERAGE_PROCESS_START=tests/ros2/coverage.toml COVERAGE_FILE=.coverage-ros \
+	    $(no_other_ros) timeout --foreground --kill-after=10 1200 \
+	    $(ROS_BIN)/python -m pytest tests/ros2 -n 2 --dist loadfile \
+	    -o faulthandler_timeout=180 -o faulthandler_exit_on_timeout=true
+	$(ROS_BIN)/python -m coverage combine --quiet --data-file=.coverage-ros
+	$(ROS_BIN)/python -m coverage report --data-file=.coverage-ros \
+	    --include='*/fibaction_transports/ros2/*' --fail-under=100
+
+ros: $(ROS_VENV)/.interfaces  ## Make .venv-ros: ROS 2 from wheels, and the interfaces used here
+
 clean:  ## Remove all that was made
-	rm -rf $(VENV) .cache build dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(ROS_VENV) .cache build dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
 
 $(VENV)/.made:
 	$(call new_venv,$(VENV))
@@ -95,4 +117,25 @@ $(VENV)/.fuzz: $(VENV)/.tools
 
 $(VENV)/.bench: $(VENV)/.tools
 	$(call install,$(VENV)) --group bench
+	@touch $@
+
+$(ROS_VENV)/.made:
+	$(call new_venv,$(ROS_VENV))
+	@touch $@
+
+$(ROS_VENV)/.installed: $(ROS_VENV)/.made pyproject.toml
+	$(call install,$(ROS_VENV)) -e . --group test --group ros
+	@cd $(ROS_VENV) && ls -d lib/python*/site-packages/ros_*.dist-info >.found && \
+	    { cmp -s .found .wheels || mv .found .wheels; }
+	@touch $@
+
+# Which wheels there are. It changes only if they do, and then interfaces are built again.
+$(ROS_VENV)/.wheels: $(ROS_VENV)/.installed
+	@:
+
+$(ROS_VENV)/.interfaces: $(ROS_VENV)/.wheels examples/ros2/build_interfaces.py \
+    $(shell find $(INTERFACES) -type f)
+	@which cc c++ >/dev/null || [ "$$(id -u)" != 0 ] || ! which apt-get >/dev/null || \
+	    { apt-get update -qq && apt-get install -yqq g++; }
+	$(no_other_ros) $(ROS_BIN)/python examples/ros2/build_interfaces.py $(INTERFACES)
 	@touch $@

@@ -14,7 +14,7 @@ from contextlib import redirect_stdout
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import anyio
 import msgspec
@@ -23,14 +23,17 @@ import pytest
 import fibaction
 import fibaction.abc
 import fibaction.testing
+import fibaction.waking
 import fibaction.wire.access
 import fibaction.wire.channel
 import fibaction.wire.limits
 import fibaction_transports.inprocess
 import fibaction_transports.tcp
-from fibaction import CancelCode, GoalStatus, messages
+from fibaction import CancelCode, GoalStatus, connect, messages, serve
 from fibaction.framing import MAX_FRAME
+from fibaction.testing import ScriptedServer
 from fibaction.urls import GROUP
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.golden import GOLDEN
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -42,6 +45,8 @@ PAGES = [
     *sorted(DOCS.rglob("*.md")),
 ]
 LANGUAGES = {"python", "text", "console", "toml"}
+WITH_ROS = "it needs ROS 2, and is run where that is"
+"""Why a block is not run here: tests/ros2/test_docs_ros.py runs it."""
 
 _FENCED = re.compile(r"^```(?P<info>[^\n]*)\n(?P<code>.*?)^```$", re.DOTALL | re.MULTILINE)
 _NOT_RUN = re.compile(r"<!-- not run: (?P<reason>.*?) -->\n\Z", re.DOTALL)
@@ -72,11 +77,12 @@ def blocks_of(page: str) -> list[Block]:
     return blocks
 
 
-def run_page(page: str, name: str) -> list[str]:
+def run_page(page: str, name: str, *, ros: bool = False) -> list[str]:
     """Run a page's Python blocks in order, and say where the page is wrong.
 
     A ```text block right after a Python block is what that prints; a block without one prints
-    nothing. A block under `<!-- not run: reason -->` is left out.
+    nothing. A block under `<!-- not run: reason -->` is left out; with `ros`, one that needs ROS 2
+    is not.
     """
     blocks = blocks_of(page)
     module = ModuleType(f"page_{name}")
@@ -87,7 +93,8 @@ def run_page(page: str, name: str) -> list[str]:
             marked = _NOT_RUN.search(block.before)
             if marked is not None and len(marked["reason"].split()) < 3:
                 wrong.append(f"{name}:{block.line}: no reason is given why it is not run")
-            if block.language != "python" or marked is not None:
+            left_out = marked is not None and not (ros and marked["reason"] == WITH_ROS)
+            if block.language != "python" or left_out:
                 continue
             shown = ""
             if following.language == "text" and not following.before.strip():
@@ -185,6 +192,27 @@ def test_an_error_in_an_example_is_not_swallowed() -> None:
         run_page("```python\n1 / 0\n```\n", "page")
 
 
+@pytest.mark.parametrize("name", ["HouseTransport", "QueueTransport"])
+def test_the_transports_that_the_guide_for_authors_shows_work(name: str) -> None:
+    page = (ROOT / "transports" / "README.md").read_text(encoding="utf-8")
+    shown: dict[str, Any] = {}
+    for block in blocks_of(page):
+        if block.language == "python":
+            exec(block.code, shown)
+
+    async def use() -> None:
+        transport = shown[name]()
+        server = ScriptedServer(FIBONACCI, [Feedback([1]), Feedback([2]), Result([3])])
+        with anyio.fail_after(5):
+            async with serve(server, transport), connect(transport, FIBONACCI) as client:
+                async with client.send_goal(Goal(1)) as goal:
+                    seen = [feedback async for feedback in goal.feedback]
+                    assert seen == [Feedback([1]), Feedback([2])]
+                    assert await goal.result() == Result([3])
+
+    anyio.run(use)
+
+
 def test_the_tests_that_a_page_shows_are_run() -> None:
     with pytest.raises(AssertionError):
         run_page("```python\nasync def test_it() -> None:\n    assert False\n```\n", "page")
@@ -197,6 +225,13 @@ def test_an_example_is_left_out_only_with_a_reason() -> None:
     assert run_page(f"<!-- not run:  -->\n{block}", "page") == [
         "page:2: no reason is given why it is not run"
     ]
+
+
+def test_an_example_that_needs_ros_is_left_out_unless_it_is_there() -> None:
+    page = f"<!-- not run: {WITH_ROS} -->\n```python\nprint(1)\n```\n\n```text\n2\n```\n"
+
+    assert run_page(page, "page") == []
+    assert run_page(page, "page", ros=True) == ["page:2: it prints\n1\nand the page says\n2\n"]
 
 
 # What is made from the code
@@ -284,7 +319,7 @@ def test_the_protocol_page_says_the_version_and_the_longest_frame() -> None:
     page = (DOCS / "protocol.md").read_text(encoding="utf-8")
 
     assert f", version {messages.VERSION}.\n" in page
-    assert f"more than {MAX_FRAME // 2**20} MiB" in page
+    assert f"\nA side that does not say takes {MAX_FRAME // 2**20} MiB.\n" in page
 
 
 # What the pages speak of
@@ -308,6 +343,11 @@ def public_names(module: ModuleType) -> set[str]:
     return {name for name in names if not name.startswith("_")}
 
 
+def needs_ros(dotted: str) -> bool:
+    """Whether it can be imported only where ROS 2 is; tests/ros2/test_docs_ros.py looks there."""
+    return dotted.startswith("fibaction_transports.ros2")
+
+
 def resolve(dotted: str) -> object:
     """The object of that name, whose first parts are modules."""
     first, *parts = dotted.split(".")
@@ -325,6 +365,7 @@ def resolve(dotted: str) -> object:
         (fibaction, "connect"),
         (fibaction.abc, "GoalStream"),
         (fibaction.testing, "Step"),
+        (fibaction.waking, "Waking"),
         (fibaction.wire.access, "Peer"),
         (fibaction.wire.channel, "Channel"),
         (fibaction.wire.limits, "Limits"),
@@ -334,7 +375,8 @@ def resolve(dotted: str) -> object:
 )
 def test_every_public_name_is_in_the_reference(module: ModuleType, known: str) -> None:
     pages = [path.read_text(encoding="utf-8") for path in (DOCS / "reference").iterdir()]
-    documented = [resolve(name) for page in pages for name in _DIRECTIVE.findall(page)]
+    directives = [name for page in pages for name in _DIRECTIVE.findall(page)]
+    documented = [resolve(name) for name in directives if not needs_ros(name)]
     names = public_names(module)
 
     missing = {
@@ -358,7 +400,8 @@ def test_the_settings_on_the_page_have_the_defaults_of_the_code() -> None:
 @every_page
 def test_every_dotted_name_in_the_prose_exists(path: Path) -> None:
     for dotted in _NAME.findall(_FENCED.sub("", path.read_text(encoding="utf-8"))):
-        if dotted != GROUP:  # the one name of this form that is not Python's
+        # GROUP is the one name of this form that is not Python's.
+        if dotted != GROUP and not needs_ros(dotted):
             resolve(dotted)
 
 

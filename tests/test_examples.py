@@ -10,8 +10,9 @@ import subprocess
 import sys
 from collections.abc import AsyncGenerator, Iterator, Mapping
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
-from signal import SIGINT, SIGTERM
+from signal import SIGHUP, SIGINT, SIGTERM
 from typing import Any
 
 import anyio
@@ -129,10 +130,13 @@ def test_the_demo_shows_a_cancel_a_success_and_a_rejection(
     assert story.count("\naccepted  ") == 2
 
 
-def test_ctrl_c_ends_the_demo_and_its_server(tmp_path: Path) -> None:
+@pytest.mark.parametrize("signal_number", [SIGINT, SIGTERM, SIGHUP], ids=lambda one: one.name)
+def test_ctrl_c_a_kill_and_a_closed_terminal_end_the_demo_and_its_server(
+    tmp_path: Path, signal_number: signal.Signals
+) -> None:
     process = start("fibonacci_demo.py", cwd=tmp_path)
     announced = lines_until("feedback", process)[0]
-    process.send_signal(SIGINT)
+    process.send_signal(signal_number)
     code, _, err = finish(process)
     assert (code, err) == (0, "")
     host, _, port = announced.strip(".\n").rpartition("//")[2].partition(":")
@@ -558,3 +562,16 @@ def test_an_error_is_one_line_and_an_exit_code(
     assert error in err
     assert len(err.splitlines()) == 1
     assert out == ("goal      order 10\n" if code == 6 else "")
+
+
+@pytest.mark.skipif(find_spec("rclpy") is not None, reason="ROS 2 is there, and nothing to say")
+@pytest.mark.parametrize("script", ["fibonacci_server.py", "fibonacci_client.py"])
+def test_without_ros_its_url_says_in_one_sentence_how_to_get_it(
+    tmp_path: Path, script: str
+) -> None:
+    code, out, err = finish(start(script, "--url", "ros2://", cwd=tmp_path))
+    assert (code, out) == (2, "")
+    assert "error: ros2:// needs rclpy, " in err
+    assert "setup.bash" in err
+    assert "docs/howto/ros2.md" in err
+    assert len(err.splitlines()) == 1

@@ -1,4 +1,4 @@
-"""`python -m tests.benchmarks inprocess` or `tcp`: measure, and print JSON.
+"""`python -m tests.benchmarks inprocess`, `tcp` or `ros2`: measure, and print JSON.
 
 Machines are shared and noisy, so every figure stands beside another that was measured in turn with
 it, in the same run: read the ratios.
@@ -13,9 +13,9 @@ from importlib.metadata import version
 
 import anyio
 
-from tests.benchmarks import inprocess, tcp
+from tests.benchmarks import inprocess, ros2, tcp
 
-SUBJECTS = {"inprocess": inprocess.measure, "tcp": tcp.measure}
+SUBJECTS = {"inprocess": inprocess.measure, "tcp": tcp.measure, "ros2": ros2.measure}
 
 
 def main() -> None:

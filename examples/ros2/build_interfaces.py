@@ -1,0 +1,194 @@
+"""Builds ROS 2 interface packages into a virtual environment that has ROS 2 from wheels.
+
+    VENV/bin/python build_interfaces.py PACKAGE...
+
+A package is a folder with a `package.xml` and a `CMakeLists.txt`, as for colcon. Those that others
+of them need come first. They are built into the environment whose Python runs this script, and
+imported there like any other. The wheels are those of the dependency group `ros`.
+
+Exit codes: 0 all are built, 1 the build of one failed, 2 something is missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+PYTHONS = ((3, 11), (3, 13))
+"""The first and the last CPython that fibaction and the wheels both know."""
+
+# Absolute paths of the machine that built the wheels: of its Python's headers, and of numpy's.
+_PATH = re.compile(
+    r'(?<=[;"])/[^;"]*/(?:(?P<headers>include)/python3\.\d+|lib/python3\.\d+/site-packages)(?=[;"/])'
+)
+
+
+def platform_problem() -> str:
+    """Why there are no wheels of ROS 2 for this Python and machine; nothing if there are some."""
+    implementation, machine = platform.python_implementation(), platform.machine()
+    first, last = PYTHONS
+    if (
+        sys.platform == "linux"
+        and machine == "x86_64"
+        and platform.libc_ver()[0] == "glibc"
+        and implementation == "CPython"
+        and first <= sys.version_info[:2] <= last
+    ):
+        return ""
+    return (
+        "the wheels of ROS 2 are for Linux with glibc on x86_64 and CPython"
+        f" {'.'.join(map(str, first))} to {'.'.join(map(str, last))}, and this is"
+        f" {implementation} {platform.python_version()} on {sys.platform}, {machine}"
+    )
+
+
+def problem(prefix: Path, headers: Path, path: str) -> str:
+    """What is missing in the environment at `prefix`, in one sentence; nothing if all is there.
+
+    `headers` is the folder of Python's headers, `path` where programs are looked for.
+    """
+    if not (prefix / "pyvenv.cfg").is_file():
+        return f"{prefix} is no virtual environment: run this script with the Python of one"
+    if not (prefix / "share" / "rosidl_default_generators").is_dir():
+        return (
+            f"{prefix} has no wheels of ROS 2, or not those that build interfaces:"
+            " install the dependency group `ros` of fibaction's pyproject.toml there"
+        )
+    missing = [
+        what
+        for what, program in {
+            "a C compiler": os.environ.get("CC", "cc"),
+            "a C++ compiler": os.environ.get("CXX", "c++"),
+            "make": "make",
+            "cmake": "cmake",
+        }.items()
+        if shutil.which(program, path=path) is None
+    ]
+    if not (headers / "Python.h").is_file():
+        missing.append(f"Python's header files in {headers}")
+    if missing:
+        return (
+            f"missing: {', '.join(missing)};"
+            " Debian and Ubuntu have all of it in the packages g++, make, cmake and python3-dev"
+        )
+    return ""
+
+
+def problem_of(package: Path) -> str:
+    """Why a folder is no interface package; nothing if it may be one."""
+    for name in ("package.xml", "CMakeLists.txt"):
+        if not (package / name).is_file():
+            return f"{package} is no interface package: it has no {name}"
+    return ""
+
+
+def mend_exports(share: Path, headers: str, packages: str) -> None:
+    """Make the wheels' CMake files name this Python, not that of the machine that built them.
+
+    CMake refuses a target that names folders which are not there. Files that are right stay
+    untouched, so it can be called any number of times.
+    """
+
+    def here(match: re.Match[str]) -> str:
+        if Path(match[0]).exists():
+            return match[0]
+        return headers if match["headers"] else packages
+
+    for file in share.glob("*/cmake/*Export.cmake"):
+        text = file.read_text(encoding="utf-8")
+        mended = _PATH.sub(here, text)
+        if mended != text:
+            file.write_text(mended, encoding="utf-8")
+
+
+def environment(prefix: Path, outside: Mapping[str, str]) -> dict[str, str]:
+    """The environment variables to build with, so that the wheels are found, and no other ROS."""
+    inside = {name: value for name, value in outside.items() if name not in _SET_BY_ROS}
+    # The wheels start each Python anew with their libraries in this path. Compilers and make are
+    # not to load those, and Pythons that are started here add them again.
+    libraries = [
+        folder
+        for folder in outside.get("LD_LIBRARY_PATH", "").split(os.pathsep)
+        if folder and not Path(folder).is_relative_to(prefix)
+    ]
+    inside["LD_LIBRARY_PATH"] = os.pathsep.join(libraries)
+    inside["PATH"] = search_path(prefix, outside)
+    inside["AMENT_PREFIX_PATH"] = inside["CMAKE_PREFIX_PATH"] = str(prefix)
+    return inside
+
+
+_SET_BY_ROS = {"LD_LIBRARY_PATH", "PYTHONPATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
+
+
+def search_path(prefix: Path, outside: Mapping[str, str]) -> str:
+    """Where programs are looked for: the environment's own come first."""
+    return os.pathsep.join((str(prefix / "bin"), outside.get("PATH", os.defpath)))
+
+
+def commands(package: Path, prefix: Path, folder: Path) -> Iterator[list[str]]:
+    """The commands that build a package in a folder, and install it at `prefix`."""
+    yield [
+        *("cmake", "-S", str(package), "-B", str(folder), "-DBUILD_TESTING=OFF"),
+        f"-DCMAKE_INSTALL_PREFIX={prefix}",
+        f"-DPython3_EXECUTABLE={prefix / 'bin' / 'python'}",
+    ]
+    jobs = len(os.sched_getaffinity(0))
+    yield ["cmake", "--build", str(folder), "--target", "install", "--parallel", str(jobs)]
+
+
+def build(package: Path, prefix: Path) -> bool:
+    """Build one package. If that fails, print what the build said, and return False."""
+    variables = environment(prefix, os.environ)
+    with TemporaryDirectory() as folder:
+        for command in commands(package, prefix, Path(folder)):
+            run = subprocess.run(
+                command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            )
+            if run.returncode:
+                print(f"{run.stdout}\n{package} could not be built: see above")
+                return False
+    print(f"{package} is built, and installed in {prefix}")
+    return True
+
+
+def main(packages: list[Path]) -> str | int:
+    """Build the packages into the environment of this Python; give an error or an exit code."""
+    prefix = Path(sys.prefix)
+    paths = sysconfig.get_paths()
+    headers = Path(paths["include"])
+    wrong = platform_problem() or problem(prefix, headers, search_path(prefix, os.environ))
+    for package in packages:
+        wrong = wrong or problem_of(package)
+    if wrong:
+        return wrong
+    mend_exports(prefix / "share", paths["include"], paths["platlib"])
+    return 0 if all(build(package, prefix) for package in packages) else 1
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("packages", type=Path, metavar="PACKAGE", nargs="*")
+    parser.add_argument(
+        "--platform", action="store_true", help="only say why there are no wheels, if so"
+    )
+    arguments = parser.parse_args()
+    if arguments.platform:
+        print(platform_problem())
+    elif not arguments.packages:
+        parser.error("which packages?")
+    else:
+        end = main([package.resolve() for package in arguments.packages])
+        if isinstance(end, str):
+            parser.exit(2, f"error: {end}\n")
+        sys.exit(end)

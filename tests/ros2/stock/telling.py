@@ -1,0 +1,50 @@
+"""The other side of `process`: says things, and is told what to do."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from threading import Thread
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+
+LAST_WAIT = 1.0
+
+
+def say(value: Any) -> None:
+    print(json.dumps(value), flush=True)
+
+
+def told() -> Iterator[dict[str, Any]]:
+    """What is to be done, until standard input ends."""
+    for line in sys.stdin:
+        yield json.loads(line)
+
+
+def shut_down_at_the_end() -> None:
+    """Shut rclpy down when standard input ends, while the main thread spins."""
+
+    def wait() -> None:
+        os.read(sys.stdin.fileno(), 1)
+        rclpy.try_shutdown()
+
+    Thread(target=wait, daemon=True).start()
+
+
+def spin(executor: Any) -> None:
+    with suppress(ExternalShutdownException):
+        executor.spin()
+
+
+def leave(spinner: Thread, node: Any) -> None:
+    """Leave the graph, so that nobody takes the node for alive, and end: rclpy may not stop."""
+    rclpy.shutdown()
+    spinner.join(LAST_WAIT)
+    node.destroy_node()
+    rclpy.get_default_context().destroy()
+    os._exit(0)

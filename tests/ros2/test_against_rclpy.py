@@ -1,0 +1,440 @@
+"""A stock client of rclpy, in another process, uses our server without knowing.
+
+What of rclpy's own tests is covered here, or in `test_rclpy_servers`, is in `test_rclpy_list`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import GoalID, GoalStatus, serve
+from tests.ros2.stock import orders
+from tests.ros2.stock.ours import TYPE, Behaviour
+from tests.ros2.stock.process import Peer, peer
+from tests.ros2.stock.waiting import eventually
+
+pytestmark = pytest.mark.anyio
+
+UNKNOWN, ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = map(int, GoalStatus)
+NONE, REFUSED, UNKNOWN_ID, TERMINATED = range(4)
+RESULT_TIMEOUT = 0.5
+
+
+@pytest.fixture(scope="module", params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+@pytest.fixture(scope="module")
+async def ours(anyio_backend: str) -> AsyncGenerator[Behaviour, None]:
+    behaviour = Behaviour()
+    servers = [
+        behaviour.server("ours", result_timeout=60),
+        behaviour.server("hasty", result_timeout=RESULT_TIMEOUT),
+    ]
+    async with serve(servers, "ros2://our_server"):
+        yield behaviour
+
+
+@pytest.fixture(scope="module")
+async def stock(ours: Behaviour) -> AsyncGenerator[Peer, None]:
+    async with peer("client") as found:
+        assert await found.ask("ready", action="ours")
+        yield found
+
+
+async def send(stock: Peer, order: int, action: str = "ours", **rest: str) -> dict[str, Any]:
+    answer: dict[str, Any] = await stock.ask("send", action=action, order=order, **rest)
+    return answer
+
+
+async def accepted(stock: Peer, order: int, action: str = "ours", **rest: str) -> str:
+    answer = await send(stock, order, action, **rest)
+    assert answer["accepted"]
+    return str(answer["goal"])
+
+
+async def result(stock: Peer, goal: str) -> tuple[int, list[int]]:
+    answer = await stock.ask("result", goal=goal)
+    return answer["status"], answer["sequence"]
+
+
+async def raw_result(stock: Peer, goal: str, action: str = "ours") -> tuple[int, list[int]]:
+    answer = await stock.ask("raw_result", action=action, goal=goal)
+    return answer["status"], answer["sequence"]
+
+
+async def statuses_of(stock: Peer, goal: str, action: str = "ours") -> list[int]:
+    """What the status topic has said of a goal, repetitions left out."""
+    said: list[int] = []
+    for one in await stock.ask("statuses", action=action):
+        said += [status for of, status in one if of == goal and [status] != said[-1:]]
+    return said
+
+
+async def ended(stock: Peer, goal: str, status: int) -> None:
+    """Wait until the status topic has said so, and that it was executed before."""
+    await eventually(lambda: statuses_of(stock, goal), lambda said: said[-1:] == [status])
+
+
+async def feedback(stock: Peer, goal: str, sent: list[list[int]]) -> None:
+    """Compare what has arrived with what was sent. The end of it may be missing: rclpy's client may
+    look at a result before it looks at feedback that came first, which it drops then.
+    """
+    seen = await stock.ask("feedback", goal=goal)
+    assert seen == sent[: len(seen)]
+
+
+async def lives(stock: Peer) -> None:
+    assert await result(stock, await accepted(stock, 4)) == (SUCCEEDED, [0, 1, 1, 2, 3])
+
+
+async def end_all(stock: Peer, ours: Behaviour) -> None:
+    """Nothing of a test is left running."""
+    await stock.ask("raw_cancel", action="ours")
+    ours.released.wake()
+
+
+# Accepting
+
+
+async def test_a_goal_is_accepted_with_a_stamp(stock: Peer) -> None:
+    answer = await send(stock, 3, goal_id="ab" * 16)
+
+    assert answer["accepted"]
+    assert answer["goal"] == "ab" * 16
+    assert answer["stamp"] > 1.7e18
+    assert await result(stock, answer["goal"]) == (SUCCEEDED, [0, 1, 1, 2])
+
+
+async def test_a_rejected_goal_is_known_to_nobody(stock: Peer) -> None:
+    answer = await send(stock, orders.REJECTED)
+
+    assert not answer["accepted"]
+    assert answer["stamp"] == 0
+    await lives(stock)
+    assert await statuses_of(stock, answer["goal"]) == []
+    assert await raw_result(stock, answer["goal"]) == (UNKNOWN, [])
+    cancel = await stock.ask("raw_cancel", action="ours", goal=answer["goal"])
+    assert cancel == {"code": UNKNOWN_ID, "goals": []}
+
+
+async def test_the_reasons_of_a_rejection_and_of_an_abort_are_in_the_log_of_ros(
+    stock: Peer,
+) -> None:
+    rejected = (await send(stock, orders.REJECTED))["goal"]
+    aborted = await accepted(stock, orders.ABORTS)
+
+    async def log() -> str:
+        lines = await stock.ask("log")
+        return "\n".join(text for name, text in lines if name == "our_server")
+
+    said = await eventually(log, lambda text: rejected in text and aborted in text)
+    assert f"ours: goal {rejected} rejected: a sequence has no negative length" in said
+    assert f"ours: goal {aborted} ABORTED: the pen is lost" in said
+
+
+async def test_a_callback_that_raises_rejects_the_goal_and_the_server_goes_on(stock: Peer) -> None:
+    assert not (await send(stock, orders.GOAL_RAISES))["accepted"]
+    await lives(stock)
+
+
+async def test_several_goals_at_once_all_succeed(stock: Peer) -> None:
+    answers = await stock.ask("send_many", action="ours", orders=[3, 4, 5])
+
+    assert [a["sequence"] for a in answers] == [[0, 1, 1, 2], [0, 1, 1, 2, 3], [0, 1, 1, 2, 3, 5]]
+
+
+async def test_an_id_in_use_is_rejected_while_the_goal_runs_and_while_it_is_remembered(
+    stock: Peer, ours: Behaviour
+) -> None:
+    goal = await accepted(stock, orders.WAITS)
+    assert not (await send(stock, 3, goal_id=goal))["accepted"]
+
+    await end_all(stock, ours)
+    await ended(stock, goal, CANCELED)
+    assert not (await send(stock, 3, goal_id=goal))["accepted"]
+
+
+# Executing
+
+
+async def test_feedback_arrives_in_order_and_the_result_after_it(stock: Peer) -> None:
+    goal = await accepted(stock, 5)
+
+    assert await result(stock, goal) == (SUCCEEDED, [0, 1, 1, 2, 3, 5])
+    sequence = [0, 1, 1, 2, 3, 5]
+    await feedback(stock, goal, [sequence[:length] for length in (3, 4, 5, 6)])
+
+
+async def test_feedback_reaches_its_own_goal_only(stock: Peer, ours: Behaviour) -> None:
+    waiting = await accepted(stock, orders.WAITS)
+    await eventually(lambda: stock.ask("feedback", goal=waiting), lambda seen: seen == [[1]])
+
+    other = await accepted(stock, 3)
+
+    assert await result(stock, other) == (SUCCEEDED, [0, 1, 1, 2])
+    await feedback(stock, other, [[0, 1, 1], [0, 1, 1, 2]])
+    assert await stock.ask("feedback", goal=waiting) == [[1]]
+    await end_all(stock, ours)
+
+
+async def test_every_status_is_published_accepted_before_executing(stock: Peer) -> None:
+    goal = await accepted(stock, 3)
+
+    await ended(stock, goal, SUCCEEDED)
+    assert await statuses_of(stock, goal) == [ACCEPTED, EXECUTING, SUCCEEDED]
+    seen = await eventually(lambda: stock.ask("handle_status", goal=goal), lambda s: s > EXECUTING)
+    assert seen == SUCCEEDED
+
+
+async def test_who_subscribes_late_gets_the_last_list_of_statuses(stock: Peer) -> None:
+    goal = await accepted(stock, 3)
+    await ended(stock, goal, SUCCEEDED)
+
+    await stock.ask("watch_anew", action="ours")
+
+    lists = await eventually(lambda: stock.ask("statuses", action="ours"), len)
+    assert len(lists) == 1
+    assert [goal, SUCCEEDED] in lists[0]
+
+
+async def test_an_abort_comes_with_the_part_that_is_done(stock: Peer) -> None:
+    goal = await accepted(stock, orders.ABORTS)
+
+    assert await result(stock, goal) == (ABORTED, orders.PART)
+    await ended(stock, goal, ABORTED)
+    assert await statuses_of(stock, goal) == [ACCEPTED, EXECUTING, ABORTED]
+
+
+@pytest.mark.parametrize("order", [orders.RAISES, orders.FORGETS])
+async def test_an_executor_that_goes_wrong_is_aborted_with_an_empty_result(
+    stock: Peer, order: int
+) -> None:
+    waiting = await accepted(stock, orders.WAITS)
+
+    assert await result(stock, await accepted(stock, order)) == (ABORTED, [])
+
+    await lives(stock)
+    assert (await stock.ask("cancel", goal=waiting))["goals"] == [waiting]  # it still runs
+
+
+async def test_a_result_out_of_range_aborts_its_goal_alone(stock: Peer, ours: Behaviour) -> None:
+    waiting = await accepted(stock, orders.WAITS)
+
+    goal = await accepted(stock, orders.OVERFLOWS)
+
+    assert await result(stock, goal) == (ABORTED, [])
+    await ended(stock, goal, ABORTED)
+
+    async def log() -> str:
+        return "\n".join(text for _, text in await stock.ask("log"))
+
+    said = await eventually(log, lambda text: goal in text)
+    assert "sequence" in next(line for line in said.splitlines() if goal in line)
+    await lives(stock)
+    assert (await stock.ask("cancel", goal=waiting))["goals"] == [waiting]  # it still runs
+
+
+async def test_feedback_out_of_range_is_left_out_and_logged(stock: Peer) -> None:
+    goal = await accepted(stock, orders.FEEDBACK_OVERFLOWS)
+
+    assert await result(stock, goal) == (SUCCEEDED, [])
+    await feedback(stock, goal, [[1], [3]])
+    lines = [text for _, text in await stock.ask("log") if goal in text]
+    assert any("partial_sequence" in line for line in lines), lines
+    await lives(stock)
+
+
+# Canceling
+
+
+async def test_a_cancel_is_accepted_and_the_goal_ends_as_canceled(stock: Peer) -> None:
+    goal = await accepted(stock, orders.WAITS)
+    await eventually(lambda: stock.ask("feedback", goal=goal), len)
+
+    assert await stock.ask("cancel", goal=goal) == {"code": NONE, "goals": [goal]}
+
+    assert await result(stock, goal) == (CANCELED, [])
+    await ended(stock, goal, CANCELED)
+    assert await statuses_of(stock, goal) == [ACCEPTED, EXECUTING, CANCELING, CANCELED]
+
+
+@pytest.mark.parametrize("order", [orders.STUBBORN, orders.CANCEL_RAISES])
+async def test_a_refused_cancel_says_so_and_the_goal_goes_on(
+    stock: Peer, ours: Behaviour, order: int
+) -> None:
+    goal = await accepted(stock, order)
+    await eventually(lambda: stock.ask("feedback", goal=goal), len)
+
+    assert await stock.ask("cancel", goal=goal) == {"code": REFUSED, "goals": []}
+
+    assert (await statuses_of(stock, goal))[-1] == EXECUTING
+    ours.released.wake()
+    assert await result(stock, goal) == (SUCCEEDED, orders.PART)
+
+
+async def test_canceling_all_names_those_that_end_and_no_other(
+    stock: Peer, ours: Behaviour
+) -> None:
+    willing = [await accepted(stock, orders.WAITS) for _ in range(3)]
+    stubborn = [await accepted(stock, orders.STUBBORN) for _ in range(3)]
+    for goal in (*willing, *stubborn):
+        await eventually(lambda goal=goal: stock.ask("feedback", goal=goal), len)  # type: ignore[misc]
+
+    answer = await stock.ask("raw_cancel", action="ours")
+
+    assert answer == {"code": NONE, "goals": sorted(willing)}
+    assert [(await result(stock, goal))[0] for goal in willing] == [CANCELED] * 3
+    ours.released.wake()
+    assert [(await result(stock, goal))[0] for goal in stubborn] == [SUCCEEDED] * 3
+
+
+async def test_canceling_all_when_all_refuse_says_rejected(stock: Peer, ours: Behaviour) -> None:
+    goal = await accepted(stock, orders.STUBBORN)
+    await eventually(lambda: stock.ask("feedback", goal=goal), len)
+
+    assert await stock.ask("raw_cancel", action="ours") == {"code": REFUSED, "goals": []}
+
+    ours.released.wake()
+    assert (await result(stock, goal))[0] == SUCCEEDED
+
+
+async def test_canceling_by_time_includes_the_goal_of_that_very_stamp(
+    stock: Peer, ours: Behaviour
+) -> None:
+    answers = [await send(stock, orders.WAITS) for _ in range(3)]
+    goals = [answer["goal"] for answer in answers]
+
+    canceled = await stock.ask("raw_cancel", action="ours", stamp=answers[1]["stamp"])
+
+    assert canceled == {"code": NONE, "goals": sorted(goals[:2])}
+    await end_all(stock, ours)
+
+
+async def test_canceling_by_time_and_id_includes_both(stock: Peer, ours: Behaviour) -> None:
+    answers = [await send(stock, orders.WAITS) for _ in range(3)]
+    goals = [answer["goal"] for answer in answers]
+
+    canceled = await stock.ask(
+        "raw_cancel", action="ours", stamp=answers[0]["stamp"], goal=goals[2]
+    )
+
+    assert canceled == {"code": NONE, "goals": sorted([goals[0], goals[2]])}
+    await end_all(stock, ours)
+
+
+async def test_a_cancel_of_nothing_has_the_code_of_rcl(stock: Peer) -> None:
+    over = await accepted(stock, 3)
+    await result(stock, over)
+
+    async def code(**what: Any) -> int:
+        answer = await stock.ask("raw_cancel", action="ours", **what)
+        assert answer["goals"] == []
+        return int(answer["code"])
+
+    assert await code() == NONE
+    assert await code(stamp=1) == NONE
+    assert await code(goal="cd" * 16) == UNKNOWN_ID
+    assert await code(goal="cd" * 16, stamp=1) == NONE
+    assert await code(goal=over) == TERMINATED
+
+
+# Results
+
+
+async def test_a_result_can_be_asked_for_late_and_again(stock: Peer) -> None:
+    goal = await accepted(stock, 3)
+    await ended(stock, goal, SUCCEEDED)
+
+    assert await raw_result(stock, goal) == (SUCCEEDED, [0, 1, 1, 2])
+    assert await raw_result(stock, goal) == (SUCCEEDED, [0, 1, 1, 2])
+
+
+async def test_a_result_expires_and_then_the_id_is_free_again(stock: Peer) -> None:
+    goals = [await accepted(stock, order, "hasty") for order in (2, 3)]
+    assert await result(stock, goals[0]) == (SUCCEEDED, [0, 1, 1])
+    kept = await accepted(stock, orders.WAITS, "hasty")
+
+    async def listed() -> list[str]:
+        lists = await stock.ask("statuses", action="hasty")
+        return [goal for goal, _ in lists[-1]]
+
+    assert await eventually(listed, lambda seen: len(seen) == 1) == [kept]
+    assert [await raw_result(stock, goal, "hasty") for goal in goals] == [(UNKNOWN, [])] * 2
+    canceled = await stock.ask("raw_cancel", action="hasty", goal=goals[0])
+    assert canceled["code"] == UNKNOWN_ID
+    again = await accepted(stock, 4, "hasty", goal_id=goals[0])
+    assert await result(stock, again) == (SUCCEEDED, [0, 1, 1, 2, 3])
+    await stock.ask("raw_cancel", action="hasty")
+
+
+async def test_an_unknown_goal_has_no_result(stock: Peer) -> None:
+    assert await raw_result(stock, GoalID.random().hex()) == (UNKNOWN, [])
+
+
+# What others in the graph see
+
+
+async def test_the_graph_shows_the_action_its_server_and_its_client(stock: Peer) -> None:
+    expected = [["/hasty", [TYPE]], ["/ours", [TYPE]]]
+
+    async def of(do: str, **arguments: str) -> list[Any]:
+        found: list[Any] = await stock.ask(do, **arguments)
+        return sorted(one for one in found if one in expected)
+
+    async def seen() -> list[list[Any]]:
+        return [
+            await of("graph"),
+            await of("servers_of", node="our_server"),
+            await of("clients_of", node="our_server"),
+            await of("servers_of", node="stock_client"),
+        ]
+
+    await eventually(seen, lambda all_of: all_of == [expected, expected, [], []])
+
+
+async def test_the_topics_are_offered_as_rcl_action_offers_them(stock: Peer) -> None:
+    async def profiles(topic: str) -> Any:
+        return await stock.ask("profiles", topic=f"/ours/_action/{topic}")
+
+    assert await profiles("feedback") == [["RELIABLE", "VOLATILE"]]
+    assert await profiles("status") == [["RELIABLE", "TRANSIENT_LOCAL"]]
+
+
+async def test_services_publish_no_events_of_introspection(stock: Peer) -> None:
+    await lives(stock)
+
+    topics = await stock.ask("topics")
+
+    assert "/ours/_action/status" in topics
+    assert not [topic for topic in topics if "_service_event" in topic]
+
+
+# Clients that do wrong
+
+
+async def test_a_client_of_another_type_under_the_same_name_disturbs_nobody(stock: Peer) -> None:
+    async with peer("client") as other:
+        await other.ask("send_other_type", action="ours")
+        await lives(stock)
+        assert not await other.ask("send_other_type", action="ours")  # it finds no server
+    await lives(stock)
+
+
+async def test_a_client_that_is_killed_disturbs_nobody(stock: Peer, ours: Behaviour) -> None:
+    async with peer("client") as other:
+        goal = await accepted(other, orders.WAITS)
+        other.process.kill()
+
+    with anyio.fail_after(10):
+        await lives(stock)
+        answer = await stock.ask("raw_cancel", action="ours", goal=goal)
+        assert answer == {"code": NONE, "goals": [goal]}
+        await ended(stock, goal, CANCELED)
+    assert await raw_result(stock, goal) == (CANCELED, [])
+    await lives(stock)

@@ -1,0 +1,78 @@
+"""`fibaction bridge` with a ROS graph on one side, and real rclpy in it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import uuid
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from signal import SIGTERM
+
+import anyio
+import pytest
+from anyio.abc import Process
+from anyio.streams.buffered import BufferedByteReceiveStream
+
+from fibaction import ActionServer, GoalStatus, connect, serve
+from tests.fibonacci import FIBONACCI, Goal, fibonacci
+from tests.ros2.stock.ours import action
+from tests.ros2.stock.process import PATIENCE, peer
+
+pytestmark = pytest.mark.asyncio
+
+
+@asynccontextmanager
+async def bridge(*arguments: str) -> AsyncGenerator[Process, None]:
+    """The command as a process, when it has said that it bridges; stopped by SIGTERM."""
+    command = Path(sys.executable).with_name("fibaction")
+    process = await anyio.open_process(
+        [str(command), "bridge", *arguments], stdin=subprocess.DEVNULL, stderr=None
+    )
+    async with process:
+        try:
+            assert process.stdout is not None
+            with anyio.fail_after(PATIENCE):
+                said = await BufferedByteReceiveStream(process.stdout).receive_until(b"\n", 1000)
+            assert said.startswith(b"bridging ")
+            yield process
+            process.send_signal(SIGTERM)
+            with anyio.fail_after(PATIENCE):
+                assert await process.wait() == 0
+        finally:
+            if process.returncode is None:
+                process.kill()
+
+
+async def test_a_server_of_rclpy_is_reached_without_ros(tmp_path: Path) -> None:
+    url = f"unix://{tmp_path}/socket"
+    async with (
+        peer("server"),
+        bridge("ros2://", url, "stock"),
+        connect(url) as connection,
+    ):
+        (info,) = await connection.actions()
+        assert (info.name, info.type_name) == ("stock", "arduinobot_msgs/action/Fibonacci")
+        client = connection.client(action("stock"))
+        async with client.send_goal(Goal(order=4)) as goal:
+            feedback = [one.partial_sequence async for one in goal.feedback]
+            result = await goal.result()
+
+    assert feedback == [[0, 1, 1], [0, 1, 1, 2], [0, 1, 1, 2, 3]]
+    assert result.sequence == [0, 1, 1, 2, 3]
+
+
+async def test_a_server_without_ros_is_reached_by_a_client_of_rclpy(tmp_path: Path) -> None:
+    name = f"n{uuid.uuid4().hex}"
+    async with (
+        serve(ActionServer(FIBONACCI, fibonacci), f"unix://{tmp_path}/socket") as (url,),
+        bridge(url, f"ros2://?namespace=/{name}"),
+        peer("client") as stock,
+    ):
+        sent = await stock.ask("send", action=f"/{name}/fibonacci", order=4)
+        answer = await stock.ask("result", goal=sent["goal"])
+        seen = await stock.ask("feedback", goal=sent["goal"])
+
+    assert answer == {"status": GoalStatus.SUCCEEDED, "sequence": [0, 1, 1, 2, 3]}
+    assert seen == [[0, 1, 1], [0, 1, 1, 2], [0, 1, 1, 2, 3]]

@@ -1,0 +1,111 @@
+"""What the tests with ROS 2 have in common: their domain, and that none is left out unseen."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.ros2.conftest import DOMAIN, DOMAINS, claim_domain
+
+CONFTEST = Path(__file__).with_name("conftest.py")
+SKIPPING = """
+import pytest
+
+def test_passes():
+    pass
+
+def test_skips():
+    pytest.skip("no robot")
+
+@pytest.mark.xfail(reason="known")
+def test_fails_as_expected():
+    assert False
+"""
+
+
+def run(folder: Path, *, required: bool, conftest: str | None = None) -> tuple[int, str]:
+    """Run the tests of a folder with our conftest, and give the exit code and the output."""
+    (folder / "conftest.py").write_text(conftest or CONFTEST.read_text())
+    (folder / "pytest.ini").touch()  # ours has paths that are not there
+    ended = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-rs", str(folder)],
+        cwd=folder,
+        env={**os.environ, "FIBACTION_ROS": "required" if required else ""},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=50,
+    )
+    return ended.returncode, ended.stdout
+
+
+def test_the_run_has_a_domain_of_its_own() -> None:
+    assert os.environ["ROS_DOMAIN_ID"] == str(DOMAIN)
+    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+
+
+def test_a_domain_is_claimed_by_one_run_at_a_time() -> None:
+    first, claim = claim_domain(7)
+    second, another = claim_domain(first)
+    claim.close()
+    third, again = claim_domain(first)
+
+    assert first != second
+    assert third == first
+    for socket in (another, again):
+        socket.close()
+
+
+def test_domains_beyond_the_last_begin_again() -> None:
+    domain, claim = claim_domain(DOMAINS * 41 + 3)
+
+    claim.close()
+    assert 0 <= domain < DOMAINS
+
+
+def test_a_skip_is_a_failure_where_ros_is_required(tmp_path: Path) -> None:
+    (tmp_path / "test_it.py").write_text(SKIPPING)
+
+    code, said = run(tmp_path, required=True)
+
+    assert code == 1
+    assert "1 failed, 1 passed, 1 xfailed" in said
+    assert "a skip is a failure" in said
+    assert "no robot" in said
+
+
+def test_a_skip_is_a_skip_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "test_it.py").write_text(SKIPPING)
+
+    code, said = run(tmp_path, required=False)
+
+    assert code == 0
+    assert "1 passed, 1 skipped, 1 xfailed" in said
+
+
+def test_a_module_that_skips_itself_is_a_failure_where_ros_is_required(tmp_path: Path) -> None:
+    (tmp_path / "test_it.py").write_text("import pytest\npytest.importorskip('no_such_module')\n")
+
+    code, said = run(tmp_path, required=True)
+
+    assert code == 2
+    assert re.search("a skip is a failure.*no_such_module", said, re.DOTALL)
+
+
+@pytest.mark.parametrize("required", [True, False])
+def test_without_ros_nothing_is_collected_and_that_is_an_error_where_it_is_required(
+    tmp_path: Path, required: bool
+) -> None:
+    (tmp_path / "test_it.py").write_text("raise AssertionError('it is imported')")
+    conftest = CONFTEST.read_text().replace('"rclpy"', '"no_such_package"')
+
+    code, said = run(tmp_path, required=required, conftest=conftest)
+
+    assert "it is imported" not in said
+    assert code == (pytest.ExitCode.USAGE_ERROR if required else pytest.ExitCode.NO_TESTS_COLLECTED)
+    assert ("there is no no_such_package" in said) is required

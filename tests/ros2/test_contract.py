@@ -1,0 +1,95 @@
+"""The contract of all transports, over ROS 2, with fibaction at both ends.
+
+The tests are those of `tests/contract`. What ROS 2 cannot keep is left out by `EXCLUSIONS`.
+"""
+
+from __future__ import annotations
+
+import uuid
+from importlib import import_module
+
+import pytest
+
+MODULES = [
+    "tests.contract.test_accepting",
+    "tests.contract.test_canceling",
+    "tests.contract.test_ending",
+    "tests.contract.test_executing",
+    "tests.contract.test_feedback",
+]
+pytest.register_assert_rewrite(*MODULES)
+
+from tests.contract import conftest as contract  # noqa: E402  # rewritten first
+
+pytestmark = pytest.mark.anyio
+anyio_backend = contract.anyio_backend
+
+REASON = "ROS 2's answers have no field for a reason"
+AGAIN = "a second goal with the ID of another is rejected, as rcl_action does"
+DEFAULT = "every field has a value in ROS 2, so one that is left out has its default"
+TYPE = "an action without a ROS type cannot be served"
+HOLD = "feedback is broadcast, and no client can make a server wait"
+NUMBER = "feedback is not numbered, so what was lost on the way cannot be counted"
+PAST = "feedback of the past is not kept for those who come late"
+
+EXCLUSIONS: dict[str, str] = {
+    "test_on_goal_sees_the_goal_and_its_reason_reaches_the_client": REASON,
+    "test_a_callback_that_fails_rejects_the_goal_and_the_server_goes_on": REASON,
+    "test_a_callback_that_returns_something_rejects_the_goal": REASON,
+    "test_a_rejected_goal_sent_again_is_rejected_again_without_a_second_decision": REASON,
+    "test_a_cancel_is_raised_at_an_await_and_the_part_that_is_done_is_kept": REASON,
+    "test_clean_up_that_raises_is_aborted_with_the_reason": REASON,
+    "test_a_refused_cancel_leaves_the_goal_running": REASON,
+    "test_a_cancel_callback_that_fails_refuses": REASON,
+    "test_cancel_all_tells_the_truth_when_some_refuse": REASON,
+    "test_leaving_the_block_of_a_goal_that_refuses_is_logged": REASON,
+    "test_stopping_ends_every_goal_as_aborted_and_answers_everybody": REASON,
+    "test_a_goal_that_is_sent_while_the_server_stops_is_rejected": REASON,
+    "test_an_executor_that_does_not_stop_in_time_is_killed": REASON,
+    "test_an_executor_that_goes_wrong_is_aborted_with_the_reason": REASON,
+    "test_the_same_goal_sent_again_gets_the_same_answer_and_runs_once": AGAIN,
+    "test_the_same_goal_sent_again_while_it_is_decided_waits_for_that": AGAIN,
+    "test_another_goal_under_an_id_in_use_is_rejected": AGAIN,
+    "test_a_goal_of_the_wrong_type_is_rejected_and_the_reason_names_the_field": DEFAULT,
+    "test_an_action_that_nobody_serves_is_not_found_and_can_be_waited_for": TYPE,
+    "test_several_actions_share_one_connection": TYPE,
+    "test_an_executor_that_never_awaits_starves_nobody_and_can_be_canceled": TYPE,
+    "test_the_executor_waits_at_its_yield_for_a_client_that_does_not_read": HOLD,
+    "test_a_client_that_stalls_loses_the_oldest_and_is_told_how_many": HOLD,
+    "test_a_client_that_has_caught_up_loses_nothing_again": HOLD,
+    "test_a_goal_whose_feedback_is_not_read_delays_no_other_goal": HOLD,
+    "test_latest_never_waits_and_a_slow_reader_sees_the_newest": NUMBER,
+    "test_an_observer_follows_from_now_on_and_slows_nobody_down": NUMBER,
+    "test_an_observer_may_ask_for_what_was_before": PAST,
+}
+"""The tests that ROS 2 cannot keep, each with the reason."""
+
+
+def address() -> str:
+    """A namespace where nobody serves anything."""
+    return f"ros2://?namespace=/t{uuid.uuid4().hex}"
+
+
+WAYS = {
+    "ros2": contract.Reach(contract.directly, address),
+    "gateway to ros2": contract.Reach(contract.through_a_gateway, address),
+}
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thousand goals take some 6 s, and several times that on a busy machine."""
+    monkeypatch.setattr(contract, "PATIENCE", 45.0)
+
+
+@pytest.fixture(params=list(WAYS))
+def reach(request: pytest.FixtureRequest) -> contract.Reach:
+    return WAYS[request.param]
+
+
+for module in map(import_module, MODULES):
+    globals().update(
+        (name, test)
+        for name, test in vars(module).items()
+        if name.startswith("test_") and name not in EXCLUSIONS
+    )

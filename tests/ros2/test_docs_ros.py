@@ -1,0 +1,152 @@
+"""The documentation where ROS 2 is: the examples that need it, and the reference of `ros2://`."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import signal
+import subprocess
+import sys
+import uuid
+from collections.abc import Mapping
+from contextlib import ExitStack
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+import fibaction_transports.ros2
+from fibaction_transports.ros2 import Ros2Transport
+from tests import test_docs as docs
+
+PROGRAMS = docs.DOCS / "coming_from_rclpy.md"
+MAKERS = ("rclpy", "fibaction")
+SUCCEEDS, IS_CANCELED, IS_REJECTED = GOALS = ("5 0", "46 8", "47 0")
+"""Arguments of a client: the order, and the length of the feedback at which it cancels."""
+FEEDBACK = ["[0, 1, 1]", "[0, 1, 1, 2]", "[0, 1, 1, 2, 3]", "[0, 1, 1, 2, 3, 5]"]
+PATIENCE = 30  # seconds for a process: several times what it takes when the machine is busy
+
+_PART = re.compile(r"<!-- not run: a part of (\S+), which is run where ROS 2 is -->\n\Z")
+
+pages_with_ros = [path for path in docs.PAGES if docs.WITH_ROS in path.read_text(encoding="utf-8")]
+
+
+@pytest.mark.parametrize("path", pages_with_ros, ids=[path.stem for path in pages_with_ros])
+def test_every_example_that_needs_ros_runs_and_prints_what_the_page_shows(path: Path) -> None:
+    wrong = docs.run_page(path.read_text(encoding="utf-8"), path.name, ros=True)
+
+    assert not wrong, "\n".join(wrong)
+
+
+def test_there_are_pages_with_examples_that_need_ros() -> None:
+    assert docs.DOCS / "transports.md" in pages_with_ros
+
+
+def test_the_public_names_are_in_the_reference() -> None:
+    page = (docs.DOCS / "reference" / "ros2.md").read_text(encoding="utf-8")
+    documented = re.findall(r"^::: (\S+)$", page, re.MULTILINE)
+
+    assert [docs.resolve(name) for name in documented] == [
+        getattr(fibaction_transports.ros2, name) for name in fibaction_transports.ros2.__all__
+    ]
+
+
+def test_the_settings_on_the_page_have_the_defaults_of_the_code() -> None:
+    page = (docs.DOCS / "reference" / "ros2.md").read_text(encoding="utf-8")
+    section = page.partition("\n## Settings\n")[2].partition("\n:::")[0]
+    settings = dict(inspect.signature(Ros2Transport).parameters)
+    del settings["node_name"]  # it is what the URL itself says
+
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \|", section, re.MULTILINE)
+    documented = {name: ast.literal_eval(default.strip("`")) for name, default in rows}
+    assert documented == {name: setting.default for name, setting in settings.items()}
+
+
+# The programs that "Coming from rclpy" sets side by side
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the programs, each put together from its parts on the page."""
+    parts: dict[str, list[str]] = {}
+    for block in docs.blocks_of(PROGRAMS.read_text(encoding="utf-8")):
+        if marked := _PART.search(block.before):
+            parts.setdefault(marked[1], []).append(block.code)
+    folder = tmp_path_factory.mktemp("programs")
+    for name, codes in parts.items():
+        (folder / name).write_text("\n".join(codes), encoding="utf-8")
+    return folder
+
+
+def start(program: Path, namespace: str, *arguments: str) -> subprocess.Popen[str]:
+    command = [sys.executable, str(program), *arguments, "--ros-args", "-r", f"__ns:={namespace}"]
+    return subprocess.Popen(
+        command, cwd=program.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    with process:
+        try:
+            out, err = process.communicate(timeout=PATIENCE)
+        finally:
+            process.kill()
+    return process.returncode, out, err
+
+
+@pytest.fixture(scope="module")
+def stories(programs: Path) -> Mapping[tuple[str, str, str], list[str]]:
+    """What each client prints about each goal, by the makers of server and client."""
+    servers = {maker: f"/{maker}_{uuid.uuid4().hex[:8]}" for maker in MAKERS}
+    with ExitStack() as stack:
+        serving = [
+            start(programs / f"{maker}_server.py", where) for maker, where in servers.items()
+        ]
+        for process in serving:
+            stack.callback(finish, process)
+            stack.callback(process.send_signal, signal.SIGINT)
+        # All at once: they spend their time waiting.
+        asking = {
+            (server, client, goal): start(programs / f"{client}_client.py", where, *goal.split())
+            for server, where in servers.items()
+            for client in MAKERS
+            for goal in GOALS
+        }
+        ended = {key: finish(process) for key, process in asking.items()}
+        assert [process.poll() for process in serving] == [None, None], "a server has ended"
+    for key, (code, _, err) in ended.items():
+        assert code == 0, f"{key}: {err}"
+    return {key: out.splitlines() for key, (_, out, _) in ended.items()}
+
+
+every_pair = pytest.mark.parametrize(("server", "client"), list(product(MAKERS, MAKERS)))
+
+
+@every_pair
+def test_a_goal_succeeds_whoever_serves_and_whoever_asks(
+    stories: Mapping[tuple[str, str, str], list[str]], server: str, client: str
+) -> None:
+    *feedback, last = stories[server, client, SUCCEEDS]
+
+    assert last == "SUCCEEDED [0, 1, 1, 2, 3, 5]"
+    # rclpy does not wait for the connection of its topic, so its first messages may be lost.
+    assert feedback == FEEDBACK[len(FEEDBACK) - len(feedback) :]
+    assert feedback
+
+
+@every_pair
+def test_a_goal_is_canceled_whoever_serves_and_whoever_asks(
+    stories: Mapping[tuple[str, str, str], list[str]], server: str, client: str
+) -> None:
+    *_, last = stories[server, client, IS_CANCELED]
+
+    assert re.fullmatch(r"CANCELED \[0, 1, 1, 2, .*\]", last)
+    assert len(last.split()) < 40
+
+
+@every_pair
+def test_a_goal_is_rejected_whoever_serves_and_whoever_asks(
+    stories: Mapping[tuple[str, str, str], list[str]], server: str, client: str
+) -> None:
+    assert stories[server, client, IS_REJECTED] == ["REJECTED"]

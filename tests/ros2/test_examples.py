@@ -1,0 +1,172 @@
+"""The Fibonacci examples over ROS 2, server and client as two processes, the way users run them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from signal import SIGINT, SIGKILL, SIGTERM
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PATIENCE = 30  # seconds for a whole process: several times what it takes when the machine is busy
+QUICK, STEADY, SLOW = 0.0, 0.2, 60.0  # seconds per number
+NO_REASON = "the server rejected it; ROS 2 transmits no reason, but the server's log may have it"
+# What parses the interfaces of ROS 2 imports a module of `re` by its old name.
+STRICT = ("-W", "error", "-W", "ignore:module 'sre_:DeprecationWarning")
+
+
+def start(script: str, *arguments: str) -> subprocess.Popen[str]:
+    command = [sys.executable, *STRICT, str(EXAMPLES / script), *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    with process:
+        try:
+            out, err = process.communicate(timeout=PATIENCE)
+        finally:
+            process.kill()
+    return process.returncode, out, err
+
+
+def start_client(url: str, *arguments: str, patience: float = PATIENCE) -> subprocess.Popen[str]:
+    url = f"{url}&discovery_timeout={patience}"
+    return start("fibonacci_client.py", "--url", url, *arguments)
+
+
+def lines_until(start_of_line: str, process: subprocess.Popen[str]) -> list[str]:
+    """What a process prints, up to the first line that starts so."""
+    assert process.stdout is not None
+    lines: list[str] = []
+    while not (lines and lines[-1].startswith(start_of_line)):
+        line = process.stdout.readline()
+        assert line, f"it ended after {lines}"
+        lines.append(line)
+    return lines
+
+
+@contextmanager
+def serving(period: float) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The server as a process, in a namespace of its own, and its URL."""
+    url = f"ros2://?namespace=/n{uuid.uuid4().hex}"
+    process = start("fibonacci_server.py", "--url", url, "--period", str(period))
+    try:
+        announced = lines_until("serving", process)
+        assert announced == [f"serving fibonacci at {url}, Ctrl-C stops it\n"]
+        yield process, url
+    finally:
+        process.kill()
+        process.communicate(timeout=PATIENCE)
+
+
+def test_a_goal_succeeds_and_another_is_rejected_and_the_server_says_why() -> None:
+    with serving(QUICK) as (server, url):
+        clients = [start_client(url, "--order", order) for order in ("4", "47")]
+        (code, out, err), (refused, told, complaint) = map(finish, clients)
+        server.send_signal(SIGTERM)
+        _, log = server.communicate(timeout=PATIENCE)
+
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    goal_id = lines.pop(1).removeprefix("accepted  ")
+    assert lines == [
+        "goal      order 4",
+        "feedback  0 1 1",
+        "feedback  0 1 1 2",
+        "feedback  0 1 1 2 3",
+        "succeeded",
+        "result    0 1 1 2 3",
+    ]
+    assert f"goal {goal_id} SUCCEEDED" in log
+
+    assert (refused, complaint) == (4, "")
+    assert told.splitlines() == [
+        "goal      order 47",
+        f"rejected  {NO_REASON}",
+    ]
+    (warning,) = (line for line in log.splitlines() if line.startswith("[WARN]"))
+    assert warning.endswith(
+        "rejected: order is 47, and the numbers after index 46 do not fit int32"
+    )
+    assert server.returncode == 0
+    assert "Traceback" not in log
+
+
+def test_ctrl_c_cancels_the_goal_and_what_there_was_is_printed() -> None:
+    with serving(SLOW) as (_, url):
+        client = start_client(url)
+        lines_until("accepted", client)
+        client.send_signal(SIGINT)
+        code, out, err = finish(client)
+
+    assert (code, err) == (3, "")
+    # The answer to the cancel and the end of the goal come by two services, in either order.
+    lines = out.splitlines()
+    assert [line for line in lines if line != "cancel    accepted"] == ["canceled", "result    0 1"]
+
+
+@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
+def test_a_server_that_is_stopped_ends_its_goals_and_leaves_nothing_behind(number: int) -> None:
+    with serving(SLOW) as (server, url):
+        client = start_client(url)
+        lines_until("accepted", client)
+        server.send_signal(number)
+        code, out, err = finish(client)
+        _, log = server.communicate(timeout=PATIENCE)
+
+    assert (code, err) == (1, "")
+    assert out.splitlines() == ["aborted", "result    0 1"]  # ROS transmits no reason
+    assert server.returncode == 0
+    assert " action server 'fibonacci' has stopped\n" in log
+    assert " ABORTED: server stopped\n" in log
+    assert not [word for word in ("Traceback", "terminate called", "dumped") if word in log]
+
+
+def test_a_client_ends_when_the_server_is_killed() -> None:
+    with serving(STEADY) as (server, url):
+        client = start_client(url, "--order", "46", patience=6)
+        lines_until("feedback  0 1 1 2 3 5 8", client)  # signs of life have been heard by then
+        server.send_signal(SIGKILL)
+        code, _, err = finish(client)
+
+    assert code == 6
+    assert err.splitlines()[-1] == "error: the server of 'fibonacci' has gone away"
+
+
+def test_a_client_says_in_one_line_that_nobody_serves() -> None:
+    name = f"n{uuid.uuid4().hex}"
+    client = start_client(f"ros2://?namespace=/{name}", patience=0.1)
+    code, out, err = finish(client)
+
+    assert (code, out) == (6, "goal      order 10\n")
+    assert err.startswith("error: nobody serves the action 'fibonacci' in ROS: ")
+    assert f"/{name}/fibonacci" in err
+    assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("script", ["fibonacci_client.py", "fibonacci_server.py"])
+@pytest.mark.parametrize(
+    ("url", "error"),
+    [
+        ("ros2://?domain_id=many", "'domain_id' cannot be 'many'"),
+        ("ros2://?domain_id=1000", "domain_id is between 0 and 232, not 1000"),
+        ("ros2://?speed=9", "has no setting 'speed'"),
+        ("ros2://two%20words", "two%20words"),
+        ("ros2://?namespace=two words", "namespace"),
+    ],
+)
+def test_a_url_that_cannot_be_used_is_one_line_and_an_exit_code(
+    script: str, url: str, error: str
+) -> None:
+    code, out, err = finish(start(script, "--url", url))
+
+    assert (code, out) == (2, "")
+    # The server logs its end as well, if it had begun before ROS said no.
+    *_, last = err.splitlines()
+    assert error in last
+    assert "error: " in last

@@ -1,0 +1,175 @@
+"""A server goes away, in whatever way: nobody waits for it for ever."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from time import perf_counter
+
+import anyio
+import pytest
+
+from fibaction import (
+    ActionClient,
+    ClientGoal,
+    ConnectionLost,
+    GoalAborted,
+    GoalRejected,
+    ServerNotFound,
+    connect,
+)
+from tests.fibonacci import Feedback, Goal, Result
+from tests.ros2.stock import orders
+from tests.ros2.stock.ours import action
+from tests.ros2.stock.process import Peer, peer
+
+pytestmark = pytest.mark.anyio
+
+LEASE = 3
+"""Seconds after which Fast DDS takes a process for dead, if it was told so; else it takes 20."""
+PROFILE = f"""\
+<?xml version="1.0" encoding="UTF-8" ?>
+<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <participant profile_name="short_lease" is_default_profile="true"><rtps><builtin>
+    <discovery_config>
+      <leaseDuration><sec>{LEASE}</sec></leaseDuration>
+      <leaseAnnouncement><sec>1</sec></leaseAnnouncement>
+    </discovery_config>
+  </builtin></rtps></participant>
+</profiles>
+"""
+SOON, LEASE_OF_OURS = 3.0, 8.0
+"""Seconds that are generous for what takes 0.3 and for what takes 2.5."""
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@asynccontextmanager
+async def waiting_for(
+    server: Peer, name: str, order: int = orders.WAITS
+) -> AsyncGenerator[
+    tuple[ActionClient[Goal, Feedback, Result], ClientGoal[Feedback, Result]], None
+]:
+    async with connect("ros2://", action(name)) as client:
+        await client.wait_for_server(20)
+        goal = await client.send_goal(Goal(order))
+        assert await anext(goal.feedback) == Feedback([1])
+        yield client, goal
+
+
+async def lost_after(act: Callable[[], object], goal: ClientGoal[Feedback, Result]) -> float:
+    """The seconds from the act until all who wait for the goal are told that it is lost."""
+
+    async def read() -> None:
+        with pytest.raises(ConnectionLost, match="has gone away"):
+            async for _ in goal.feedback:
+                pass
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(read)
+        await anyio.wait_all_tasks_blocked()
+        start = perf_counter()
+        act()
+        with pytest.raises(ConnectionLost, match="has gone away"):
+            await goal.result()
+    return perf_counter() - start
+
+
+async def test_a_server_of_ours_that_is_killed_is_missed_by_its_signs_of_life() -> None:
+    async with peer("ours", "serve_it", "loss_killed", "asyncio") as server:
+        async with waiting_for(server, "loss_killed") as (client, goal):
+            seconds = await lost_after(server.process.kill, goal)
+            print(f"SIGKILL of a fibaction server: {seconds:.2f} s")
+            assert seconds < LEASE_OF_OURS
+            with pytest.raises(ServerNotFound):
+                await client.send_goal(Goal(1))
+
+
+async def test_all_that_is_pending_ends_when_a_server_of_ours_is_killed() -> None:
+    ended: list[str] = []
+
+    async with peer("ours", "serve_it", "loss_pending", "asyncio") as server:
+        async with waiting_for(server, "loss_pending") as (client, _):
+            server.signal(signal.SIGSTOP)  # it answers nothing any more
+
+            async def end_with_loss(name: str, pending: Callable[[], object]) -> None:
+                with pytest.raises(ConnectionLost):
+                    await pending()  # type: ignore[misc]  # all of them are awaitable
+                ended.append(name)
+
+            async def statuses() -> None:
+                with await client.endpoint.status() as found:
+                    while await found.receive() is not None:
+                        pass
+
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(end_with_loss, "call", lambda: client.call(Goal(1)))
+                tasks.start_soon(end_with_loss, "cancel", client.cancel_goals)
+                tasks.start_soon(end_with_loss, "statuses", statuses)
+                await anyio.wait_all_tasks_blocked()
+                server.process.kill()
+                start = perf_counter()
+        assert perf_counter() - start < LEASE_OF_OURS
+        assert sorted(ended) == ["call", "cancel", "statuses"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+async def test_a_server_of_ours_that_stops_ends_its_goals_first(number: signal.Signals) -> None:
+    name = f"loss_{number.name.lower()}"
+    async with peer("ours", "serve_it", name, "asyncio") as server:
+        async with waiting_for(server, name) as (client, goal):
+            start = perf_counter()
+            server.signal(number)
+            with pytest.raises(GoalAborted):
+                await goal.result()
+            aborted = perf_counter() - start
+            with pytest.raises(ServerNotFound):
+                while True:
+                    with suppress(GoalRejected, ConnectionLost):  # it stops just now
+                        await client.call(Goal(1))
+            gone = perf_counter() - start
+            print(f"{number.name} to a fibaction server: {aborted:.2f} s, gone: {gone:.2f} s")
+            assert gone < LEASE_OF_OURS
+
+
+async def test_a_stock_server_that_stops_is_missed_at_once() -> None:
+    async with peer("tutorial_server") as server:
+        async with connect("ros2://", action("tutorial")) as client:
+            await client.wait_for_server(20)
+            goal = await client.send_goal(Goal(50))
+            assert await anext(goal.feedback) == Feedback([0, 1, 1])
+
+            seconds = await lost_after(lambda: server.signal(signal.SIGINT), goal)
+
+            print(f"SIGINT to a stock server: {seconds:.2f} s")
+            assert seconds < SOON
+
+
+async def test_a_stock_server_that_is_killed_is_missed_when_its_lease_ends(
+    tmp_path: Path,
+) -> None:
+    profile = tmp_path / "profile.xml"
+    profile.write_text(PROFILE)
+    async with peer("server", FASTDDS_DEFAULT_PROFILES_FILE=str(profile)) as server:
+        async with waiting_for(server, "stock") as (_, goal):
+            seconds = await lost_after(server.process.kill, goal)
+            print(f"SIGKILL of a stock server, lease {LEASE} s: {seconds:.2f} s")
+            assert seconds < 3 * LEASE
+
+
+async def test_a_server_that_comes_back_is_used_again() -> None:
+    async with connect("ros2://", action("loss_again")) as client:
+        async with peer("ours", "serve_it", "loss_again", "asyncio") as server:
+            await client.wait_for_server(20)
+            goal = await client.send_goal(Goal(orders.WAITS))
+            server.process.kill()
+            with pytest.raises(ConnectionLost):
+                await goal.result()
+        async with peer("ours", "serve_it", "loss_again", "asyncio"):
+            await client.wait_for_server(20)
+            assert await client.call(Goal(2)) == Result([0, 1, 1])

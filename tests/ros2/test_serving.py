@@ -1,0 +1,425 @@
+"""The server's half, called by the bare services and topics that any client in ROS has."""
+
+from __future__ import annotations
+
+import logging
+import uuid
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import (
+    ActionServer,
+    CancelCode,
+    CancelRejected,
+    ConnectionLost,
+    GoalHandle,
+    GoalID,
+    GoalInfo,
+    GoalRejected,
+    GoalStatus,
+    connect,
+    serve,
+)
+from fibaction_transports.inprocess import InProcessTransport
+from fibaction_transports.ros2 import feedback, serving
+from fibaction_transports.ros2.cdr import info_of, unpack_statuses
+from fibaction_transports.ros2.following import Reading, RosGoal
+from fibaction_transports.ros2.messages import RosAction
+from fibaction_transports.ros2.names import action_names
+from fibaction_transports.ros2.node import NodeSettings, own_node
+from fibaction_transports.ros2.rcl import qos, raw, uuid_of
+from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+
+pytestmark = pytest.mark.anyio
+
+Items = AsyncGenerator[Feedback | Result, None]
+
+
+@pytest.fixture
+def url() -> str:
+    """A namespace where nobody serves anything."""
+    return f"ros2://?namespace=/t{uuid.uuid4().hex}"
+
+
+async def forever(goal: GoalHandle[Goal]) -> Items:
+    yield Feedback([1])
+    await anyio.sleep_forever()
+    yield Result([])
+
+
+@asynccontextmanager
+async def bare(url: str) -> AsyncGenerator[Any, None]:
+    """What the client half sends its requests with, for requests that it would not send."""
+    async with connect(url) as connection:
+        endpoint: Any = connection.endpoint(FIBONACCI)
+        await endpoint.wait_for_server()
+        yield endpoint._server
+
+
+async def ask_result(server: Any, goal_id: GoalID) -> Any:
+    request = server.impl.GetResultService.Request()
+    request.goal_id.uuid = uuid_of(goal_id)
+    stream = RosGoal(goal_id, Raw(), 10, reads=False)
+    server._follow(stream)
+    server._ask_result(stream)
+    return await stream.outcome()
+
+
+class Raw(Reading):
+    """Reads nothing into what arrives."""
+
+    def feedback(self, message: bytes) -> bytes:
+        return message
+
+    def outcome(self, response: Any) -> Any:
+        return response
+
+
+async def send(server: Any, goal_id: GoalID, order: int) -> Any:
+    request = server.impl.SendGoalService.Request()
+    request.goal_id.uuid = uuid_of(goal_id)
+    request.goal.order = order
+    return await server._goals.ask(request)
+
+
+async def test_a_goal_id_that_is_in_use_is_rejected_as_rcl_does(url: str) -> None:
+    goal_id = GoalID.random()
+    with anyio.fail_after(10):
+        async with serve(ActionServer(FIBONACCI, forever), url), bare(url) as server:
+            assert (await send(server, goal_id, 1)).accepted
+            assert not (await send(server, goal_id, 1)).accepted
+            assert not (await send(server, goal_id, 2)).accepted
+
+
+async def test_a_goal_sent_twice_while_it_is_decided_is_accepted_once(url: str) -> None:
+    asked, decide = anyio.Event(), anyio.Event()
+    answers: list[bool] = []
+    goal_id = GoalID.random()
+
+    async def on_goal(goal: Goal) -> None:
+        asked.set()
+        await decide.wait()
+
+    async def one() -> None:
+        answers.append((await send(server, goal_id, 1)).accepted)
+
+    with anyio.fail_after(10):
+        async with (
+            serve(ActionServer(FIBONACCI, forever, on_goal=on_goal), url),
+            bare(url) as server,
+            anyio.create_task_group() as tasks,
+        ):
+            tasks.start_soon(one)
+            await asked.wait()
+            tasks.start_soon(one)
+            await anyio.sleep(0.1)  # the second has no sign by which to know that it has arrived
+            assert answers == []
+            decide.set()
+    assert sorted(answers) == [False, True]
+
+
+async def test_a_rejection_says_its_reason_in_the_log_of_ros(
+    url: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def on_goal(goal: Goal) -> None:
+        raise GoalRejected("it is\nbusy")
+
+    def on_cancel(goal: GoalHandle[Goal]) -> None:
+        raise CancelRejected("too late")
+
+    with anyio.fail_after(10):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci, on_goal=on_goal), url),
+            bare(url) as server,
+        ):
+            assert not (await send(server, GoalID.random(), 1)).accepted
+        async with (
+            serve(ActionServer(FIBONACCI, forever, on_cancel=on_cancel), url),
+            bare(url) as server,
+        ):
+            assert (await send(server, GoalID.random(), 1)).accepted
+            response = await server.cancel(server.impl.CancelGoalService.Request())
+            assert response.return_code == CancelCode.REJECTED
+    said = capfd.readouterr().err
+    assert "rejected: it is busy" in said
+    assert "cancel refused: too late" in said
+    assert "ABORTED: server stopped" in said
+
+
+async def test_an_unknown_goal_has_the_status_0_at_once(url: str) -> None:
+    with anyio.fail_after(10):
+        async with serve(ActionServer(FIBONACCI, fibonacci), url), bare(url) as server:
+            response = await ask_result(server, GoalID.random())
+    assert response.status == GoalStatus.UNKNOWN
+
+
+async def test_a_result_that_is_no_ros_message_aborts_the_goal(
+    url: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    async def too_large(goal: GoalHandle[Goal]) -> Items:
+        yield Feedback([2**31])
+        yield Feedback([7])
+        yield Feedback([2**32])
+        yield Result([2**31])
+
+    with anyio.fail_after(10):
+        async with (
+            serve(ActionServer(FIBONACCI, too_large), url),
+            connect(url, FIBONACCI) as client,
+        ):
+            with await client.endpoint.status() as statuses:
+                goal = await client.send_goal(Goal(1))
+                assert [item async for item in goal.feedback] == [Feedback([7])]
+                assert (await goal.outcome()).status is GoalStatus.ABORTED
+                seen = [await statuses.receive() for _ in range(3)]
+    assert [one.status for one in seen if one is not None] == [
+        GoalStatus.ACCEPTED,
+        GoalStatus.EXECUTING,
+        GoalStatus.ABORTED,
+    ]
+    said = capfd.readouterr().err
+    assert said.count("is no ROS message, and is left out") == 1
+    assert "its result is no ROS message" in said
+
+
+async def test_an_outcome_waits_a_while_for_the_first_who_asks(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fibaction_transports.ros2.pump.GRACE", 5.0)
+    server = ActionServer(FIBONACCI, fibonacci, result_timeout=0)
+    with anyio.fail_after(10):
+        async with serve(server, url), bare(url) as reached:
+            goal_id = GoalID.random()
+            await send(reached, goal_id, 1)
+            assert (await ask_result(reached, goal_id)).status == GoalStatus.SUCCEEDED
+            assert (await ask_result(reached, goal_id)).status == GoalStatus.UNKNOWN
+
+
+async def test_goals_of_other_transports_are_seen_with_their_feedback(url: str) -> None:
+    go = anyio.Event()
+
+    async def waits(goal: GoalHandle[Goal]) -> Items:
+        await go.wait()
+        yield Feedback([7])
+        yield Result([8])
+
+    server = ActionServer(FIBONACCI, waits)
+    with anyio.fail_after(10):
+        async with (
+            serve(server, InProcessTransport(), url) as (here, _),
+            connect(here, FIBONACCI) as mine,
+            connect(url, FIBONACCI) as theirs,
+        ):
+            goal = await mine.send_goal(Goal(1))
+            seen = await theirs.attach(goal.goal_id)
+            go.set()
+            assert [item async for item in seen.feedback] == [Feedback([7])]
+            assert await seen.result() == Result([8])
+
+
+async def test_a_second_server_of_the_same_action_is_warned_about(
+    url: str,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(serving, "RIVALS_PAUSE", 0.05)
+    async with (
+        serve(ActionServer(FIBONACCI, fibonacci), url),
+        serve(ActionServer(FIBONACCI, fibonacci), url),
+    ):
+        with anyio.fail_after(10):
+            while len(caplog.records) < 2:  # noqa: ASYNC110  # a log offers nothing to wait for
+                await anyio.sleep(0.01)
+        await anyio.sleep(0.2)
+    warnings = [one.message for one in caplog.records if "somebody else serves it" in one.message]
+    assert len(warnings) == 2  # each of them, once
+    assert "somebody else serves it" in capfd.readouterr().err
+
+
+class Broken:
+    """Stands before an endpoint, and fails."""
+
+    def __init__(self, error: Exception) -> None:
+        self.error = error
+
+    def __call__(self, *_: object, **__: object) -> Any:
+        raise self.error
+
+
+@pytest.mark.parametrize("error", [ConnectionLost("it is gone"), KeyError("a bug")], ids=type)
+async def test_an_endpoint_that_fails_is_an_answer_and_the_server_goes_on(
+    url: str, error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = ActionServer(FIBONACCI, forever)
+    with anyio.fail_after(10):
+        async with serve(server, url), bare(url) as reached:
+            with monkeypatch.context() as broken:
+                for name in ("send_goal", "cancel_goals", "get_result"):
+                    broken.setattr(server, name, Broken(error))
+                assert not (await send(reached, GoalID.random(), 1)).accepted
+                cancel = reached.impl.CancelGoalService.Request()
+                assert (await reached.cancel(cancel)).return_code == CancelCode.REJECTED
+                assert (await ask_result(reached, GoalID.random())).status == GoalStatus.UNKNOWN
+            assert (await send(reached, GoalID.random(), 1)).accepted
+
+
+async def test_more_requests_than_can_be_under_way_are_lost_and_that_is_logged(
+    url: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(serving, "UNDERWAY", 1)
+    with anyio.fail_after(10):
+        async with serve(ActionServer(FIBONACCI, forever), url), bare(url) as server:
+            goal_id = GoalID.random()
+            await send(server, goal_id, 1)
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(ask_result, server, goal_id)
+                tasks.start_soon(ask_result, server, goal_id)
+                while "one is lost" not in caplog.text:  # noqa: ASYNC110  # as above
+                    await anyio.sleep(0.01)
+                tasks.cancel_scope.cancel()
+
+
+async def test_the_statuses_of_an_endpoint_that_comes_back_are_followed_again(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serving, "RETRY_PAUSE", 0.01)
+    server = ActionServer(FIBONACCI, forever)
+    follow: Callable[[], Any] = server.status
+    fails = iter([ConnectionLost("it is gone")])
+
+    async def status() -> Any:
+        for error in fails:
+            raise error
+        return await follow()
+
+    monkeypatch.setattr(server, "status", status)
+    with anyio.fail_after(10):
+        async with serve(server, url), connect(url, FIBONACCI) as client:
+            with await client.endpoint.status() as statuses:
+                goal = await client.send_goal(Goal(1))
+                info = await statuses.receive()
+    assert info is not None
+    assert info.goal_id == goal.goal_id
+
+
+async def test_a_subscriber_that_never_matches_delays_only_one_goal(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(feedback, "MATCH_TIMEOUT", 0.1)
+    place = url.partition("=")[2]
+    impl = RosAction.find(FIBONACCI.type_name).ros_type.Impl
+    async with own_node(NodeSettings(namespace=place)) as ros:
+        name = action_names(ros.node, "fibonacci").feedback
+        wants_more = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
+        ros.make(raw.Subscription, impl.FeedbackMessage, name, wants_more.get_c_qos_profile())
+        with anyio.fail_after(10):
+            async with (
+                serve(ActionServer(FIBONACCI, fibonacci), url),
+                connect(url, FIBONACCI) as client,
+            ):
+                for _ in range(3):
+                    assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
+
+
+async def test_a_goal_that_a_gateway_has_lost_is_unknown(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As if the server behind it had gone away in the middle."""
+    server = ActionServer(FIBONACCI, forever)
+    streams: list[RosGoal] = []
+
+    async def send_goal(goal_id: GoalID, *_: object, **__: object) -> RosGoal:
+        stream = RosGoal(goal_id, Raw(), 10, reads=True)
+        stream.begin(GoalInfo(goal_id, 5, GoalStatus.ACCEPTED))
+        streams.append(stream)
+        return stream
+
+    monkeypatch.setattr(server, "send_goal", send_goal)
+    goal_id = GoalID.random()
+    with anyio.fail_after(10):
+        async with serve(server, url), bare(url) as reached:
+            assert (await send(reached, goal_id, 1)).accepted
+            streams[0].fail(ConnectionLost("it is gone"))
+            assert (await ask_result(reached, goal_id)).status == GoalStatus.UNKNOWN
+
+
+async def test_a_goal_of_another_transport_that_cannot_be_followed_disturbs_nobody(
+    url: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "fibaction.ros2")
+    server = ActionServer(FIBONACCI, fibonacci)
+    monkeypatch.setattr(server, "feedback", Broken(ConnectionLost("it is gone")))
+    with anyio.fail_after(10):
+        async with (
+            serve(server, InProcessTransport(), url) as (here, _),
+            connect(here, FIBONACCI) as mine,
+            connect(url, FIBONACCI) as theirs,
+        ):
+            goal = await mine.send_goal(Goal(2))
+            while "no feedback of goal" not in caplog.text:  # noqa: ASYNC110  # as above
+                await anyio.sleep(0.01)
+            assert await goal.result() == await theirs.call(Goal(2)) == Result([0, 1, 1])
+
+
+async def test_a_client_that_asks_for_a_result_while_the_server_leaves_gets_it(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = ActionServer(FIBONACCI, forever)
+    stop: Callable[[], Any] = server.stop
+    stopped = anyio.Event()
+
+    async def stops() -> None:
+        await stop()
+        stopped.set()
+
+    monkeypatch.setattr(server, "stop", stops)
+    statuses: list[int] = []
+    goal_id = GoalID.random()
+    with anyio.fail_after(10):
+        async with connect(url) as connection, anyio.create_task_group() as tasks:
+            endpoint: Any = connection.endpoint(FIBONACCI)
+
+            async def ask() -> None:
+                await stopped.wait()
+                statuses.append((await ask_result(endpoint._server, goal_id)).status)
+
+            async with serve(server, url):
+                await endpoint.wait_for_server()
+                assert (await send(endpoint._server, goal_id, 1)).accepted
+                tasks.start_soon(ask)
+    assert statuses == [GoalStatus.ABORTED]
+
+
+async def test_every_status_of_a_goal_is_published_though_those_of_all_goals_are_read_late(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published: list[list[GoalStatus]] = []
+    publish = serving.Served._publish_status
+
+    def record(self: Any, message: bytes) -> None:
+        published.append([info_of(line).status for line in unpack_statuses(message)])
+        publish(self, message)
+
+    async def never(self: Any) -> None:
+        await anyio.sleep_forever()
+
+    monkeypatch.setattr(serving.Served, "_publish_status", record)
+    monkeypatch.setattr(serving.Served, "_follow_statuses", never)
+    with anyio.fail_after(10):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), url),
+            connect(url, FIBONACCI) as client,
+        ):
+            assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
+    assert published == [
+        [],
+        [GoalStatus.ACCEPTED],
+        [GoalStatus.EXECUTING],
+        [GoalStatus.SUCCEEDED],
+    ]

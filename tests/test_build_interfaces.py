@@ -1,0 +1,224 @@
+"""The script that builds ROS 2 interfaces: what it finds, mends and says.
+
+`make test-ros` builds with it.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
+
+from ros2.build_interfaces import environment, mend_exports, platform_problem, problem, problem_of
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+SCRIPT = EXAMPLES / "ros2" / "build_interfaces.py"
+
+
+@pytest.fixture
+def prefix(tmp_path: Path) -> Path:
+    """What the script looks for in a virtual environment, as empty files."""
+    for name in ("pyvenv.cfg", "include/Python.h", "bin/cc", "bin/c++", "bin/make", "bin/cmake"):
+        file = tmp_path / "venv" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch(mode=0o755)
+    (tmp_path / "venv" / "share" / "rosidl_default_generators").mkdir(parents=True)
+    return tmp_path / "venv"
+
+
+@pytest.fixture(autouse=True)
+def no_compilers_of_the_shell(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.delenv("CXX", raising=False)
+
+
+def problem_in(prefix: Path) -> str:
+    return problem(prefix, prefix / "include", str(prefix / "bin"))
+
+
+# What is missing
+
+
+def test_nothing_is_said_of_an_environment_that_has_it_all(prefix: Path) -> None:
+    assert problem_in(prefix) == ""
+
+
+@pytest.mark.parametrize(
+    ("without", "said"),
+    [
+        ("pyvenv.cfg", "is no virtual environment"),
+        ("share/rosidl_default_generators", "install the dependency group `ros`"),
+        ("bin/cc", "missing: a C compiler;"),
+        ("bin/c++", "missing: a C++ compiler;"),
+        ("bin/make", "missing: make;"),
+        ("bin/cmake", "missing: cmake;"),
+        ("include/Python.h", "missing: Python's header files in "),
+    ],
+)
+def test_what_is_missing_is_said(prefix: Path, without: str, said: str) -> None:
+    (prefix / without).rename(prefix / "elsewhere")
+
+    assert said in problem_in(prefix)
+
+
+def test_all_that_is_missing_is_said_at_once(prefix: Path) -> None:
+    (prefix / "bin" / "make").unlink()
+    (prefix / "bin" / "c++").unlink()
+
+    assert "missing: a C++ compiler, make;" in problem_in(prefix)
+
+
+def test_a_compiler_that_the_user_names_is_taken(
+    prefix: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (prefix / "bin" / "c++").rename(prefix / "bin" / "my-c++")
+    monkeypatch.setenv("CXX", "my-c++")
+
+    assert problem_in(prefix) == ""
+
+
+@pytest.mark.parametrize("name", ["package.xml", "CMakeLists.txt"])
+def test_a_folder_that_is_no_interface_package_is_refused(tmp_path: Path, name: str) -> None:
+    for file in {"package.xml", "CMakeLists.txt"} - {name}:
+        (tmp_path / file).touch()
+
+    assert problem_of(tmp_path) == f"{tmp_path} is no interface package: it has no {name}"
+
+
+def test_the_packages_of_this_project_are_interface_packages() -> None:
+    assert problem_of(EXAMPLES / "ros2" / "arduinobot_msgs") == ""
+    assert problem_of(Path(__file__).parent / "ros2" / "fibaction_test_msgs") == ""
+
+
+@pytest.mark.parametrize("python", ["3.11.0", "3.13.9"])
+def test_there_are_wheels_for_linux_on_x86_64(python: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    pretend(monkeypatch, python=python)
+
+    assert platform_problem() == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("system", "darwin"),
+        ("machine", "aarch64"),
+        ("libc", "musl"),
+        ("implementation", "PyPy"),
+        ("python", "3.10.14"),
+        ("python", "3.14.0"),
+    ],
+)
+def test_where_there_are_no_wheels_it_is_said_where_there_are(
+    name: str, value: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pretend(monkeypatch, **{name: value})
+
+    said = platform_problem()
+
+    assert "on x86_64 and CPython 3.11 to 3.13, and this is" in said
+    assert name == "libc" or value in said  # the name of the other libc is not known
+
+
+def pretend(
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    system: str = "linux",
+    machine: str = "x86_64",
+    libc: str = "glibc",
+    implementation: str = "CPython",
+    python: str = "3.12.1",
+) -> None:
+    """Let the script see another machine and Python."""
+    monkeypatch.setattr(sys, "platform", system)
+    monkeypatch.setattr(sys, "version_info", tuple(map(int, python.split("."))))
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    monkeypatch.setattr(platform, "libc_ver", lambda: (libc, "2.36"))
+    monkeypatch.setattr(platform, "python_implementation", lambda: implementation)
+    monkeypatch.setattr(platform, "python_version", lambda: python)
+
+
+# What is mended
+
+
+BUILT_ELSEWHERE = (
+    'INTERFACE_INCLUDE_DIRECTORIES "${_IMPORT_PREFIX}/include/std_msgs;'
+    "/opt/python/cp3-cp3/include/python3.12;"
+    '/opt/python/cp3-cp3/lib/python3.12/site-packages/numpy/_core/include"\n'
+)
+BUILT_HERE = (
+    'INTERFACE_INCLUDE_DIRECTORIES "${_IMPORT_PREFIX}/include/std_msgs;'
+    "/here/include/python3.12;"
+    '/here/packages/numpy/_core/include"\n'
+)
+
+
+def export(share: Path, text: str) -> Path:
+    file = share / "std_msgs" / "cmake" / "export_std_msgs__rosidl_generator_pyExport.cmake"
+    file.parent.mkdir(parents=True)
+    file.write_text(text)
+    return file
+
+
+def test_paths_of_the_machine_that_built_the_wheels_become_those_of_this_one(
+    tmp_path: Path,
+) -> None:
+    file = export(tmp_path, BUILT_ELSEWHERE)
+
+    mend_exports(tmp_path, "/here/include/python3.12", "/here/packages")
+
+    assert file.read_text() == BUILT_HERE
+
+
+def test_paths_that_are_there_stay(tmp_path: Path) -> None:
+    headers = tmp_path / "include" / "python3.12"
+    headers.mkdir(parents=True)
+    file = export(tmp_path, f'"/usr/include;{headers}"')
+    os.utime(file, (1, 1))
+
+    mend_exports(tmp_path, "/here/include/python3.12", "/here/packages")
+
+    assert file.read_text() == f'"/usr/include;{headers}"'
+    assert file.stat().st_mtime == 1
+
+
+# What it is built with
+
+
+def test_the_build_sees_the_environment_and_no_other_ros() -> None:
+    found = environment(
+        Path("/venv"),
+        {
+            "PATH": "/usr/bin",
+            "HOME": "/home/me",
+            "PYTHONPATH": "/opt/ros/lib/python",
+            "AMENT_PREFIX_PATH": "/opt/ros",
+            "LD_LIBRARY_PATH": "/venv/lib:/mine:/venv/ros_rcl.libs",
+        },
+    )
+
+    assert found == {
+        "PATH": "/venv/bin:/usr/bin",
+        "HOME": "/home/me",
+        "AMENT_PREFIX_PATH": "/venv",
+        "CMAKE_PREFIX_PATH": "/venv",
+        "LD_LIBRARY_PATH": "/mine",
+    }
+
+
+# The script
+
+
+def test_an_error_is_one_line() -> None:
+    ended = subprocess.run(
+        [sys.executable, str(SCRIPT), "/dev/null"], capture_output=True, text=True, timeout=30
+    )
+
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("error: ")
+    assert ended.stderr.count("\n") == 1

@@ -1,0 +1,20 @@
+"""ROS 2: servers of fibaction are action servers of ROS, and its clients drive any such server.
+
+Importing it needs rclpy; nothing else in fibaction does.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from fibaction.exceptions import TransportError
+
+if find_spec("rclpy") is None:
+    raise TransportError(
+        "ros2:// needs rclpy, which this Python does not find: source the setup.bash of a ROS 2"
+        " installation, or take it from wheels as docs/howto/ros2.md says"
+    )
+
+from fibaction_transports.ros2.transport import Ros2Transport  # after that check
+
+__all__ = ["Ros2Transport"]

@@ -1,0 +1,261 @@
+"""The client's half: endpoints whose servers are action servers of ROS."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Callable, Iterable
+from contextlib import asynccontextmanager
+from typing import Any, TypeVar
+
+import anyio
+from anyio import current_time
+from anyio.abc import TaskGroup
+
+from fibaction.abc import Connection, Endpoint
+from fibaction.action import Action, ActionInfo
+from fibaction.background import Background
+from fibaction.exceptions import ConnectionLost, GoalRejected, ProtocolError, TransportError
+from fibaction.goals import (
+    UNKNOWN_OUTCOME,
+    ActionPeers,
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    Outcome,
+)
+from fibaction.states import GoalStatus
+from fibaction_transports.ros2.following import Reading, RosGoal, RosStatuses
+from fibaction_transports.ros2.messages import RosAction, RosCodecs
+from fibaction_transports.ros2.names import action_names
+from fibaction_transports.ros2.node import RosNode
+from fibaction_transports.ros2.rcl import deserialize, uuid_of
+from fibaction_transports.ros2.remote import RemoteServer
+
+SETTLED = 0.2
+"""Seconds without a new action after which the list of actions counts as complete."""
+LIST_PAUSE = 0.05
+"""Seconds between two looks at the graph."""
+
+FoundT = TypeVar("FoundT")
+
+_FEEDBACK = "/_action/feedback"
+_SUFFIX = "_FeedbackMessage"
+_UNNAMED = "_NODE_NAME_UNKNOWN_"
+
+
+class RosEndpoint(Endpoint):
+    """One action of ROS, with the types that its user sees."""
+
+    def __init__(self, server: RemoteServer, info: ActionInfo, codecs: RosCodecs) -> None:
+        self._server = server
+        self._info = info
+        self._codecs = codecs
+        self._reading = _Reading(server.impl, codecs)
+
+    @property
+    def info(self) -> ActionInfo:
+        return self._info
+
+    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> RosGoal:
+        try:
+            message = self._codecs.goal.to_ros(goal)
+        except ProtocolError as exc:
+            raise GoalRejected(str(exc), goal_id=goal_id) from exc
+        stream = RosGoal(goal_id, self._reading, self._server.depth, reads=feedback)
+        await self._server.send(stream, message)
+        return stream
+
+    async def feedback(
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+    ) -> RosGoal:
+        """See `Endpoint.feedback`. ROS remembers no feedback, so `after` has no effect."""
+        stream = RosGoal(goal_id, self._reading, self._server.depth, reads=True)
+        await self._server.attach(stream)
+        return stream
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        request = self._server.impl.CancelGoalService.Request()
+        info = request.goal_info
+        info.goal_id.uuid = uuid_of(goal_id or bytes(16))
+        info.stamp.sec, info.stamp.nanosec = divmod(stamp or 0, 10**9)
+        response = await self._server.cancel(request)
+        canceling = tuple(
+            GoalInfo(
+                GoalID(bytes(one.goal_id.uuid)),
+                one.stamp.sec * 10**9 + one.stamp.nanosec,
+                GoalStatus.CANCELING,
+            )
+            for one in response.goals_canceling
+        )
+        try:
+            code = CancelCode(response.return_code)
+        except ValueError as exc:
+            raise ProtocolError(f"the answer to a cancel: {exc}") from exc
+        if goal_id is not None and not stamp and not canceling and code is CancelCode.NONE:
+            code = CancelCode.REJECTED  # rclpy's servers have no other way to say so
+        return CancelAnswer(code, canceling)
+
+    async def status(self) -> RosStatuses:
+        return await self._server.watch()
+
+    async def wait_for_server(self) -> None:
+        await self._server.presence.come()
+
+
+class _Reading(Reading):
+    """How an endpoint reads what arrives."""
+
+    def __init__(self, impl: Any, codecs: RosCodecs) -> None:
+        self._impl = impl
+        self._codecs = codecs
+        self._empty = codecs.result.from_ros(codecs.result.to_ros(None))
+
+    def feedback(self, message: bytes) -> bytes:
+        try:
+            found = deserialize(message, self._impl.FeedbackMessage)
+        except Exception as exc:  # rclpy raises whatever rcl says
+            raise ProtocolError(f"feedback of {len(message)} bytes: {exc}") from exc
+        return self._codecs.feedback.from_ros(found.feedback)
+
+    def outcome(self, response: Any) -> Outcome[bytes]:
+        status = GoalStatus(response.status)
+        if status is GoalStatus.UNKNOWN:
+            return UNKNOWN_OUTCOME
+        result: bytes | None = self._codecs.result.from_ros(response.result)
+        if status is not GoalStatus.SUCCEEDED and result == self._empty:
+            result = None  # ROS has no way to say that there is none
+        return Outcome(status, result)
+
+
+class RosConnection(Connection):
+    """A node that is a client of whatever is served in its graph."""
+
+    def __init__(
+        self, ros: RosNode, tasks: TaskGroup, *, feedback_depth: int, discovery_timeout: float
+    ) -> None:
+        self._ros = ros
+        self._tasks = tasks
+        self._depth = feedback_depth
+        self._timeout = discovery_timeout
+        self._deadline = current_time() + discovery_timeout
+        self._servers: dict[tuple[str, str], RemoteServer] = {}
+
+    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
+        """See `Connection.endpoint`.
+
+        Raises:
+            TransportError: The action's type is not known in ROS, or does not match.
+        """
+        info = action.info if isinstance(action, Action) else action
+        full = action_names(self._ros.node, info.name)
+        type_name = info.type_name or dict(self._looked(self._found)).get(full.feedback, "")
+        found = RosAction.find(type_name)
+        codecs = found.codecs(info)
+        server = self._servers.get((full.feedback, type_name))
+        if server is None:
+            server = RemoteServer(
+                self._ros,
+                info.name,
+                found.ros_type.Impl,
+                feedback_depth=self._depth,
+                discovery_timeout=self._timeout,
+            )
+            self._servers[full.feedback, type_name] = server
+            self._tasks.start_soon(server.run, name=f"client of {info.name}")
+        return RosEndpoint(server, info, codecs)
+
+    async def actions(self) -> list[ActionInfo]:
+        """See `Connection.actions`. Those whose types are not installed here have no schemas."""
+        found = await self._settled(self._found)
+        return [_described(self._relative(topic), type_name) for topic, type_name in found]
+
+    async def peers(self, action: str) -> ActionPeers:
+        """See `Connection.peers`. They are named by their nodes, and all users by who listens to
+        the feedback, which all clients of actions do.
+        """
+        node = self._ros.node
+
+        def look() -> ActionPeers | None:
+            full = action_names(node, action)
+            servers = _nodes(node.get_publishers_info_by_topic(full.status))
+            clients = _nodes(node.get_subscriptions_info_by_topic(full.feedback))
+            return ActionPeers(servers, clients) if servers or clients else None
+
+        return await self._settled(look) or ActionPeers()
+
+    async def _settled(self, look: Callable[[], FoundT]) -> FoundT:
+        """What is found in the graph when it has not changed for a moment, or when nothing has been
+        found for so long that there is nothing.
+
+        Raises:
+            ConnectionLost: ROS has been shut down.
+        """
+        found = self._looked(look)
+        settled = current_time() + SETTLED
+        while current_time() < (settled if found else self._deadline):
+            await anyio.sleep(LIST_PAUSE)
+            before, found = found, self._looked(look)
+            if found != before:
+                settled = current_time() + SETTLED
+        return found
+
+    def _looked(self, look: Callable[[], FoundT]) -> FoundT:
+        found: FoundT = self._ros.attempt(look)
+        if not self._ros.is_up:
+            raise ConnectionLost(str(self._ros.error))
+        return found
+
+    def _found(self) -> list[tuple[str, str]]:
+        """The feedback topics of the actions that are served, and the actions' types."""
+        node = self._ros.node
+        return sorted(
+            (topic, types[0].removesuffix(_SUFFIX))
+            for topic, types in node.get_topic_names_and_types()
+            if topic.endswith(_FEEDBACK)
+            and types[0].endswith(_SUFFIX)
+            and node.count_publishers(topic)
+        )
+
+    def _relative(self, topic: str) -> str:
+        """The action's name, as short as it can be in the node's namespace."""
+        name = topic.removesuffix(_FEEDBACK)
+        short = name.removeprefix(self._ros.node.get_namespace().rstrip("/") + "/")
+        same = action_names(self._ros.node, short).feedback == topic
+        return short if same else name
+
+    def close(self) -> None:
+        """Let nobody wait any longer."""
+        for server in self._servers.values():
+            server.close()
+
+
+def _described(name: str, type_name: str) -> ActionInfo:
+    try:
+        return RosAction.find(type_name).info(name)
+    except TransportError:
+        return ActionInfo(name, type_name)
+
+
+def _nodes(ends: Iterable[Any]) -> tuple[str, ...]:
+    """The full names of the nodes that have these ends of a topic, as far as they are known: an
+    end may be discovered before its node.
+    """
+    named = [one for one in ends if one.node_name != _UNNAMED]
+    return tuple(sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in named}))
+
+
+@asynccontextmanager
+async def connected(
+    ros: RosNode, *, feedback_depth: int, discovery_timeout: float
+) -> AsyncGenerator[RosConnection, None]:
+    """A connection for as long as the block lasts."""
+    async with Background() as tasks:
+        connection = RosConnection(
+            ros, tasks, feedback_depth=feedback_depth, discovery_timeout=discovery_timeout
+        )
+        try:
+            yield connection
+        finally:
+            connection.close()

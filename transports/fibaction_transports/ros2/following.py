@@ -1,0 +1,194 @@
+"""What a client follows: one goal, or the statuses of all.
+
+It is told what has arrived, and keeps it until it is read. It knows nothing of ROS.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from fibaction.abc import FeedbackItem, GoalStream, StatusStream
+from fibaction.exceptions import ConnectionLost
+from fibaction.goals import GoalID, GoalInfo, Outcome
+from fibaction.states import GoalStatus
+from fibaction.waking import Waking
+
+
+class Reading(ABC):
+    """How to read what arrives."""
+
+    @abstractmethod
+    def feedback(self, message: bytes) -> bytes:
+        """The payload of a feedback message."""
+
+    @abstractmethod
+    def outcome(self, response: Any) -> Outcome[bytes]:
+        """What the answer to a request for a result says."""
+
+
+class RosGoal(GoalStream):
+    """One goal at a server of ROS.
+
+    Its feedback is numbered here, as it arrives: ROS has no numbers, so what is lost on the way is
+    not noticed. What is unread is kept, up to a limit; then the oldest gives way.
+    """
+
+    def __init__(self, goal_id: GoalID, reading: Reading, depth: int, *, reads: bool) -> None:
+        self.goal_id = goal_id
+        self.stamp = 0
+        self.latest = False
+        self.place = 0
+        self.reading = reading
+        self.asked: list[int] = []
+        """The numbers of the requests for its result."""
+        self.news = Waking()
+        self._reads = reads
+        self._items: deque[FeedbackItem] = deque(maxlen=depth)
+        self._statuses: deque[GoalStatus] = deque()
+        self._status = GoalStatus.UNKNOWN
+        self._received = 0
+        self._delivered = 0
+        self._outcome: Outcome[bytes] | None = None
+        self._error: ConnectionLost | None = None
+
+    @property
+    def status(self) -> GoalStatus:
+        return self._status
+
+    @property
+    def dropped(self) -> int:
+        return self.place - self._delivered
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether it is known that the server has accepted the goal."""
+        return self._status is not GoalStatus.UNKNOWN
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing more is to come."""
+        return self._outcome is not None or self._error is not None
+
+    # What arrives
+
+    def begin(self, info: GoalInfo) -> None:
+        """The server has accepted the goal; this is what is known of it."""
+        self.stamp, self._status = info.stamp, info.status
+        self.news.wake()
+
+    def arrive(self, message: bytes) -> None:
+        """Feedback has arrived."""
+        self._received += 1
+        if self._reads and not self.is_over:
+            self._items.append(FeedbackItem(self._received, message))
+            self.news.wake()
+
+    def tell(self, status: GoalStatus) -> None:
+        """The goal has another status."""
+        if self.has_begun and status > self._status:  # statuses only ever grow
+            self._status = status
+            if self._reads and status.is_active:
+                self._statuses.append(status)
+                self.news.wake()
+
+    def end(self, outcome: Outcome[bytes]) -> None:
+        """The goal has ended."""
+        if not self.is_over:
+            self._outcome = outcome
+            self._status = outcome.status
+            self.news.wake()
+
+    def fail(self, error: ConnectionLost) -> None:
+        """Nothing more will arrive."""
+        if not self.is_over:
+            self._error = error
+            self.news.wake()
+
+    # What is read
+
+    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
+        if not self._reads:
+            return None
+        if self._statuses:
+            return self._statuses.popleft()
+        items = [self._read() for _ in range(min(limit, len(self._items)))]
+        if not items and limit > 0:
+            self._raise_error()
+            if self._outcome is not None:
+                self.place = self._received
+                return None
+        return items
+
+    def _read(self) -> FeedbackItem:
+        number, message = self._items.popleft()
+        self.place = number
+        self._delivered += 1
+        return FeedbackItem(number, self.reading.feedback(message))
+
+    def ended(self) -> Outcome[bytes] | None:
+        self._raise_error()
+        return self._outcome
+
+    def hold(self, wanted: bool) -> None:
+        """It has no effect: in ROS, nobody can make a server wait."""
+
+    def close(self) -> None:
+        self._reads = False
+        self._items.clear()
+        self._statuses.clear()
+        self.news.wake()
+
+    def _raise_error(self) -> None:
+        if self._error is not None:
+            raise ConnectionLost(str(self._error))
+
+
+class RosStatuses(StatusStream):
+    """The statuses of all goals of a server of ROS."""
+
+    def __init__(
+        self, known: Iterable[GoalInfo], leave: Callable[[RosStatuses], None], limit: int = 10_000
+    ) -> None:
+        """`limit` is how many changes are kept if they are not read."""
+        self._items = deque(known)
+        self.known = len(self._items)
+        self._limit = limit + self.known
+        self._leave = leave
+        self._dropped = 0
+        self._open = True
+        self._error: ConnectionLost | None = None
+        self._news = Waking()
+
+    @property
+    def dropped(self) -> int:
+        return self._dropped
+
+    def put(self, info: GoalInfo) -> None:
+        """Add a change."""
+        if len(self._items) >= self._limit:
+            self._items.popleft()
+            self._dropped += 1
+        self._items.append(info)
+        self._news.wake()
+
+    def fail(self, error: ConnectionLost) -> None:
+        """Nothing more will arrive."""
+        self._error = error
+        self._news.wake()
+
+    async def receive(self) -> GoalInfo | None:
+        while not self._items:
+            if not self._open:
+                return None
+            if self._error is not None:
+                raise ConnectionLost(str(self._error))
+            await self._news.wait()
+        return self._items.popleft()
+
+    def close(self) -> None:
+        self._open = False
+        self._leave(self)
+        self._news.wake()

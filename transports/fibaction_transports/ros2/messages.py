@@ -1,0 +1,194 @@
+"""Payloads and ROS messages: `RosAction` finds a ROS action type, and its codecs convert.
+
+A payload is msgpack, a struct in it a map by field name. What a user's end expects is known from
+the JSON Schemas in the description of its action; where these say nothing, ROS's own field names,
+numbers, strings and lists are used, and bytes for arrays of bytes. Needs no node.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import msgspec
+
+from fibaction.action import ActionInfo
+from fibaction.exceptions import ProtocolError, TransportError
+from fibaction_transports.ros2.fields import Unfit
+from fibaction_transports.ros2.mirror import MessagePart, message_kind
+from fibaction_transports.ros2.rcl import check_for_type_support
+from fibaction_transports.ros2.schemas import Schema
+
+_TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/action/([A-Z][A-Za-z0-9]*)", re.ASCII)
+
+_PARTS = ("goal", "feedback", "result")
+_REMEMBERED = 64
+"""For how many descriptions of one type the codecs are kept; a program has a few."""
+
+_encode = msgspec.msgpack.Encoder().encode
+
+
+class RosCodec:
+    """One of an action's three messages: payloads to ROS messages, and back."""
+
+    def __init__(self, part: MessagePart) -> None:
+        self._part = part
+        self._decode = msgspec.msgpack.Decoder(part.decoded).decode
+
+    def to_ros(self, payload: bytes | None) -> Any:
+        """Make a ROS message; None gives the message with its defaults.
+
+        A field that the payload leaves out has the user's default, or ROS's if he has none.
+
+        Raises:
+            ProtocolError: It is not such a message, or a value does not fit; the text names the
+                field.
+        """
+        message = self._part.cls()
+        if payload is not None:
+            self.fill(message, payload)
+        return message
+
+    def fill(self, message: Any, payload: bytes) -> None:
+        """Set the fields of a ROS message. What is left of it after an error is of no use.
+
+        Raises:
+            ProtocolError: As for `to_ros`.
+        """
+        try:
+            self._part.fill(message, self._decode(payload))
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, Unfit) as exc:
+            raise ProtocolError(str(exc)) from exc
+
+    def from_ros(self, message: Any) -> bytes:
+        """Make a payload as the user's end expects it."""
+        return _encode(self._part.values(message))
+
+
+class RosCodecs(NamedTuple):
+    """The codecs of one action."""
+
+    goal: RosCodec
+    feedback: RosCodec
+    result: RosCodec
+
+
+class RosAction:
+    """One ROS action type."""
+
+    def __init__(self, type_name: str, ros_type: Any) -> None:
+        """Use `find`, which does this once for each type."""
+        self.type_name = type_name
+        self.ros_type = ros_type
+        """The class that ROS has generated: `pkg.action.Type`."""
+        self._kinds = [message_kind(getattr(ros_type, name.title())) for name in _PARTS]
+        self._codecs: dict[str, RosCodecs] = {}
+
+    @classmethod
+    def find(cls, type_name: str) -> RosAction:
+        """Find a type by its name, like `example_interfaces/action/Fibonacci`.
+
+        Raises:
+            TransportError: There is none that could be used; the text says what to do.
+        """
+        return _found(type_name)
+
+    @property
+    def types(self) -> tuple[type[Any], type[Any], type[Any]]:
+        """Structs for the goal, the feedback and the result, made from the ROS type."""
+        goal, feedback, result = (kind.default for kind in self._kinds)
+        return goal, feedback, result
+
+    def info(self, name: str) -> ActionInfo:
+        """The description of an action of this type, for those who have no types of their own."""
+        return ActionInfo(name, self.type_name, *map(msgspec.json.schema, self.types))
+
+    def codecs(self, info: ActionInfo) -> RosCodecs:
+        """The codecs for what an action's users expect.
+
+        Raises:
+            TransportError: Fields do not match; the text lists all of them.
+        """
+        try:
+            key = repr(info)
+            if key not in self._codecs:
+                if len(self._codecs) == _REMEMBERED:
+                    self._codecs.clear()
+                self._codecs[key] = self._bound(info)
+        except RecursionError as exc:  # it may come from another process
+            raise TransportError(f"the types of action {info.name!r} are nested too deep") from exc
+        return self._codecs[key]
+
+    def _bound(self, info: ActionInfo) -> RosCodecs:
+        problems: list[str] = []
+        parts = [
+            kind.bind(Schema(getattr(info, name)), name, problems)
+            for kind, name in zip(self._kinds, _PARTS, strict=True)
+        ]
+        codecs = [RosCodec(part) for part in parts if isinstance(part, MessagePart)]
+        if problems:
+            lines = "\n  ".join(problems)
+            raise TransportError(
+                f"action {info.name!r} does not match its ROS type {self.type_name}:\n  {lines}"
+            )
+        return RosCodecs(*codecs)
+
+
+def message_types(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
+    """Structs for the goal, the feedback and the result of a ROS action type.
+
+    Raises:
+        TransportError: As for `RosAction.find`.
+    """
+    return RosAction.find(type_name).types
+
+
+@cache
+def _found(type_name: str) -> RosAction:
+    parts = _TYPE_NAME.fullmatch(type_name)
+    if parts is None:
+        raise TransportError(
+            "give the Action a type_name such as 'example_interfaces/action/Fibonacci',"
+            f" which ROS needs: {type_name!r} is no ROS action type"
+        )
+    package, name = parts.groups()
+    actions = _actions_of(package, type_name)
+    if not hasattr(actions, name):
+        raise TransportError(
+            f"the ROS package {package!r}, as it is built here, has no action {name!r}:"
+            f" look at its .action files, and build it again"
+        )
+    ros_type = getattr(actions, name)
+    try:
+        check_for_type_support(ros_type)
+    except Exception as exc:  # whatever loading compiled code raises
+        raise TransportError(
+            f"{type_name} cannot be used, because its compiled part cannot be loaded ({exc}):"
+            f" build the ROS package {package!r} again, for this ROS and this Python"
+        ) from exc
+    return RosAction(type_name, ros_type)
+
+
+def _actions_of(package: str, type_name: str) -> Any:
+    """The module in which ROS has the actions of a package."""
+    try:
+        return import_module(f"{package}.action")
+    except ModuleNotFoundError as exc:
+        if exc.name == f"{package}.action":
+            raise TransportError(f"the ROS package {package!r} has no actions") from exc
+        if exc.name != package:
+            raise _unusable(type_name, exc) from exc
+        raise TransportError(
+            f"the ROS package {package!r}, which has {type_name}, is not installed here:"
+            " build it, and source its setup.bash"
+        ) from exc
+    except Exception as exc:  # whatever somebody else's module does when it is imported
+        raise _unusable(type_name, exc) from exc
+
+
+def _unusable(type_name: str, exc: Exception) -> TransportError:
+    return TransportError(
+        f"{type_name} cannot be imported ({exc}): source the setup.bash of ROS and of what it needs"
+    )

@@ -1,0 +1,98 @@
+"""One goal at the server: its feedback is published, and its end is handed to who waits for it."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import anyio
+
+from fibaction.abc import GoalStream
+from fibaction.exceptions import ActionError
+from fibaction.goals import UNKNOWN_OUTCOME, GoalInfo, Outcome
+from fibaction.states import GoalStatus
+from fibaction.waking import Waking
+
+BATCH = 32
+"""How much feedback is published before others get their turn on the event loop."""
+GRACE = 1.0
+"""Seconds that an outcome waits for the first client who asks for it. ROS's clients ask only when
+they have been told of the acceptance, and a goal that ends at once may be forgotten by then."""
+
+
+class Pump:
+    """Follows a goal, and publishes its feedback in order."""
+
+    def __init__(
+        self,
+        stream: GoalStream,
+        publish: Callable[[bytes], Awaitable[None]],
+        tell: Callable[[GoalInfo], None],
+    ) -> None:
+        """`tell` is told each status up to the end, before the end: others may tell it later."""
+        self.stream = stream
+        self.late: list[GoalInfo] = []
+        """Statuses to be told when all feedback has been published."""
+        self._publish = publish
+        self._tell = tell
+        self._answer: Any = None
+        self._asked = False
+        self._waiting = 0
+        self._news = Waking()
+
+    async def outcome(self) -> Outcome[bytes]:
+        """Publish all feedback, then say how the goal ended; UNKNOWN if that cannot be known."""
+        with self.stream as stream:
+            try:
+                while await self._publish_some(stream):
+                    await anyio.lowlevel.checkpoint()
+                return await stream.outcome()
+            except ActionError as exc:  # a gateway has lost the server behind it
+                return Outcome(UNKNOWN_OUTCOME.status, None, str(exc))
+
+    async def _publish_some(self, stream: GoalStream) -> bool:
+        event = stream.take(BATCH)
+        if event is None:
+            return False
+        if isinstance(event, GoalStatus):
+            self._tell(GoalInfo(stream.goal_id, stream.stamp, event))
+        else:
+            for item in event:
+                await self._publish(item.payload)
+            if not event:
+                await stream.news.wait()
+        return True
+
+    @property
+    def is_owed(self) -> bool:
+        """Whether the goal has ended, and not everybody has been told."""
+        return self.stream.status.is_terminal
+
+    def hurry(self) -> None:
+        """Do not wait for clients who have yet to ask."""
+        self._asked = True
+        self._news.wake()
+
+    async def hand_over(self, answer: Any) -> None:
+        """Give that to all who wait for the end, and to the first who will, for a while."""
+        self._answer = answer
+        self._news.wake()
+        if not self._asked:
+            with anyio.move_on_after(GRACE):
+                while not self._asked:
+                    await self._news.wait()
+        while self._waiting:
+            await self._news.wait()
+
+    async def answer(self) -> Any:
+        """Wait for the end, and for what `hand_over` gives."""
+        self._asked = True
+        self._waiting += 1
+        self._news.wake()
+        try:
+            while self._answer is None:
+                await self._news.wait()
+            return self._answer
+        finally:
+            self._waiting -= 1
+            self._news.wake()
