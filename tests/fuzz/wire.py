@@ -74,7 +74,9 @@ def pieces(data: bytes) -> Iterator[bytes]:
 async def serve(data: bytes) -> None:
     async with ActionServer(FIBONACCI, fibonacci) as server, anyio.create_task_group() as tasks:
         link = Link(Given(pieces(data)), 60.0)
-        session = Session(link, {"fibonacci": server}, TERMS, Orphans(tasks, grace=0), lambda action: [])
+        session = Session(
+            link, {"fibonacci": server}, TERMS, Orphans(tasks, grace=0), lambda action: []
+        )
         error = await session.run()
         assert isinstance(error, ActionError), error
 

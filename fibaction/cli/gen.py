@@ -1,0 +1,61 @@
+"""`fibaction gen`: the types of an `.action` file as a Python module."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from fibaction.action_files import action_source
+from fibaction.cli.app import ExitCode, Failure
+
+
+@click.command(
+    "gen",
+    epilog="""\b
+Examples:
+  fibaction gen Fibonacci.action > fibonacci_types.py
+  fibaction gen NavigateToPose.action --search ~/ros2_ws/src -o navigate_types.py""",
+)
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("-n", "--name", default="", help="The action's name.  [default: that of the file]")
+@click.option(
+    "-t",
+    "--type",
+    "type_name",
+    default="",
+    metavar="PKG/action/TYPE",
+    help="The ROS 2 type.  [default: from the folders that the file lies in]",
+)
+@click.option(
+    "-s",
+    "--search",
+    multiple=True,
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Where packages with nested messages are, or .msg files; may be given several times.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The file to write, instead of stdout. It is left alone if anything is wrong.",
+)
+def gen_command(
+    file: Path, name: str, type_name: str, search: tuple[Path, ...], output: Path | None
+) -> None:
+    """Write the types of an .action FILE as a Python module.
+
+    It has a class for each message, which type checkers understand, and the action in capitals.
+    Messages that the file nests are looked for beside it, in its package and the neighbours of
+    that, under --search, and where ROS has its own if setup.bash has been sourced.
+    """
+    try:
+        source = action_source(file, name=name, search=search, type_name=type_name)
+        if output is not None:
+            output.write_text(source, encoding="utf-8")
+    except OSError as exc:
+        raise Failure(f"{exc.filename or file}: {exc.strerror}", ExitCode.USAGE) from exc
+    except ValueError as exc:
+        raise Failure(str(exc), ExitCode.USAGE) from exc
+    if output is None:
+        click.echo(source, nl=False)

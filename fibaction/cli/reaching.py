@@ -1,0 +1,227 @@
+"""`fibaction cancel` and `attach`: what one can do about goals that somebody has sent."""
+
+from __future__ import annotations
+
+import datetime
+from functools import partial
+
+import anyio
+import click
+
+from fibaction.cli.app import ExitCode, Failure, connected, json_option, run, shown, url_option
+from fibaction.cli.completing import ACTION
+from fibaction.cli.goal_list import AnyClient, Clients, Row, goal_digits, goals_of, pick
+from fibaction.cli.observing import until_interrupted
+from fibaction.cli.output import clean, note, say, say_json
+from fibaction.cli.telling import follow, teller
+from fibaction.exceptions import ActionError, UnknownGoal
+from fibaction.goals import CancelAnswer, CancelCode, GoalID
+from fibaction.states import GoalStatus
+
+_EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
+
+
+class _Stamp(click.ParamType[int]):
+    """A time: nanoseconds since 1970, as stamps are, or ISO 8601."""
+
+    name = "stamp"
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        try:
+            stamp = int(value)
+        except ValueError:
+            try:
+                when = datetime.datetime.fromisoformat(value).astimezone()  # the local zone's time
+            except ValueError:
+                self.fail(f"{value!r} is neither nanoseconds since 1970 nor a time in ISO 8601")
+            stamp = (when - _EPOCH) // datetime.timedelta(microseconds=1) * 1000
+        if stamp <= 0:
+            self.fail("a stamp of 0 means all goals: say --all for that")
+        return stamp
+
+
+# cancel
+
+
+@click.command(
+    "cancel",
+    epilog="""\b
+Examples:
+  fibaction cancel 5fda41e0
+  fibaction cancel fibonacci --all
+  fibaction cancel --before 2026-01-31T12:00:00
+
+Exit code 1 says that something was not canceled: the server refused, or the goal had ended.""",
+)
+@click.argument("words", nargs=-1, metavar="[NAME] [GOAL_ID]", type=ACTION)
+@click.option("--all", "everything", is_flag=True, help="Cancel all goals.")
+@click.option(
+    "--before",
+    type=_Stamp(),
+    metavar="STAMP",
+    help="Cancel what was accepted at or before that time.",
+)
+@json_option
+@url_option
+def cancel_command(
+    words: tuple[str, ...], everything: bool, before: int | None, as_json: bool, url: str
+) -> None:
+    """Ask to cancel a goal, whoever sent it, or many, of the action NAME or of all actions.
+
+    The beginning of a GOAL_ID is enough, if no other goal's ID begins so. STAMP is in nanoseconds
+    since 1970, as `goals --json` has it, or as in 2026-01-31T12:00:00Z. What is canceled has not
+    ended yet: it ends as its server wants.
+    """
+    if everything and before is not None:
+        raise click.UsageError("--all and --before are two different things")
+    many = everything or before is not None
+    if len(words) > (1 if many else 2):
+        raise click.UsageError("there is more than NAME and GOAL_ID, or GOAL_ID beside --all")
+    if not words and not many:
+        raise click.UsageError("which goals? Give a GOAL_ID, --all or --before STAMP")
+    if many:
+        run(cancel_many, url, words[0] if words else None, before, as_json=as_json)
+    else:
+        name = words[0] if len(words) == 2 else None
+        try:
+            digits = goal_digits(words[-1])
+        except Failure as exc:
+            raise Failure(f"{exc.message}; --all means all", ExitCode.USAGE) from exc
+        run(cancel_one, url, name, digits, as_json=as_json)
+
+
+async def cancel_one(url: str, name: str | None, digits: str, *, as_json: bool) -> int:
+    """Cancel the goal whose ID begins so; gives the exit code.
+
+    Raises:
+        Failure, ActionError: There is no such goal, or the server cannot be asked.
+    """
+    async with connected(url) as connection:
+        clients = await Clients(connection, name).now()
+        action, goal_id = await pick(clients, digits)
+        answer = await clients[action].cancel_goals(goal_id)
+    if answer.return_code is CancelCode.UNKNOWN_GOAL_ID:
+        raise UnknownGoal(goal_id)
+    return _say_answer(action, [goal_id], answer, as_json)
+
+
+async def cancel_many(url: str, name: str | None, before: int | None, *, as_json: bool) -> int:
+    """Cancel all goals, or those up to a stamp; gives the exit code.
+
+    Raises:
+        Failure, ActionError: The server cannot be asked.
+    """
+    codes = {ExitCode.SUCCEEDED}
+    found = 0
+
+    async def ask(action: str, client: AnyClient) -> None:
+        nonlocal found
+        meant = [
+            row.info.goal_id for row in rows if row.action == action and _is_meant(row, before)
+        ]
+        try:
+            answer = await client.cancel_goals(before=before)
+        except ActionError as exc:
+            note(f"The goals of {clean(shown(action))} are not canceled: {clean(str(exc))}")
+            codes.add(ExitCode.UNREACHABLE)
+            return
+        found += len({*meant, *(info.goal_id for info in answer.goals_canceling)})
+        codes.add(_say_answer(action, meant, answer, as_json))
+
+    async with connected(url) as connection:
+        clients = await Clients(connection, name).now()
+        rows = await goals_of(clients)
+        # Side by side: one server that is slow must not keep the others going.
+        async with anyio.create_task_group() as tasks:
+            for action, client in clients.items():
+                tasks.start_soon(ask, action, client)
+    if not found and ExitCode.UNREACHABLE not in codes:
+        note("There is no goal to cancel.")
+    return max(codes)
+
+
+def _is_meant(row: Row, before: int | None) -> bool:
+    return row.info.status.is_active and (before is None or row.info.stamp <= before)
+
+
+def _say_answer(action: str, goals: list[GoalID], answer: CancelAnswer, as_json: bool) -> ExitCode:
+    """Say of each goal what became of the request."""
+    canceling = {info.goal_id: info for info in answer.goals_canceling}
+    refused = [goal_id for goal_id in goals if goal_id not in canceling]
+    why = reason_of(answer)
+    for goal_id, info in canceling.items():
+        _say_one(action, goal_id, info.status, "", as_json)
+    for goal_id in refused:
+        _say_one(action, goal_id, None, why, as_json)
+    return ExitCode.ABORTED if refused else ExitCode.SUCCEEDED
+
+
+def reason_of(answer: CancelAnswer) -> str:
+    """Why goals are not canceled."""
+    if answer.return_code is CancelCode.GOAL_TERMINATED:
+        return "it has ended already"
+    return answer.reason or "the server does not say why"
+
+
+def _say_one(
+    action: str, goal_id: GoalID, status: GoalStatus | None, why: str, as_json: bool
+) -> None:
+    if as_json:
+        canceling = status is not None
+        goal = {"action": action, "goal_id": str(goal_id)}
+        say_json({**goal, "canceling": canceling, "reason": why})
+    elif status is not None:
+        say(f"Canceling the goal {goal_id} of {clean(shown(action))}")
+    else:
+        note(f"The goal {goal_id} of {clean(shown(action))} is not canceled: {clean(why)}")
+
+
+# attach
+
+
+@click.command(
+    "attach",
+    epilog="""\b
+Examples:
+  fibaction attach 5fda41e0
+  fibaction attach 5fda41e0 fibonacci --json""",
+)
+@click.argument("goal_id")
+@click.argument("name", type=ACTION, required=False)
+@click.option("--full", is_flag=True, help="Show long lists and texts in full.")
+@json_option
+@url_option
+def attach_command(goal_id: str, name: str | None, full: bool, as_json: bool, url: str) -> None:
+    """Follow a goal that somebody has sent: its feedback from now on, and its result. The exit code
+    is that of send_goal. Ctrl-C leaves the goal as it is.
+
+    The beginning of a GOAL_ID is enough, if no other goal's ID begins so. With the action's NAME
+    the other actions are not asked for it.
+    """
+    run(attach, url, goal_digits(goal_id), name, full=full, as_json=as_json)
+
+
+async def attach(url: str, digits: str, name: str | None, *, full: bool, as_json: bool) -> int:
+    """Tell of a goal until it ends; gives the exit code.
+
+    Raises:
+        Failure, ActionError: There is no such goal, or it cannot be followed to its end.
+    """
+    codes = [ExitCode.INTERRUPTED]
+    async with connected(url) as connection:
+        clients = await Clients(connection, name).now()
+        action, goal_id = await pick(clients, digits)
+        if await until_interrupted(
+            partial(_attach, clients[action], goal_id, codes, full, as_json)
+        ):
+            note(f"The goal {goal_id} was left as it is.")
+    return codes[-1]
+
+
+async def _attach(
+    client: AnyClient, goal_id: GoalID, codes: list[ExitCode], full: bool, as_json: bool
+) -> None:
+    stream = await client.endpoint.feedback(goal_id)
+    told = teller(feedback=True, as_json=as_json, full=full)
+    told.accepted(goal_id, stream.stamp)
+    codes.append(await follow(stream, client.action, told, live=not full))

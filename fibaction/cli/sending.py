@@ -1,0 +1,283 @@
+"""`fibaction send_goal`: sends a goal, tells what becomes of it, and ends as it ends."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import AsyncIterator
+from contextlib import suppress
+from pathlib import Path
+from signal import SIGINT, SIGTERM, Signals
+from typing import Any
+
+import anyio
+import click
+import msgspec
+from anyio import get_cancelled_exc_class
+
+from fibaction.abc import Endpoint, GoalStream
+from fibaction.action import Action, ActionInfo
+from fibaction.background import Background
+from fibaction.cli.app import (
+    ExitCode,
+    Failure,
+    connected,
+    find_action,
+    json_option,
+    run,
+    shown,
+    url_option,
+)
+from fibaction.cli.completing import ACTION, TYPE
+from fibaction.cli.goal_text import read_goal
+from fibaction.cli.output import clean, note, say
+from fibaction.cli.telling import Teller, follow, teller
+from fibaction.connection import ClientConnection
+from fibaction.exceptions import ActionError, GoalRejected
+from fibaction.goals import CancelCode, GoalID
+
+PATIENCE = 5.0
+"""Seconds that a goal whose time is up has to end after it was canceled, and that a cancel of a
+goal waits which was not yet accepted."""
+
+_TYPE_NAME = re.compile(r"\w+/action/\w+", re.ASCII)
+
+
+class Options(msgspec.Struct, frozen=True):
+    """How a goal is sent and followed."""
+
+    feedback: bool = False
+    timeout: float | None = None
+    detach: bool = False
+    as_json: bool = False
+    full: bool = False
+
+
+@click.command(
+    "send_goal",
+    epilog="""\b
+Examples:
+  fibaction send_goal fibonacci "order: 10" -f
+  fibaction send_goal fibonacci arduinobot_msgs/action/Fibonacci "{order: 10}" --json
+  fibaction send_goal arm/pick --goal-file pick.yaml --timeout 30
+  echo "order: 10" | fibaction send_goal fibonacci --stdin
+
+Ctrl-C cancels the goal and waits for its end; a second Ctrl-C leaves at once.""",
+)
+@click.argument("name", type=ACTION)
+@click.argument("rest", nargs=-1, metavar="[TYPE] [GOAL]", type=TYPE)
+@click.option("-f", "--feedback", is_flag=True, help="Show the feedback as it comes.")
+@click.option("--stdin", "from_stdin", is_flag=True, help="Read the goal from stdin.")
+@click.option("--goal-file", type=click.Path(path_type=Path), help="Read the goal from a file.")
+@click.option(
+    "-t",
+    "--timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="Cancel the goal if it has not ended by then.",
+)
+@click.option("--detach", is_flag=True, help="Print the goal's ID, and leave the goal running.")
+@click.option("--full", is_flag=True, help="Show long lists and texts in full.")
+@json_option
+@url_option
+def send_goal_command(
+    name: str,
+    rest: tuple[str, ...],
+    feedback: bool,
+    from_stdin: bool,
+    goal_file: Path | None,
+    timeout: float | None,
+    detach: bool,
+    full: bool,
+    as_json: bool,
+    url: str,
+) -> None:
+    """Send a goal to the action NAME, and follow it to its end.
+
+    GOAL is YAML, or JSON; fields with a default can be left out, and without GOAL all are. It is
+    checked before it is sent. TYPE, as in package/action/Type, can be left out.
+    """
+    type_name, text = _type_and_text(rest)
+    text = _text_from(text, from_stdin, goal_file)
+    if detach and feedback:
+        raise click.UsageError("--detach does not wait for feedback: attach to the goal instead")
+    options = Options(feedback, timeout, detach, as_json, full)
+    run(send, url, name, type_name, text, options)
+
+
+def _type_and_text(rest: tuple[str, ...]) -> tuple[str, str | None]:
+    """Tell TYPE and GOAL apart where only one of them is given."""
+    match rest:
+        case ():
+            return "", None
+        case (one,):
+            return (one, None) if _TYPE_NAME.fullmatch(one) else ("", one)
+        case (type_name, text):
+            return type_name, text
+        case _:
+            raise click.UsageError(
+                f"what is {rest[2]!r}? After NAME, TYPE and GOAL there is no more; quote the goal"
+            )
+
+
+def _text_from(text: str | None, from_stdin: bool, file: Path | None) -> str:
+    """The goal's text, from the one place that was named."""
+    if (text is not None) + from_stdin + (file is not None) > 1:
+        raise click.UsageError("the goal is given twice: as GOAL, by --stdin or by --goal-file")
+    try:
+        if file is not None:
+            return file.read_text(encoding="utf-8-sig")
+        if from_stdin:
+            return sys.stdin.buffer.read().decode("utf-8-sig")
+    except OSError as exc:
+        raise Failure(f"{file}: {exc.strerror}", ExitCode.USAGE) from exc
+    except UnicodeDecodeError as exc:
+        raise Failure(f"{file or 'stdin'} is no UTF-8 text: {exc}", ExitCode.USAGE) from exc
+    return text or ""
+
+
+async def send(url: str, name: str, type_name: str, text: str, options: Options) -> int:
+    """Send a goal, and tell of it until it ends; gives the exit code.
+
+    Raises:
+        Failure, ActionError: It cannot be sent, or not be followed to its end.
+    """
+    return await _Sending(options).run(url, name, type_name, text)
+
+
+def goal_for(info: ActionInfo, type_name: str, text: str) -> Any:
+    """The goal, checked against what is known of the action.
+
+    Raises:
+        Failure: The text is no such goal, or the action is of another type.
+    """
+    if type_name and not info.type_name:
+        note(f"the server of {shown(info.name)} does not say its type, so it is not checked")
+    elif type_name and type_name != info.type_name:
+        raise Failure(
+            f"the action {shown(info.name)} is of the type {info.type_name}, not {type_name}",
+            ExitCode.USAGE,
+        )
+    return read_goal(text, info.goal)
+
+
+class _Sending:
+    """A goal on its way, the keys of the one who waits for it, and the clock."""
+
+    def __init__(self, options: Options) -> None:
+        self._options = options
+        self._told: Teller = teller(
+            feedback=options.feedback, as_json=options.as_json, full=options.full
+        )
+        self._all = anyio.CancelScope()
+        self._withdrawal = anyio.CancelScope(shield=True)
+        self._endpoint: Endpoint
+        self._goal_id = GoalID.random()
+        self._phase: str = "preparing"  # then "sent", then "accepted"
+        self._late = False
+
+    async def run(self, url: str, name: str, type_name: str, text: str) -> int:
+        with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
+            async with Background() as tasks:
+                tasks.start_soon(self._obey, signals)
+                if self._options.timeout is not None:
+                    tasks.start_soon(self._limit, self._options.timeout)
+                with self._all:
+                    async with connected(url) as connection:
+                        code = await self._send(connection, name, type_name, text)
+                        return ExitCode.TIMED_OUT if self._late else code
+        return self._left()
+
+    async def _send(
+        self, connection: ClientConnection, name: str, type_name: str, text: str
+    ) -> ExitCode:
+        info = await find_action(connection, name)
+        goal = goal_for(info, type_name, text)
+        action = Action.untyped(info)
+        try:
+            payload = action.goal.encode(goal)
+        except (TypeError, ValueError, OverflowError, RecursionError) as exc:
+            raise Failure(f"the goal cannot be sent: {exc}", ExitCode.USAGE) from exc
+        self._endpoint = connection.endpoint(action)
+        if not self._options.detach:
+            self._told.sending(goal)
+        try:
+            stream = await self._deliver(payload)
+        except GoalRejected as exc:
+            self._told.rejected(self._goal_id, exc.reason)
+            return ExitCode.REJECTED
+        if self._options.detach and not self._options.as_json:
+            say(str(self._goal_id))
+        else:
+            self._told.accepted(self._goal_id, stream.stamp)
+        if self._options.detach:
+            return ExitCode.SUCCEEDED
+        try:
+            live = self._options.feedback and not self._options.full
+            return await follow(stream, action, self._told, live=live)
+        except OSError:
+            await self._cancel()  # whoever wanted to know of the goal reads no more
+            raise
+
+    async def _deliver(self, payload: bytes) -> GoalStream:
+        self._phase = "sent"
+        feedback = (self._options.feedback or self._told.wants_all) and not self._options.detach
+        try:
+            stream = await self._endpoint.send_goal(self._goal_id, payload, feedback=feedback)
+        except get_cancelled_exc_class():
+            # It may have arrived, and nobody would ever know of it.
+            self._withdrawal.deadline = anyio.current_time() + PATIENCE
+            with self._withdrawal, suppress(ActionError):
+                await self._endpoint.cancel_goals(self._goal_id)
+            raise
+        self._phase = "accepted"
+        return stream
+
+    # What ends it early
+
+    async def _obey(self, signals: AsyncIterator[Signals]) -> None:
+        """The first Ctrl-C cancels, the second leaves."""
+        await anext(signals)
+        if self._phase == "accepted":
+            note("Canceling goal... (Ctrl-C again leaves it as it is)")
+            await self._cancel()
+        else:
+            self._all.cancel()
+        await anext(signals)
+        self._withdrawal.cancel()
+        self._all.cancel()
+
+    async def _limit(self, seconds: float) -> None:
+        await anyio.sleep(seconds)
+        self._late = True
+        if self._phase == "accepted":
+            note(f"The goal has not ended within {seconds:g} s. Canceling goal...")
+            if await self._cancel():
+                await anyio.sleep(PATIENCE)
+        self._all.cancel()
+
+    async def _cancel(self) -> bool:
+        """Ask the server to cancel the goal; whether its end can be expected."""
+        try:
+            answer = await self._endpoint.cancel_goals(self._goal_id)
+        except ActionError as exc:
+            note(f"It could not be canceled: {clean(str(exc))}")
+            return False
+        if answer.return_code is CancelCode.REJECTED:
+            note(f"The server does not cancel it: {clean(answer.reason) or 'it does not say why'}")
+            return False
+        return True
+
+    def _left(self) -> ExitCode:
+        """Say what was left behind."""
+        if self._phase == "accepted":
+            note(f"The goal {self._goal_id} was left, and may go on.")
+            return ExitCode.TIMED_OUT if self._late else ExitCode.INTERRUPTED
+        if self._late:
+            what = "accepted the goal" if self._phase == "sent" else "answered"
+            note(f"The server has not {what} within {self._options.timeout:g} s.")
+            return ExitCode.TIMED_OUT
+        if self._phase == "sent":
+            note("The goal was canceled before the server had accepted it.")
+            return ExitCode.CANCELED
+        return ExitCode.INTERRUPTED

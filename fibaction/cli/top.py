@@ -1,0 +1,76 @@
+"""`fibaction top`: all actions and goals on a live screen. It needs the extra `fibaction[tui]`."""
+
+from __future__ import annotations
+
+import sys
+from importlib.util import find_spec
+
+import click
+
+from fibaction.background import Background
+from fibaction.cli.app import ExitCode, Failure, connected, run, url_option
+from fibaction.cli.board import Board
+from fibaction.cli.observing import observe, until_interrupted
+from fibaction.connection import ClientConnection
+from fibaction.exceptions import ActionError
+
+
+@click.command(
+    "top",
+    epilog="""\b
+Example:
+  fibaction top
+
+\b
+Keys: c cancels the goal under the cursor, f or Enter follows it, q quits.""",
+)
+@url_option
+def top_command(url: str) -> None:
+    """Watch all actions and goals on a live screen: rates, and the latest feedback."""
+    if find_spec("textual") is None:
+        raise Failure("fibaction top needs textual: pip install 'fibaction[tui]'", ExitCode.USAGE)
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise Failure(
+            "fibaction top needs a terminal; fibaction goals --watch does not", ExitCode.USAGE
+        )
+    run(top, url)
+
+
+async def top(url: str) -> int:
+    """Show the screen until somebody quits.
+
+    Raises:
+        ActionError: The server cannot be reached; or it is lost, and will not be looked for.
+    """
+    async with connected(url) as connection:
+        await connection.actions()  # what is wrong is told before the screen is taken
+        await show(connection, url)
+    return ExitCode.SUCCEEDED
+
+
+async def show(connection: ClientConnection, url: str) -> None:
+    """Show what happens at that connection.
+
+    Raises:
+        ActionError: It is lost, and will not be opened again.
+    """
+    from fibaction.cli.screen import Screen
+
+    board = Board()
+    # What is behind the ? may be secret.
+    screen = Screen(board, url.partition("?")[0])
+    lost: list[BaseException] = []
+
+    async def feed() -> None:
+        try:
+            await observe(connection, board, feedback=True)
+        except* ActionError as errors:
+            lost.append(errors)
+            screen.exit()
+
+    async with Background() as tasks:
+        tasks.start_soon(feed)
+        tasks.start_soon(board.keep)
+        await until_interrupted(screen.run_async)
+    if lost:
+        raise lost[0]

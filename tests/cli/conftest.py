@@ -1,0 +1,395 @@
+"""What the tests of the command line run against, and how they run it.
+
+`url` is where a real server process is, once over TCP and once over a Unix socket; `tcp` is the one
+over TCP. `fibaction` runs the command as a process, `terminal` runs it in a pseudo-terminal, and
+`invoke` runs it in this process, where coverage sees it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable, Generator, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import pyte
+import pytest
+from click.testing import CliRunner, Result
+
+from fibaction.cli.app import cli
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE = 30.0
+"""Seconds for a whole process: many times what the slowest takes on a busy machine."""
+WARNINGS = ("-W", "error", "-W", "ignore:module 'sre_:DeprecationWarning")
+"""Warnings are errors, but for what ROS imports."""
+
+
+class Finished(NamedTuple):
+    """What came of a command."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def lines(self) -> list[str]:
+        """The lines of the output."""
+        return self.out.splitlines()
+
+    @property
+    def json(self) -> list[Any]:
+        """The output as JSON, one value a line."""
+        return [json.loads(line) for line in self.lines]
+
+
+def command(*arguments: str) -> list[str]:
+    """The command line of the console script, with Python's warnings as errors."""
+    script = Path(sys.executable).with_name("fibaction")
+    return [sys.executable, *WARNINGS, str(script), *arguments]
+
+
+def environment(url: str | None, env: Mapping[str, str] | None = None) -> dict[str, str]:
+    """This process's, without what could change how a command behaves, and the server's URL."""
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("FIBACTION_", "_FIBACTION_"))
+        and name not in ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TERM")
+    }
+    return {**kept, **({"FIBACTION_URL": url} if url else {}), **(env or {})}
+
+
+def ended(process: subprocess.Popen[str], input: str | None = None) -> Finished:
+    """Wait for the end of a process, and kill it if that does not come."""
+    with process:
+        try:
+            out, err = process.communicate(input, timeout=PATIENCE)
+        finally:
+            process.kill()
+    return Finished(process.returncode, out, err)
+
+
+def lines_until(pattern: str, process: subprocess.Popen[str]) -> list[str]:
+    """What a process prints, up to the first line in which the pattern is found."""
+    assert process.stdout is not None
+    lines: list[str] = []
+    while not (lines and re.search(pattern, lines[-1])):
+        line = process.stdout.readline()
+        assert line, f"it ended after {lines}"
+        lines.append(line)
+    return lines
+
+
+# Servers
+
+
+class Robot(NamedTuple):
+    """A server process: see `tests/cli/robot.py`."""
+
+    process: subprocess.Popen[str]
+    tcp: str
+    unix: str
+
+
+@pytest.fixture(scope="module")
+def start_robot(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Generator[Callable[[], Robot], None, None]:
+    """Starts a server process of one's own, for tests that stop or kill it."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start() -> Robot:
+        socket = tmp_path_factory.mktemp("robot") / "socket"
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tests.cli.robot", "tcp://127.0.0.1:0", f"unix://{socket}"],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        tcp, unix = lines_until("unix", process)
+        return Robot(process, tcp.strip(), unix.strip())
+
+    yield start
+    for process in started:
+        process.terminate()
+    for process in started:
+        ended(process)
+
+
+@pytest.fixture(scope="module")
+def robot(start_robot: Callable[[], Robot]) -> Robot:
+    """A server process that all tests of a module share: leave it as it was."""
+    return start_robot()
+
+
+@pytest.fixture
+def tcp(robot: Robot) -> str:
+    """The shared server, over TCP."""
+    return robot.tcp
+
+
+@pytest.fixture(params=["tcp", "unix"])
+def url(request: pytest.FixtureRequest, robot: Robot) -> str:
+    """The shared server, once over each transport."""
+    return str(getattr(robot, request.param))
+
+
+@pytest.fixture
+def nobody(unused_tcp_port: int) -> str:
+    """A URL where nobody listens."""
+    return f"tcp://127.0.0.1:{unused_tcp_port}"
+
+
+# The command
+
+
+class Run(Protocol):
+    """See `fibaction`."""
+
+    def __call__(
+        self,
+        *arguments: str,
+        url: str | None = None,
+        input: str | None = None,
+        env: Mapping[str, str] | None = None,
+    ) -> Finished: ...
+
+
+@pytest.fixture(scope="session")
+def fibaction() -> Run:
+    """Runs the command as a process, to its end. `url` is told it by `FIBACTION_URL`."""
+
+    def run(
+        *arguments: str,
+        url: str | None = None,
+        input: str | None = None,
+        env: Mapping[str, str] | None = None,
+    ) -> Finished:
+        return ended(start_command(*arguments, url=url, env=env), input)
+
+    return run
+
+
+def start_command(
+    *arguments: str, url: str | None = None, env: Mapping[str, str] | None = None
+) -> subprocess.Popen[str]:
+    """The command as a process, with pipes."""
+    return subprocess.Popen(
+        command(*arguments),
+        env=environment(url, env),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        encoding="utf-8",
+    )
+
+
+class Start(Protocol):
+    """See `started`."""
+
+    def __call__(
+        self, *arguments: str, url: str | None = None, env: Mapping[str, str] | None = None
+    ) -> subprocess.Popen[str]: ...
+
+
+@pytest.fixture
+def started() -> Iterator[Start]:
+    """Starts the command as a process, for tests that read its lines or send it signals; what is
+    left of it at the end of the test is killed.
+    """
+    processes: list[subprocess.Popen[str]] = []
+
+    def start(
+        *arguments: str, url: str | None = None, env: Mapping[str, str] | None = None
+    ) -> subprocess.Popen[str]:
+        processes.append(start_command(*arguments, url=url, env=env))
+        return processes[-1]
+
+    yield start
+    for process in processes:
+        process.kill()
+        with process:
+            process.communicate()
+
+
+class Invoke(Protocol):
+    """See `invoke`."""
+
+    def __call__(
+        self,
+        *arguments: str,
+        url: str | None = None,
+        input: str | bytes | None = None,
+        env: Mapping[str, str | None] | None = None,
+    ) -> Result: ...
+
+
+@pytest.fixture(scope="session")
+def invoke() -> Invoke:
+    """Runs the command in this process. Not from a test that is itself async."""
+
+    def run(
+        *arguments: str,
+        url: str | None = None,
+        input: str | bytes | None = None,
+        env: Mapping[str, str | None] | None = None,
+    ) -> Result:
+        settings = {"FIBACTION_URL": url, "NO_COLOR": None, **(env or {})}
+        result = CliRunner().invoke(
+            cli, arguments, input=input, env=settings, prog_name="fibaction"
+        )
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        return result
+
+    return run
+
+
+# The command in a terminal
+
+
+class Terminal:
+    """The command in a terminal of its own: what a person sees there, and the keys."""
+
+    def __init__(
+        self,
+        *arguments: str,
+        url: str | None = None,
+        env: Mapping[str, str] | None = None,
+        columns: int = 80,
+        lines: int = 24,
+    ) -> None:
+        self._screen = pyte.HistoryScreen(columns, lines, history=10_000, ratio=1)
+        self._stream = pyte.ByteStream(self._screen)
+        self.raw = b""
+        """All that was written, escape sequences included."""
+        self._master, slave = pty.openpty()
+        size = struct.pack("HHHH", lines, columns, 0, 0)
+        fcntl.ioctl(slave, termios.TIOCSWINSZ, size)
+        self.process = subprocess.Popen(
+            command(*arguments),
+            env=environment(url, {"TERM": "xterm-256color", **(env or {})}),
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            start_new_session=True,
+            # So that Ctrl-C becomes a SIGINT for it.
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        )
+        os.close(slave)
+
+    @property
+    def screen(self) -> list[str]:
+        """The lines that are on the screen now, without the blanks at their ends."""
+        return [str(line).rstrip() for line in self._screen.display]
+
+    @property
+    def text(self) -> str:
+        """What is on the screen, and what has scrolled out of it at the top."""
+        width = self._screen.columns
+        above = [
+            "".join(line[column].data for column in range(width)).rstrip()
+            for line in self._screen.history.top
+        ]
+        return "\n".join([*above, *self.screen]).rstrip()
+
+    @property
+    def cursor_hidden(self) -> bool:
+        """Whether the cursor was left hidden."""
+        return bool(self._screen.cursor.hidden)
+
+    def press(self, keys: str) -> None:
+        """Type; `\\x03` is Ctrl-C."""
+        os.write(self._master, keys.encode())
+
+    def until(self, condition: str | Callable[[list[str]], bool]) -> list[str]:
+        """Wait until a pattern is found in `text`, or the screen fulfils a condition; gives the
+        screen.
+        """
+        deadline = time.monotonic() + PATIENCE
+        while not self._fulfils(condition):
+            left = deadline - time.monotonic()
+            if not (left > 0 and self._read(left)):
+                raise AssertionError(f"there is no {condition!r} in:\n{self.text}")
+        return self.screen
+
+    def ends(self) -> int:
+        """Wait until the command has ended; gives its exit code."""
+        deadline = time.monotonic() + PATIENCE
+        while self._read(max(0.0, deadline - time.monotonic())):
+            pass
+        return self.process.wait(max(0.1, deadline - time.monotonic()))
+
+    def close(self) -> None:
+        """Kill what is left of it."""
+        self.process.kill()
+        self.process.wait()
+        os.close(self._master)
+
+    def _fulfils(self, condition: str | Callable[[list[str]], bool]) -> bool:
+        if isinstance(condition, str):
+            return re.search(condition, self.text, re.MULTILINE) is not None
+        return condition(self.screen)
+
+    def _read(self, seconds: float) -> bool:
+        """Take what there is, or wait for it; False if there is no more."""
+        if not select.select([self._master], [], [], seconds)[0]:
+            return False
+        try:
+            data = os.read(self._master, 65536)
+        except OSError:  # the terminal has no other end any more
+            return False
+        self.raw += data
+        self._stream.feed(data)
+        return bool(data)
+
+
+class Open(Protocol):
+    """See `terminal`."""
+
+    def __call__(
+        self,
+        *arguments: str,
+        url: str | None = None,
+        env: Mapping[str, str] | None = None,
+        columns: int = 80,
+        lines: int = 24,
+    ) -> Terminal: ...
+
+
+@pytest.fixture
+def terminal() -> Iterator[Open]:
+    """Runs the command in a pseudo-terminal."""
+    opened: list[Terminal] = []
+
+    def open_one(
+        *arguments: str,
+        url: str | None = None,
+        env: Mapping[str, str] | None = None,
+        columns: int = 80,
+        lines: int = 24,
+    ) -> Terminal:
+        opened.append(Terminal(*arguments, url=url, env=env, columns=columns, lines=lines))
+        return opened[-1]
+
+    yield open_one
+    for one in opened:
+        one.close()
+
+
+def interrupt(process: subprocess.Popen[Any]) -> None:
+    """Ctrl-C for a process that has no terminal."""
+    process.send_signal(signal.SIGINT)

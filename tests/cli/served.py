@@ -1,0 +1,73 @@
+"""A connection for tests of those who look at many actions: its servers are in this process, and
+come, go and fall silent as they are told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import anyio
+
+from fibaction import (
+    Action,
+    ActionError,
+    ActionInfo,
+    ActionServer,
+    ClientConnection,
+    TransportError,
+)
+from fibaction.abc import Connection, Endpoint
+from fibaction.testing import ScriptedServer
+from fibaction.waking import Waking
+
+
+def counter(name: str, *scripts: Any) -> ScriptedServer[int, int, str]:
+    """A server of that name; without a script, its goals give feedback 11 and go on for ever."""
+    action = Action(name, goal=int, feedback=int, result=str)
+    return ScriptedServer(action, *(scripts or ([11, anyio.Event()],)))
+
+
+class Served(Connection):
+    """What can be reached is what `servers` holds."""
+
+    def __init__(self, *servers: ActionServer[Any, Any, Any]) -> None:
+        self.servers: dict[str, Endpoint] = {one.action.name: one for one in servers}
+        self.unusable: set[str] = set()
+        self.error: ActionError | None = None
+        self.silent = False
+
+    @property
+    def connection(self) -> ClientConnection:
+        """As `connect` gives it."""
+        return ClientConnection(self)
+
+    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
+        if action.name in self.unusable:
+            raise TransportError(f"the type of {action.name} is not installed")
+        return self.servers[action.name]
+
+    async def actions(self) -> list[ActionInfo]:
+        if self.silent:
+            await anyio.sleep_forever()
+        if self.error is not None:
+            raise self.error
+        return [one.info for one in self.servers.values()]
+
+
+class Heard(list[Any]):
+    """What has been said so far, and a way to wait for more."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._news = Waking()
+
+    def __call__(self, *what: Any) -> None:
+        self.append(what[0] if len(what) == 1 else what)
+        self._news.wake()
+
+    async def until(self, condition: Callable[[list[Any]], object]) -> None:
+        """Wait until something has been said, and the condition holds."""
+        with anyio.fail_after(10):
+            while not (self and condition(self)):
+                await self._news.wait()

@@ -1,0 +1,370 @@
+"""The group of verbs, exit codes, and errors as sentences."""
+
+from __future__ import annotations
+
+import ast
+import errno
+import logging
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import anyio
+import click
+import pytest
+
+from fibaction import (
+    ActionError,
+    ActionInfo,
+    AuthenticationFailed,
+    CancelRejected,
+    ConnectionLost,
+    GoalAborted,
+    GoalCanceled,
+    GoalID,
+    GoalRejected,
+    ProtocolError,
+    ServerNotFound,
+    TransportError,
+    UnknownGoal,
+    connect,
+    serve,
+)
+from fibaction.cli import app
+from fibaction.cli.app import ExitCode, Failure
+from tests.cli.conftest import Invoke, Run
+from tests.cli.robot import servers
+
+# The group
+
+
+def test_help_lists_every_verb_with_what_it_is_for(invoke: Invoke) -> None:
+    out = invoke("--help").output
+
+    for verb, (_, _, use) in app.VERBS.items():
+        assert f"  {verb}" in out
+        assert use in out
+    assert "FIBACTION_URL" in out
+
+
+def test_a_verb_also_answers_to_its_hyphenated_spelling(invoke: Invoke) -> None:
+    assert invoke("send-goal", "--help").output == invoke("send_goal", "--help").output
+
+
+def test_a_misspelt_verb_suggests_the_near_one(invoke: Invoke) -> None:
+    result = invoke("send_gaol")
+
+    assert result.exit_code == ExitCode.USAGE
+    assert "Did you mean 'send_goal'?" in result.output
+
+
+def test_an_unknown_option_before_the_verb_is_a_usage_error(invoke: Invoke) -> None:
+    result = invoke("--nonsense", "list")
+
+    assert result.exit_code == ExitCode.USAGE
+    assert "No such option '--nonsense'" in result.output
+
+
+@pytest.mark.parametrize("verb", ["list", "info", "type", "find", "send_goal"])
+def test_the_help_of_a_verb_has_an_example(invoke: Invoke, verb: str) -> None:
+    out = invoke(verb, "--help").output
+
+    assert "Example" in out
+    assert f"  fibaction {verb} " in out
+
+
+def test_help_is_there_soon(fibaction: Run) -> None:
+    began = time.perf_counter()
+    result = fibaction("--help")
+    took = time.perf_counter() - began
+
+    assert result.code == 0
+    assert took < 5  # some twenty times what it takes: the machine may be busy
+
+
+def test_a_verb_that_is_unknown_is_none_to_the_completion() -> None:
+    context = click.Context(app.cli, resilient_parsing=True)
+
+    assert app.cli.resolve_command(context, ["nonsense", "x"]) == (None, None, ["x"])
+
+
+# The URL
+
+
+def test_the_url_is_that_of_the_verb_or_of_the_group_or_of_the_environment(
+    invoke: Invoke, tcp: str, nobody: str
+) -> None:
+    assert invoke("list", "-c", url=tcp).output == "6\n"
+    assert invoke("-u", tcp, "list", "-c", url=nobody).output == "6\n"
+    assert invoke("-u", nobody, "list", "-c", "--url", tcp).output == "6\n"
+
+
+def test_without_a_url_it_is_the_default_of_the_tcp_transport(invoke: Invoke) -> None:
+    from fibaction_transports.tcp import HOST, PORT
+
+    assert f"tcp://{HOST}:{PORT}" == app.URL
+    assert f"default: {app.URL}" in " ".join(invoke("--help").output.split())
+
+
+def test_a_server_that_does_not_run_is_one_sentence(fibaction: Run, nobody: str) -> None:
+    code, out, err = fibaction("list", url=nobody)
+
+    assert (code, out) == (ExitCode.UNREACHABLE, "")
+    assert err.startswith(f"Error: nobody listens at {nobody}")
+    assert err.endswith(": start the server, or name another with --url or FIBACTION_URL\n")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("url", "text"),
+    [
+        ("127.0.0.1:7400", "is no URL: write it like tcp://"),
+        ("nonsense://x", "no transport for nonsense:// is installed; there is"),
+        ("tcp://127.0.0.1:port", "port"),
+        ("tcp://127.0.0.1:7400?nonsense=1", "nonsense"),
+        ("unix:///nowhere/socket", "/nowhere/socket"),
+    ],
+)
+def test_a_wrong_url_is_one_sentence(invoke: Invoke, url: str, text: str) -> None:
+    result = invoke("-u", url, "list")
+
+    assert result.exit_code in (ExitCode.USAGE, ExitCode.UNREACHABLE)
+    assert text in result.stderr
+    assert result.stderr.startswith("Error: ")
+    assert result.stderr.count("\n") == 1
+
+
+# Errors
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (GoalAborted("no"), 1),
+        (GoalCanceled("no"), 3),
+        (GoalRejected("no"), 4),
+        (ServerNotFound("no"), 6),
+        (ConnectionLost("no"), 6),
+        (AuthenticationFailed("no"), 6),
+        (ProtocolError("no"), 6),
+        (TransportError("no"), 2),
+        (UnknownGoal(GoalID(bytes(16))), 2),
+        (CancelRejected("no"), 1),
+    ],
+)
+def test_every_error_has_its_exit_code_alone_and_in_a_group(error: ActionError, code: int) -> None:
+    async def alone() -> int:
+        raise error
+
+    async def grouped() -> int:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(alone)
+        raise AssertionError
+
+    for verb in (alone, grouped):
+        with pytest.raises(Failure) as failure:
+            app.run(verb)
+        assert failure.value.exit_code == code
+        assert failure.value.message == str(error)
+
+
+def test_what_a_verb_returns_is_the_exit_code() -> None:
+    async def verb(code: int, *, more: int) -> int:
+        return code + more
+
+    with pytest.raises(click.exceptions.Exit) as exit:
+        app.run(verb, 2, more=3)
+
+    assert exit.value.exit_code == 5
+
+
+def test_ctrl_c_where_nothing_is_to_be_canceled_ends_as_shells_expect() -> None:
+    async def verb() -> int:
+        raise KeyboardInterrupt
+
+    with pytest.raises(click.exceptions.Exit) as exit:
+        app.run(verb)
+
+    assert exit.value.exit_code == 130
+
+
+def test_a_failure_in_a_group_is_found_among_other_errors() -> None:
+    async def fail() -> None:
+        raise Failure("it is wrong", ExitCode.USAGE)
+
+    async def verb() -> int:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(fail)
+            await fail_too()
+        raise AssertionError
+
+    async def fail_too() -> None:
+        raise ZeroDivisionError
+
+    with pytest.raises(Failure, match="it is wrong"):
+        app.run(verb)
+
+
+def test_an_error_in_a_group_that_is_for_nobody_comes_out_as_itself() -> None:
+    async def fail() -> None:
+        raise ZeroDivisionError
+
+    async def verb() -> int:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(fail)
+        raise AssertionError
+
+    with pytest.raises(ZeroDivisionError):
+        app.run(verb)
+
+
+def test_a_traceback_is_shown_only_if_it_is_asked_for(invoke: Invoke) -> None:
+    plain = invoke("-u", "nonsense", "list")
+    debugged = invoke("-u", "nonsense", "list", env={"FIBACTION_DEBUG": "1"})
+
+    assert "Traceback" not in plain.stderr
+    assert "Traceback" in debugged.stderr
+    assert "fibaction.exceptions.TransportError" in debugged.stderr
+    assert debugged.stderr.endswith(plain.stderr)
+    assert plain.exit_code == debugged.exit_code == ExitCode.USAGE
+
+
+def test_a_bug_is_one_line_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(**_: object) -> None:
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr(app, "cli", broken)
+    monkeypatch.setattr(broken, "main", broken, raising=False)
+    monkeypatch.delenv("FIBACTION_DEBUG", raising=False)
+
+    with pytest.raises(SystemExit) as exit:
+        app.main()
+
+    assert exit.value.code == ExitCode.BUG
+    assert capsys.readouterr().err == (
+        "Error: ZeroDivisionError: oh (this is a bug; FIBACTION_DEBUG=1 shows where)\n"
+    )
+
+
+def test_a_bug_that_is_looked_for_has_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(**_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(app, "cli", broken)
+    monkeypatch.setattr(broken, "main", broken, raising=False)
+    monkeypatch.setenv("FIBACTION_DEBUG", "1")
+
+    with pytest.raises(ZeroDivisionError):
+        app.main()
+
+
+def test_a_stream_that_is_no_file_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Nowhere:
+        def write(self, text: str) -> int:
+            return len(text)
+
+        def flush(self) -> None:
+            pass
+
+    monkeypatch.setattr(sys, "stdout", Nowhere())
+    monkeypatch.setattr(sys, "argv", ["fibaction", "--version"])
+
+    with pytest.raises(SystemExit) as exit:
+        app.main()
+
+    assert exit.value.code == 0
+
+
+def test_a_reader_who_has_enough_is_no_error(tcp: str) -> None:
+    command = f"{Path(sys.executable).with_name('fibaction')} -u {tcp} list | head -n 1"
+
+    run = subprocess.run(
+        ["sh", "-c", command], capture_output=True, text=True, timeout=30, check=True
+    )
+
+    assert run.stdout == "/arm/pick\n"
+    assert run.stderr == ""
+
+
+def test_a_closed_pipe_within_a_group_comes_out_for_click_to_handle() -> None:
+    async def write() -> None:
+        raise BrokenPipeError(errno.EPIPE, "closed")
+
+    async def verb() -> int:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(write)
+        raise AssertionError
+
+    with pytest.raises(BrokenPipeError):
+        app.run(verb)
+
+
+# Actions by name
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("name", ["fibonacci", "/fibonacci", "arm/pick", "/arm/pick"])
+async def test_a_slash_in_front_of_a_name_is_optional(name: str) -> None:
+    async with serve(servers(), "inproc://names"), connect("inproc://names") as connection:
+        info = await app.find_action(connection, name)
+
+    assert info.name == name.lstrip("/")
+
+
+@pytest.mark.asyncio
+async def test_a_misspelt_action_suggests_the_near_one() -> None:
+    async with serve(servers(), "inproc://names"), connect("inproc://names") as connection:
+        with pytest.raises(Failure) as failure:
+            await app.find_action(connection, "fibonaci")
+
+    assert failure.value.message == ("nobody serves the action /fibonaci; did you mean /fibonacci?")
+    assert failure.value.exit_code == ExitCode.UNREACHABLE
+
+
+@pytest.mark.parametrize(
+    ("known", "text"),
+    [
+        ([], "nobody serves the action /x, nor any other"),
+        (["jump", "run"], "nobody serves the action /x; there is /jump, /run"),
+        (
+            [f"jump{i:02}" for i in range(12)],
+            "nobody serves the action /x; there is "
+            + ", ".join(f"/jump{i:02}" for i in range(10))
+            + ", ...",
+        ),
+    ],
+)
+def test_where_no_name_is_near_there_is_a_list(known: list[str], text: str) -> None:
+    assert app.no_action("x", map(ActionInfo, known)).message == text
+
+
+def test_a_private_name_is_shown_without_a_slash() -> None:
+    assert app.shown("~/jump") == "~/jump"
+
+
+# How it is built
+
+
+def test_no_verb_is_imported_before_it_is_used() -> None:
+    tree = ast.parse(Path(app.__file__).read_text(encoding="utf-8"))
+    imported = {
+        node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module
+    }
+
+    assert not imported & {module for module, _, _ in app.VERBS.values()}
+
+
+def test_the_log_of_the_command_is_on_stderr_from_warnings_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told: dict[str, object] = {}
+    monkeypatch.setattr(logging, "basicConfig", lambda **settings: told.update(settings))
+    monkeypatch.setattr(sys, "argv", ["fibaction", "--version"])
+
+    with pytest.raises(SystemExit):
+        app.main()
+
+    assert told["level"] == logging.WARNING

@@ -1,0 +1,83 @@
+"""The live line: how far a goal has come, and what fits on a line."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from fibaction.cli.progress import LiveLine, Meter, on_one_line
+
+
+@pytest.mark.parametrize(
+    ("feedbacks", "fractions"),
+    [
+        ([{"percent": 50}], [0.5]),
+        ([{"percent_complete": 0.5}], [0.005]),
+        ([{"fraction": 0.25, "percent": 99}], [0.25]),
+        ([{"progress": 0.25}, {"progress": 1.0}], [0.25, 1.0]),
+        ([{"progress": 1}, {"progress": 2}, {"progress": 1}], [1.0, 0.02, 0.01]),
+        ([{"progress": 120}], [1.0]),
+        ([{"progress": -1}], [0.0]),
+        ([{"progress": float("nan")}], [None]),
+        ([{"progress": True}, {"progress": "half"}, {"step": 1}, [1], 5, None], [None] * 6),
+    ],
+)
+def test_a_number_of_the_feedback_tells_how_far(
+    feedbacks: list[Any], fractions: list[float | None]
+) -> None:
+    meter = Meter()
+
+    assert [meter.read(feedback) for feedback in feedbacks] == fractions
+
+
+@pytest.mark.parametrize(
+    ("feedback", "line"),
+    [
+        ({"a": 1, "b": "x y", "c": None}, "a: 1  b: x y  c: None"),
+        ({"pose": {"x": 0.1234567891}}, "pose: {x: 0.123457}"),
+        (
+            {"n": list(range(50_000))},
+            "n: [..., 49992, 49993, 49994, 49995, 49996, 49997, 49998, 49999]",
+        ),
+        ({"n": [1, 2]}, "n: [1, 2]"),
+        ("red\x1b[31m\nüñ", "red\\x1b[31m\\x0aüñ"),
+        ("x" * 1000, "x" * 500),
+    ],
+)
+def test_a_feedback_is_made_one_line(feedback: object, line: str) -> None:
+    assert on_one_line(feedback) == line
+
+
+def drawn(feedback: Any, width: int = 80) -> str:
+    """What the line consists of, without colours."""
+    output = io.StringIO()
+    console = Console(file=output, width=width, force_terminal=True, color_system=None)
+    with LiveLine(console) as line:
+        if feedback is not None:
+            line.show(7, feedback)
+    return output.getvalue()
+
+
+@pytest.mark.parametrize("width", [80, 160])
+def test_the_line_has_a_bar_where_the_feedback_tells_how_far(width: int) -> None:
+    text = drawn({"progress": 0.5, "step": "x" * 200}, width)
+
+    assert "━" * 15 in text
+    assert " 50%" in text
+    assert "…" in text  # and so it is one line
+    assert "x" * (width - 70) in text
+
+
+def test_the_line_counts_where_it_does_not() -> None:
+    assert "feedback 7 numbers: [1, 2]" in drawn({"numbers": [1, 2]})
+
+
+def test_before_the_first_feedback_it_says_so() -> None:
+    assert "waiting for feedback" in drawn(None)
+
+
+def test_the_line_is_gone_in_the_end() -> None:
+    assert drawn({"n": 1}).endswith("\x1b[2K")  # which erases a line

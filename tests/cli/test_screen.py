@@ -1,0 +1,188 @@
+"""The screen of `top`, driven by keys, and what is on it at 80 and at 160 columns."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import DataTable
+
+from fibaction import ActionInfo, CancelAnswer, ConnectionLost, GoalID, GoalInfo
+from fibaction.cli.board import Board, GoalKey
+from fibaction.cli.screen import Screen
+from fibaction.observing import GoalFeedback
+from fibaction.states import GoalStatus
+from tests.cli.served import Served, counter
+
+FIRST, SECOND = GoalID(b"\x11" * 16), GoalID(b"\x22" * 16)
+
+
+def filled() -> Board:
+    """A board with two actions, and two goals of the first."""
+    server = counter("arm/pick")
+    board = Board()
+    pick = ActionInfo("arm/pick", "arm/action/Pick")
+    board.reached([pick, ActionInfo("wait")], "")
+    board.found(pick, Served(server).connection.client(server.action))
+    board.gone("wait", "its server has stopped")
+    board.told("arm/pick", GoalInfo(FIRST, 2, GoalStatus.EXECUTING, 0, "somebody at 1.2.3.4:5"))
+    board.told("arm/pick", GoalInfo(SECOND, 1, GoalStatus.EXECUTING, 0, "me"))
+    board.told("arm/pick", GoalFeedback(FIRST, 41, {"progress": 0.5, "step": "reach " * 30}))
+    return board
+
+
+@asynccontextmanager
+async def shown(board: Board, columns: int = 80) -> AsyncGenerator[Pilot[None], None]:
+    screen = Screen(board, "tcp://robot:7400")
+    async with screen.run_test(size=(columns, 24), notifications=True) as pilot:
+        await pilot.pause()
+        yield pilot
+
+
+def lines(pilot: Pilot[None]) -> list[str]:
+    """What is on the screen."""
+    width, height = pilot.app.size
+    strips = pilot.app.screen._compositor.render_strips()
+    assert len(strips) == height
+    texts = [strip.text for strip in strips]
+    assert all(len(text) == width for text in texts)
+    return [text.rstrip() for text in texts]
+
+
+def find(pilot: Pilot[None], text: str) -> str:
+    """The line that has the text."""
+    return next(line for line in lines(pilot) if text in line)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("columns", [80, 160])
+async def test_everything_fits_the_width(columns: int) -> None:
+    async with shown(filled(), columns) as pilot:
+        state, heads = lines(pilot)[:2]
+        goals = find(pilot, "LATEST")
+        first = find(pilot, "11111111").split()
+        assert state == " tcp://robot:7400  2 active, 0 ended, 0.0 feedback/s"
+        assert heads.split() == ["ACTION", "ACTIVE", "ENDED", "FEEDBACK/S", "TYPE"]
+        assert find(pilot, "arm/action/Pick").split()[:2] == ["/arm/pick", "2"]
+        assert "away: its server has stopped" in find(pilot, " /wait")
+        assert first[1:3] == ["/arm/pick", "EXECUTING"]
+        assert "41" in first
+        assert first[-1].endswith("…"), "what does not fit is seen to be cut"
+        assert ("CLIENT" in goals) == ("1.2.3.4:5" in " ".join(first)) == (columns == 160)
+        assert "q Quit  c Cancel goal  f Follow goal" in lines(pilot)[-1]
+        for name in ("#actions", "#goals"):
+            assert pilot.app.query_one(name).max_scroll_x == 0
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("key", ["f", "enter"])
+async def test_a_goal_is_followed_until_it_is_no_more(key: str) -> None:
+    board = filled()
+    async with shown(board) as pilot:
+        await pilot.press(key)
+        await pilot.pause()
+        assert find(pilot, f"/arm/pick {FIRST} EXECUTING")
+        assert find(pilot, "progress: 0.5")
+        board.told("arm/pick", GoalInfo(FIRST, 2, GoalStatus.UNKNOWN))
+        pilot.app.query_one(DataTable)
+        assert isinstance(pilot.app, Screen)
+        pilot.app.draw()
+        await pilot.pause()
+        assert find(pilot, f"{FIRST} forgotten by the server")
+        await pilot.press("escape")
+        await pilot.pause()
+        assert not [line for line in lines(pilot) if "progress: 0.5" in line]
+        await pilot.press(key)
+        await pilot.pause()
+        assert find(pilot, "No feedback has come while this screen was open.")
+        await pilot.press(key)
+        await pilot.pause()
+        assert not [line for line in lines(pilot) if "No feedback has come" in line]
+
+
+@pytest.mark.asyncio
+async def test_the_cursor_stays_at_its_goal() -> None:
+    board = filled()
+    async with shown(board) as pilot:
+        await pilot.press("down")
+        screen = pilot.app
+        assert isinstance(screen, Screen)
+        assert screen._selected() == GoalKey("arm/pick", SECOND)
+        board.told("arm/pick", GoalInfo(GoalID(b"\x33" * 16), 3, GoalStatus.ACCEPTED))
+        screen.draw()
+        await pilot.pause()
+        assert screen._selected() == GoalKey("arm/pick", SECOND)
+        assert screen.query_one("#goals", DataTable).cursor_row == 2
+        await pilot.resize_terminal(160, 40)
+        assert screen._selected() == GoalKey("arm/pick", SECOND)
+
+
+@pytest.mark.asyncio
+async def test_the_goal_under_the_cursor_is_canceled(monkeypatch: pytest.MonkeyPatch) -> None:
+    server = counter("arm/pick")
+    board = Board()
+    board.found(server.info, Served(server).connection.client(server.action))
+    async with server, shown(board) as pilot:
+        await pilot.press("c", "f")  # there is none
+        goal = await Served(server).connection.client(server.action).send_goal(1, goal_id=FIRST)
+        board.told("arm/pick", GoalInfo(FIRST, 1, GoalStatus.EXECUTING))
+        assert isinstance(pilot.app, Screen)
+        pilot.app.draw()
+        await pilot.press("c")
+        await pilot.app.workers.wait_for_complete()
+        assert (await goal.outcome()).status is GoalStatus.CANCELED
+        await pilot.pause()
+        assert find(pilot, "Canceling the goal 11111111")
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [(None, "is not canceled: never"), (ConnectionLost("the line is dead"), "the line is dead")],
+)
+async def test_what_is_not_canceled_is_told_of(
+    error: ConnectionLost | None, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = counter("arm/pick")
+    board = Board()
+    board.found(server.info, Served(server).connection.client(server.action))
+    board.told("arm/pick", GoalInfo(FIRST, 1, GoalStatus.EXECUTING))
+
+    async def cancel(*_: object) -> CancelAnswer:
+        if error is not None:
+            raise error
+        from fibaction import CancelCode
+
+        return CancelAnswer(CancelCode.REJECTED, reason="never")
+
+    monkeypatch.setattr(server, "cancel_goals", cancel)
+    async with shown(board, 160) as pilot:
+        await pilot.press("c")
+        await pilot.app.workers.wait_for_complete()
+        await pilot.pause()
+        assert find(pilot, text)
+
+
+@pytest.mark.asyncio
+async def test_a_server_that_is_away_is_shown_at_the_top() -> None:
+    board = filled()
+    async with shown(board) as pilot:
+        board.reached(None, "it does not answer\x1b")
+        assert isinstance(pilot.app, Screen)
+        pilot.app.draw()
+        await pilot.pause()
+        assert lines(pilot)[0].startswith(
+            " tcp://robot:7400  the server is away: it does not answer\\x1b"
+        )
+        assert pilot.app.query_one("#state").has_class("away")
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("key", ["q", "ctrl+c"])
+async def test_keys_quit(key: str) -> None:
+    async with shown(filled()) as pilot:
+        await pilot.press(key)
+        await pilot.pause()
+        assert pilot.app.return_code == 0

@@ -1,0 +1,169 @@
+"""`top` as a process in a terminal, and without what it needs."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import ConnectionLost, serve
+from fibaction.cli import observing, top
+from fibaction.cli.app import ExitCode
+from fibaction.cli.screen import Screen
+from tests.cli.conftest import Invoke, Open, Robot, Run
+from tests.cli.served import Served, counter
+
+
+@pytest.mark.parametrize("columns", [80, 160])
+def test_goals_can_be_watched_followed_and_canceled(
+    terminal: Open, fibaction: Run, url: str, columns: int
+) -> None:
+    goal_id = fibaction(
+        "send_goal", "wait", "{seconds: 60, steps: 600}", "--detach", url=url
+    ).out.strip()
+    shown = terminal("top", url=url, columns=columns)
+    shown.until(rf"{goal_id[:8]} +/wait +EXECUTING .*progress: ")
+    shown.press("f")
+    shown.until(f"/wait {goal_id} EXECUTING")
+    shown.until("^ step: step")
+    shown.press("c")
+    shown.until(rf"{goal_id[:8]} +/wait +CANCELED")
+    assert len(shown.screen) == 24
+    shown.press("q")
+
+    assert shown.ends() == 0
+    assert not shown.cursor_hidden
+
+
+def test_a_server_that_is_away_is_shown_and_ctrl_c_leaves(
+    terminal: Open, start_robot: Callable[[], Robot]
+) -> None:
+    robot = start_robot()
+    shown = terminal("top", url=f"{robot.tcp}?heartbeat=0.5")
+    shown.until("/fibonacci")
+    assert "heartbeat" not in shown.text, "what is behind the ? may be secret"
+    robot.process.kill()
+    shown.until("the server is away")
+    shown.press("\x03")
+
+    assert shown.ends() == 0
+
+
+def test_sigterm_leaves_the_terminal_as_it_was(terminal: Open, tcp: str) -> None:
+    shown = terminal("top", url=tcp)
+    shown.until("/fibonacci")
+    shown.process.send_signal(signal.SIGTERM)
+
+    assert shown.ends() == 0
+    assert not shown.cursor_hidden
+    assert b"\x1b[?1049l" in shown.raw
+
+
+def test_a_connection_that_is_lost_for_good_ends_it(
+    terminal: Open, start_robot: Callable[[], Robot]
+) -> None:
+    robot = start_robot()
+    shown = terminal("top", url=f"{robot.tcp}?reconnect=false")
+    shown.until("/fibonacci")
+    robot.process.kill()
+
+    assert shown.ends() == ExitCode.UNREACHABLE
+    assert "Error: " in shown.text
+    assert "Traceback" not in shown.text
+
+
+def test_nobody_there_is_told_before_the_screen_is_taken(terminal: Open, nobody: str) -> None:
+    shown = terminal("top", url=nobody)
+
+    assert shown.ends() == ExitCode.UNREACHABLE
+    assert f"Error: nobody listens at {nobody}" in shown.text
+    assert b"\x1b[?1049h" not in shown.raw
+
+
+def test_without_a_terminal_it_names_what_needs_none(invoke: Invoke, tcp: str) -> None:
+    result = invoke("top", url=tcp)
+
+    assert result.exit_code == ExitCode.USAGE
+    assert result.stderr == (
+        "Error: fibaction top needs a terminal; fibaction goals --watch does not\n"
+    )
+
+
+def test_without_textual_it_says_how_to_get_it(
+    invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(top, "find_spec", lambda _: None)
+    result = invoke("top", url=tcp)
+
+    assert result.exit_code == ExitCode.USAGE
+    assert result.stderr == "Error: fibaction top needs textual: pip install 'fibaction[tui]'\n"
+
+
+def test_the_help_has_an_example_and_the_keys(invoke: Invoke) -> None:
+    out = invoke("top", "--help").output
+
+    assert "  fibaction top\n" in out
+    assert "c cancels the goal under the cursor" in out
+
+
+# Here
+
+
+def test_the_command_runs_the_screen(
+    invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def show(*_: object) -> None:
+        pass
+
+    class Terminal:
+        stdin = stdout = type("Stream", (), {"isatty": lambda self: True})()
+
+    monkeypatch.setattr(top, "show", show)
+    monkeypatch.setattr(top, "sys", Terminal)
+
+    assert invoke("top", url=tcp).exit_code == 0
+
+
+@pytest.fixture
+def without_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The screen is drawn, but nowhere."""
+    run_async = Screen.run_async
+
+    async def run(self: Screen, **_: Any) -> None:
+        await run_async(self, headless=True)
+
+    monkeypatch.setattr(Screen, "run_async", run)
+    monkeypatch.setattr(observing, "LOOK", 0.05)
+
+
+@pytest.mark.asyncio
+@pytest.mark.usefixtures("without_terminal")
+async def test_a_signal_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = anyio.Event()
+    monkeypatch.setattr(Screen, "on_mount", lambda _: drawn.set())
+    async with serve(counter("one"), "inproc://top"):
+        with anyio.fail_after(20):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(top.top, "inproc://top")
+                await drawn.wait()
+                signal.raise_signal(signal.SIGTERM)
+
+
+@pytest.mark.asyncio
+@pytest.mark.usefixtures("without_terminal")
+async def test_an_error_of_the_connection_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    server = counter("one")
+
+    async def lost(*_: object) -> None:
+        raise ConnectionLost("the line is dead")
+
+    monkeypatch.setattr(server, "status", lost)
+    monkeypatch.setattr(server, "wait_for_server", lost)
+    with anyio.fail_after(20):
+        with pytest.raises(ExceptionGroup) as errors:
+            await top.show(Served(server).connection, "inproc://top?token=secret")
+
+    assert errors.group_contains(ConnectionLost)
