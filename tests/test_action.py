@@ -37,6 +37,8 @@ Metres = NewType("Metres", float)
 
 def shown(value: object) -> str:
     """As `repr`, but the same in each process: tests are spread over several."""
+    if isinstance(value, set | frozenset):
+        value = sorted(value, key=repr)
     return re.sub(r" at 0x[0-9a-f]+", "", repr(value))
 
 
