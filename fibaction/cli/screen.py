@@ -83,6 +83,8 @@ class Screen(App[None]):
 
     def draw(self) -> None:
         """Draw what is on the board now."""
+        if not self.query("#state"):
+            return  # the screen is being taken down, and its clock has ticked once more
         self._board.sample()
         with self.batch_update():
             self._draw_state()

@@ -180,6 +180,14 @@ async def test_a_server_that_is_away_is_shown_at_the_top() -> None:
 
 
 @pytest.mark.asyncio
+async def test_a_screen_that_is_being_taken_down_is_drawn_no_more() -> None:
+    async with shown(filled()) as pilot:
+        assert isinstance(pilot.app, Screen)
+        await pilot.app.query_one("#state").remove()
+        pilot.app.draw()
+
+
+@pytest.mark.asyncio
 @pytest.mark.parametrize("key", ["q", "ctrl+c"])
 async def test_keys_quit(key: str) -> None:
     async with shown(filled()) as pilot:
