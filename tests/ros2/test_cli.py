@@ -1,0 +1,117 @@
+"""The command line over `ros2://`: the same verbs, as processes, and a real server of ROS 2."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Generator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+COMMAND = Path(sys.executable).with_name("fibaction")
+URL = "ros2://?discovery_timeout=20"
+PATIENCE = 60.0
+"""Seconds for a whole command: many times what it takes, as nodes may find each other late."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def server() -> Generator[None, None, None]:
+    """The Fibonacci example, as an action of ROS 2."""
+    process = subprocess.Popen(
+        [sys.executable, "examples/fibonacci_server.py", "--url", "ros2://", "--period", "0.5"],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    with process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline().startswith("serving fibonacci")
+            fibaction("send_goal", "fibonacci", "order: 1", code=0)  # it has been found
+            yield
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(PATIENCE) == 0
+        finally:
+            process.kill()
+
+
+def fibaction(*arguments: str, code: int) -> list[str]:
+    """What the command prints; it must end with that exit code."""
+    done = subprocess.run(
+        [COMMAND, "-u", URL, *arguments], capture_output=True, text=True, timeout=PATIENCE
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout.splitlines()
+
+
+def events(lines: list[str]) -> list[dict[str, object]]:
+    return [json.loads(line) for line in lines]
+
+
+def test_an_action_is_listed_with_its_type_and_its_nodes() -> None:
+    assert "/fibonacci [arduinobot_msgs/action/Fibonacci]" in fibaction("list", "-t", code=0)
+    assert fibaction("type", "fibonacci", code=0) == ["arduinobot_msgs/action/Fibonacci"]
+    assert fibaction("find", "arduinobot_msgs/action/Fibonacci", code=0) == ["/fibonacci"]
+    lines = fibaction("info", "/fibonacci", code=0)
+    assert "Action servers: 1" in lines
+
+
+def test_a_goal_is_sent_and_followed_to_its_end() -> None:
+    told = events(fibaction("send_goal", "fibonacci", "order: 6", "-f", "--json", code=0))
+    feedback = [event["feedback"] for event in told if event["event"] == "feedback"]
+    assert feedback[-1] == {"partial_sequence": [0, 1, 1, 2, 3, 5, 8]}
+    assert told[-1]["status"] == "SUCCEEDED"
+
+
+def test_a_goal_that_is_rejected_or_does_not_fit_ends_with_its_own_exit_code() -> None:
+    fibaction("send_goal", "fibonacci", "order: -1", code=4)
+    fibaction("send_goal", "fibonacci", "ordr: 1", code=2)
+    fibaction("send_goal", "fibonacci", "order: 99999999999", code=2)
+
+
+def test_a_goal_that_was_left_running_is_listed_followed_and_canceled() -> None:
+    (accepted,) = (
+        event
+        for event in events(
+            fibaction("send_goal", "fibonacci", "order: 46", "--detach", "--json", code=0)
+        )
+        if event["event"] == "accepted"
+    )
+    goal_id = str(accepted["goal_id"])
+    listed = events(fibaction("goals", "fibonacci", "--json", code=0))
+    assert goal_id in [goal["goal_id"] for goal in listed]
+    with subprocess.Popen(
+        [COMMAND, "-u", URL, "attach", goal_id, "fibonacci"], stdout=subprocess.PIPE, text=True
+    ) as attached:
+        try:
+            assert attached.stdout is not None
+            assert attached.stdout.readline()  # it follows the goal
+            fibaction("cancel", "fibonacci", goal_id, code=0)
+            attached.stdout.read()
+            assert attached.wait(PATIENCE) == 3
+        finally:
+            attached.kill()
+
+
+def test_what_happens_is_echoed_until_ctrl_c() -> None:
+    with subprocess.Popen(
+        [COMMAND, "-u", URL, "echo", "fibonacci", "--json"], stdout=subprocess.PIPE, text=True
+    ) as echo:
+        try:
+            assert echo.stdout is not None
+            assert echo.stdout.readline()  # it begins with the goals that are remembered
+            fibaction("send_goal", "fibonacci", "order: 3", code=0)
+            seen = ""
+            while "SUCCEEDED" not in seen:
+                seen = echo.stdout.readline()
+                assert seen, "it has ended"
+            echo.send_signal(signal.SIGINT)
+            echo.stdout.read()
+            assert echo.wait(PATIENCE) == 0
+        finally:
+            echo.kill()
