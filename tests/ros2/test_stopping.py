@@ -24,8 +24,8 @@ END = 10.0
 INTERRUPTED = 128 + SIGINT
 ABORTED = r"\[WARN\] \[\w+\]: stopped: goal \w+ ABORTED: server stopped\n"
 CUT_SHORT = r"Failed to publish log message to rosout: publisher's context is invalid, at \S+\n"
-"""What rcl says of a line of the log that is under way when rclpy's own handler of signals shuts ROS
-down: no check before the line can come in between."""
+"""What rcl says of a line of the log that is under way when rclpy's own handler of signals shuts
+ROS down: no check before the line can come in between."""
 DEATHS = re.compile("terminate called|core dumped|Fatal|Segmentation")
 """What C++ and Python say when they end badly."""
 
