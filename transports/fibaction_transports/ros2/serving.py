@@ -80,6 +80,7 @@ class Served:
         self._deciding: set[GoalID] = set()
         self._pumps: dict[GoalID, Pump] = {}
         self._quick = 0
+        self._is_drained = False
         self._underway = 0
         self._progress = Waking()
         self._open(feedback_depth)
@@ -122,6 +123,7 @@ class Served:
                 pump.hurry()
             await self._all_told()
             self._board.flush()
+        self._is_drained = True
 
     async def _all_told(self) -> None:
         while self._quick or any(pump.is_owed for pump in self._pumps.values()):
@@ -137,8 +139,10 @@ class Served:
 
         def begin(item: Any) -> None:
             header, request = item
-            if self._underway >= UNDERWAY:
-                logger.error("%s: too many requests are under way, and one is lost", self._name)
+            if self._is_drained or self._underway >= UNDERWAY:
+                # Nobody can answer any more, which the client will notice; or nobody can keep up.
+                level = logging.INFO if self._is_drained else logging.ERROR
+                logger.log(level, "%s: more requests than can be answered: one is lost", self._name)
                 return
             self._underway += 1
             self._quick += quick
