@@ -4,7 +4,7 @@ that the other end is alive. It knows messages only as bytes, but for the sign o
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 
 from anyio import CancelScope, create_task_group, move_on_after, sleep
@@ -70,16 +70,11 @@ class Link:
         Raises:
             ConnectionLost: The connection has ended.
         """
-        await self.send_all((frame,))
-
-    async def send_all(self, frames: Sequence[bytes]) -> None:
-        """Queue several messages, as `send` does each."""
-        for frame in frames:
-            while self._queued >= self._high_water and self._error is None:
-                await self._room.wait()
-            if self._error is not None:
-                raise ConnectionLost(str(self._error)) from self._error
-            self.post(frame)
+        while self._queued >= self._high_water and self._error is None:
+            await self._room.wait()
+        if self._error is not None:
+            raise ConnectionLost(str(self._error)) from self._error
+        self.post(frame)
 
     async def flush(self) -> None:
         """Wait until everything that is queued has been written, or the connection has ended."""
