@@ -166,6 +166,17 @@ class StatusStream(_Closing):
             ConnectionLost: The connection ended.
         """
 
+    async def listed(self) -> list[GoalInfo]:
+        """The goals that there were when the stream began: its first items.
+
+        Raises:
+            ConnectionLost: The connection ended.
+        """
+        goals: list[GoalInfo] = []
+        while len(goals) < self.known and (info := await self.receive()) is not None:
+            goals.append(info)
+        return goals
+
 
 class Endpoint(ABC):
     """An action server as its clients see it, whatever lies between."""

@@ -59,7 +59,10 @@ class FeedbackReader(Generic[FeedbackT]):
         if not self._holding:
             self._holding = True
             self._stream.hold(True)
-        item = await self._stream.receive()
+        event = self._stream.take()  # what is there need not be waited for
+        if isinstance(event, list) and event:
+            return self._codec.decode(event[0].payload)
+        item = None if event is None else await self._stream.receive()
         if item is None:
             raise StopAsyncIteration
         return self._codec.decode(item.payload)
@@ -279,14 +282,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         Raises:
             ServerNotFound, ConnectionLost: As for `send_goal`.
         """
-        goals: list[GoalInfo] = []
         with await self.endpoint.status() as statuses:
-            for _ in range(statuses.known):
-                info = await statuses.receive()
-                if info is None:
-                    break
-                goals.append(info)
-        return goals
+            return await statuses.listed()
 
     def events(self, *, feedback: bool = True) -> AbstractAsyncContextManager[Events[FeedbackT]]:
         """`async with` this, and `async for` over what it gives: first every goal that the server

@@ -11,14 +11,16 @@ import logging
 import math
 from collections.abc import AsyncGenerator, Callable, Coroutine, Generator
 from contextlib import aclosing
+from contextvars import Context, copy_context
 from time import perf_counter
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, cast
 
-from anyio import CancelScope, current_effective_deadline, get_cancelled_exc_class
+from anyio import current_effective_deadline, get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.crew import SLICE, Life
 from fibaction.exceptions import GoalAborted, GoalCanceled
 from fibaction.protocol import Ending, EndKind
 from fibaction.states import GoalStatus
@@ -27,10 +29,6 @@ if TYPE_CHECKING:
     from fibaction.goals import GoalID
     from fibaction.protocol import Goal
     from fibaction.streams import GoalLog
-
-SLICE = 0.005
-"""Seconds that a generator may go on without awaiting before other tasks get their turn: short for
-a person and for a heartbeat, long beside a turn of the event loop (some 10 microseconds)."""
 
 logger = logging.getLogger("fibaction.server")
 
@@ -75,7 +73,20 @@ Executor: TypeAlias = Callable[[GoalHandle[GoalT]], AsyncGenerator[FeedbackT | R
 
 
 class Execution(Generic[GoalT, FeedbackT, ResultT]):
-    """One goal's executor at work. `run` it once, in a task of its own."""
+    """One goal's executor at work. `run` it once."""
+
+    __slots__ = (
+        "_action",
+        "_context",
+        "_executor",
+        "_is_interrupted",
+        "_life",
+        "_log",
+        "_result",
+        "_stall_timeout",
+        "_steps",
+        "handle",
+    )
 
     def __init__(
         self,
@@ -91,30 +102,37 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._log = log
         self._stall_timeout = stall_timeout
         self._result: bytes | None = None
-        # Two scopes, because the cancellation is to arrive once: the outer one delivers it, then
-        # the inner one shields what follows, the clean-up, until `kill`.
-        self._interruption = CancelScope(shield=True)
-        self._life = CancelScope()
-        self._steps = _Steps(self._run, self._life)
+        # The variables of whoever sent the goal, as a task of its own would have them.
+        self._context = copy_context()
+        self._is_interrupted = False
+        self._life: Life | None = None
+        self._steps: _Steps
 
-    async def run(self) -> Ending:
+    async def run(self, life: Life) -> Ending:
         """Run the executor to its end, and say how it left off."""
-        ending = Ending(EndKind.CANCELED)
-        with self._interruption, self._life:
-            ending = await self._steps
-        return ending
+        self._life = life
+        self._steps = _Steps(self._run(), life, self._context)
+        if self._is_interrupted:
+            self._steps.interrupt()
+        try:
+            return await self._steps
+        finally:
+            self._life = None
+            del self._steps  # it and this object hold each other
 
     def interrupt(self) -> None:
         """Raise the backend's cancellation inside the generator, once, where it is or next awaits
         or yields. What it awaits after that is its clean-up, and is left in peace.
         """
-        if not self._interruption.cancel_called:
-            self._steps.pending = True
-            self._interruption.cancel()
+        if not self._is_interrupted:
+            self._is_interrupted = True
+            if self._life is not None:
+                self._steps.interrupt()
 
     def kill(self) -> None:
         """End the clean-up too: from now on, whatever is awaited is canceled."""
-        self._life.cancel()
+        if self._life is not None:
+            self._life.kill()
 
     async def _run(self) -> Ending:
         try:
@@ -123,6 +141,8 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         except BaseException as exc:
             cause = _cause(exc)
             if cause is None:
+                assert self._life is not None
+                self._life.is_spent = True  # somebody may have canceled the task itself
                 return Ending(EndKind.CANCELED, self._result)
             if isinstance(cause, GoalCanceled):
                 return self._part(EndKind.CANCELED, cause)
@@ -145,6 +165,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
 
     async def _consume(self, items: AsyncGenerator[FeedbackT | ResultT, None]) -> None:
         feedback, result = self._action.feedback, self._action.result
+        log, steps = self._log, self._steps
         step = items.__anext__()
         while True:
             try:
@@ -157,8 +178,8 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
                 # The only yield that is no cancellation point: the goal is done.
                 self._result = result.encode(item)
             elif feedback.holds(item):
-                self._log.append(feedback.encode(item))
-                if self._steps.pending or self._log.is_full or self._steps.took_long:
+                log.append(feedback.encode(item))
+                if steps.pending or log.is_full or perf_counter() >= steps.slice_end:
                     try:
                         await self._pause()
                     except get_cancelled_exc_class() as exc:
@@ -218,23 +239,35 @@ class _Steps(Generator[Any, Any, Ending]):
     clean-up keeps the cancellation to itself.)
     """
 
-    def __init__(self, start: Callable[[], Coroutine[Any, Any, Ending]], life: CancelScope) -> None:
+    __slots__ = (
+        "_arrived",
+        "_by_outcome",
+        "_context",
+        "_coroutine",
+        "_life",
+        "pending",
+        "slice_end",
+    )
+
+    def __init__(
+        self, coroutine: Coroutine[Any, Any, Ending], life: Life, context: Context
+    ) -> None:
         self.pending = False
         """Whether an interruption is on its way and has not arrived."""
-        self._start = start
-        self._coroutine: Coroutine[Any, Any, Ending]
+        self._coroutine = coroutine
         self._life = life
+        self._context = context
         self._arrived = False
         self._by_outcome = False
-        self._slice_end = 0.0
+        self.slice_end = 0.0
+        """When the coroutine, if it has not waited until then, has gone on for too long."""
 
-    @property
-    def took_long(self) -> bool:
-        """Whether the coroutine has gone on for too long since it was resumed."""
-        return perf_counter() >= self._slice_end
+    def interrupt(self) -> None:
+        """Cancel the coroutine, once."""
+        self.pending = True
+        self._life.interrupt()
 
     def __await__(self) -> Generator[Any, Any, Ending]:
-        self._coroutine = self._start()
         return self
 
     def __next__(self) -> Any:
@@ -245,8 +278,8 @@ class _Steps(Generator[Any, Any, Ending]):
             # trio resumes a task with an `outcome.Error`, and raises what is in it further inside.
             self._by_outcome = True
             self._look_at(getattr(value, "error", None))
-        self._slice_end = perf_counter() + SLICE
-        return self._suspend(self._coroutine.send(value))
+        self.slice_end = perf_counter() + SLICE
+        return self._suspend(self._context.run(self._coroutine.send, value))
 
     def throw(
         self,
@@ -257,10 +290,10 @@ class _Steps(Generator[Any, Any, Ending]):
         # With one argument it is the exception itself; the other two are deprecated.
         assert isinstance(typ, BaseException)
         self._look_at(typ)
-        self._slice_end = perf_counter() + SLICE
+        self.slice_end = perf_counter() + SLICE
         # A bare cancellation, as of the task itself: a scope inside would take anyio's for its own.
         error = type(typ)() if self._arrived else typ
-        return self._suspend(self._coroutine.throw(error))
+        return self._suspend(self._context.run(self._coroutine.throw, error))
 
     def close(self) -> None:
         self._coroutine.close()
@@ -271,17 +304,19 @@ class _Steps(Generator[Any, Any, Ending]):
             self._arrived = True
 
     def _suspend(self, waiting_for: Any) -> Any:
+        self._life.on_wait()
         if self._arrived:
-            self._life.shield = True
+            rest = self._life.rest
+            rest.shield = True
             self._arrived = self._by_outcome and self._is_unwinding()
-            self._life.shield = not self._arrived
+            rest.shield = not self._arrived
         return waiting_for
 
     def _is_unwinding(self) -> bool:
         """Whether what waits is, in all likelihood, a nursery that the cancellation passes on its
         way out. It must see that the cancellation comes from outside, or it would keep it.
         """
-        return current_effective_deadline() == -math.inf and not self._life.cancel_called
+        return current_effective_deadline() == -math.inf and not self._life.rest.cancel_called
 
 
 def _cause(exc: BaseException) -> BaseException | None:

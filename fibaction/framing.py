@@ -5,6 +5,8 @@ Sans-I/O: bytes in, frames out. What is in a frame is not looked at.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from fibaction.exceptions import ProtocolError
 
 HEADER = 4
@@ -15,6 +17,14 @@ MAX_FRAME = 16 * 2**20
 def header(length: int) -> bytes:
     """What comes before a frame of that length."""
     return length.to_bytes(HEADER, "big")
+
+
+def framed(frames: Iterable[bytes]) -> bytes:
+    """The frames as they are sent, one behind the other."""
+    parts: list[bytes] = []
+    for frame in frames:
+        parts += (header(len(frame)), frame)
+    return b"".join(parts)
 
 
 class FrameReader:

@@ -5,7 +5,7 @@ Plain values: they know nothing of who sends them or how.
 
 from __future__ import annotations
 
-import uuid
+import os
 from enum import IntEnum
 from typing import Any, Generic, TypeVar
 
@@ -36,8 +36,8 @@ class GoalID(bytes):
 
     @classmethod
     def random(cls) -> GoalID:
-        """A new ID, a random UUID, which no other goal has."""
-        return super().__new__(cls, uuid.uuid4().bytes)
+        """A new ID, 16 random bytes, which no other goal has."""
+        return super().__new__(cls, os.urandom(16))
 
     @classmethod
     def parse(cls, text: str) -> GoalID:

@@ -63,7 +63,8 @@ class Hello(_Message, tag=16):
     """What it knows that others do not."""
     session: bytes = b""
     """The same on all connections of one client, and known to nobody else: by it the server knows
-    whose goals are whose."""
+    whose goals are whose. A connection of the same session that is still open is ended, and what
+    was under way on it goes on here."""
     max_frame: FrameSize = MAX_FRAME
     """Bytes of the largest message that the client takes."""
 

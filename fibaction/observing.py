@@ -101,7 +101,9 @@ class _Observer(Generic[FeedbackT]):
         self._codec = codec
         self._sink = sink
         self._tasks = tasks
-        self._late: dict[GoalID, list[GoalInfo]] = {}
+        # The goals that are followed, each with what waits for its feedback; None if there is no
+        # more feedback, and the end is still to be told: it is not to be followed again.
+        self._late: dict[GoalID, list[GoalInfo] | None] = {}
 
     async def run(self, statuses: StatusStream) -> None:
         """Tell every change, until there are no more."""
@@ -115,15 +117,18 @@ class _Observer(Generic[FeedbackT]):
                 await self._sink.send(exc)
 
     async def _tell(self, info: GoalInfo, *, is_new: bool) -> None:
-        late = self._late.get(info.goal_id)
-        if late is not None and not info.status.is_active:
+        goal_id, is_active = info.goal_id, info.status.is_active
+        late = self._late.get(goal_id)
+        if late is not None and not is_active:
             late.append(info)  # its feedback comes first
             return
         await self._sink.send(info)
-        if late is None and info.status.is_active and self._tasks is not None:
-            self._late[info.goal_id] = []
+        if not is_active:
+            self._late.pop(goal_id, None)
+        elif goal_id not in self._late and self._tasks is not None:
+            self._late[goal_id] = []
             after = 0 if is_new else None
-            self._tasks.start_soon(self._follow, info.goal_id, after, self._sink.clone())
+            self._tasks.start_soon(self._follow, goal_id, after, self._sink.clone())
 
     async def _follow(self, goal_id: GoalID, after: int | None, sink: _Sink[FeedbackT]) -> None:
         async with sink:
@@ -136,5 +141,13 @@ class _Observer(Generic[FeedbackT]):
                 pass  # it has ended and been forgotten in the meantime
             except ActionError as exc:
                 await sink.send(exc)
-            for info in self._late.pop(goal_id):
-                await sink.send(info)
+            late = self._late[goal_id]
+            assert late is not None
+            has_ended = bool(late)
+            while late:
+                await sink.send(late[0])
+                del late[0]
+            if has_ended:
+                del self._late[goal_id]
+            else:
+                self._late[goal_id] = None

@@ -12,18 +12,19 @@ import math
 import time
 from collections.abc import Awaitable, Coroutine, Generator
 from contextlib import contextmanager
+from functools import partial
 from types import TracebackType
 from typing import Any, Generic, Literal, NamedTuple, Self
 from weakref import WeakValueDictionary
 
 import anyio
 from anyio import create_task_group, current_time
-from anyio.abc import TaskGroup
 
 from fibaction.abc import Endpoint
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.background import Background
 from fibaction.callbacks import SERVER_STOPPING, Callback, Callbacks
+from fibaction.crew import Crew, Life
 from fibaction.exceptions import (
     CancelRejected,
     GoalRejected,
@@ -155,9 +156,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._started = Waking()
         self._decided = Waking()
         self._ended = Waking()
-        self._task_name = f"goal of {action.name}"
         self._background: Background
-        self._tasks: TaskGroup
+        self._crew: Crew
         self._phase: Literal["new", "running", "stopping", "stopped"] = "new"
 
     # Running
@@ -176,8 +176,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if not self.is_new:
             raise RuntimeError(f"{self!r} was started before; make another one")
         self._background = Background()
-        self._tasks = await self._background.__aenter__()
-        self._tasks.start_soon(self._forget_expired, name=f"expiry of {self.action.name}")
+        tasks = await self._background.__aenter__()
+        tasks.start_soon(self._forget_expired, name=f"expiry of {self.action.name}")
+        self._crew = Crew(tasks, f"goal of {self.action.name}")
         self._phase = "running"
         self._started.wake()
         return self
@@ -217,6 +218,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             self._finish(run, Ending(EndKind.FAILED, reason=SERVER_STOPPED))
             run.execution.kill()
         self._phase = "stopped"
+        self._crew.close()
         self._statuses.finish()
         logger.info("action server %r has stopped", self.action.name)
 
@@ -358,15 +360,15 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         execution = Execution(self.action, self._executor, handle, log, self._stall_timeout)
         run = self._runs[goal_id] = _Run(goal, log, execution)
         self._tell_status(run)
-        self._tasks.start_soon(self._run_goal, run, name=self._task_name)
+        self._crew.add(partial(self._run_goal, run))
         return log.follow(feedback=offer.feedback, hold=offer.feedback)
 
-    async def _run_goal(self, run: _Run[GoalT, FeedbackT, ResultT]) -> None:
+    async def _run_goal(self, run: _Run[GoalT, FeedbackT, ResultT], life: Life) -> None:
         ending = Ending(EndKind.CANCELED)
         if not run.execution.handle.cancel_requested:
             self._execute(run)
             try:
-                ending = await run.execution.run()
+                ending = await run.execution.run(life)
             except BaseException as exc:
                 # Python itself is to end: KeyboardInterrupt, SystemExit.
                 self._finish(run, Ending(EndKind.FAILED, reason=type(exc).__name__))
@@ -383,9 +385,12 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
     def _tell_status(self, run: _Run[GoalT, FeedbackT, ResultT]) -> None:
         run.log.tell_status()
-        self._statuses.publish(run.goal.info)
+        if self._statuses:
+            self._statuses.publish(run.goal.info)
 
     async def _cancel(self, cancellation: Cancellation, goal: Goal) -> None:
+        if not goal.status.is_active:
+            return  # it has ended since it was chosen
         if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
             handle = self._runs[goal.goal_id].execution.handle
             try:

@@ -8,8 +8,9 @@ the rules on statuses.
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import islice
 from typing import TYPE_CHECKING
 from weakref import WeakSet
@@ -17,6 +18,7 @@ from weakref import WeakSet
 import anyio
 
 from fibaction.abc import FeedbackItem, GoalStream, StatusStream
+from fibaction.exceptions import ConnectionLost
 from fibaction.states import GoalStatus
 from fibaction.waking import Waking
 
@@ -25,12 +27,16 @@ if TYPE_CHECKING:
     from fibaction.protocol import Goal
 
 
+_NOTHING: deque[FeedbackItem] = deque(maxlen=0)
+
+
 class GoalLog:
     """A goal's feedback so far, the last `window` messages of it, and its end."""
 
     __slots__ = (
         "__weakref__",
         "_ended",
+        "_full_at",
         "_items",
         "_others",
         "_readers",
@@ -48,9 +54,10 @@ class GoalLog:
         self.statuses: list[GoalStatus] = []
         """The statuses that the goal has had since its acceptance."""
         self._window = window
-        self._items: deque[FeedbackItem] = deque(maxlen=window)
+        self._items: deque[FeedbackItem] = _NOTHING
         self._readers: list[LogStream] = []
-        self._others: WeakSet[LogStream] = WeakSet()  # they want to know of the end only
+        self._others: WeakSet[LogStream] | None = None  # they want to know of the end only
+        self._full_at: float = math.inf
         self._room = Waking()
         self._ended = Waking()
 
@@ -67,6 +74,8 @@ class GoalLog:
     def append(self, payload: bytes) -> None:
         """Add feedback. If the log is full, that pushes out the oldest."""
         number = self.goal.feedback_count = self.goal.feedback_count + 1
+        if self._items is _NOTHING:  # a deque is a tenth of what a goal without feedback takes
+            self._items = deque(maxlen=self._window)
         self._items.append(FeedbackItem(number, payload))
         for stream in self._readers:
             stream.news.wake()
@@ -80,11 +89,7 @@ class GoalLog:
     @property
     def is_full(self) -> bool:
         """Whether more feedback would push out some that the goal's own client has yet to read."""
-        # A loop, because any() costs three times as much, and this is done for each feedback.
-        for stream in self._readers:
-            if stream.holding and self.count - stream.place >= self._window:
-                return True
-        return False
+        return self.goal.feedback_count >= self._full_at
 
     async def wait_for_room(self, seconds: float) -> None:
         """Wait until the log is no longer full, for at most that long.
@@ -101,7 +106,7 @@ class GoalLog:
 
     def finish(self) -> None:
         """The goal has its outcome: wake all who wait for that, or for more feedback."""
-        for stream in (*self._readers, *self._others):
+        for stream in (*self._readers, *(self._others or ())):
             stream.news.wake()
         self._ended.wake()
 
@@ -119,19 +124,29 @@ class GoalLog:
         stream = LogStream(self, place, feedback=feedback, hold=hold and not self.latest)
         if feedback:
             self._readers.append(stream)
+            self.make_room()
         else:
-            self._others.add(stream)
+            self._remember(stream)
         return stream
 
     def leave(self, stream: LogStream) -> None:
         """The stream reads no more."""
         if stream in self._readers:
             self._readers.remove(stream)
-            self._others.add(stream)
+            self._remember(stream)
             self.make_room()
 
+    def _remember(self, stream: LogStream) -> None:
+        if self.goal.outcome is None:
+            if self._others is None:
+                self._others = WeakSet()
+            self._others.add(stream)
+
     def make_room(self) -> None:
-        """Something was read: whoever waits for room may look again."""
+        """Something was read, or is to be waited for no longer: see how much more has room now."""
+        # Here, because it is looked at after each feedback, and changes more rarely.
+        places = [stream.place for stream in self._readers if stream.holding]
+        self._full_at = min(places) + self._window if places else math.inf
         self._room.wake()
 
     def has_after(self, place: int) -> bool:
@@ -165,7 +180,7 @@ class LogStream(GoalStream):
         """Whether the executor waits for this stream."""
         self.news = Waking()
         self._log = log
-        self._reads = feedback
+        self._follows = self._reads = feedback
         self._may_hold = hold
         self._wanted = True
         self._stalled = False
@@ -183,6 +198,8 @@ class LogStream(GoalStream):
     def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
         log = self._log
         if not self._reads:
+            if log.goal.outcome is not None:
+                self._skip_rest()
             return None
         while self._statuses_told < len(log.statuses):
             status = log.statuses[self._statuses_told]
@@ -193,10 +210,15 @@ class LogStream(GoalStream):
         if items:
             self._took(items)
         elif log.goal.outcome is not None and not log.has_after(self.place):
-            self._dropped += log.count - self.place
-            self.place = log.count
+            self._skip_rest()
             return None
         return items
+
+    def _skip_rest(self) -> None:
+        """What was not read is missed, if it was ever wanted."""
+        if self._follows:
+            self._dropped += self._log.count - self.place
+            self.place = self._log.count
 
     def _took(self, items: list[FeedbackItem]) -> None:
         place = items[-1].number
@@ -215,6 +237,7 @@ class LogStream(GoalStream):
 
     def rewind(self, after: int) -> None:
         self.place = min(max(after, 0), self.place)
+        self._log.make_room()
 
     def hold(self, wanted: bool) -> None:
         self._wanted = wanted
@@ -232,8 +255,7 @@ class LogStream(GoalStream):
 
     def _update(self) -> None:
         self.holding = self._may_hold and self._wanted and not self._stalled
-        if not self.holding:
-            self._log.make_room()
+        self._log.make_room()
 
 
 class StatusFeed:
@@ -251,7 +273,7 @@ class StatusFeed:
 
     def follow(self, known: Iterable[GoalInfo]) -> FeedStream:
         """A new stream, which begins with what is known by now."""
-        stream = FeedStream(self, known, self._limit)
+        stream = FeedStream(known, self.leave, self._limit)
         self._streams.append(stream)
         return stream
 
@@ -270,14 +292,20 @@ class StatusFeed:
 
 
 class FeedStream(StatusStream):
-    """One follower of all statuses."""
+    """One follower of all statuses, wherever they come from."""
 
-    def __init__(self, feed: StatusFeed, known: Iterable[GoalInfo], limit: int) -> None:
-        self._feed = feed
+    def __init__(
+        self, known: Iterable[GoalInfo], leave: Callable[[FeedStream], None], limit: int = 10_000
+    ) -> None:
+        """`leave` is called when it reads no more; `limit` is how many changes are kept if they are
+        not read, behind what is known by now.
+        """
         self._items = deque(known)
         self.known = len(self._items)
-        self._limit = limit + len(self._items)
+        self._limit = limit + self.known
+        self._leave = leave
         self._open = True
+        self._error: ConnectionLost | None = None
         self._dropped = 0
         self._news = Waking()
 
@@ -293,14 +321,21 @@ class FeedStream(StatusStream):
         self._items.append(info)
         self._news.wake()
 
+    def fail(self, error: ConnectionLost) -> None:
+        """Nothing more will arrive, for that reason."""
+        self._error = error
+        self._news.wake()
+
     async def receive(self) -> GoalInfo | None:
         while not self._items:
             if not self._open:
                 return None
+            if self._error is not None:
+                raise ConnectionLost(str(self._error))
             await self._news.wait()
         return self._items.popleft()
 
     def close(self) -> None:
         self._open = False
-        self._feed.leave(self)
+        self._leave(self)
         self._news.wake()

@@ -15,7 +15,7 @@ class Waking:
     def __init__(self) -> None:
         self._event: anyio.Event | None = None
         self.listener: Callable[[], None] | None = None
-        """Called at each `wake()`: for one who has more to look after than one task can wait for.
+        """Called at the next `wake()`, once: for one who looks after more than a task can wait for.
         It must not raise, and not do the work itself."""
 
     def wake(self) -> None:
@@ -23,8 +23,10 @@ class Waking:
         if self._event is not None:
             self._event.set()
             self._event = None
-        if self.listener is not None:
-            self.listener()
+        listener = self.listener
+        if listener is not None:
+            self.listener = None
+            listener()
 
     async def wait(self) -> None:
         """Wait for the next `wake()`."""

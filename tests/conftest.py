@@ -8,7 +8,8 @@ from hypothesis import HealthCheck, settings
 
 settings.register_profile(
     "fibaction",
-    # `tests/own_coverage.py` asks for few: it looks for lines that no test reaches.
+    # `make test-pythons` and `make test-lowest` ask for few: they look for what another version of
+    # Python or of a library does otherwise.
     max_examples=int(os.environ.get("FIBACTION_EXAMPLES", "100")),
     # Machines that run tests are shared: time says nothing about the code.
     deadline=None,

@@ -19,7 +19,7 @@ from fibaction.abc import (
 )
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import ConnectionLost, UnknownGoal
-from fibaction.goals import UNKNOWN_OUTCOME, ActionPeers, CancelAnswer, GoalID, Outcome
+from fibaction.goals import UNKNOWN_OUTCOME, ActionPeers, CancelAnswer, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
 from fibaction.waking import Waking
 
@@ -353,3 +353,30 @@ def test_everything_that_the_author_of_a_transport_reads_has_a_docstring() -> No
         for name, member in vars(interface).items():
             if name[0] != "_" and (callable(member) or isinstance(member, property)):
                 assert inspect.getdoc(member), f"{interface.__name__}.{name}"
+
+
+class SomeGoals(StatusStream):
+    """Tells of goals, and then that the server has stopped."""
+
+    def __init__(self, known: int, *stamps: int) -> None:
+        self.known = known
+        self._infos = deque(GoalInfo(KNOWN, stamp, GoalStatus.EXECUTING) for stamp in stamps)
+
+    @property
+    def dropped(self) -> int:
+        return 0
+
+    async def receive(self) -> GoalInfo | None:
+        return self._infos.popleft() if self._infos else None
+
+    def close(self) -> None:
+        raise NotImplementedError
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(("known", "listed"), [(0, []), (2, [1, 2]), (9, [1, 2, 3])])
+async def test_the_goals_that_there_were_are_the_first_that_come(
+    known: int, listed: list[int]
+) -> None:
+    statuses = SomeGoals(known, 1, 2, 3)
+    assert [info.stamp for info in await statuses.listed()] == listed

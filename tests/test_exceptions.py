@@ -34,6 +34,7 @@ def public_errors() -> Iterator[tuple[str, type[BaseException]]]:
             yield name, value
 
 
+@pytest.mark.promise("ERROR-1")
 @pytest.mark.parametrize(
     ("error", "parent"),
     [
@@ -64,6 +65,7 @@ def test_the_drawing_shows_every_error_and_each_has_a_docstring() -> None:
         assert error.__doc__
 
 
+@pytest.mark.promise("ERROR-1")
 @pytest.mark.parametrize(
     ("error", "text"),
     [
@@ -95,6 +97,7 @@ def test_the_text_is_one_sentence_with_what_is_known(error: ActionError, text: s
     assert str(error) == text
 
 
+@pytest.mark.promise("ERROR-2")
 def test_data_is_in_attributes() -> None:
     rejected = GoalRejected("too far", goal_id=GOAL_ID)
     assert (rejected.reason, rejected.goal_id) == ("too far", GOAL_ID)

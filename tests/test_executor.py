@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Callable, Generator
-from typing import Any, cast
+from contextvars import copy_context
+from typing import Any
 
 import anyio
 import pytest
 
 from fibaction import GoalCanceled, GoalHandle, GoalID, GoalStatus
 from fibaction.abc import FeedbackItem
+from fibaction.crew import Life
 from fibaction.executor import Execution, Executor, _Steps
 from fibaction.protocol import Ending, EndKind
 from fibaction.protocol import Goal as KeptGoal
@@ -48,8 +50,10 @@ class Bench:
         self.ending: Ending | None = None
 
     async def run(self) -> Ending:
-        with anyio.fail_after(5):
-            self.ending = await self.execution.run()
+        life = Life(lambda: None)
+        with life.interruption, life.rest, anyio.fail_after(5):
+            self.ending = await self.execution.run(life)
+        assert self.ending is not None
         return self.ending
 
     def cancel(self) -> None:
@@ -261,6 +265,12 @@ async def test_a_second_interruption_changes_nothing() -> None:
     assert await bench.run_and(twice) == Ending(EndKind.CANCELED)
 
 
+async def test_killing_what_has_not_begun_does_nothing() -> None:
+    bench = Bench(fibonacci, order=5)
+    bench.execution.kill()
+    assert (await bench.run()).kind is EndKind.RESULT
+
+
 async def test_killing_ends_the_clean_up_too() -> None:
     async def hangs(goal: GoalHandle[Goal]) -> Items:
         try:
@@ -380,7 +390,7 @@ class Suspend:
         yield "waiting"
 
 
-def test_steps_that_are_dropped_half_way_close_their_coroutine() -> None:
+async def test_steps_that_are_dropped_half_way_close_their_coroutine() -> None:
     closed = []
 
     async def waits() -> Ending:
@@ -391,7 +401,7 @@ def test_steps_that_are_dropped_half_way_close_their_coroutine() -> None:
         raise AssertionError("it was resumed")
 
     async def main() -> Ending:
-        return await _Steps(waits, cast("anyio.CancelScope", None))
+        return await _Steps(waits(), Life(lambda: None), copy_context())
 
     running = main()
     assert running.send(None) == "waiting"

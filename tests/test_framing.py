@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import pytest
 from hypothesis import given, strategies
 
+from fibaction import framing
 from fibaction.exceptions import ProtocolError
 from fibaction.framing import HEADER, MAX_FRAME, FrameReader, header
 
@@ -28,6 +29,21 @@ def test_a_header_is_the_length_in_four_bytes_the_highest_first() -> None:
     assert header(0) == b"\0\0\0\0"
     assert header(0x01020304) == b"\1\2\3\4"
     assert len(header(MAX_FRAME)) == HEADER
+
+
+def test_a_header_has_room_for_the_largest_frame_of_sixteen_mebibytes() -> None:
+    assert MAX_FRAME == 16 * 1024 * 1024
+    assert header(MAX_FRAME) == b"\1\0\0\0"
+
+
+def test_frames_are_sent_one_behind_the_other_each_behind_its_header() -> None:
+    assert framing.framed([]) == b""
+    assert framing.framed([b"ab", b"", b"c"]) == b"\0\0\0\2ab\0\0\0\0\0\0\0\1c"
+
+
+@given(FRAMES)
+def test_frames_that_were_sent_come_out(frames: list[bytes]) -> None:
+    assert FrameReader().feed(framing.framed(frames)) == frames
 
 
 @given(FRAMES, strategies.lists(strategies.integers(0, 2500), max_size=20))

@@ -3,6 +3,8 @@ from __future__ import annotations
 import pickle
 import uuid
 from contextlib import suppress
+from functools import reduce
+from operator import and_, or_
 
 import msgspec
 import pytest
@@ -10,6 +12,7 @@ from hypothesis import given, strategies
 
 from fibaction.goals import (
     UNKNOWN_OUTCOME,
+    ActionPeers,
     CancelAnswer,
     CancelCode,
     GoalID,
@@ -56,10 +59,11 @@ def test_any_text_is_a_goal_id_or_a_value_error(text: str) -> None:
         assert len(GoalID.parse(text)) == 16
 
 
-def test_random_goal_ids_are_random_uuids_and_differ() -> None:
+def test_random_goal_ids_differ_in_every_bit() -> None:
     goal_ids = {GoalID.random() for _ in range(100)}
     assert len(goal_ids) == 100
-    assert {uuid.UUID(bytes=goal_id).version for goal_id in goal_ids} == {4}
+    numbers = [int.from_bytes(goal_id, "big") for goal_id in goal_ids]
+    assert reduce(or_, numbers) & ~reduce(and_, numbers) == 2**128 - 1
     assert {type(goal_id) for goal_id in goal_ids} == {GoalID}
 
 
@@ -85,8 +89,9 @@ def test_a_goal_id_survives_the_way_to_another_process() -> None:
         (GoalInfo(GOAL_ID, 1, GoalStatus.ACCEPTED), "status"),
         (Outcome(GoalStatus.SUCCEEDED, 1), "result"),
         (CancelAnswer(CancelCode.NONE), "reason"),
+        (ActionPeers(), "clients"),
     ],
-    ids=["GoalInfo", "Outcome", "CancelAnswer"],
+    ids=["GoalInfo", "Outcome", "CancelAnswer", "ActionPeers"],
 )
 def test_what_was_said_does_not_change(value: msgspec.Struct, field: str) -> None:
     with pytest.raises(AttributeError):
@@ -97,6 +102,24 @@ def test_an_outcome_has_no_result_and_no_reason_unless_told() -> None:
     outcome: Outcome[bytes] = Outcome(GoalStatus.ABORTED)
     assert outcome.result is None
     assert outcome.reason == ""
+
+
+def test_a_goal_has_had_no_feedback_and_its_client_is_not_known_unless_told() -> None:
+    info = GoalInfo(GOAL_ID, 1, GoalStatus.ACCEPTED)
+    assert info.feedback_count == 0
+    assert info.client == ""
+
+
+def test_no_goal_is_canceling_and_nobody_gave_a_reason_unless_told() -> None:
+    answer = CancelAnswer(CancelCode.NONE)
+    assert answer.goals_canceling == ()
+    assert answer.reason == ""
+
+
+def test_nobody_serves_or_uses_an_action_unless_told() -> None:
+    peers = ActionPeers()
+    assert peers.servers == ()
+    assert peers.clients == ()
 
 
 def test_the_outcome_of_an_unknown_goal_says_only_that() -> None:

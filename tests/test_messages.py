@@ -1,8 +1,9 @@
 from __future__ import annotations
 
+import gc
 import math
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Any, get_args
 
@@ -114,9 +115,27 @@ def test_what_one_side_says_the_other_may_not(
                 decode(bytes.fromhex(golden))
 
 
-def test_the_reasons_differ_and_none_is_zero() -> None:
-    numbers = [value for name, value in vars(Why).items() if name.isupper()]
-    assert sorted(numbers) == list(range(1, 7))
+def test_the_reasons_have_the_numbers_that_they_always_had() -> None:
+    assert {name: value for name, value in vars(Why).items() if name.isupper()} == {
+        "UNKNOWN_GOAL": 1,
+        "SERVER_NOT_FOUND": 2,
+        "CONNECTION_LOST": 3,
+        "FORBIDDEN": 4,
+        "LIMIT": 5,
+        "PROTOCOL": 6,
+    }
+
+
+def test_the_first_version_of_the_protocol_is_spoken() -> None:
+    assert VERSION == 1
+
+
+@by_type
+def test_the_garbage_collector_need_not_look_at_a_message(
+    message: FromClient | FromServer, golden: str
+) -> None:
+    for decode in decoders_of(message):
+        assert not gc.is_tracked(decode(bytes.fromhex(golden)))
 
 
 def test_statuses_and_goal_ids_are_sent_as_plain_numbers_and_bytes() -> None:
@@ -249,11 +268,146 @@ def test_fields_that_an_older_peer_does_not_send_get_their_default(
 
 
 def test_a_reason_a_token_a_session_and_a_limit_need_not_be_sent() -> None:
-    assert decode_from_client(packed(16, 1, 1.0)) == Hello(1, 1.0, "")
+    assert decode_from_client(packed(16, 1, 1.0)) == Hello(1, 1.0, "", b"", 2**24)
     assert decode_from_client(packed(16, 1, 1.0, "a", b"b")) == Hello(1, 1.0, "a", b"b", 2**24)
     assert decode_from_server(packed(32, 1, 1.0)) == Welcome(1, 1.0, 2**24)
     assert decode_from_client(packed(1, "over")) == Goodbye("over", 0)
     assert decode_from_server(packed(1, "over")) == Goodbye("over", 0)
+
+
+# Limits, field by field, as `docs/protocol.md` has them
+
+LARGEST = 2**63 - 1
+LIMITS = {
+    **dict.fromkeys(["id", "stamp", "after", "place", "number"], (0, LARGEST)),
+    **dict.fromkeys(["dropped", "feedback_count", "known"], (0, LARGEST)),
+    **dict.fromkeys(["credit", "count"], (0, 2**31 - 1)),
+    "status": (0, 6),
+    "return_code": (0, 3),
+    "max_frame": (1, 2**32 - 1),
+}
+"""The least and the largest number that a field takes, by the field's name."""
+NULLABLE = {
+    (SendGoal, "credit"),
+    (Follow, "after"),
+    (Follow, "credit"),
+    (CancelGoals, "goal_id"),
+    (CancelGoals, "stamp"),
+    (Ended, "result"),
+}
+
+
+def with_field(message: FromClient | FromServer, name: str, value: object) -> bytes:
+    """What would be sent if a field had another value."""
+    array = fields(message)
+    array[1 + message.__struct_fields__.index(name)] = value
+    return packed(*array)
+
+
+def taken(message: FromClient | FromServer, name: str, value: object) -> bool:
+    """Whether those that the message is for take that value of a field."""
+    answers = set()
+    for decode in decoders_of(message):
+        try:
+            received = decode(with_field(message, name, value))
+        except ProtocolError:
+            answers.add(False)
+        else:
+            assert getattr(received, name) == value
+            answers.add(True)
+    (answer,) = answers
+    return answer
+
+
+def fields_named(names: Iterable[str]) -> list[tuple[FromClient | FromServer, str]]:
+    """Each field of that name, with a message that has it."""
+    return [
+        (message, name)
+        for message, _ in GOLDEN
+        for name in message.__struct_fields__
+        if name in names
+    ]
+
+
+def test_every_number_has_limits_but_versions_and_reasons() -> None:
+    numbers = {
+        (type(message), name)
+        for message, _ in GOLDEN
+        for name in message.__struct_fields__
+        if type(getattr(message, name)) is int
+    }
+    limited = {(type(message), name) for message, name in fields_named(LIMITS)}
+    assert numbers - limited == {
+        *((Goodbye, "why"), (Failed, "why"), (Hello, "version"), (Welcome, "version"))
+    }
+
+
+@pytest.mark.parametrize(("message", "name"), fields_named(LIMITS))
+def test_a_number_is_taken_exactly_within_its_limits(
+    message: FromClient | FromServer, name: str
+) -> None:
+    least, largest = LIMITS[name]
+    assert taken(message, name, least)
+    assert taken(message, name, largest)
+    assert not taken(message, name, least - 1)
+    assert not taken(message, name, largest + 1)
+
+
+@pytest.mark.parametrize(("message", "name"), fields_named(["heartbeat"]))
+def test_a_heartbeat_is_more_than_no_time_and_at_most_an_hour(
+    message: FromClient | FromServer, name: str
+) -> None:
+    assert taken(message, name, 5e-324)
+    assert taken(message, name, 3600.0)
+    assert not taken(message, name, 0.0)
+    assert not taken(message, name, math.nextafter(3600.0, math.inf))
+
+
+@pytest.mark.parametrize(("message", "name"), fields_named(["goal_id"]))
+def test_a_goal_id_has_sixteen_bytes(message: FromClient | FromServer, name: str) -> None:
+    assert taken(message, name, bytes(16))
+    assert not taken(message, name, bytes(15))
+    assert not taken(message, name, bytes(17))
+
+
+@by_type
+def test_nil_is_taken_exactly_where_it_means_something(
+    message: FromClient | FromServer, golden: str
+) -> None:
+    for name in message.__struct_fields__:
+        assert taken(message, name, None) == ((type(message), name) in NULLABLE)
+
+
+@by_type
+def test_what_may_be_nil_may_also_be_there(message: FromClient | FromServer, golden: str) -> None:
+    likely = {"credit": 1, "after": 1, "stamp": 1, "goal_id": bytes(16), "result": b""}
+    for name in message.__struct_fields__:
+        if (type(message), name) in NULLABLE:
+            assert taken(message, name, likely[name])
+
+
+@pytest.mark.parametrize(
+    ("goal", "is_taken"),
+    [
+        ((bytes(16), 0, 0), True),
+        ((bytes(16), LARGEST, 6), True),
+        ((bytes(15), 0, 0), False),
+        ((bytes(17), 0, 0), False),
+        ((bytes(16), -1, 0), False),
+        ((bytes(16), LARGEST + 1, 0), False),
+        ((bytes(16), 0, -1), False),
+        ((bytes(16), 0, 7), False),
+    ],
+)
+def test_a_goal_in_the_answer_to_a_cancel_has_limits_too(
+    goal: tuple[bytes, int, int], is_taken: bool
+) -> None:
+    answer = packed(39, 3, 0, [goal], "")
+    if is_taken:
+        assert decode_from_server(answer) == CancelAnswered(3, 0, [goal], "")
+    else:
+        with pytest.raises(ProtocolError):
+            decode_from_server(answer)
 
 
 # What is no message
@@ -434,8 +588,14 @@ IN_A_SCHEMA = b"\x93\x2b\x06\x91\x82\xa4name\xa1a\xa4goal\x81\xa1k"
 
 @pytest.mark.parametrize(
     "start",
-    [b"", b"\x92\x01", b"\x93\x29\x05", b"\x95\x27\x03\0", b"\x93\x2b\x06", IN_A_SCHEMA],
-    ids=["outermost", "text", "ignored", "goals", "actions", "schema"],
+    [
+        *(b"", b"\x92\x01", b"\x93\x29\x05", b"\x93\x16\x05"),
+        *(b"\x95\x27\x03\0", b"\x93\x2b\x06", IN_A_SCHEMA),
+    ],
+    ids=[
+        *("outermost", "text", "ignored, of a server", "ignored, of a client"),
+        *("goals", "actions", "schema"),
+    ],
 )
 @pytest.mark.parametrize(
     "nested",

@@ -218,6 +218,13 @@ async def test_a_goal_that_is_forgotten_before_it_can_be_followed_is_no_error() 
     assert await events_over(server) == ["EXECUTING", "CANCELED"]
 
 
+async def test_a_goal_whose_feedback_is_over_before_its_end_is_not_followed_again() -> None:
+    statuses = (GoalStatus.EXECUTING, GoalStatus.CANCELING, GoalStatus.CANCELED)
+    server = Watched(Statuses(*(GoalInfo(ONE, 1, status) for status in statuses)), UnknownGoal(ONE))
+    assert await events_over(server) == ["EXECUTING", "CANCELING", "CANCELED"]
+    assert server.asked == [0]
+
+
 async def test_a_new_goal_is_followed_from_its_beginning_and_a_known_one_from_now_on() -> None:
     other = GoalID(bytes(range(16, 32)))
     infos = [GoalInfo(ONE, 1, GoalStatus.EXECUTING), GoalInfo(other, 2, GoalStatus.ACCEPTED)]

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -104,6 +105,25 @@ def test_a_new_goal_is_to_be_decided_and_is_then_accepted() -> None:
     assert protocol.statuses() == [goal.info]
 
 
+def test_the_list_of_goals_tells_who_sent_each_as_far_as_that_is_known() -> None:
+    protocol = ServerProtocol()
+    accepted(protocol, A)
+    protocol.admit(B, b"x", now=0.0)
+    protocol.accept(B, stamp=1, client="10.0.0.7:51234")
+    assert [info.client for info in protocol.statuses()] == ["", "10.0.0.7:51234"]
+
+
+def test_the_list_of_goals_tells_how_many_feedback_messages_each_had() -> None:
+    protocol = ServerProtocol()
+    goal = executing(protocol, A)
+    goal.feedback_count += 2
+    assert [info.feedback_count for info in protocol.statuses()] == [2]
+
+
+def test_a_goal_takes_no_more_memory_than_what_is_known_of_it_needs() -> None:
+    assert not hasattr(accepted(ServerProtocol(), A), "__dict__")
+
+
 def test_a_goal_sent_again_waits_for_the_decision_on_the_first() -> None:
     protocol = ServerProtocol()
     protocol.admit(A, b"x", now=0.0)
@@ -142,6 +162,22 @@ def test_a_rejection_is_forgotten_as_a_result_is() -> None:
     assert protocol.admit(A, b"x", now=11.0) is Admission.DECIDE
 
 
+def test_a_rejection_that_is_forgotten_takes_no_memory_any_more() -> None:
+    class Reason(str):
+        """Unlike a plain `str` it can be watched."""
+
+    protocol = ServerProtocol(result_timeout=10.0)
+    protocol.admit(A, b"x", now=0.0)
+    reason = Reason("too far")
+    watched = weakref.ref(reason)
+    protocol.reject(A, reason, now=1.0)
+    del reason
+    protocol.expire(10.9)
+    assert watched() is not None
+    protocol.expire(11.0)
+    assert watched() is None
+
+
 def test_only_so_many_rejections_are_remembered() -> None:
     protocol = ServerProtocol(result_timeout=math.inf, max_results=2)
     for number in (A, B, C):
@@ -176,12 +212,14 @@ def test_a_withdrawn_goal_is_decided_anew() -> None:
     assert protocol.admit(A, b"other", now=0.0) is Admission.DECIDE
 
 
+@pytest.mark.promise("ACCEPT-12")
 def test_a_goal_id_of_zeros_is_rejected() -> None:
     protocol = ServerProtocol()
     assert rejection_of(protocol, NO_GOAL, b"x", now=0.0) == "a goal ID of zeros names no goal"
     assert not protocol.is_undecided(NO_GOAL)
 
 
+@pytest.mark.promise("ACCEPT-9")
 def test_stamps_increase_even_if_the_clock_is_set_back() -> None:
     protocol = ServerProtocol()
     stamps = [
@@ -269,6 +307,7 @@ def three_goals(protocol: ServerProtocol) -> None:
     executing(protocol, C, stamp=30)
 
 
+@pytest.mark.promise("CANCEL-14")
 @pytest.mark.parametrize(
     ("named", "stamp", "about"),
     [
@@ -455,6 +494,7 @@ def test_a_status_list_has_the_ended_goals_by_their_end_then_the_active_ones() -
     ]
 
 
+@pytest.mark.promise("RESULT-3")
 def test_an_ended_goal_is_known_for_the_result_timeout_from_its_end() -> None:
     protocol = ServerProtocol(result_timeout=10.0)
     goal = ended(protocol, A, now=100.0)
@@ -468,6 +508,7 @@ def test_an_ended_goal_is_known_for_the_result_timeout_from_its_end() -> None:
     assert protocol.next_expiry == math.inf
 
 
+@pytest.mark.promise("RESULT-4")
 def test_unless_told_a_thousand_ended_goals_are_known_for_ten_seconds() -> None:
     protocol = ServerProtocol()
     for number in range(1, 1003):

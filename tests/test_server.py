@@ -27,6 +27,8 @@ from fibaction import (
     UnknownGoal,
 )
 from fibaction.abc import GoalStream
+from fibaction.crew import Life
+from fibaction.protocol import Ending, EndKind
 from tests.executors import Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
@@ -95,6 +97,7 @@ def test_an_action_without_types_cannot_be_executed() -> None:
 # Starting and stopping
 
 
+@pytest.mark.promise("STOP-8")
 async def test_a_server_that_is_not_running_is_not_found() -> None:
     server = ActionServer(FIBONACCI, fibonacci)
     goal_id = GoalID.random()
@@ -135,6 +138,7 @@ async def test_stopping_twice_is_harmless() -> None:
         await server.stop()
 
 
+@pytest.mark.promise("ERROR-3")
 async def test_the_exception_of_the_block_goes_on_as_itself() -> None:
     error = KeyError("mine")
     with pytest.raises(KeyError) as caught:
@@ -143,6 +147,7 @@ async def test_the_exception_of_the_block_goes_on_as_itself() -> None:
     assert caught.value is error
 
 
+@pytest.mark.promise("STOP-10")
 async def test_a_server_whose_block_is_canceled_stops_as_any_other() -> None:
     cleaned = []
 
@@ -239,6 +244,7 @@ async def test_a_goal_that_is_stopped_before_its_start_never_runs() -> None:
     assert runs == []
 
 
+@pytest.mark.promise("EXECUTE-10")
 async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on() -> None:
     async def exits(goal: GoalHandle[Goal]) -> Items:
         raise SystemExit(3)
@@ -256,9 +262,9 @@ async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on() -> None:
     # executor is run by hand, and both must let it through.
     run_goal = server._run_goal
 
-    async def run_and_catch(run: Any) -> None:
+    async def run_and_catch(run: Any, life: Life) -> None:
         with pytest.raises(SystemExit):
-            await run_goal(run)
+            await run_goal(run, life)
         scope.cancel()
 
     server._run_goal = run_and_catch  # type: ignore[method-assign]  # see above
@@ -326,6 +332,7 @@ async def test_if_whoever_decides_gives_up_the_next_one_to_ask_decides() -> None
     assert asked == 2
 
 
+@pytest.mark.promise("CANCEL-21")
 async def test_a_goal_that_is_being_decided_is_canceled_by_its_id_once_it_is_accepted() -> None:
     decide = anyio.Event()
 
@@ -651,6 +658,25 @@ async def test_goals_are_canceled_side_by_side_and_refusals_are_told() -> None:
         ]
 
 
+async def test_a_goal_that_ends_before_its_turn_comes_to_be_canceled_is_passed_over() -> None:
+    executor = Held()
+    asked: list[GoalID] = []
+
+    def end_the_other(goal: GoalHandle[Goal]) -> None:
+        asked.append(goal.goal_id)
+        (other,) = (run for key, run in server._runs.items() if key != goal.goal_id)
+        server._finish(other, Ending(EndKind.RESULT, FIBONACCI.result.encode(Result([]))))
+
+    async with ActionServer(FIBONACCI, executor, on_cancel=end_the_other) as server:
+        streams = [await server.send_goal(GoalID.random(), packed(order)) for order in range(2)]
+        await anyio.wait_all_tasks_blocked()
+        answer = await server.cancel_goals()
+        executor.go.set()  # or the one that was ended behind its back would stay
+        outcomes = {(await stream.outcome()).status for stream in streams}
+    assert [info.goal_id for info in answer.goals_canceling] == asked
+    assert outcomes == {GoalStatus.CANCELED, GoalStatus.SUCCEEDED}
+
+
 async def test_a_cancel_of_a_goal_that_is_canceling_asks_nobody_again() -> None:
     asked: list[GoalHandle[Goal]] = []
 
@@ -673,6 +699,7 @@ async def test_a_cancel_of_a_goal_that_is_canceling_asks_nobody_again() -> None:
     assert len(asked) == 1
 
 
+@pytest.mark.promise("CANCEL-13")
 async def test_a_goal_that_is_canceled_before_its_start_never_runs() -> None:
     executor = Held()
     async with ActionServer(FIBONACCI, executor, interrupt_on_cancel=False) as server:
@@ -729,6 +756,7 @@ async def _backend() -> str:
 # Expiry
 
 
+@pytest.mark.promise("RESULT-3")
 @pytest.mark.parametrize(
     "anyio_backend",
     [("trio", {"clock": trio.testing.MockClock(autojump_threshold=0)})],
@@ -759,6 +787,7 @@ async def test_an_outcome_is_kept_for_its_time_to_the_moment() -> None:
     ]
 
 
+@pytest.mark.promise("FEEDBACK-4")
 @pytest.mark.parametrize(
     "anyio_backend",
     [("trio", {"clock": trio.testing.MockClock(autojump_threshold=0)})],

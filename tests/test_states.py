@@ -26,6 +26,7 @@ FOLLOWERS = {
 }
 
 
+@pytest.mark.promise("STATUS-3")
 @pytest.mark.parametrize("event", list(GoalEvent), ids=lambda event: event.name)
 @pytest.mark.parametrize("status", list(GoalStatus), ids=lambda status: status.name)
 def test_a_status_follows_an_event_exactly_if_ros_says_so(
@@ -41,10 +42,12 @@ def test_a_status_follows_an_event_exactly_if_ros_says_so(
         assert transition(status, event) is GoalStatus[after]
 
 
+@pytest.mark.promise("STATUS-3")
 def test_there_are_eight_legal_edges() -> None:
     assert len(TRANSITIONS) == len(FOLLOWERS) == 8
 
 
+@pytest.mark.promise("STATUS-4")
 def test_canceled_is_reached_only_through_canceling() -> None:
     before = [status for (status, _), after in TRANSITIONS.items() if after.name == "CANCELED"]
     assert before == [GoalStatus.CANCELING]
@@ -56,6 +59,7 @@ def test_nobody_can_change_the_table() -> None:
         table[GoalStatus.UNKNOWN, GoalEvent.EXECUTE] = GoalStatus.EXECUTING
 
 
+@pytest.mark.promise("STATUS-1")
 def test_statuses_have_the_numbers_of_ros() -> None:
     assert {status.name: status.value for status in GoalStatus} == {
         "UNKNOWN": 0,
@@ -68,6 +72,7 @@ def test_statuses_have_the_numbers_of_ros() -> None:
     }
 
 
+@pytest.mark.promise("STATUS-2")
 def test_events_have_the_numbers_of_ros() -> None:
     assert {event.name: event.value for event in GoalEvent} == {
         "EXECUTE": 0,
@@ -78,6 +83,7 @@ def test_events_have_the_numbers_of_ros() -> None:
     }
 
 
+@pytest.mark.promise("STATUS-3")
 def test_a_goal_begins_as_accepted() -> None:
     assert INITIAL is GoalStatus.ACCEPTED
 

@@ -248,6 +248,30 @@ async def test_a_closed_follower_reads_no_more_but_still_hears_the_outcome(reads
         assert await stream.outcome() is OUTCOME
 
 
+@pytest.mark.parametrize("reads", [True, False])
+def test_what_a_closed_follower_has_not_read_is_missed_if_it_wanted_any(reads: bool) -> None:
+    log = new_log()
+    stream = log.follow(feedback=reads)
+    append(log, 2)
+    stream.take()
+    stream.close()
+    append(log, 1)
+    assert stream.take() is None
+    assert stream.dropped == 0  # it is told with the end
+    end(log)
+    for _ in range(2):
+        assert stream.take() is None
+        assert (stream.place, stream.dropped) == ((3, 2) if reads else (0, 0))
+
+
+def test_who_leaves_a_goal_that_has_ended_is_not_remembered() -> None:
+    log = new_log()
+    stream = log.follow()
+    end(log)
+    stream.close()
+    assert log._others is None
+
+
 @pytest.mark.asyncio
 async def test_closing_a_follower_ends_the_wait_for_feedback() -> None:
     stream = new_log().follow()

@@ -204,17 +204,22 @@ class RemoteGoal(Call, GoalStream):
             return None
         if self._statuses:
             return self._statuses.popleft()
-        items = [self._items.popleft() for _ in range(min(limit, len(self._items)))]
-        if items:
-            self.place = items[-1].number
-            self._delivered += len(items)
-            if not self.latest:
-                self._grant(len(items))
-        elif not self._items:
+        waiting = self._items
+        if not waiting:
             if self._outcome is not None:
                 self.place = self._last
                 return None
             self.raise_error()
+            return []
+        if limit == 1:  # what a reader asks for, message by message
+            items = [waiting.popleft()]
+        else:
+            items = [waiting.popleft() for _ in range(min(limit, len(waiting)))]
+        if items:
+            self.place = items[-1].number
+            self._delivered += len(items)
+            if self._outcome is None and not self.latest:
+                self._credit.grant(len(items))
         return items
 
     def ended(self) -> Outcome[bytes] | None:
@@ -268,7 +273,11 @@ class RemoteGoal(Call, GoalStream):
 
     def _take_following(self, message: Following) -> None:
         status = GoalStatus(message.status)
-        if self._accepted:
+        if self._accepted and message.stamp != self.stamp:
+            # The server was started anew, and has been sent another goal of that ID.
+            self._end(UNKNOWN_OUTCOME, self._last)
+            self._post(Close(self.id))
+        elif self._accepted:
             self._take_status(status)  # it may have changed while there was no connection
         else:
             self._accepted = True
@@ -290,9 +299,10 @@ class RemoteGoal(Call, GoalStream):
         if self._reads:
             if self.latest:
                 self._items.clear()
-                self._grant()
+                self._credit.grant()
             self._items.append(FeedbackItem(message.number, message.payload))
-            self._make_room()
+            if not self._holds:
+                self._make_room()
 
     def _end(self, outcome: Outcome[bytes], place: int) -> None:
         self._outcome = outcome
@@ -301,15 +311,11 @@ class RemoteGoal(Call, GoalStream):
 
     def _make_room(self) -> None:
         """If the executor is not to wait, let go of the oldest for the server to send the next."""
-        if self._holds or self.latest:
+        if self._holds or self.latest or self._outcome is not None:
             return
         while len(self._items) > max(self._window // 2, 1):
             self._items.popleft()
-            self._grant()
-
-    def _grant(self, count: int = 1) -> None:
-        if self._outcome is None:
-            self._credit.grant(count)
+            self._credit.grant()
 
 
 class RemoteStatuses(Call, StatusStream):
@@ -322,6 +328,7 @@ class RemoteStatuses(Call, StatusStream):
         self._post = post
         self._begun = False
         self.known = 0
+        self._taken = 0
         self._items: deque[GoalInfo] = deque()
         self._ended = False
         self._dropped = 0
@@ -352,6 +359,23 @@ class RemoteStatuses(Call, StatusStream):
                 return None
             self.raise_error()
             await self.news.wait()
+        return self._take()
+
+    async def listed(self) -> list[GoalInfo]:
+        goals: dict[GoalID, GoalInfo] = {}
+        while self._taken < self.known:  # it may be less after a connection was lost
+            if self._items:
+                info = self._take()
+                goals[info.goal_id] = info
+            elif self._ended:
+                break
+            else:
+                self.raise_error()
+                await self.news.wait()
+        return list(goals.values())
+
+    def _take(self) -> GoalInfo:
+        self._taken += 1
         if not self._ended:
             self._credit.grant()
         return self._items.popleft()
@@ -383,8 +407,8 @@ class RemoteStatuses(Call, StatusStream):
                 )
                 self._items.append(info)
         elif isinstance(message, Watching):
-            if not self._begun:
-                self.known = message.known
+            # On a new connection all goals come anew, behind what has come on those before.
+            self.known = self._taken + len(self._items) + message.known
             self._begun = True
         elif isinstance(message, Finished):
             self._ended = True

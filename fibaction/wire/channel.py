@@ -1,34 +1,79 @@
 """`Channel`: a connection that moves frames, and all that a transport of bytes has to supply.
 
 A transport over a stream of bytes wraps it in a `StreamChannel`; one that has frames of its own,
-such as WebSocket, implements `Channel`.
+such as WebSocket, implements `Channel`. A `Line` is what a channel is to the rest of `wire`; who
+can do without tasks that read and write implements that.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
+from typing import TypeAlias
 
 import anyio
 from anyio.abc import ByteStream
 
-from fibaction.exceptions import ConnectionLost
-from fibaction.framing import FrameReader, header
+from fibaction.exceptions import ActionError, ConnectionLost
+from fibaction.framing import FrameReader, framed
+from fibaction.waking import Waking
 
 CHUNK = 2**16
 """Bytes read or written at once: large enough that the cost of a call does not count, and small
 enough that a slow line moves one within any sensible limit."""
 
 
-class Channel(ABC):
-    """Moves frames, in order and whole."""
+Hear: TypeAlias = Callable[[list[bytes]], None]
+"""Takes the frames that have arrived; an empty list if only a piece of one has."""
+Fetch: TypeAlias = Callable[[], list[bytes]]
+"""Gives the frames to send next, if any. Being asked again says that those before are written."""
+
+
+class Line(ABC):
+    """A connection that moves frames both ways, in order and whole, while it runs."""
 
     peer: str
     """Who is at the other end, for a person to read: `127.0.0.1:51234`."""
 
-    progress: int = 0
-    """Grows with each piece of a message that the other end has taken: so a large message on a slow
-    line can be told from a peer that does not read."""
+    @property
+    def progress(self) -> int:
+        """Grows with each piece of a message that the other end has taken: so a large message on a
+        slow line can be told from a peer that does not read.
+        """
+        return 0
+
+    @abstractmethod
+    def stir(self) -> None:
+        """There is something to fetch."""
+
+    @abstractmethod
+    async def run(self, hear: Hear, fetch: Fetch) -> None:
+        """Hand over what arrives, and send what there is to fetch: at first, after each `stir()`,
+        and after each write, until there is none. Runs once, and does not return.
+
+        Raises:
+            ActionError: What `hear` raised.
+            ConnectionLost: The connection has ended.
+            ProtocolError: What came is no frame.
+        """
+
+    @abstractmethod
+    async def send(self, frames: Sequence[bytes]) -> None:
+        """Send frames while it does not run.
+
+        Raises:
+            ConnectionLost: The connection has ended.
+        """
+
+    @abstractmethod
+    async def aclose(self) -> None:
+        """Close the connection, at once if it cannot be done in good order."""
+
+
+class Channel(Line):
+    """A line whose two directions are waited for, each by a task."""
+
+    _wanted: Waking | None = None
 
     @abstractmethod
     async def send(self, frames: Sequence[bytes]) -> None:
@@ -47,9 +92,36 @@ class Channel(ABC):
             ProtocolError: What came is no frame.
         """
 
-    @abstractmethod
-    async def aclose(self) -> None:
-        """Close the connection, at once if it cannot be done in good order."""
+    def stir(self) -> None:
+        if self._wanted is not None:
+            self._wanted.wake()
+
+    async def run(self, hear: Hear, fetch: Fetch) -> None:
+        wanted = self._wanted = Waking()
+        errors: list[ActionError] = []
+
+        async def read() -> None:
+            while True:
+                hear(await self.receive())
+
+        async def write() -> None:
+            while True:
+                if frames := fetch():
+                    await self.send(frames)
+                else:
+                    await wanted.wait()
+
+        async def guarded(part: Callable[[], Awaitable[None]]) -> None:
+            try:
+                await part()
+            except ActionError as exc:
+                errors.append(exc)
+                tasks.cancel_scope.cancel()
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(guarded, read)
+            tasks.start_soon(guarded, write)
+        raise errors[0]
 
 
 class StreamChannel(Channel):
@@ -60,19 +132,21 @@ class StreamChannel(Channel):
         self._stream = stream
         self._reader = FrameReader(max_frame)
         self._unfinished = False
+        self._pieces = 0
+
+    @property
+    def progress(self) -> int:
+        return self._pieces
 
     async def send(self, frames: Sequence[bytes]) -> None:
-        parts: list[bytes] = []
-        for frame in frames:
-            parts += (header(len(frame)), frame)
-        data = b"".join(parts)
+        data = framed(frames)
         if self._unfinished:
             raise ConnectionLost(f"the last message to {self.peer} was cut off")
         self._unfinished = True
         try:
             for start in range(0, len(data), CHUNK):
                 await self._stream.send(data[start : start + CHUNK])
-                self.progress += 1
+                self._pieces += 1
         except (OSError, anyio.BrokenResourceError, anyio.ClosedResourceError) as exc:
             raise ConnectionLost(f"the connection to {self.peer} broke") from exc
         self._unfinished = False

@@ -57,7 +57,7 @@ from fibaction.messages import (
 from fibaction.states import GoalStatus
 from fibaction.waking import Waking
 from fibaction.wire.calls import Call, Question, RemoteGoal, RemoteStatuses
-from fibaction.wire.channel import Channel
+from fibaction.wire.channel import Line
 from fibaction.wire.link import Link
 
 logger = logging.getLogger("fibaction.wire")
@@ -70,8 +70,8 @@ DIAL_TIMEOUT = 5.0
 LEAVE_TIMEOUT = 1.0
 """Seconds that leaving a connection waits for what was said last to be written."""
 
-Dial = Callable[[], Awaitable[Channel]]
-"""Opens a channel; raises `TransportError`."""
+Dial = Callable[[], Awaitable[Line]]
+"""Opens a line; raises `TransportError`."""
 
 
 class Keeping(msgspec.Struct, frozen=True):
@@ -140,7 +140,8 @@ class RemoteConnection(Connection):
 
     async def follow(self, request: Callable[[int, int], SendGoal | Follow]) -> RemoteGoal:
         """Send or follow a goal; `request` gets the ID and the credit."""
-        call_id, window = next(self._ids), self._keeping.window
+        # Of two, one can be let go of for the next; behind one, unread, the end would never come.
+        call_id, window = next(self._ids), max(self._keeping.window, 2)
         opening = request(call_id, window)
         goal = RemoteGoal(call_id, opening, window, self._post)
         try:
@@ -240,13 +241,13 @@ class RemoteConnection(Connection):
     async def _attempt(self) -> ActionError:
         try:
             with anyio.fail_after(DIAL_TIMEOUT):
-                channel = await self._dial()
+                line = await self._dial()
         except TimeoutError:
             return ServerNotFound(f"{self._where} did not answer within {DIAL_TIMEOUT:g} s")
         except ActionError as exc:
             return exc
         try:
-            self._link = Link(channel, self._keeping.heartbeat)
+            self._link = Link(line, self._keeping.heartbeat)
             keeping = self._keeping
             hello = Hello(
                 VERSION, keeping.heartbeat, keeping.token, self._session, keeping.max_frame
@@ -255,7 +256,7 @@ class RemoteConnection(Connection):
             return await self._link.run(self._handle)
         finally:
             self._link = None
-            await channel.aclose()
+            await line.aclose()
 
     def _give_up(self, error: ActionError) -> None:
         self._absent = error if isinstance(error, TransportError) else ConnectionLost(str(error))

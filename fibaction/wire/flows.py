@@ -41,6 +41,8 @@ logger = logging.getLogger("fibaction.wire")
 class Flow:
     """One request, and how much more the client wants of it."""
 
+    __slots__ = ("closed", "credit", "request")
+
     def __init__(self, request: int, credit: int | None = 0) -> None:
         self.request = request
         self.credit = credit or 0
@@ -58,6 +60,8 @@ class Flow:
 
 class WaitingFlow(Flow):
     """A request that a task works on."""
+
+    __slots__ = ("_more", "_stop")
 
     def __init__(self, request: int, credit: int | None = 0) -> None:
         super().__init__(request, credit)
@@ -89,6 +93,8 @@ class WaitingFlow(Flow):
 class GoalFlow(Flow):
     """One goal that the client follows: no task, but `take` whenever `ready` was called."""
 
+    __slots__ = ("_max_frame", "_opening", "_ready", "endpoint", "own", "stream", "told")
+
     def __init__(
         self, request: int, credit: int | None, ready: Callable[[GoalFlow], None], max_frame: int
     ) -> None:
@@ -111,7 +117,6 @@ class GoalFlow(Flow):
             self.request, stream.stamp, stream.status, stream.latest, stream.place
         )
         self._opening = [encode(following)]
-        stream.news.listener = self._tell
         if self.closed:
             stream.close()
         self._tell()
@@ -161,6 +166,7 @@ class GoalFlow(Flow):
     def _take(self) -> list[bytes]:
         stream, request = self.stream, self.request
         assert stream is not None
+        stream.news.listener = self._tell
         if self._opening:
             opening, self._opening = self._opening, []
             return opening

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager
+from hmac import compare_digest
 
 import anyio
 from anyio.abc import TaskGroup
@@ -13,7 +14,7 @@ from fibaction.abc import Endpoint
 from fibaction.background import Background
 from fibaction.exceptions import AuthenticationFailed, ProtocolError
 from fibaction.messages import Goodbye, Why, encode
-from fibaction.wire.channel import Channel
+from fibaction.wire.channel import Line
 from fibaction.wire.link import Link
 from fibaction.wire.orphans import Orphans
 from fibaction.wire.serving import Session, Terms
@@ -31,35 +32,42 @@ class Hub:
         self._endpoints = endpoints
         self._terms = terms
         self._orphans = Orphans(tasks, grace=terms.grace, then=terms.orphans)
-        self._sessions: set[Session] = set()
+        self._sessions: dict[Session, None] = {}  # in the order of their coming
 
-    async def serve(self, channel: Channel) -> None:
+    async def serve(self, line: Line) -> None:
         """Serve one client until its connection ends."""
         try:
-            await self._serve(channel)
+            await self._serve(line)
         except Exception as exc:
             # A fault of this package: it is one client's affair, and not the end of all others.
-            logger.error("%s: the connection failed", channel.peer, exc_info=exc)
+            logger.error("%s: the connection failed", line.peer, exc_info=exc)
         finally:
-            await channel.aclose()
+            await line.aclose()
 
-    async def _serve(self, channel: Channel) -> None:
+    async def _serve(self, line: Line) -> None:
         heartbeat, limits = self._terms.heartbeat, self._terms.limits
         if len(self._sessions) >= limits.connections:
             reason = f"the server is full: it has {limits.connections} connections"
-            logger.warning("%s is turned away: %s", channel.peer, reason)
-            link = Link(channel, heartbeat)
+            logger.warning("%s is turned away: %s", line.peer, reason)
+            link = Link(line, heartbeat)
             await link.say_last(encode(Goodbye(reason, Why.LIMIT)))
             return
-        link = Link(channel, heartbeat, limits.queue)
-        session = Session(link, self._endpoints, self._terms, self._orphans, self._clients_of)
-        self._sessions.add(session)
+        link = Link(line, heartbeat, limits.queue)
+        session = Session(
+            link, self._endpoints, self._terms, self._orphans, self._clients_of, self._supersede
+        )
+        self._sessions[session] = None
         try:
             error = await session.run()
         finally:
-            self._sessions.discard(session)
+            del self._sessions[session]
         wrong = isinstance(error, ProtocolError | AuthenticationFailed)
-        logger.log(logging.WARNING if wrong else logging.INFO, "%s: %s", channel.peer, error)
+        logger.log(logging.WARNING if wrong else logging.INFO, "%s: %s", line.peer, error)
+
+    def _supersede(self, client: bytes) -> None:
+        for session in tuple(self._sessions):
+            if session.session and compare_digest(session.session, client):
+                session.end()
 
     def _clients_of(self, action: str) -> list[str]:
         return sorted(session.client for session in self._sessions if action in session.actions)

@@ -12,7 +12,7 @@ from anyio import CancelScope, create_task_group, move_on_after, sleep
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
 from fibaction.messages import Ping, encode
 from fibaction.waking import Waking
-from fibaction.wire.channel import Channel
+from fibaction.wire.channel import Line
 
 MISSED = 4
 """After so many signs of life that did not come, a peer is taken for dead: one that is late, or
@@ -29,19 +29,19 @@ PING = encode(Ping())
 class Link:
     """One connection, from its first byte to its last."""
 
-    def __init__(self, channel: Channel, heartbeat: float, high_water: int = HIGH_WATER) -> None:
-        self.peer = channel.peer
+    def __init__(self, line: Line, heartbeat: float, high_water: int = HIGH_WATER) -> None:
+        self.peer = line.peer
         self.peer_heartbeat = heartbeat
         """How often the peer will say something; it is told in the first message."""
-        self._channel = channel
+        self._line = line
         self._heartbeat = heartbeat
         self._high_water = high_water
         self._queue: list[bytes] = []
         self._queued = 0
         self._source: Callable[[], list[bytes]] = list
-        self._wanted = Waking()
         self._room = Waking()
         self._is_writing = False
+        self._writing = 0  # bytes of the queue
         self._writes = 0
         self._has_said = self._has_heard = True  # since `_watch` looked last
         self._error: ActionError | None = None
@@ -54,13 +54,13 @@ class Link:
 
     def stir(self) -> None:
         """There is something to fetch from the source."""
-        self._wanted.wake()
+        self._line.stir()
 
     def post(self, frame: bytes) -> None:
         """Queue a message. For small ones, of which there are few; after the end it is lost."""
         self._queue.append(frame)
         self._queued += len(frame)
-        self._wanted.wake()
+        self._line.stir()
         if self._queued > OVERFULL * self._high_water + len(frame):
             self.end(ProtocolError(f"{self.peer} asks for more than it reads"))
 
@@ -84,7 +84,7 @@ class Link:
     async def say_last(self, frame: bytes) -> None:
         """After the end: tell the peer why, if it can still be told."""
         with suppress(ActionError), move_on_after(1):
-            await self._channel.send([frame])
+            await self._line.send([frame])
 
     def end(self, error: ActionError) -> None:
         """End the connection for that reason, unless it has ended before."""
@@ -106,12 +106,16 @@ class Link:
         if source is not None:
             self._source = source
 
-        async def read() -> None:
-            while True:
-                frames = await self._channel.receive()
-                self._has_heard = True
+        def hear(frames: list[bytes]) -> None:
+            self._has_heard = True
+            try:
                 for frame in frames:
+                    if self._error is not None:
+                        break
                     handle(frame)
+            except ActionError as exc:
+                self.end(exc)  # now: nothing more is to be fetched
+                raise
 
         async def guarded(part: Callable[[], Awaitable[None]]) -> None:
             try:
@@ -121,28 +125,27 @@ class Link:
 
         async with create_task_group() as tasks:
             self._scope = tasks.cancel_scope
-            for part in (read, self._write, self._watch):
-                tasks.start_soon(guarded, part)
             if self._error is not None:
                 self._scope.cancel()
+            tasks.start_soon(guarded, self._watch)
+            await guarded(lambda: self._line.run(hear, self._fetch))
         assert self._error is not None
         return self._error
 
-    async def _write(self) -> None:
-        while self._error is None:  # what is cut off by the end would cut off the last word, too
-            queue, self._queue = self._queue, []
-            queued = sum(map(len, queue))
-            frames = queue + self._source()
-            if not frames:
-                await self._wanted.wait()
-                continue
-            self._is_writing = True
-            await self._channel.send(frames)
-            self._is_writing = False
+    def _fetch(self) -> list[bytes]:
+        """What to send next; what was fetched before has been written."""
+        if self._is_writing:
             self._writes += 1
             self._has_said = True
-            self._queued -= queued
+            self._queued -= self._writing
             self._room.wake()
+        frames: list[bytes] = []
+        if self._error is None:  # what is cut off by the end would cut off the last word, too
+            queue, self._queue = self._queue, []
+            self._writing = sum(map(len, queue))
+            frames = queue + self._source()
+        self._is_writing = bool(frames)
+        return frames
 
     async def _watch(self) -> None:
         # It counts its own rounds, and reads no clock: what happens at each message stays cheap,
@@ -166,4 +169,4 @@ class Link:
 
     @property
     def _progress(self) -> tuple[int, int]:
-        return self._writes, self._channel.progress
+        return self._writes, self._line.progress

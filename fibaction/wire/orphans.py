@@ -10,7 +10,9 @@ from anyio import sleep
 from anyio.abc import TaskGroup
 
 from fibaction.abc import Endpoint, GoalStream
+from fibaction.exceptions import GoalRejected
 from fibaction.goals import GoalID
+from fibaction.protocol import ID_IN_USE
 
 logger = logging.getLogger("fibaction.wire")
 
@@ -31,6 +33,7 @@ class Orphans:
         self._then = then
         self._streams: dict[GoalID, GoalStream] = {}
         self._sessions: dict[GoalID, bytes] = {}
+        self._goals: dict[GoalID, int] = {}  # enough to tell that another goal is sent
         self._losses: dict[GoalStream, object] = {}
 
     def is_own(self, goal_id: GoalID, session: bytes) -> bool:
@@ -38,9 +41,10 @@ class Orphans:
         known = self._sessions.get(goal_id, b"")
         return bool(known) and compare_digest(known, session)
 
-    def own(self, stream: GoalStream, session: bytes) -> bool:
+    def own(self, stream: GoalStream, session: bytes, goal: bytes | None = None) -> bool:
         """A client follows its goal with this stream: the one before, if any, is of no use more,
-        be it an orphan or on a connection that is dead and has not been found out.
+        be it an orphan or on a connection that is dead and has not been found out. `goal` is what
+        it has sent, if it does so now.
 
         False, and nothing else, if the goal is that of a client of another session.
         """
@@ -49,15 +53,28 @@ class Orphans:
             return False
         self._streams[stream.goal_id] = stream
         self._sessions[stream.goal_id] = session
+        if goal is not None:
+            self._goals[stream.goal_id] = hash(goal)
         self._losses.pop(before or stream, None)
         if before is not None and before is not stream:
             before.close()
         return True
 
-    def ended(self, goal_id: GoalID) -> GoalStream | None:
-        """The stream of a goal that has ended, and whose client has not heard of it."""
+    def ended(
+        self, goal_id: GoalID, session: bytes, goal: bytes | None = None
+    ) -> GoalStream | None:
+        """The stream of a goal of that session that has ended, and whose client has not heard of
+        it. `goal` is what it sends again.
+
+        Raises:
+            GoalRejected: That is another goal.
+        """
         stream = self._streams.get(goal_id)
-        return stream if stream is not None and stream.status.is_terminal else None
+        if stream is None or not stream.status.is_terminal or not self.is_own(goal_id, session):
+            return None
+        if goal is not None and self._goals.get(goal_id) != hash(goal):
+            raise GoalRejected(ID_IN_USE, goal_id=goal_id)
+        return stream
 
     def close(self) -> None:
         """The server closes: no goal waits for its client any longer."""
@@ -70,6 +87,7 @@ class Orphans:
         self._losses.pop(stream, None)
         if self._streams.get(stream.goal_id) is stream:
             del self._streams[stream.goal_id], self._sessions[stream.goal_id]
+            self._goals.pop(stream.goal_id, None)
 
     def adopt(self, endpoint: Endpoint, stream: GoalStream, *, left: bool) -> None:
         """The stream's connection is lost; `left` says that the client said goodbye."""

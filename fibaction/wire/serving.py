@@ -93,17 +93,22 @@ class Session:
         terms: Terms,
         orphans: Orphans,
         clients_of: Callable[[str], list[str]],
+        supersede: Callable[[bytes], None],
     ) -> None:
-        """`clients_of` says who uses an action, this client and all others."""
+        """`clients_of` says who uses an action, this client and all others; `supersede` ends the
+        connections before this one of the client whose session that is.
+        """
         self.actions: set[str] = set()
         """The actions that the client has named."""
         self._clients_of = clients_of
+        self._supersede = supersede
         self._link = link
         self._endpoints = endpoints
         self._terms = terms
         self._orphans = orphans
         self._peer: Peer | None = None
-        self._session = b""
+        self.session = b""
+        """What the client calls itself on each of its connections, one after another: a secret."""
         self._max_frame = MAX_FRAME
         self._left = False
         self._waiting: dict[int, WaitingFlow] = {}
@@ -130,8 +135,7 @@ class Session:
                     await self._link.say_last(encode(_goodbye(error)))
                 return error
         finally:
-            for flow in self._goals.values():
-                self._give_up(flow)
+            self._release()
             self._progress.wake()
 
     async def drain(self) -> None:
@@ -141,11 +145,22 @@ class Session:
         self._link.post(encode(Goodbye("the server is closing the connection")))
         await self._link.flush()
 
+    def end(self) -> None:
+        """The client has a newer connection: what was under way on this one goes on there."""
+        self._release()
+        self._link.end(ConnectionLost("its client has a newer connection"))
+
+    def _release(self) -> None:
+        for flow in tuple(self._goals.values()):
+            if flow.stream is not None:
+                del self._goals[flow.request]
+                self._give_up(flow)
+
     async def _expect_hello(self) -> None:
         handshake = self._terms.limits.handshake
         await sleep(handshake)
         if self._peer is None:
-            self._link.end(ProtocolError(f"it has not said hello within {handshake:g} s"))
+            self._link.end(_TooLate(f"it has not said hello within {handshake:g} s"))
 
     # What arrives
 
@@ -184,7 +199,10 @@ class Session:
         self._peer = self._terms.access.admit(self._link.peer, message.token)
         if self._peer is None:
             raise AuthenticationFailed("its token is not one of this server's")
-        self._session = message.session
+        if message.session:
+            # Or what was under way on the one before could come late, and run a goal once more.
+            self._supersede(message.session)
+        self.session = message.session
         self._max_frame = message.max_frame
         self._link.peer_heartbeat = message.heartbeat
         welcome = Welcome(VERSION, self._terms.heartbeat, self._terms.limits.frame)
@@ -232,12 +250,17 @@ class Session:
         size = len(message.goal)
         if self._held + size > self._terms.limits.memory:
             raise GoalRejected(f"too many bytes at once: the limit is {self._terms.limits.memory}")
-        feedback = message.credit is not None
-        offered = endpoint.offer_goal(
-            GoalID(message.goal_id), message.goal, feedback=feedback, client=self.client
-        )
+        goal_id, feedback = GoalID(message.goal_id), message.credit is not None
+        ended = self._ended(goal_id, message.goal)
+        if ended is not None:
+            # It is sent again, because the answer was lost. Its server may have forgotten it by
+            # now, and must not run it twice.
+            ended.rewind(0)
+            self._begin_stream(flow, endpoint, ended, own=True)
+            return
+        offered = endpoint.offer_goal(goal_id, message.goal, feedback=feedback, client=self.client)
         if isinstance(offered, GoalStream):
-            self._begin_stream(flow, endpoint, offered, own=True)
+            self._begin_stream(flow, endpoint, offered, own=True, goal=message.goal)
         else:
             self._held += size
             self._tasks.start_soon(self._await_answer, message, flow, endpoint, offered)
@@ -250,29 +273,43 @@ class Session:
                 stream = await offered
             finally:
                 self._held -= len(message.goal)
-            self._begin_stream(flow, endpoint, stream, own=True)
+            self._begin_stream(flow, endpoint, stream, own=True, goal=message.goal)
 
     async def _follow(self, message: Follow, flow: GoalFlow) -> None:
         with self._answering(message):
             goal_id = GoalID(message.goal_id)
-            own = message.own and self._orphans.is_own(goal_id, self._session)
+            own = message.own and self._orphans.is_own(goal_id, self.session)
             endpoint = await self._endpoint(message.action, Verb.SEND if own else Verb.OBSERVE)
             stream: GoalStream | None
             try:
                 stream = await endpoint.feedback(goal_id, after=message.after, own=own)
             except UnknownGoal:
                 # Its server has forgotten it, but its client has not yet heard the end.
-                stream = self._orphans.ended(goal_id) if own else None
+                stream = self._ended(goal_id) if own else None
                 if stream is None:
                     raise
                 if message.after is not None:
                     stream.rewind(message.after)
             self._begin_stream(flow, endpoint, stream, own=own)
 
+    def _ended(self, goal_id: GoalID, goal: bytes | None = None) -> GoalStream | None:
+        """The stream of this client's goal that has ended on a connection before this one."""
+        stream = self._orphans.ended(goal_id, self.session, goal)
+        if stream is None or any(flow.stream is stream for flow in self._goals.values()):
+            return None
+        return stream
+
     def _begin_stream(
-        self, flow: GoalFlow, endpoint: Endpoint, stream: GoalStream, *, own: bool
+        self,
+        flow: GoalFlow,
+        endpoint: Endpoint,
+        stream: GoalStream,
+        *,
+        own: bool,
+        goal: bytes | None = None,
     ) -> None:
-        flow.begin(endpoint, stream, own=own and self._orphans.own(stream, self._session))
+        own = own and self._orphans.own(stream, self.session, goal)
+        flow.begin(endpoint, stream, own=own)
 
     def _tell(self, flow: GoalFlow) -> None:
         self._ready[flow] = None
@@ -306,8 +343,8 @@ class Session:
 
     def _give_up(self, flow: GoalFlow) -> None:
         """The connection has ended, and with it what the client could be told."""
-        if flow.stream is None or flow.endpoint is None:
-            return
+        assert flow.stream is not None
+        assert flow.endpoint is not None
         flow.leave()
         if flow.own:
             self._orphans.adopt(flow.endpoint, flow.stream, left=self._left)
@@ -425,6 +462,12 @@ class Session:
         await self._link.send(fit(answer.id, encode(answer), self._max_frame))
 
 
+class _TooLate(ProtocolError):
+    """It may be the line that was held up, so the client may try again."""
+
+
 def _goodbye(error: ActionError) -> Goodbye:
     why = Why.FORBIDDEN if isinstance(error, AuthenticationFailed) else Why.PROTOCOL
+    if isinstance(error, _TooLate):
+        why = Why.LIMIT
     return Goodbye(f"the server has closed the connection: {error}", why)

@@ -1,6 +1,7 @@
 """The ways on which the contract is run. A new transport adds a line to `WAYS`.
 
-A test that a way cannot keep is listed in `EXCLUSIONS` with the reason, and is skipped with it.
+Each test is marked with the promises of docs/guarantees.md that it shows: see tests/promises.py. A
+test that a way cannot keep is listed in `EXCLUSIONS` with the reason, and is skipped with it.
 """
 
 from __future__ import annotations

@@ -33,6 +33,7 @@ def server(**options: Any) -> ActionServer[Goal, Feedback, Result]:
     return ActionServer(FIBONACCI, fibonacci, **options)
 
 
+@pytest.mark.promise("GOAL-2", "ACCEPT-1", "EXECUTE-2", "FEEDBACK-1")
 async def test_a_goal_is_accepted_streams_its_feedback_and_ends_with_its_result(
     reach: Reach,
 ) -> None:
@@ -45,6 +46,7 @@ async def test_a_goal_is_accepted_streams_its_feedback_and_ends_with_its_result(
     assert goal.feedback_dropped == 0
 
 
+@pytest.mark.promise("GOAL-2", "EXECUTE-2")
 async def test_a_call_gives_the_result_and_hands_every_feedback_to_the_callback(
     reach: Reach,
 ) -> None:
@@ -61,6 +63,7 @@ async def test_a_call_gives_the_result_and_hands_every_feedback_to_the_callback(
     assert [len(item.partial_sequence) for item in seen] == [3, 4, 3, 4]
 
 
+@pytest.mark.promise("ACCEPT-2", "ERROR-2")
 @pytest.mark.parametrize("asynchronous", [False, True], ids=["sync", "async"])
 async def test_on_goal_sees_the_goal_and_its_reason_reaches_the_client(
     reach: Reach, asynchronous: bool
@@ -85,6 +88,7 @@ async def test_on_goal_sees_the_goal_and_its_reason_reaches_the_client(
     assert str(caught.value) == f"goal {caught.value.goal_id} was rejected: order 11 is too much"
 
 
+@pytest.mark.promise("ACCEPT-3")
 @pytest.mark.parametrize(
     ("goal", "reason"),
     [
@@ -104,6 +108,7 @@ async def test_a_goal_of_the_wrong_type_is_rejected_and_the_reason_names_the_fie
         assert await client.call(Goal(2)) == Result([0, 1, 1])
 
 
+@pytest.mark.promise("ACCEPT-3")
 async def test_bytes_that_are_no_goal_are_rejected(reach: Reach) -> None:
     async with reach(server()) as client:
         for payload in (b"", b"\xc1", b"\x91" * 10_000, b"\xa1\xff", b"\x81\xa5order\x01\x02"):
@@ -112,6 +117,7 @@ async def test_bytes_that_are_no_goal_are_rejected(reach: Reach) -> None:
         assert await client.call(Goal(2)) == Result([0, 1, 1])
 
 
+@pytest.mark.promise("ACCEPT-4")
 @pytest.mark.parametrize("asynchronous", [False, True], ids=["sync", "async"])
 async def test_a_callback_that_fails_rejects_the_goal_and_the_server_goes_on(
     reach: Reach, asynchronous: bool, caplog: pytest.LogCaptureFixture
@@ -131,6 +137,7 @@ async def test_a_callback_that_fails_rejects_the_goal_and_the_server_goes_on(
     assert "Traceback" in caplog.text
 
 
+@pytest.mark.promise("ACCEPT-4")
 async def test_a_callback_that_returns_something_rejects_the_goal(reach: Reach) -> None:
     def decide(goal: Goal) -> None:
         return cast("None", goal.order < 5)  # as rclpy's users may write it
@@ -144,6 +151,7 @@ async def test_a_callback_that_returns_something_rejects_the_goal(reach: Reach) 
     )
 
 
+@pytest.mark.promise("ACCEPT-5")
 async def test_a_slow_decision_delays_no_other_goal(reach: Reach) -> None:
     decide = anyio.Event()
 
@@ -179,6 +187,7 @@ class Counting:
         yield Result([goal.request.order])
 
 
+@pytest.mark.promise("GOAL-1", "ACCEPT-6")
 async def test_the_same_goal_sent_again_gets_the_same_answer_and_runs_once(reach: Reach) -> None:
     executor = Counting()
     async with reach(ActionServer(FIBONACCI, executor)) as client:
@@ -194,6 +203,7 @@ async def test_the_same_goal_sent_again_gets_the_same_answer_and_runs_once(reach
     assert executor.runs == 1
 
 
+@pytest.mark.promise("GOAL-1", "ACCEPT-6")
 async def test_the_same_goal_sent_again_while_it_is_decided_waits_for_that(reach: Reach) -> None:
     executor = Counting()
     executor.go.set()
@@ -221,6 +231,7 @@ async def test_the_same_goal_sent_again_while_it_is_decided_waits_for_that(reach
     assert (asked, executor.runs) == (1, 1)
 
 
+@pytest.mark.promise("ACCEPT-6")
 async def test_a_rejected_goal_sent_again_is_rejected_again_without_a_second_decision(
     reach: Reach,
 ) -> None:
@@ -237,6 +248,41 @@ async def test_a_rejected_goal_sent_again_is_rejected_again_without_a_second_dec
             assert caught.value.reason == "busy"
 
 
+@pytest.mark.promise("ACCEPT-8", "RESULT-5")
+async def test_an_id_is_free_again_when_its_goal_is_forgotten(reach: Reach) -> None:
+    executor = Counting()
+    executor.go.set()
+    async with reach(ActionServer(FIBONACCI, executor, result_timeout=0)) as client:
+        goal_id = GoalID.random()
+        for order in (7, 8):
+            goal = await client.send_goal(Goal(order), goal_id=goal_id)
+            assert await goal.result() == Result([order])
+            assert (await client.endpoint.get_result(goal_id)).status is GoalStatus.UNKNOWN
+    assert executor.runs == 2
+
+
+@pytest.mark.promise("STATUS-6")
+async def test_a_rejected_goal_has_no_status_and_never_runs(reach: Reach) -> None:
+    executor = Counting()
+
+    def on_goal(goal: Goal) -> None:
+        raise GoalRejected("busy")
+
+    async with reach(ActionServer(FIBONACCI, executor, on_goal=on_goal)) as client:
+        goal_id = GoalID.random()
+        with await client.endpoint.status() as statuses:
+            with pytest.raises(GoalRejected):
+                await client.send_goal(Goal(7), goal_id=goal_id)
+            assert await client.goals() == []
+            assert (await client.endpoint.get_result(goal_id)).status is GoalStatus.UNKNOWN
+            assert statuses.known == 0
+            with anyio.move_on_after(0.01) as patience:
+                await statuses.receive()
+    assert patience.cancelled_caught
+    assert executor.runs == 0
+
+
+@pytest.mark.promise("ACCEPT-7")
 async def test_another_goal_under_an_id_in_use_is_rejected(reach: Reach) -> None:
     executor = Counting()
     async with reach(ActionServer(FIBONACCI, executor)) as client:
@@ -250,6 +296,21 @@ async def test_another_goal_under_an_id_in_use_is_rejected(reach: Reach) -> None
             await client.send_goal(Goal(8), goal_id=goal_id)
 
 
+@pytest.mark.promise("ACCEPT-12")
+async def test_an_id_of_zeros_names_no_goal_and_is_rejected(reach: Reach) -> None:
+    executor = Counting()
+    async with reach(ActionServer(FIBONACCI, executor)) as client:
+        with pytest.raises(GoalRejected):
+            await client.send_goal(Goal(7), goal_id=GoalID(bytes(16)))
+        executor.go.set()
+        goal_id = GoalID(bytes(range(16)))
+        goal = await client.send_goal(Goal(8), goal_id=goal_id)
+        assert goal.goal_id == goal_id
+        assert await goal.result() == Result([8])
+    assert executor.runs == 1
+
+
+@pytest.mark.promise("ACCEPT-10")
 async def test_a_client_that_gives_up_before_the_answer_leaves_no_goal_behind(
     reach: Reach,
 ) -> None:
@@ -277,6 +338,7 @@ async def test_a_client_that_gives_up_before_the_answer_leaves_no_goal_behind(
         assert outcome.status in (GoalStatus.UNKNOWN, GoalStatus.CANCELED)
 
 
+@pytest.mark.promise("REACH-1")
 async def test_an_action_that_nobody_serves_is_not_found_and_can_be_waited_for(
     reach: Reach,
 ) -> None:
@@ -298,6 +360,7 @@ async def echo(goal: GoalHandle[int]) -> AsyncGenerator[str | int, None]:
     yield goal.request
 
 
+@pytest.mark.promise("REACH-3")
 async def test_several_actions_share_one_connection(reach: Reach) -> None:
     other = ActionServer(action_of_numbers("other"), echo)
     async with reach.connection(server(), other) as connection:
@@ -309,6 +372,7 @@ async def test_several_actions_share_one_connection(reach: Reach) -> None:
     assert actions["fibonacci"].type_name == "arduinobot_msgs/action/Fibonacci"
 
 
+@pytest.mark.promise("REACH-4")
 async def test_a_client_without_the_types_sends_a_goal_from_plain_data(reach: Reach) -> None:
     async with reach.connection(server()) as connection:
         (info,) = await connection.actions()
@@ -320,6 +384,7 @@ async def test_a_client_without_the_types_sends_a_goal_from_plain_data(reach: Re
     assert outcome == Outcome(GoalStatus.SUCCEEDED, {"sequence": [0, 1, 1, 2]})
 
 
+@pytest.mark.promise("STATUS-5", "CANCEL-16")
 async def test_an_unknown_goal_can_be_neither_followed_nor_canceled(reach: Reach) -> None:
     async with reach(server()) as client:
         goal_id = GoalID.random()
@@ -331,6 +396,7 @@ async def test_an_unknown_goal_can_be_neither_followed_nor_canceled(reach: Reach
         assert not answer.accepted
 
 
+@pytest.mark.promise("ACCEPT-11")
 async def test_a_goal_that_cannot_be_encoded_is_the_callers_own_error(reach: Reach) -> None:
     async with reach(server()) as client:
         with pytest.raises(TypeError):

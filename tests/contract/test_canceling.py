@@ -10,15 +10,20 @@ import pytest
 
 from fibaction import (
     ActionServer,
+    CancelAnswer,
     CancelCode,
     CancelRejected,
+    GoalAborted,
     GoalCanceled,
     GoalHandle,
     GoalID,
     GoalStatus,
     Outcome,
+    connect,
+    serve,
 )
 from fibaction.abc import StatusStream
+from tests.contract import conftest
 from tests.contract.conftest import Reach
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 
@@ -39,6 +44,7 @@ class Held:
         yield Result([goal.request.order])
 
 
+@pytest.mark.promise("CANCEL-5", "CANCEL-9", "RESULT-1", "ERROR-2")
 async def test_a_cancel_is_raised_at_an_await_and_the_part_that_is_done_is_kept(
     reach: Reach,
 ) -> None:
@@ -68,6 +74,7 @@ async def test_a_cancel_is_raised_at_an_await_and_the_part_that_is_done_is_kept(
     assert caught.value.goal_id == goal.goal_id
 
 
+@pytest.mark.promise("EXECUTE-3", "CANCEL-5")
 async def test_a_cancel_is_raised_at_a_yield(reach: Reach) -> None:
     where = []
 
@@ -91,6 +98,7 @@ async def test_a_cancel_is_raised_at_a_yield(reach: Reach) -> None:
     assert where[0] >= 3
 
 
+@pytest.mark.promise("CANCEL-2", "CANCEL-9")
 async def test_an_executor_that_says_nothing_of_it_is_canceled_all_the_same(reach: Reach) -> None:
     async with reach(ActionServer(FIBONACCI, Held())) as client:
         goal = await client.send_goal(Goal(1))
@@ -98,6 +106,7 @@ async def test_an_executor_that_says_nothing_of_it_is_canceled_all_the_same(reac
         assert await goal.outcome() == Outcome(GoalStatus.CANCELED)
 
 
+@pytest.mark.promise("CANCEL-6")
 async def test_clean_up_may_await_because_the_cancellation_arrives_once(reach: Reach) -> None:
     async def retreats(goal: GoalHandle[Goal]) -> Items:
         done: list[int] = []
@@ -123,6 +132,7 @@ async def test_clean_up_may_await_because_the_cancellation_arrives_once(reach: R
     assert outcome == Outcome(GoalStatus.CANCELED, Result([0, 1, 2]))
 
 
+@pytest.mark.promise("CANCEL-6", "CANCEL-11")
 async def test_an_executor_that_swallows_the_cancellation_may_still_succeed(reach: Reach) -> None:
     async def stubborn(goal: GoalHandle[Goal]) -> Items:
         yield Feedback([1])
@@ -142,6 +152,7 @@ async def test_an_executor_that_swallows_the_cancellation_may_still_succeed(reac
             assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, Result([3]))
 
 
+@pytest.mark.promise("CANCEL-12")
 async def test_clean_up_that_raises_is_aborted_with_the_reason(reach: Reach) -> None:
     async def breaks(goal: GoalHandle[Goal]) -> Items:
         try:
@@ -159,6 +170,26 @@ async def test_clean_up_that_raises_is_aborted_with_the_reason(reach: Reach) -> 
             )
 
 
+@pytest.mark.promise("CANCEL-12")
+async def test_clean_up_may_abort_with_the_part_that_is_done(reach: Reach) -> None:
+    async def gives_up(goal: GoalHandle[Goal]) -> Items:
+        try:
+            yield Feedback([1])
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            raise GoalAborted("the brake failed", result=Result([1])) from None
+
+    async with reach(ActionServer(FIBONACCI, gives_up)) as client:
+        async with client.send_goal(Goal(1)) as goal:
+            async for _ in goal.feedback:
+                assert (await goal.cancel()).accepted
+            with pytest.raises(GoalAborted) as caught:
+                await goal.result()
+    assert caught.value.goal_id == goal.goal_id
+    assert caught.value.result == Result([1])
+
+
+@pytest.mark.promise("CANCEL-7")
 async def test_a_cancel_inside_a_task_group_of_the_executor_is_a_cancel(reach: Reach) -> None:
     async def delegates(goal: GoalHandle[Goal]) -> Items:
         yield Feedback([1])
@@ -174,6 +205,7 @@ async def test_a_cancel_inside_a_task_group_of_the_executor_is_a_cancel(reach: R
             assert (await goal.outcome()).status is GoalStatus.CANCELED
 
 
+@pytest.mark.promise("CANCEL-10")
 async def test_a_result_that_was_yielded_before_the_cancel_is_not_lost(reach: Reach) -> None:
     yielded = anyio.Event()
 
@@ -189,6 +221,7 @@ async def test_a_result_that_was_yielded_before_the_cancel_is_not_lost(reach: Re
         assert await goal.outcome() == Outcome(GoalStatus.CANCELED, Result([1]))
 
 
+@pytest.mark.promise("CANCEL-8", "CANCEL-9")
 async def test_a_cooperative_executor_is_not_interrupted_but_asked(reach: Reach) -> None:
     begun, looked = anyio.Event(), anyio.Event()
 
@@ -208,6 +241,57 @@ async def test_a_cooperative_executor_is_not_interrupted_but_asked(reach: Reach)
         assert await goal.outcome() == Outcome(GoalStatus.CANCELED, Result([1]))
 
 
+@pytest.mark.promise("CANCEL-1", "RESULT-2")
+async def test_a_goal_can_be_canceled_by_somebody_who_did_not_send_it(reach: Reach) -> None:
+    with anyio.fail_after(conftest.PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, Held()), reach.address()) as (url,),
+            connect(url, FIBONACCI) as sender,
+            connect(url, FIBONACCI) as other,
+        ):
+            await sender.wait_for_server()
+            goal = await sender.send_goal(Goal(1))
+            await other.wait_for_server()
+            assert (await (await other.attach(goal.goal_id)).cancel()).accepted
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+            again = await other.attach(goal.goal_id)
+            assert await again.outcome() == await goal.outcome()
+
+
+@pytest.mark.promise("CANCEL-21")
+async def test_a_goal_that_is_still_decided_upon_is_canceled_by_its_id_once_it_is_accepted(
+    reach: Reach,
+) -> None:
+    asked, decide = anyio.Event(), anyio.Event()
+
+    async def on_goal(goal: Goal) -> None:
+        asked.set()
+        await decide.wait()
+
+    async with reach(ActionServer(FIBONACCI, Held(), on_goal=on_goal)) as client:
+        goal_id = GoalID.random()
+        outcomes: list[Outcome[Result]] = []
+        codes: list[CancelCode] = []
+
+        async def send() -> None:
+            goal = await client.send_goal(Goal(1), goal_id=goal_id)
+            outcomes.append(await goal.outcome())
+
+        async def cancel() -> None:
+            codes.append((await client.cancel_goals(goal_id)).return_code)
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(send)
+            await asked.wait()
+            tasks.start_soon(cancel)
+            await anyio.wait_all_tasks_blocked()
+            assert (codes, outcomes) == ([], [])
+            decide.set()
+    assert codes == [CancelCode.NONE]
+    assert outcomes == [Outcome(GoalStatus.CANCELED)]
+
+
+@pytest.mark.promise("CANCEL-3", "CANCEL-16")
 @pytest.mark.parametrize("asynchronous", [False, True], ids=["sync", "async"])
 async def test_a_refused_cancel_leaves_the_goal_running(reach: Reach, asynchronous: bool) -> None:
     executor = Held()
@@ -231,6 +315,7 @@ async def test_a_refused_cancel_leaves_the_goal_running(reach: Reach, asynchrono
         assert await goal.result() == Result([9])
 
 
+@pytest.mark.promise("CANCEL-4")
 @pytest.mark.parametrize(
     ("answer", "reason"),
     [
@@ -261,6 +346,24 @@ async def test_a_cancel_callback_that_fails_refuses(
         await goal.result()
 
 
+@pytest.mark.promise("CANCEL-4", "CANCEL-16")
+async def test_a_cancel_callback_that_fails_leaves_its_traceback_in_the_log(
+    reach: Reach, caplog: pytest.LogCaptureFixture
+) -> None:
+    def on_cancel(goal: GoalHandle[Goal]) -> None:
+        raise KeyError("unlucky")
+
+    executor = Held()
+    async with reach(ActionServer(FIBONACCI, executor, on_cancel=on_cancel)) as client:
+        goal = await client.send_goal(Goal(9))
+        assert (await goal.cancel()).return_code is CancelCode.REJECTED
+        executor.go.set()
+        assert await goal.result() == Result([9])
+    assert "Traceback" in caplog.text
+    assert 'raise KeyError("unlucky")' in caplog.text
+
+
+@pytest.mark.promise("CANCEL-16", "CANCEL-19")
 async def test_canceling_twice_is_as_good_as_once(reach: Reach) -> None:
     asked: list[GoalHandle[Goal]] = []
 
@@ -286,6 +389,7 @@ async def test_canceling_twice_is_as_good_as_once(reach: Reach) -> None:
         assert (await goal.cancel()).return_code is CancelCode.GOAL_TERMINATED
 
 
+@pytest.mark.promise("ACCEPT-9", "CANCEL-14", "CANCEL-16")
 async def test_the_cancel_rules_of_ros_choose_by_id_by_time_and_all(reach: Reach) -> None:
     async with reach(ActionServer(FIBONACCI, Held())) as client:
         goals = [await client.send_goal(Goal(number)) for number in range(6)]
@@ -323,6 +427,7 @@ async def test_the_cancel_rules_of_ros_choose_by_id_by_time_and_all(reach: Reach
         assert (nothing.return_code, nothing.goals_canceling) == (CancelCode.NONE, ())
 
 
+@pytest.mark.promise("CANCEL-16", "CANCEL-17")
 async def test_cancel_all_tells_the_truth_when_some_refuse(reach: Reach) -> None:
     def on_cancel(goal: GoalHandle[Goal]) -> None:
         if goal.request.order % 2:
@@ -342,6 +447,7 @@ async def test_cancel_all_tells_the_truth_when_some_refuse(reach: Reach) -> None
     assert statuses == [GoalStatus.CANCELED, GoalStatus.SUCCEEDED] * 3
 
 
+@pytest.mark.promise("CANCEL-18")
 async def test_one_slow_cancel_decision_keeps_no_other_goal_going(reach: Reach) -> None:
     decide = anyio.Event()
 
@@ -360,6 +466,36 @@ async def test_one_slow_cancel_decision_keeps_no_other_goal_going(reach: Reach) 
         assert (await goals[0].outcome()).status is GoalStatus.CANCELED
 
 
+@pytest.mark.promise("CANCEL-15", "CANCEL-17")
+async def test_a_goal_that_is_accepted_after_the_request_is_not_canceled_by_it(
+    reach: Reach,
+) -> None:
+    asked, decide = anyio.Event(), anyio.Event()
+
+    async def on_cancel(goal: GoalHandle[Goal]) -> None:
+        asked.set()
+        await decide.wait()
+
+    executor = Held()
+    async with reach(ActionServer(FIBONACCI, executor, on_cancel=on_cancel)) as client:
+        before = await client.send_goal(Goal(1))
+        answers: list[CancelAnswer] = []
+
+        async def cancel() -> None:
+            answers.append(await client.cancel_goals())
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(cancel)
+            await asked.wait()
+            after = await client.send_goal(Goal(2))
+            decide.set()
+        assert (await before.outcome()).status is GoalStatus.CANCELED
+        executor.go.set()
+        assert await after.result() == Result([2])
+    assert [info.goal_id for info in answers[0].goals_canceling] == [before.goal_id]
+
+
+@pytest.mark.promise("CANCEL-20")
 async def test_a_goal_that_ends_while_its_cancel_is_decided_has_ended(reach: Reach) -> None:
     asked, decide = anyio.Event(), anyio.Event()
 
@@ -384,6 +520,7 @@ async def test_a_goal_that_ends_while_its_cancel_is_decided_has_ended(reach: Rea
     assert codes == [CancelCode.GOAL_TERMINATED]
 
 
+@pytest.mark.promise("CANCEL-22")
 async def test_leaving_the_block_early_cancels_the_goal(reach: Reach) -> None:
     async with reach(ActionServer(FIBONACCI, Held())) as client:
         async with client.send_goal(Goal(1)) as goal:
@@ -413,6 +550,7 @@ async def first_with(statuses: StatusStream, status: GoalStatus) -> None:
     raise AssertionError(f"the statuses ended without {status.name}")
 
 
+@pytest.mark.promise("ERROR-3")
 async def test_the_callers_own_exception_arrives_as_itself(reach: Reach) -> None:
     error = KeyError("mine")
     with pytest.raises(KeyError) as caught:
@@ -423,6 +561,7 @@ async def test_the_callers_own_exception_arrives_as_itself(reach: Reach) -> None
     assert caught.value is error
 
 
+@pytest.mark.promise("CANCEL-22")
 async def test_leaving_the_block_of_a_goal_that_refuses_is_logged(
     reach: Reach, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -18,6 +18,7 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
     Outcome,
+    ServerNotFound,
     TransportError,
     UnknownGoal,
     connect,
@@ -38,6 +39,7 @@ async def forever(goal: GoalHandle[Goal]) -> Items:
     yield Result([])
 
 
+@pytest.mark.promise("RESULT-2")
 async def test_a_result_can_be_fetched_by_anybody_any_number_of_times(reach: Reach) -> None:
     async with reach(ActionServer(FIBONACCI, fibonacci)) as client:
         goal = await client.send_goal(Goal(2))
@@ -55,6 +57,7 @@ async def next_with(statuses: StatusStream, status: GoalStatus) -> GoalInfo:
     raise AssertionError(f"no {status.name} came")
 
 
+@pytest.mark.promise("STATUS-5", "STATUS-8", "RESULT-3", "RESULT-8")
 async def test_a_result_is_forgotten_when_its_time_is_over(reach: Reach) -> None:
     server = ActionServer(FIBONACCI, fibonacci, result_timeout=0.05)
     async with reach(server) as client:
@@ -68,6 +71,7 @@ async def test_a_result_is_forgotten_when_its_time_is_over(reach: Reach) -> None
         assert await goal.result() == Result([0, 1, 1])
 
 
+@pytest.mark.promise("RESULT-5", "RESULT-8")
 async def test_without_a_result_timeout_those_who_wait_are_answered_all_the_same(
     reach: Reach,
 ) -> None:
@@ -94,6 +98,7 @@ async def test_without_a_result_timeout_those_who_wait_are_answered_all_the_same
             await client.attach(goal.goal_id)
 
 
+@pytest.mark.promise("RESULT-6")
 async def test_a_result_is_kept_for_ever_if_asked_to(reach: Reach) -> None:
     async with reach(ActionServer(FIBONACCI, fibonacci, result_timeout=math.inf)) as client:
         goals = [await client.send_goal(Goal(number)) for number in range(3)]
@@ -103,6 +108,7 @@ async def test_a_result_is_kept_for_ever_if_asked_to(reach: Reach) -> None:
             assert len((await (await client.attach(goal.goal_id)).result()).sequence) == number + 1
 
 
+@pytest.mark.promise("RESULT-7")
 async def test_no_more_results_are_kept_than_asked_for(reach: Reach) -> None:
     async with reach(ActionServer(FIBONACCI, fibonacci, max_results=3)) as client:
         goals = []
@@ -118,6 +124,7 @@ async def test_no_more_results_are_kept_than_asked_for(reach: Reach) -> None:
             )
 
 
+@pytest.mark.promise("RESULT-2")
 async def test_an_attached_client_of_a_goal_that_is_forgotten_meanwhile_is_told(
     reach: Reach,
 ) -> None:
@@ -127,6 +134,7 @@ async def test_an_attached_client_of_a_goal_that_is_forgotten_meanwhile_is_told(
         assert (await client.endpoint.get_result(goal.goal_id)).status is GoalStatus.SUCCEEDED
 
 
+@pytest.mark.promise("STATUS-3", "STATUS-7")
 async def test_every_change_of_a_status_is_told_in_order_along_legal_edges(reach: Reach) -> None:
     async with reach(ActionServer(FIBONACCI, forever)) as client:
         before = await client.send_goal(Goal(1))
@@ -155,17 +163,28 @@ async def next_of(statuses: StatusStream, goal_id: bytes) -> GoalStatus:
     raise AssertionError("the statuses have ended")
 
 
+@pytest.mark.promise(
+    "GOAL-3", "GOAL-4", "STATUS-4", "STOP-1", "STOP-2", "STOP-3", "STOP-7", "STOP-8", "STOP-9"
+)
 async def test_stopping_ends_every_goal_as_aborted_and_answers_everybody(reach: Reach) -> None:
     outcomes: list[Outcome[Result]] = []
     rejected: list[str] = []
-    never = anyio.Event()
+    under_way: list[int] = []
+    all_under_way, never = anyio.Event(), anyio.Event()
+
+    def is_under_way(goal: Goal) -> None:
+        under_way.append(goal.order)
+        if len(under_way) == 3:
+            all_under_way.set()
 
     async def on_goal(goal: Goal) -> None:
         if goal.order == 99:
+            is_under_way(goal)
             await never.wait()
 
     async def partial(goal: GoalHandle[Goal]) -> Items:
         yield Feedback([1])
+        is_under_way(goal.request)
         try:
             await anyio.sleep_forever()
         except anyio.get_cancelled_exc_class():
@@ -191,7 +210,7 @@ async def test_stopping_ends_every_goal_as_aborted_and_answers_everybody(reach: 
                 before = running()
                 for order in (1, 2, 99):
                     tasks.start_soon(wait, client, order)
-                await anyio.wait_all_tasks_blocked()
+                await all_under_way.wait()
                 tasks_of_this_test = running() - before
                 await server.stop()
                 with anyio.fail_after(5):
@@ -203,6 +222,7 @@ async def test_stopping_ends_every_goal_as_aborted_and_answers_everybody(reach: 
     assert rejected == ["the server is stopping"]
 
 
+@pytest.mark.promise("STOP-1", "STOP-2")
 async def test_a_goal_that_is_sent_while_the_server_stops_is_rejected(reach: Reach) -> None:
     stopping, go = anyio.Event(), anyio.Event()
 
@@ -228,6 +248,7 @@ async def test_a_goal_that_is_sent_while_the_server_stops_is_rejected(reach: Rea
             await goal.result()
 
 
+@pytest.mark.promise("STOP-6")
 async def test_an_executor_that_does_not_stop_in_time_is_killed(
     reach: Reach, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -257,6 +278,52 @@ async def test_an_executor_that_does_not_stop_in_time_is_killed(
     assert "did not stop within 0.01 s" in caplog.text
 
 
+@pytest.mark.promise("GOAL-3", "STATUS-4", "STOP-6")
+async def test_a_result_that_comes_after_the_time_to_stop_changes_nothing(reach: Reach) -> None:
+    killed = anyio.Event()
+
+    async def too_late(goal: GoalHandle[Goal]) -> Items:
+        try:
+            yield Feedback([1])
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            try:
+                await anyio.sleep_forever()
+            except anyio.get_cancelled_exc_class():
+                killed.set()
+        yield Result([1])
+
+    server = ActionServer(FIBONACCI, too_late, shutdown_timeout=0.01)
+    async with reach(server) as client:
+        goal = await client.send_goal(Goal(1))
+        async for _ in goal.feedback:
+            break
+        await server.stop()
+        with anyio.fail_after(5):
+            await killed.wait()
+        with pytest.raises(GoalAborted) as caught:
+            await goal.result()
+        assert caught.value.result is None
+
+
+@pytest.mark.promise("STOP-8")
+async def test_a_server_that_has_stopped_is_not_found(reach: Reach) -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    async with reach(server) as client:
+        goal = await client.send_goal(Goal(1))
+        await goal.result()
+        await server.stop()
+        for call in (
+            lambda: client.send_goal(Goal(2)),
+            lambda: client.attach(goal.goal_id),
+            goal.cancel,
+            client.goals,
+        ):
+            with pytest.raises(ServerNotFound):
+                await call()
+
+
+@pytest.mark.promise("STOP-2", "STOP-4", "STOP-7")
 async def test_a_success_that_comes_while_the_server_stops_is_a_success(reach: Reach) -> None:
     async def finishes(goal: GoalHandle[Goal]) -> Items:
         try:
@@ -275,6 +342,36 @@ async def test_a_success_that_comes_while_the_server_stops_is_a_success(reach: R
         assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, Result([2]))
 
 
+@pytest.mark.promise("STOP-1", "STOP-5", "STOP-7")
+async def test_a_goal_that_is_canceling_when_the_server_stops_is_canceled(reach: Reach) -> None:
+    tidying, go = anyio.Event(), anyio.Event()
+
+    async def tidies_up(goal: GoalHandle[Goal]) -> Items:
+        try:
+            yield Feedback([1])
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            tidying.set()
+            await go.wait()
+            raise GoalCanceled(result=Result([1])) from None
+        yield Result([])
+
+    server = ActionServer(FIBONACCI, tidies_up)
+    async with reach(server) as client, anyio.create_task_group() as tasks:
+        goal = await client.send_goal(Goal(1))
+        async for _ in goal.feedback:
+            break
+        assert (await goal.cancel()).accepted
+        await tidying.wait()
+        tasks.start_soon(server.stop)
+        await anyio.wait_all_tasks_blocked()
+        with pytest.raises(GoalRejected):
+            await client.send_goal(Goal(2))
+        go.set()
+        assert await goal.outcome() == Outcome(GoalStatus.CANCELED, Result([1]))
+
+
+@pytest.mark.promise("REACH-2")
 async def test_a_client_can_come_before_its_server_and_wait_for_it(reach: Reach) -> None:
     address = reach.address()
     with anyio.fail_after(PATIENCE):

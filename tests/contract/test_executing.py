@@ -16,6 +16,7 @@ from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 pytestmark = pytest.mark.anyio
 
 
+@pytest.mark.promise("STATUS-4", "EXECUTE-5", "EXECUTE-7", "RESULT-1", "ERROR-2")
 @pytest.mark.parametrize(
     ("executor", "reason", "part"), ABORTED, ids=[case[0].__name__ for case in ABORTED]
 )
@@ -38,6 +39,7 @@ async def test_an_executor_that_goes_wrong_is_aborted_with_the_reason(
         assert str(caught.value) == f"goal {goal.goal_id} was aborted: {reason}"
 
 
+@pytest.mark.promise("EXECUTE-6")
 async def test_an_exception_leaves_its_traceback_in_the_log(
     reach: Reach, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -47,6 +49,7 @@ async def test_an_exception_leaves_its_traceback_in_the_log(
     assert "raise ValueError(" in caplog.text
 
 
+@pytest.mark.promise("EXECUTE-8")
 async def test_the_generator_is_always_closed(reach: Reach) -> None:
     closed = []
 
@@ -63,6 +66,7 @@ async def test_the_generator_is_always_closed(reach: Reach) -> None:
     assert closed == [0, 1, 2]
 
 
+@pytest.mark.promise("EXECUTE-3")
 async def test_an_executor_that_never_awaits_starves_nobody_and_can_be_canceled(
     reach: Reach,
 ) -> None:
@@ -97,6 +101,7 @@ def _renamed() -> Any:
     return Action("other", goal=Goal, feedback=Feedback, result=Result)
 
 
+@pytest.mark.promise("EXECUTE-4")
 async def test_feedback_that_is_mutated_after_its_yield_stays_as_it_was(reach: Reach) -> None:
     async def mutates(goal: GoalHandle[Goal]) -> Items:
         feedback = Feedback([0])
@@ -114,6 +119,7 @@ async def test_feedback_that_is_mutated_after_its_yield_stays_as_it_was(reach: R
         assert await mine.result() == Result([7])
 
 
+@pytest.mark.promise("EXECUTE-9")
 async def test_a_timeout_around_a_yield_reaches_the_executor(reach: Reach) -> None:
     async def impatient(goal: GoalHandle[Goal]) -> Items:
         with anyio.move_on_after(0.01) as patience:
@@ -131,6 +137,7 @@ async def test_a_timeout_around_a_yield_reaches_the_executor(reach: Reach) -> No
         )
 
 
+@pytest.mark.promise("EXECUTE-1", "ACCEPT-9")
 async def test_the_executor_knows_its_goal(reach: Reach) -> None:
     seen: dict[str, Any] = {}
 
@@ -158,6 +165,7 @@ async def test_the_executor_knows_its_goal(reach: Reach) -> None:
     }
 
 
+@pytest.mark.promise("GOAL-1", "GOAL-3", "GOAL-4", "STOP-9")
 async def test_a_thousand_goals_at_once_all_end_once_though_a_third_is_canceled(
     reach: Reach,
 ) -> None:

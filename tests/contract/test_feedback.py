@@ -37,6 +37,7 @@ def numbers(feedback: list[Feedback]) -> list[int]:
     return [item.partial_sequence[0] for item in feedback]
 
 
+@pytest.mark.promise("GOAL-2", "FEEDBACK-1", "FEEDBACK-2")
 async def test_all_feedback_arrives_in_order_however_slowly_it_is_read(reach: Reach) -> None:
     executor = Counts()
     executor.finish.set()
@@ -52,6 +53,7 @@ async def test_all_feedback_arrives_in_order_however_slowly_it_is_read(reach: Re
     assert goal.feedback_dropped == 0
 
 
+@pytest.mark.promise("FEEDBACK-2", "FEEDBACK-3")
 async def test_the_executor_waits_at_its_yield_for_a_client_that_does_not_read(
     reach: Reach,
 ) -> None:
@@ -66,6 +68,7 @@ async def test_the_executor_waits_at_its_yield_for_a_client_that_does_not_read(
     assert numbers(seen) == list(range(1, 1001))
 
 
+@pytest.mark.promise("FEEDBACK-4")
 async def test_a_client_that_stalls_loses_the_oldest_and_is_told_how_many(reach: Reach) -> None:
     executor = Counts()
     server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=0.01)
@@ -82,6 +85,7 @@ async def test_a_client_that_stalls_loses_the_oldest_and_is_told_how_many(reach:
     assert goal.feedback_dropped == 1000 - len(seen) > 0
 
 
+@pytest.mark.promise("FEEDBACK-5")
 async def test_a_client_that_has_caught_up_loses_nothing_again(reach: Reach) -> None:
     pause, paused = anyio.Event(), anyio.Event()
 
@@ -108,6 +112,7 @@ async def test_a_client_that_has_caught_up_loses_nothing_again(reach: Reach) -> 
     assert goal.feedback_dropped == dropped
 
 
+@pytest.mark.promise("FEEDBACK-6")
 async def test_awaiting_the_result_without_reading_holds_nobody_up(reach: Reach) -> None:
     executor = Counts()
     executor.finish.set()
@@ -123,6 +128,7 @@ async def test_awaiting_the_result_without_reading_holds_nobody_up(reach: Reach)
             assert await goal.result() == Result([1000])
 
 
+@pytest.mark.promise("FEEDBACK-7")
 async def test_awaiting_the_result_beside_the_reader_loses_nothing(reach: Reach) -> None:
     executor = Counts()
     executor.finish.set()
@@ -142,6 +148,7 @@ async def test_awaiting_the_result_beside_the_reader_loses_nothing(reach: Reach)
     assert numbers(seen) == list(range(1, 201))
 
 
+@pytest.mark.promise("FEEDBACK-6")
 async def test_reading_on_after_the_result_was_awaited_in_vain_holds_the_executor_again(
     reach: Reach,
 ) -> None:
@@ -156,6 +163,7 @@ async def test_reading_on_after_the_result_was_awaited_in_vain_holds_the_executo
         assert await goal.result() == Result([3])
 
 
+@pytest.mark.promise("FEEDBACK-8")
 async def test_a_goal_that_nobody_follows_any_more_is_not_held_up(reach: Reach) -> None:
     executor = Counts()
     executor.finish.set()
@@ -166,6 +174,7 @@ async def test_a_goal_that_nobody_follows_any_more_is_not_held_up(reach: Reach) 
         assert outcome.status is GoalStatus.SUCCEEDED
 
 
+@pytest.mark.promise("FEEDBACK-9")
 async def test_latest_never_waits_and_a_slow_reader_sees_the_newest(reach: Reach) -> None:
     executor = Counts()
     server = ActionServer(
@@ -184,6 +193,7 @@ async def test_latest_never_waits_and_a_slow_reader_sees_the_newest(reach: Reach
     assert goal.feedback_dropped == 1000 - len(seen)
 
 
+@pytest.mark.promise("FEEDBACK-10")
 async def test_an_observer_follows_from_now_on_and_slows_nobody_down(reach: Reach) -> None:
     pause, paused = anyio.Event(), anyio.Event()
 
@@ -222,6 +232,7 @@ async def _read_all(goal: Any) -> None:
         pass
 
 
+@pytest.mark.promise("FEEDBACK-1", "FEEDBACK-11")
 async def test_an_observer_may_ask_for_what_was_before(reach: Reach) -> None:
     executor = Counts()
     server = ActionServer(FIBONACCI, executor, feedback_window=4)
@@ -241,6 +252,7 @@ async def test_an_observer_may_ask_for_what_was_before(reach: Reach) -> None:
         assert await goal.result() == Result([10])
 
 
+@pytest.mark.promise("FEEDBACK-12")
 async def test_a_goal_whose_feedback_is_not_read_delays_no_other_goal(reach: Reach) -> None:
     stuck, quick = Counts(), Counts()
     quick.finish.set()

@@ -75,7 +75,12 @@ async def serve(data: bytes) -> None:
     async with ActionServer(FIBONACCI, fibonacci) as server, anyio.create_task_group() as tasks:
         link = Link(Given(pieces(data)), 60.0)
         session = Session(
-            link, {"fibonacci": server}, TERMS, Orphans(tasks, grace=0), lambda action: []
+            link,
+            {"fibonacci": server},
+            TERMS,
+            Orphans(tasks, grace=0),
+            clients_of=lambda action: [],
+            supersede=lambda client: None,
         )
         error = await session.run()
         assert isinstance(error, ActionError), error

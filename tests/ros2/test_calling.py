@@ -28,9 +28,10 @@ from fibaction import (
 from fibaction.action import ActionInfo
 from fibaction.exceptions import ProtocolError
 from fibaction.goals import ActionPeers
+from fibaction.streams import FeedStream
 from fibaction_transports.ros2 import asking, calling, presence, remote, serving
 from fibaction_transports.ros2.asking import Asker, Question
-from fibaction_transports.ros2.following import Reading, RosGoal, RosStatuses
+from fibaction_transports.ros2.following import Reading, RosGoal
 from fibaction_transports.ros2.serving import Served
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -78,6 +79,7 @@ def lose(monkeypatch: pytest.MonkeyPatch, part: str, *, answers: bool, count: in
     return lost
 
 
+@pytest.mark.promise("LOSS-5")
 @pytest.mark.parametrize("answers", [False, True], ids=["request", "answer"])
 async def test_a_goal_that_is_lost_on_the_way_is_sent_again_and_runs_once(
     url: str, answers: bool, monkeypatch: pytest.MonkeyPatch
@@ -99,6 +101,7 @@ async def test_a_goal_that_is_lost_on_the_way_is_sent_again_and_runs_once(
     assert len(lost) == runs == 1
 
 
+@pytest.mark.promise("LOSS-5")
 async def test_a_second_try_that_is_refused_because_of_the_first_is_an_acceptance(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,6 +148,7 @@ async def test_a_second_try_that_is_rejected_is_rejected(
                 await client.send_goal(Goal(7))
 
 
+@pytest.mark.promise("LOSS-5")
 async def test_a_cancel_that_is_lost_is_asked_for_again(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -461,9 +465,9 @@ def test_a_stream_that_is_closed_or_reads_nothing_keeps_nothing() -> None:
 
 
 async def test_statuses_that_are_not_read_lose_the_oldest() -> None:
-    left: list[RosStatuses] = []
+    left: list[FeedStream] = []
     infos = [GoalInfo(GoalID.random(), number, GoalStatus.ACCEPTED) for number in range(4)]
-    stream = RosStatuses(infos[:1], left.append, limit=2)
+    stream = FeedStream(infos[:1], left.append, limit=2)
     assert stream.known == 1
     for info in infos[1:]:
         stream.put(info)

@@ -122,6 +122,7 @@ def test_what_is_known_already_or_out_of_date_is_not_published() -> None:
     assert published == [[3]]
 
 
+@pytest.mark.promise("STATUS-8")
 def test_a_forgotten_goal_leaves_the_list() -> None:
     published = Published()
     board = StatusBoard(published)
@@ -170,6 +171,7 @@ def test_the_first_list_is_what_there_is_and_later_ones_are_changes() -> None:
     assert known.update(packed(second)) == [second]
 
 
+@pytest.mark.promise("STATUS-7")
 @pytest.mark.parametrize("before", GoalStatus)
 @pytest.mark.parametrize("after", GoalStatus)
 def test_statuses_that_were_not_seen_are_filled_in_so_that_every_change_is_legal(

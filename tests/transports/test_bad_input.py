@@ -85,12 +85,10 @@ class Scene:
         with anyio.fail_after(5):
             return await self.client.call(Goal(3)) == Result([0, 1, 1, 2])
 
-    async def ends(self, peer: Raw, problem: str) -> list[Any]:
+    async def ends(self, peer: Raw, problem: str, why: int = Why.PROTOCOL) -> list[Any]:
         """Wait until the server closes; check what it tells the peer, and what it logs."""
         messages: list[Any] = await peer.hear_all()
-        assert messages[-1] == Goodbye(
-            f"the server has closed the connection: {problem}", Why.PROTOCOL
-        )
+        assert messages[-1] == Goodbye(f"the server has closed the connection: {problem}", why)
         self.logged_once(peer, problem, logging.WARNING)
         assert await self.is_well()
         return messages
@@ -247,7 +245,7 @@ async def test_a_truncated_frame_is_told_from_a_connection_that_was_closed() -> 
 async def test_who_begins_to_say_hello_and_does_not_is_not_waited_for(data: bytes) -> None:
     async with scene(limits=Limits(handshake=0.05)) as here, raw(here.url) as peer:
         await peer.stream.send(data)
-        await here.ends(peer, "it has not said hello within 0.05 s")
+        await here.ends(peer, "it has not said hello within 0.05 s", Why.LIMIT)
 
 
 async def test_who_falls_silent_after_the_hello_is_not_waited_for() -> None:

@@ -92,6 +92,7 @@ async def numbers(goal: ClientGoal[Feedback, Result]) -> list[int]:
 # The line goes bad
 
 
+@pytest.mark.promise("LOSS-3")
 @pytest.mark.parametrize("more", [10, 250])
 async def test_after_a_cut_the_feedback_goes_on_with_no_gap_or_a_counted_one(more: int) -> None:
     executor = Counting(stop=50)
@@ -115,6 +116,7 @@ async def test_after_a_cut_the_feedback_goes_on_with_no_gap_or_a_counted_one(mor
     assert line.opened == 2
 
 
+@pytest.mark.promise("LOSS-4")
 @pytest.mark.parametrize("result_timeout", [10, 0])
 async def test_an_end_that_is_lost_with_the_line_arrives_on_the_next(result_timeout: float) -> None:
     executor = Counting(stop=3)
@@ -135,6 +137,7 @@ async def test_an_end_that_is_lost_with_the_line_arrives_on_the_next(result_time
     assert line.opened == 2
 
 
+@pytest.mark.promise("LOSS-3")
 async def test_feedback_that_the_server_no_longer_has_after_a_cut_is_counted() -> None:
     executor = Counting(stop=3)
     server = ActionServer(FIBONACCI, executor, feedback_window=8, stall_timeout=0)
@@ -155,6 +158,7 @@ async def test_feedback_that_the_server_no_longer_has_after_a_cut_is_counted() -
     assert goal.feedback_dropped == 89
 
 
+@pytest.mark.promise("GOAL-1", "GOAL-3", "LOSS-3", "LOSS-5")
 async def test_500_goals_run_once_each_over_a_line_that_is_cut_every_50_ms() -> None:
     executor = Counting(pause=0.01)
     outcomes: Counter[GoalID] = Counter()
@@ -188,6 +192,7 @@ async def test_500_goals_run_once_each_over_a_line_that_is_cut_every_50_ms() -> 
     assert line.opened > 10
 
 
+@pytest.mark.promise("LOSS-5")
 async def test_an_answer_that_is_lost_is_asked_for_again_and_the_goal_runs_once() -> None:
     executor = Counting(stop=1)
     async with bad_line(ActionServer(FIBONACCI, executor)) as line:
@@ -211,6 +216,7 @@ async def test_an_answer_that_is_lost_is_asked_for_again_and_the_goal_runs_once(
     assert list(executor.runs.values()) == [1]
 
 
+@pytest.mark.promise("LOSS-5")
 async def test_a_cancel_whose_answer_is_lost_is_answered_on_the_next_connection() -> None:
     executor = Counting(stop=1)
     async with bad_line(ActionServer(FIBONACCI, executor)) as line:
@@ -280,6 +286,7 @@ async def pending(client: Client, goal: ClientGoal[Feedback, Result]) -> list[Ca
     ]
 
 
+@pytest.mark.promise("GOAL-4", "LOSS-1", "LOSS-2")
 @pytest.mark.parametrize(
     "directions", [("to server",), ("to client",), ("to server", "to client")], ids=" and ".join
 )
@@ -313,6 +320,7 @@ async def test_a_silent_line_is_noticed_and_no_call_hangs(directions: tuple[str,
     assert len(set(map(id, lost))) == len(calls)  # each is raised in a task of its own
 
 
+@pytest.mark.promise("LOSS-2")
 async def test_calls_wait_for_a_lost_connection_no_longer_than_the_reconnect_timeout() -> None:
     executor = Counting(stop=1)
     async with bad_line(ActionServer(FIBONACCI, executor)) as line:
@@ -374,6 +382,7 @@ async def test_who_may_only_send_gets_the_outcome_after_a_cut_too() -> None:
                 assert await goal.result() == Result([2])
 
 
+@pytest.mark.promise("FEEDBACK-12")
 async def test_a_slow_reader_of_one_goal_delays_no_other_on_its_connection() -> None:
     sent: Counter[GoalID] = Counter()
 
@@ -422,6 +431,7 @@ async def peer(*arguments: str) -> AsyncGenerator[tuple[Process, str], None]:
                 process.kill()
 
 
+@pytest.mark.promise("LOSS-6")
 async def test_a_server_that_is_killed_and_started_again_no_longer_knows_its_goals() -> None:
     async with peer("serve", "tcp://127.0.0.1:0") as (process, url):
         async with connect(url, FIBONACCI) as client:
@@ -443,6 +453,7 @@ async def test_a_server_that_is_killed_and_started_again_no_longer_knows_its_goa
                     assert await client.call(Goal(0)) == Result([0])
 
 
+@pytest.mark.promise("GOAL-4", "LOSS-1", "LOSS-2")
 async def test_a_server_that_is_killed_for_good_ends_all_calls() -> None:
     async with peer("serve", "tcp://127.0.0.1:0") as (process, url):
         async with (
@@ -460,6 +471,7 @@ async def test_a_server_that_is_killed_for_good_ends_all_calls() -> None:
                     await goals[1].result()
 
 
+@pytest.mark.promise("LOSS-7")
 async def test_the_goal_of_a_client_that_is_killed_is_canceled_after_the_grace() -> None:
     executor = Counting(stop=1)
     server = ActionServer(FIBONACCI, executor)
@@ -477,6 +489,7 @@ async def test_the_goal_of_a_client_that_is_killed_is_canceled_after_the_grace()
     assert executor.interrupted == {goal_id: 1}
 
 
+@pytest.mark.promise("LOSS-7")
 async def test_the_goal_of_a_client_that_is_killed_can_be_kept() -> None:
     executor = Counting(stop=1)
     server = ActionServer(FIBONACCI, executor, feedback_window=1)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Coroutine, Iterable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import anyio
 import pytest
@@ -406,12 +406,35 @@ def test_as_much_feedback_is_taken_as_is_asked_for_and_there_is() -> None:
     assert credits_in(bench.posted) == [2]
 
 
+def test_what_has_come_before_the_end_is_kept_also_if_nobody_is_to_wait_for_it() -> None:
+    bench = Bench(4)
+    bench.feed(1, 2, 3, 4)
+    bench.end()
+    before = list(bench.posted)
+    bench.goal.hold(False)
+    items = bench.goal.take(9)
+    assert isinstance(items, list)
+    assert [item.number for item in items] == [1, 2, 3, 4]
+    assert bench.goal.dropped == 0
+    assert bench.posted == before
+
+
 def test_the_end_is_known_without_waiting_as_soon_as_it_has_come() -> None:
     bench = Bench()
     assert bench.goal.ended() is None
     bench.end()
     bench.goal.fail(LOST)  # whatever becomes of the connection after that
     assert bench.goal.ended() == Outcome(GoalStatus.SUCCEEDED, b"result", "as it was")
+
+
+def test_another_goal_of_the_same_id_is_not_taken_for_the_one_that_was_followed() -> None:
+    bench = Bench()
+    bench.feed(1, 2)
+    assert bench.goal.hear(Following(ID, STAMP + 1, GoalStatus.EXECUTING, False, 0))
+    assert bench.goal.ended() == UNKNOWN_OUTCOME
+    assert Close(ID) in bench.posted
+    items = [FeedbackItem(1, b"1"), FeedbackItem(2, b"2")]
+    assert bench.goal.take(5) == items  # what has come, has come
 
 
 def test_a_failure_before_the_end_is_known_without_waiting() -> None:
@@ -935,11 +958,55 @@ async def test_statuses_begin_when_the_server_says_so() -> None:
     await while_waiting(bench.statuses.begun, lambda: bench.statuses.hear(Watching(ID, 0)))
 
 
-def test_how_many_goals_there_were_is_what_the_first_connection_said() -> None:
+def test_on_another_connection_the_known_goals_come_anew_behind_those_that_have_come() -> None:
+    bench = StatusBench(begun=False)
+    assert not bench.statuses.hear(Watching(ID, 3))
+    bench.change(1, 2)
+    bench.read(1)
+    assert not bench.statuses.hear(Watching(ID, 7))
+    assert bench.statuses.known == 2 + 7
+
+
+async def test_the_goals_that_there_were_are_listed_once_each() -> None:
+    bench = StatusBench(10, begun=False)
+    assert not bench.statuses.hear(Watching(ID, 2))
+
+    async def listed() -> list[int]:
+        return [info.stamp for info in await bench.statuses.listed()]
+
+    def change(*goals: int) -> None:
+        for number in goals:
+            goal_id = bytes([number] * 16)
+            assert not bench.statuses.hear(
+                GoalChanged(ID, goal_id, number, GoalStatus.EXECUTING, 0)
+            )
+
+    def break_off() -> None:
+        change(1)  # and then the connection is lost
+        assert not bench.statuses.hear(Watching(ID, 3))
+        change(1, 2, 3, 4)
+
+    assert await while_waiting(listed, break_off) == [1, 2, 3]
+    assert at_once(bench.statuses.receive()) is not None  # the fourth came later
+
+
+async def test_a_list_is_not_waited_for_when_another_server_has_fewer_goals() -> None:
     bench = StatusBench(begun=False)
     assert not bench.statuses.hear(Watching(ID, 2))
-    assert not bench.statuses.hear(Watching(ID, 7))  # on another connection, later
-    assert bench.statuses.known == 2
+    again = Watching(ID, 0)
+    assert await while_waiting(bench.statuses.listed, lambda: bench.statuses.hear(again)) == []
+
+
+async def test_a_list_ends_with_the_server_and_fails_with_the_connection() -> None:
+    bench = StatusBench(begun=False)
+    assert not bench.statuses.hear(Watching(ID, 2))
+    bench.change(1)
+    (found,) = cast("list[GoalInfo]", await while_waiting(bench.statuses.listed, bench.finish))
+    assert found.stamp == 1
+    bench = StatusBench(begun=False)
+    assert not bench.statuses.hear(Watching(ID, 2))
+    error = await while_waiting(bench.statuses.listed, lambda: bench.statuses.fail(LOST))
+    assert isinstance(error, ConnectionLost)
 
 
 async def test_statuses_that_the_server_refuses_do_not_begin() -> None:

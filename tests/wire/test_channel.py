@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import anyio
@@ -12,7 +12,7 @@ from trio.testing import MockClock
 from fibaction.exceptions import ConnectionLost, ProtocolError
 from fibaction.framing import HEADER, header
 from fibaction.waking import Waking
-from fibaction.wire.channel import CHUNK, StreamChannel
+from fibaction.wire.channel import CHUNK, Fetch, Hear, Line, StreamChannel
 
 pytestmark = pytest.mark.anyio
 
@@ -333,3 +333,98 @@ async def test_a_channel_is_closed_also_by_who_is_being_canceled() -> None:
         scope.cancel()
         await channel_over(stream).aclose()
     assert stream.closed
+
+
+# Running
+
+
+class QuietStream(FakeStream):
+    """One from which nothing comes."""
+
+    async def receive(self, max_bytes: int = 65536) -> bytes:
+        await anyio.sleep_forever()
+        raise AssertionError("it never returns")
+
+
+class Running:
+    """A channel that runs: what it hands over, and what it is given to send."""
+
+    def __init__(self, *pieces: bytes) -> None:
+        self.stream = FakeStream(*pieces) if pieces else QuietStream()
+        self.channel = StreamChannel(self.stream, "the peer", LIMIT)
+        self.heard: list[bytes] = []
+        self.to_say: list[list[bytes]] = []
+        self.error: Exception | None = None
+
+    def fetch(self) -> list[bytes]:
+        return self.to_say.pop(0) if self.to_say else []
+
+    async def run(self) -> None:
+        with anyio.fail_after(5):
+            try:
+                await self.channel.run(self.heard.extend, self.fetch)
+            except Exception as exc:
+                self.error = exc
+
+
+async def test_a_channel_that_runs_hands_over_what_comes_until_the_end() -> None:
+    running = Running(framed(b"1", b"2"), framed(b"3"))
+    await running.run()
+    assert running.heard == [b"1", b"2", b"3"]
+    assert isinstance(running.error, ConnectionLost)
+
+
+async def test_what_there_is_to_send_is_fetched_at_first_and_when_it_is_stirred() -> None:
+    running = Running()
+    running.channel.stir()  # it does not run yet, and will ask anyway
+    running.to_say = [[b"1"], [b"2", b"3"]]
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(running.run)
+        await anyio.wait_all_tasks_blocked()
+        assert running.stream.sent == [framed(b"1"), framed(b"2", b"3")]
+        running.to_say = [[b"4"]]
+        running.channel.stir()
+        await anyio.wait_all_tasks_blocked()
+        assert running.stream.sent[2:] == [framed(b"4")]
+        tasks.cancel_scope.cancel()
+
+
+async def test_what_hear_raises_ends_the_run_and_is_not_wrapped() -> None:
+    running = Running(framed(b"1"), framed(b"2"))
+    wrong = ProtocolError("no such message")
+
+    def hear(frames: list[bytes]) -> None:
+        running.heard.extend(frames)
+        raise wrong
+
+    with anyio.fail_after(5), pytest.raises(ProtocolError) as caught:
+        await running.channel.run(hear, running.fetch)
+    assert caught.value is wrong
+    assert running.heard == [b"1"]
+
+
+async def test_a_write_that_fails_ends_the_run() -> None:
+    running = Running()
+    running.stream.error = OSError("no route")
+    running.to_say = [[b"1"]]
+    await running.run()
+    assert isinstance(running.error, ConnectionLost)
+
+
+async def test_a_line_of_somebody_elses_need_not_know_of_progress() -> None:
+    class Still(Line):
+        peer = "nobody"
+
+        def stir(self) -> None:
+            raise NotImplementedError
+
+        async def run(self, hear: Hear, fetch: Fetch) -> None:
+            raise NotImplementedError
+
+        async def send(self, frames: Sequence[bytes]) -> None:
+            raise NotImplementedError
+
+        async def aclose(self) -> None:
+            raise NotImplementedError
+
+    assert Still().progress == 0

@@ -107,6 +107,24 @@ async def test_clients_are_served_side_by_side() -> None:
             assert await is_served(client)
 
 
+async def test_a_newer_connection_of_a_client_ends_the_one_before_and_no_other() -> None:
+    with logged() as records:
+        async with serving() as bench:
+            other, nameless = await bench.greet(), await bench.greet()
+            clients = []
+            for name in ("the first", "the second"):
+                client = bench.connect(name)
+                await client.say(Hello(VERSION, LONG, "", bytes([7] * 16)))
+                await client.hear(Welcome)
+                clients.append(client)
+            await clients[0].hear_the_end()
+            for client in (clients[1], other, nameless):
+                assert await is_served(client)
+        assert "the first: its client has a newer connection" in [
+            record.getMessage() for record in records
+        ]
+
+
 async def test_who_uses_an_action_is_told_of_all_connections() -> None:
     async with serving() as bench:
         ann, bob = await bench.greet("10.0.0.7:1"), await bench.greet("10.0.0.8:2")

@@ -58,8 +58,13 @@ class FakeChannel(Channel):
         self.is_stuck = False
         self.pause = 0.0
         """Seconds that a write takes."""
+        self.pieces = 0
         self._arrived: list[bytes] = []
         self._changed = Waking()
+
+    @property
+    def progress(self) -> int:
+        return self.pieces
 
     def arrive(self, *frames: bytes) -> None:
         self._arrived += frames
@@ -454,6 +459,21 @@ async def test_an_error_of_who_handles_ends_it_for_that_reason() -> None:
     assert not bench.link.is_open
 
 
+async def test_what_arrives_behind_the_end_is_not_handled() -> None:
+    bench = Bench()
+
+    def handle(frame: bytes) -> None:
+        bench.handle(frame)
+        bench.link.end(OVER)
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            bench.channel.arrive(b"one", b"two")
+            tasks.start_soon(bench.run, handle)
+    assert bench.handled == [b"one"]
+    assert bench.error is OVER
+
+
 async def test_what_is_posted_in_the_turn_of_the_end_is_not_begun_to_be_written() -> None:
     bench = Bench()
 
@@ -681,7 +701,7 @@ async def test_a_peer_that_takes_a_piece_now_and_then_is_not_lost(
     async def take_a_piece() -> None:
         while True:
             await anyio.sleep(pause)
-            bench.channel.progress += 1
+            bench.channel.pieces += 1
 
     took = await bench.run_for(100, lambda: bench.hear_from_the_peer(1), take_a_piece)
     assert (took < 100) == is_lost

@@ -11,8 +11,9 @@ import pytest
 
 from fibaction.abc import GoalStream
 from fibaction.background import Background
-from fibaction.exceptions import ConnectionLost
+from fibaction.exceptions import ConnectionLost, GoalRejected
 from fibaction.goals import CancelAnswer, GoalID
+from fibaction.protocol import ID_IN_USE
 from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.orphans import Orphans
@@ -221,16 +222,33 @@ async def test_a_goal_that_has_ended_is_there_until_its_client_has_heard_of_it()
     async with nursery("keep") as (orphans, server):
         stream = await server.goal()
         goal_id = stream.goal_id
-        assert orphans.ended(goal_id) is None
+        assert orphans.ended(goal_id, ANN) is None
         orphans.own(stream, ANN)
-        assert orphans.ended(goal_id) is None  # it goes on
+        assert orphans.ended(goal_id, ANN) is None  # it goes on
         server.go.set()
         await settled()
-        assert orphans.ended(goal_id) is stream
+        assert orphans.ended(goal_id, ANN) is stream
+        assert orphans.ended(goal_id, BOB) is None
         orphans.adopt(server, stream, left=False)
-        assert orphans.ended(goal_id) is stream
+        assert orphans.ended(goal_id, ANN) is stream
         orphans.end(stream)
-        assert orphans.ended(goal_id) is None
+        assert orphans.ended(goal_id, ANN) is None
+
+
+async def test_a_goal_that_is_sent_again_must_be_the_same() -> None:
+    async with nursery("keep") as (orphans, server):
+        stream = await server.goal()
+        goal_id = stream.goal_id
+        orphans.own(stream, ANN, b"goal")
+        assert not orphans.own(stream, BOB, b"goal")
+        server.go.set()
+        await settled()
+        assert orphans.ended(goal_id, ANN, b"goal") is stream
+        with pytest.raises(GoalRejected) as caught:
+            orphans.ended(goal_id, ANN, b"another")
+        assert (caught.value.reason, caught.value.goal_id) == (ID_IN_USE, goal_id)
+        orphans.end(stream)
+        assert orphans.ended(goal_id, ANN, b"another") is None
 
 
 @in_virtual_time()
@@ -244,9 +262,9 @@ async def test_an_end_that_nobody_fetches_is_kept_for_the_grace_and_no_longer(
         await settled()
         lose(orphans, server, stream, left=False)
         await anyio.sleep(GRACE - 0.1)
-        assert orphans.ended(stream.goal_id) is stream
+        assert orphans.ended(stream.goal_id, ANN) is stream
         await anyio.sleep(0.2)
-        assert orphans.ended(stream.goal_id) is None
+        assert orphans.ended(stream.goal_id, ANN) is None
         assert server.canceled == []
 
 
@@ -260,7 +278,7 @@ async def test_an_end_that_is_fetched_again_is_kept_until_it_is_heard_of() -> No
         await anyio.sleep(GRACE - 1)
         assert orphans.own(stream, ANN)
         await anyio.sleep(2 * GRACE)
-        assert orphans.ended(stream.goal_id) is stream
+        assert orphans.ended(stream.goal_id, ANN) is stream
 
 
 @in_virtual_time()
@@ -273,7 +291,7 @@ async def test_an_end_whose_client_is_lost_again_is_kept_for_the_whole_grace_aga
         await anyio.sleep(GRACE - 1)
         lose(orphans, server, stream, left=False)
         await anyio.sleep(GRACE - 1)
-        assert orphans.ended(stream.goal_id) is stream
+        assert orphans.ended(stream.goal_id, ANN) is stream
 
 
 async def test_a_goal_of_somebody_unnamed_is_nobodys() -> None:

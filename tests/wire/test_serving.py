@@ -148,6 +148,7 @@ class Bench:
     ) -> None:
         self.endpoints = dict(endpoints)
         self.orphans = orphans
+        self.superseded: list[bytes] = []
         self._tasks = tasks
         self._terms = terms
 
@@ -158,7 +159,14 @@ class Bench:
         """A client that has said nothing yet."""
         end, other = memory.pair()
         link = Link(end, LONG, self._terms.limits.queue)
-        session = Session(link, self.endpoints, self._terms, self.orphans, self.clients_of)
+        session = Session(
+            link,
+            self.endpoints,
+            self._terms,
+            self.orphans,
+            clients_of=self.clients_of,
+            supersede=self.superseded.append,
+        )
         client = Client(other, session)
 
         async def run() -> None:
@@ -240,10 +248,60 @@ async def test_a_client_that_says_hello_twice_is_told_so() -> None:
         await closes(client, over("it said hello twice"), ProtocolError)
 
 
-async def test_a_client_that_says_nothing_in_time_is_told_so() -> None:
+async def test_a_client_that_is_let_in_ends_its_older_connections() -> None:
+    access = Access(tokens={"secret": "ann"})
+    async with serving(held(), access=access) as bench:
+        stranger = await bench.connect()
+        await stranger.say(Hello(VERSION, LONG, "guess", ANN))
+        await stranger.hear(Goodbye)
+        await stranger.hear_the_end()
+        assert bench.superseded == []
+        nameless = await bench.connect()
+        await nameless.say(Hello(VERSION, LONG, "secret"))
+        await nameless.hear(Welcome)
+        assert bench.superseded == []
+        client = await bench.connect()
+        await client.say(Hello(VERSION, LONG, "secret", ANN))
+        await client.hear(Welcome)
+        assert bench.superseded == [ANN]
+
+
+async def test_a_session_that_is_ended_leaves_its_goals_to_the_next_at_once() -> None:
+    async with serving(giving(*feedback(1), fib.Result([]), result_timeout=0)) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        assert isinstance((await client.hear_all())[-1], Ended)
+        client.session.end()
+        assert client.session._goals == {}
+        assert len(bench.orphans._losses) == 1
+        again = await bench.greet()
+        await again.ask(follow(0), Following)
+        await client.hear_the_end()
+        assert str(client.error) == "its client has a newer connection"
+        assert bench.orphans._losses == {}
+        assert [type(message) for message in await again.hear_all()] == [Feedback, Ended]
+
+
+async def test_another_goal_under_the_id_of_one_whose_end_was_lost_is_rejected() -> None:
+    async with serving(giving(*feedback(1), fib.Result([]), result_timeout=0)) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        client.channel.cut()
+        again = await bench.greet()
+        other = FIBONACCI.goal.encode(fib.Goal(99))
+        rejected = await again.ask(SendGoal(2, "fibonacci", A, other, ANY), Rejected)
+        assert rejected.reason == "its ID is in use by another goal"
+        await again.ask(follow(0), Following)
+        assert [type(message) for message in await again.hear_all()] == [Feedback, Ended]
+
+
+async def test_a_client_that_says_nothing_in_time_is_told_so_and_may_try_again() -> None:
     async with serving(held(), limits=Limits(handshake=0.01)) as bench:
         client = await bench.connect()
-        await closes(client, over("it has not said hello within 0.01 s"), ProtocolError)
+        text = "the server has closed the connection: it has not said hello within 0.01 s"
+        assert await client.hear(Goodbye) == Goodbye(text, Why.LIMIT)
+        await client.hear_the_end()
+        assert isinstance(client.error, ProtocolError)  # which is a warning in the log
 
 
 @in_virtual_time()
@@ -631,6 +689,45 @@ async def test_feedback_that_was_lost_with_the_line_is_told_again(result_timeout
         heard = await again.hear_all()
         assert [message.number for message in heard[:-1]] == [2, 3]
         assert isinstance(heard[-1], Ended)
+
+
+@pytest.mark.parametrize("result_timeout", [10, 0])
+async def test_a_goal_that_is_sent_again_after_it_has_ended_runs_once(
+    result_timeout: float,
+) -> None:
+    runs: list[bytes] = []
+
+    async def executor(goal: Any) -> AsyncGenerator[fib.Feedback | fib.Result, None]:
+        runs.append(goal.goal_id)
+        yield fib.Feedback([1])
+        yield fib.Result([2])
+
+    async with serving(ActionServer(FIBONACCI, executor, result_timeout=result_timeout)) as bench:
+        client = await bench.greet()
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, ANY))
+        await settled()
+        client.channel.cut()  # with the answer, and all that came behind it
+        again = await bench.greet()
+        following = await again.ask(SendGoal(1, "fibonacci", A, GOAL, ANY), Following)
+        assert following.place == 0
+        assert [type(message) for message in await again.hear_all()][-2:] == [Feedback, Ended]
+        assert runs == [A]
+        await again.say(Received(1))
+        assert await again.is_served()
+        assert bench.orphans._streams == {}
+
+
+async def test_an_end_that_was_lost_is_told_once_to_a_client_that_follows_its_goal_twice() -> None:
+    async with serving(giving(*feedback(1), fib.Result([]), result_timeout=0)) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        client.channel.cut()
+        again = await bench.greet()
+        await again.say(follow(0), follow(0, request=2))
+        heard = await again.hear_by_id()
+        told, refused = sorted(heard.values(), key=len, reverse=True)
+        assert [type(message) for message in told] == [Following, Feedback, Ended]
+        assert [message.why for message in refused] == [Why.UNKNOWN_GOAL]
 
 
 @pytest.mark.parametrize("result_timeout", [10, 0])

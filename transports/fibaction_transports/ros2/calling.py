@@ -24,7 +24,8 @@ from fibaction.goals import (
     Outcome,
 )
 from fibaction.states import GoalStatus
-from fibaction_transports.ros2.following import Reading, RosGoal, RosStatuses
+from fibaction.streams import FeedStream
+from fibaction_transports.ros2.following import Reading, RosGoal
 from fibaction_transports.ros2.messages import RosAction, RosCodecs
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import RosNode
@@ -97,7 +98,7 @@ class RosEndpoint(Endpoint):
             code = CancelCode.REJECTED  # rclpy's servers have no other way to say so
         return CancelAnswer(code, canceling)
 
-    async def status(self) -> RosStatuses:
+    async def status(self) -> FeedStream:
         return await self._server.watch()
 
     async def wait_for_server(self) -> None:

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterable
 from typing import Any
 
-from fibaction.abc import FeedbackItem, GoalStream, StatusStream
+from fibaction.abc import FeedbackItem, GoalStream
 from fibaction.exceptions import ConnectionLost
 from fibaction.goals import GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
@@ -144,51 +143,3 @@ class RosGoal(GoalStream):
     def _raise_error(self) -> None:
         if self._error is not None:
             raise ConnectionLost(str(self._error))
-
-
-class RosStatuses(StatusStream):
-    """The statuses of all goals of a server of ROS."""
-
-    def __init__(
-        self, known: Iterable[GoalInfo], leave: Callable[[RosStatuses], None], limit: int = 10_000
-    ) -> None:
-        """`limit` is how many changes are kept if they are not read."""
-        self._items = deque(known)
-        self.known = len(self._items)
-        self._limit = limit + self.known
-        self._leave = leave
-        self._dropped = 0
-        self._open = True
-        self._error: ConnectionLost | None = None
-        self._news = Waking()
-
-    @property
-    def dropped(self) -> int:
-        return self._dropped
-
-    def put(self, info: GoalInfo) -> None:
-        """Add a change."""
-        if len(self._items) >= self._limit:
-            self._items.popleft()
-            self._dropped += 1
-        self._items.append(info)
-        self._news.wake()
-
-    def fail(self, error: ConnectionLost) -> None:
-        """Nothing more will arrive."""
-        self._error = error
-        self._news.wake()
-
-    async def receive(self) -> GoalInfo | None:
-        while not self._items:
-            if not self._open:
-                return None
-            if self._error is not None:
-                raise ConnectionLost(str(self._error))
-            await self._news.wait()
-        return self._items.popleft()
-
-    def close(self) -> None:
-        self._open = False
-        self._leave(self)
-        self._news.wake()

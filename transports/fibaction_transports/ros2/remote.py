@@ -15,11 +15,12 @@ from anyio import current_time
 from fibaction.exceptions import ConnectionLost, GoalRejected, UnknownGoal
 from fibaction.goals import GoalID, GoalInfo
 from fibaction.states import GoalStatus
+from fibaction.streams import FeedStream
 from fibaction.waking import Waking
 from fibaction_transports.ros2 import names
 from fibaction_transports.ros2.asking import Asker, Question, sent
 from fibaction_transports.ros2.cdr import goal_of_feedback
-from fibaction_transports.ros2.following import RosGoal, RosStatuses
+from fibaction_transports.ros2.following import RosGoal
 from fibaction_transports.ros2.intake import Messages, Responses
 from fibaction_transports.ros2.known import KnownGoals
 from fibaction_transports.ros2.node import RosNode
@@ -82,7 +83,7 @@ class RemoteServer:
         self._asked: dict[int, RosGoal] = {}
         self._streams: dict[bytes, list[RosGoal]] = {}
         self._attaching: list[RosGoal] = []
-        self._watchers: list[RosStatuses] = []
+        self._watchers: list[FeedStream] = []
         self._overdue: dict[GoalID, float] = {}
         self._pending = Waking()
         self._listed = Waking()
@@ -193,7 +194,7 @@ class RemoteServer:
         self._pending.wake()
         return await self._cancels.ask(request)
 
-    async def watch(self) -> RosStatuses:
+    async def watch(self) -> FeedStream:
         """Follow the statuses of all goals.
 
         Raises:
@@ -203,12 +204,12 @@ class RemoteServer:
         with anyio.move_on_after(FIRST_LIST):
             while not self.known.has_come:
                 await self._listed.wait()
-        statuses = RosStatuses(self.known, self._leave)
+        statuses = FeedStream(self.known, self._leave)
         self._watchers.append(statuses)
         self._pending.wake()
         return statuses
 
-    def _leave(self, statuses: RosStatuses) -> None:
+    def _leave(self, statuses: FeedStream) -> None:
         if statuses in self._watchers:
             self._watchers.remove(statuses)
 

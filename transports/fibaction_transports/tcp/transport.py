@@ -1,6 +1,6 @@
 """`tcp://host:port`, `tls://host:port` and `unix:///path`: actions across processes.
 
-What is said over the connection is in `fibaction.wire`; this module opens and accepts connections.
+What is said over the connection is in `fibaction.wire`; this package opens and accepts connections.
 """
 
 from __future__ import annotations
@@ -8,29 +8,21 @@ from __future__ import annotations
 import logging
 import math
 import os
-import re
 import socket
 import ssl
 import stat
 from abc import abstractmethod
-from collections.abc import AsyncGenerator, Callable, Generator, Mapping
-from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from collections.abc import AsyncGenerator, Mapping, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Literal
-from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
+from urllib.parse import unquote
 
 import anyio
-import msgspec
-from anyio.abc import (
-    AnyByteStream,
-    ByteStream,
-    Listener,
-    SocketAttribute,
-    TaskGroup,
-    UNIXSocketStream,
-)
-from anyio.streams.tls import TLSListener, TLSStream
+from anyio.abc import Listener, SocketAttribute, TaskGroup
+from anyio.streams.stapled import MultiListener
+from anyio.streams.tls import TLSStream
 
 from fibaction.abc import Connection, Endpoint, Transport
 from fibaction.background import Background
@@ -41,11 +33,20 @@ from fibaction.exceptions import (
     TransportError,
 )
 from fibaction.wire.access import Access, Authorize
-from fibaction.wire.channel import Channel, StreamChannel
+from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.connecting import Keeping, connected
 from fibaction.wire.hub import Hub, hub
 from fibaction.wire.limits import Limits
 from fibaction.wire.serving import Terms
+from fibaction_transports.tcp import lines, streams
+from fibaction_transports.tcp.settings import (
+    check_is_all_known,
+    settings_of,
+    split,
+    translated,
+    without_query,
+)
+from fibaction_transports.tcp.tls import TlsFiles, TlsListener, tls_reason
 
 HOST, PORT = "127.0.0.1", 7400
 """Where a server is if nothing else is said: on this machine only."""
@@ -121,7 +122,11 @@ class _StreamTransport(Transport):
             listener, url = await self._listen()
             try:
                 async with Background() as accepting:
-                    accepting.start_soon(self._accept, listener, connections, tasks)
+                    parts: Sequence[Listener[Any]] = [listener]
+                    if isinstance(listener, MultiListener):  # a host with several addresses
+                        parts = listener.listeners
+                    for one in parts:
+                        accepting.start_soon(self._accept, one, connections, tasks)
                     yield url
             finally:
                 with anyio.CancelScope(shield=True):
@@ -140,7 +145,7 @@ class _StreamTransport(Transport):
         """The URL, without anything secret."""
 
     @abstractmethod
-    async def _open_stream(self) -> ByteStream:
+    async def _open(self) -> Line:
         """Connect."""
 
     @abstractmethod
@@ -150,11 +155,11 @@ class _StreamTransport(Transport):
     def _forget(self) -> None:
         """Nobody listens any more."""
 
-    async def _dial(self) -> Channel:
+    async def _dial(self) -> Line:
         try:
-            stream = await self._open_stream()
+            return await self._open()
         except ssl.SSLError as exc:
-            raise AuthenticationFailed(f"no TLS with {self._where}: {_tls_reason(exc)}") from exc
+            raise AuthenticationFailed(f"no TLS with {self._where}: {tls_reason(exc)}") from exc
         except OSError as exc:
             raise ServerNotFound(
                 f"nobody listens at {self._where} ({exc.strerror or exc}): start the server, or"
@@ -162,81 +167,17 @@ class _StreamTransport(Transport):
             ) from exc
         except (anyio.BrokenResourceError, anyio.EndOfStream) as exc:
             raise ConnectionLost(f"{self._where} closed the connection at once") from exc
-        return StreamChannel(stream, self._where, self._limits.frame)
 
     async def _accept(self, listener: Listener[Any], connections: Hub, tasks: TaskGroup) -> None:
-        async def serve(accepted: ByteStream) -> None:
-            stream = _UnixStream(accepted) if isinstance(accepted, UNIXSocketStream) else accepted
-            channel = StreamChannel(stream, _peer_of(stream), self._limits.frame)
-            await connections.serve(channel)
-
+        plain = lines.on_asyncio() and not isinstance(listener, TlsListener)
+        accept = lines.accept if plain else streams.accept
         while True:
             try:
-                await listener.serve(serve, tasks)
+                await accept(listener, self._limits.frame, connections.serve, tasks)
             except Exception as exc:
                 # For instance too many open files. Those who are connected must not suffer.
                 logger.error("%s cannot accept connections: %s", self._where, exc, exc_info=exc)
                 await anyio.sleep(ACCEPT_PAUSE)
-
-
-class TlsFiles(msgspec.Struct, frozen=True):
-    """What to make TLS of: paths of PEM files."""
-
-    ca: str | None = None
-    """Whom to trust; None is whom the system trusts. With it, a server wants certificates."""
-    cert: str | None = None
-    """One's own certificate; a server must have one, and a client may."""
-    key: str | None = None
-    """Its key, if that is in another file."""
-
-    def client(self) -> ssl.SSLContext:
-        """For the connecting half: the server's certificate must be right, for its host.
-
-        Raises:
-            TransportError: The files cannot be used.
-        """
-        with self._translated():
-            context = ssl.create_default_context(cafile=self.ca)
-            if self.cert is not None:
-                context.load_cert_chain(self.cert, self.key)
-            return context
-
-    def server(self) -> ssl.SSLContext:
-        """For the serving half.
-
-        Raises:
-            TransportError: The files cannot be used, or there is no certificate.
-        """
-        if self.cert is None:
-            raise TransportError("a TLS server needs a certificate: say cert=, and key=")
-        with self._translated():
-            context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=self.ca)
-            context.load_cert_chain(self.cert, self.key)
-            if self.ca is not None:
-                context.verify_mode = ssl.CERT_REQUIRED
-            return context
-
-    @contextmanager
-    def _translated(self) -> Generator[None, None, None]:
-        try:
-            yield
-        except (OSError, ValueError) as exc:
-            files = ", ".join(name for name in (self.ca, self.cert, self.key) if name)
-            raise TransportError(f"there is no TLS with {files}: {exc}") from exc
-
-
-class _TlsListener(TLSListener):
-    """One whose handshakes fail in one line of the log, without a traceback."""
-
-    @staticmethod
-    async def handle_handshake_error(exc: BaseException, stream: AnyByteStream) -> None:
-        reason = _tls_reason(exc) if isinstance(exc, ssl.SSLError) else type(exc).__name__
-        logger.warning("%s: no TLS: %s", _peer_of(stream), reason)
-        try:
-            if not isinstance(exc, Exception):
-                raise exc
-        finally:
-            await anyio.aclose_forcefully(stream)
 
 
 class TcpTransport(_StreamTransport):
@@ -275,18 +216,18 @@ class TcpTransport(_StreamTransport):
             TransportError: The URL is another one.
             TypeError: There is no such setting.
         """
-        parts, query = _split(url)
-        _check_is_all_known(url, parts)
+        parts, query = split(url)
+        check_is_all_known(url, parts)
         try:
             host, port = parts.hostname or HOST, PORT if parts.port is None else parts.port
         except ValueError as exc:
-            raise TransportError(f"{_without_query(url)} has no good port: {exc}") from exc
+            raise TransportError(f"{without_query(url)} has no good port: {exc}") from exc
         files_of = {"ca", "cert", "key"} if parts.scheme == "tls" else set[str]()
-        found = _settings(url, query, {"insecure"} | files_of)
+        found = settings_of(url, query, {"insecure"} | files_of)
         files = {name: found.pop(name, None) for name in ("ca", "cert", "key")}
         tls = TlsFiles(**files) if parts.scheme == "tls" else None
         made: dict[str, Any] = {"tls": tls, **found, **settings}
-        with _translated(url):
+        with translated(url):
             return cls(host, port, **made)
 
     @property
@@ -297,19 +238,22 @@ class TcpTransport(_StreamTransport):
         host = f"[{self._host}]" if ":" in self._host else self._host
         return f"{'tls' if self._tls else 'tcp'}://{host}:{port}"
 
-    async def _open_stream(self) -> ByteStream:
+    async def _open(self) -> Line:
+        max_frame = self._limits.frame
+        if self._tls is None and lines.on_asyncio():
+            return await lines.dial_tcp(self._host, self._port, max_frame, self._where)
         stream = await anyio.connect_tcp(self._host, self._port)
         stream.extra(SocketAttribute.raw_socket).setsockopt(
             socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
         )
         if self._tls is None:
-            return stream
+            return StreamChannel(stream, self._where, max_frame)
         async with AsyncExitStack() as on_failure:
             on_failure.push_async_callback(anyio.aclose_forcefully, stream)
             context = self._tls.client() if isinstance(self._tls, TlsFiles) else self._tls
             tls = await TLSStream.wrap(stream, hostname=self._host, ssl_context=context)
             on_failure.pop_all()
-        return tls
+        return StreamChannel(tls, self._where, max_frame)
 
     async def _listen(self) -> tuple[Listener[Any], str]:
         if not (self._insecure or self._tls or _is_loopback(self._host)):
@@ -326,39 +270,7 @@ class TcpTransport(_StreamTransport):
         if context is None:
             return listener, self._url(port)
         timeout = self._limits.handshake
-        return _TlsListener(listener, context, handshake_timeout=timeout), self._url(port)
-
-
-class _UnixStream(ByteStream):
-    """A stream over a Unix socket whose `receive` can be canceled at any moment without a trace.
-
-    anyio's own leaves a callback behind on asyncio, which fails, and says so in the log, if it is
-    canceled just as something arrives: as it is when a client leaves and its server closes.
-    """
-
-    def __init__(self, stream: UNIXSocketStream) -> None:
-        self._stream = stream
-        self._socket = stream.extra(SocketAttribute.raw_socket)
-
-    @property
-    def extra_attributes(self) -> Mapping[Any, Callable[[], Any]]:
-        return self._stream.extra_attributes
-
-    async def receive(self, max_bytes: int = 65536) -> bytes:
-        try:
-            await anyio.wait_readable(self._socket)
-        except ValueError:  # it has no number any more
-            raise anyio.ClosedResourceError from None
-        return await self._stream.receive(max_bytes)
-
-    async def send(self, item: bytes) -> None:
-        await self._stream.send(item)
-
-    async def send_eof(self) -> None:
-        await self._stream.send_eof()
-
-    async def aclose(self) -> None:
-        await self._stream.aclose()
+        return TlsListener(listener, context, handshake_timeout=timeout), self._url(port)
 
 
 class UnixTransport(_StreamTransport):
@@ -377,20 +289,23 @@ class UnixTransport(_StreamTransport):
             TransportError: The URL is another one.
             TypeError: There is no such setting.
         """
-        parts, query = _split(url)
+        parts, query = split(url)
         path = unquote(parts.path)
         if parts.netloc or len(path) < 2 or "\0" in path:
-            where = _without_query(url)
+            where = without_query(url)
             raise TransportError(f"the URL of a socket is like unix:///run/robot.sock, not {where}")
-        with _translated(url):
-            return cls(path, **{**_settings(url, query, set()), **settings})
+        with translated(url):
+            return cls(path, **{**settings_of(url, query, set()), **settings})
 
     @property
     def _where(self) -> str:
         return f"unix://{self._path}"
 
-    async def _open_stream(self) -> ByteStream:
-        return _UnixStream(await anyio.connect_unix(self._path))
+    async def _open(self) -> Line:
+        max_frame = self._limits.frame
+        if lines.on_asyncio():
+            return await lines.dial_unix(self._path, max_frame, self._where)
+        return StreamChannel(await anyio.connect_unix(self._path), self._where, max_frame)
 
     async def _listen(self) -> tuple[Listener[Any], str]:
         if await self._is_served():
@@ -414,66 +329,6 @@ class UnixTransport(_StreamTransport):
         self._path.unlink(missing_ok=True)
 
 
-def _split(url: str) -> tuple[SplitResult, dict[str, str]]:
-    with _translated(url):
-        parts = urlsplit(url)
-    return parts, dict(parse_qsl(parts.query, keep_blank_values=True))
-
-
-def _check_is_all_known(url: str, parts: SplitResult) -> None:
-    """Raise if there is something in the URL that would otherwise be left out silently."""
-    for what, is_there in (
-        ("user", "@" in parts.netloc),
-        ("path", parts.path not in ("", "/")),
-        ("part behind #", bool(parts.fragment)),
-    ):
-        if is_there:
-            raise TransportError(
-                f"{_without_query(url)} has a {what}, and the URL of a server is like"
-                f" {parts.scheme}://host:port, with settings behind ? such as token="
-            )
-
-
-@contextmanager
-def _translated(url: str) -> Generator[None, None, None]:
-    """A value that cannot be is the URL's fault."""
-    try:
-        yield
-    except ValueError as exc:
-        raise TransportError(f"{_without_query(url)}: {exc}") from exc
-
-
-def _settings(url: str, query: Mapping[str, str], more: set[str]) -> dict[str, Any]:
-    """The settings in a URL, of their types."""
-    settings: dict[str, Any] = {}
-    for name, text in query.items():
-        try:
-            if name in ("heartbeat", "reconnect_timeout", "grace"):
-                settings[name] = float(text)
-            elif name == "reconnect" or name in more & {"insecure"}:
-                settings[name] = {"true": True, "false": False}[text]
-            elif name == "window":
-                settings[name] = int(text)
-            elif name in {"token", "orphans"} | more:
-                settings[name] = text
-            else:
-                raise TransportError(f"{_without_query(url)} has no setting {name!r}")
-        except (ValueError, KeyError):
-            raise TransportError(
-                f"{_without_query(url)}: the setting {name!r} cannot be {text!r}"
-            ) from None
-    return settings
-
-
-def _without_query(url: str) -> str:
-    # What is behind it may be a token, and what stands before an @ a password.
-    return re.sub("://[^/]*@", "://", url.partition("?")[0])
-
-
-def _tls_reason(exc: ssl.SSLError) -> str:
-    return getattr(exc, "verify_message", "") or exc.reason or str(exc)
-
-
 def _is_loopback(host: str) -> bool:
     if host == "localhost":
         return True
@@ -481,12 +336,3 @@ def _is_loopback(host: str) -> bool:
         return ip_address(host).is_loopback
     except ValueError:
         return False
-
-
-def _peer_of(stream: AnyByteStream) -> str:
-    family = stream.extra(SocketAttribute.family)
-    if family == socket.AF_UNIX:
-        return "a local process"
-    address = stream.extra(SocketAttribute.remote_address, None)
-    # It is not known of a peer that has reset the connection before it was looked at.
-    return f"{address[0]}:{address[1]}" if isinstance(address, tuple) else "a peer that has left"

@@ -1,0 +1,108 @@
+"""`Crew`: tasks that run executors, each one after another.
+
+A task costs more than most goals that need it, so those that are through with one take the next. It
+knows nothing of goals: a job is a coroutine function that is given the `Life` it runs in.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Coroutine
+from time import perf_counter
+from typing import Any, TypeAlias
+
+from anyio import CancelScope
+from anyio.abc import TaskGroup
+from anyio.lowlevel import cancel_shielded_checkpoint
+
+from fibaction.waking import Waking
+
+MOST_IDLE = 16
+"""Tasks that are kept although there is nothing to do for them, some kilobytes each."""
+SLICE = 0.005
+"""Seconds that a task may go on without awaiting before others get their turn: short for a person
+and for a heartbeat, long beside a turn of the event loop (some 10 microseconds)."""
+
+
+class Life:
+    """What surrounds an executor, so that it can be interrupted once, and later be killed.
+
+    Two scopes, because an interruption is to arrive once: the outer one delivers it, then the inner
+    one shields what follows, the clean-up, until it is killed.
+    """
+
+    __slots__ = ("interruption", "is_spent", "on_wait", "rest")
+
+    def __init__(self, on_wait: Callable[[], None]) -> None:
+        self.interruption = CancelScope(shield=True)
+        self.rest = CancelScope()
+        self.is_spent = False
+        """Whether nothing else can run in it."""
+        self.on_wait = on_wait
+        """To be called when what runs in it begins to wait."""
+
+    def interrupt(self) -> None:
+        """Cancel what runs in it."""
+        self.is_spent = True
+        self.interruption.cancel()
+
+    def kill(self) -> None:
+        """From now on, cancel whatever is awaited in it."""
+        self.is_spent = True
+        self.rest.cancel()
+
+
+Job: TypeAlias = Callable[[Life], Coroutine[Any, Any, None]]
+"""Something to do, in a life that may have been another job's. It begins in the same turn of the
+event loop as others that do not wait, so it must not depend on the task it runs in."""
+
+
+class Crew:
+    """Does jobs at once, each in a task in which nothing else is under way."""
+
+    def __init__(self, tasks: TaskGroup, name: str) -> None:
+        self._tasks = tasks
+        self._name = name
+        self._jobs: deque[Job] = deque()
+        self._idle: list[Waking] = []
+        self._is_coming = False  # a task for the next job
+        self._closed = False
+
+    def add(self, job: Job) -> None:
+        """Do this, beginning in the next turn of the event loop."""
+        self._jobs.append(job)
+        self._call()
+
+    def close(self) -> None:
+        """There will be no more jobs: end the tasks that wait for some."""
+        self._closed = True
+        idle, self._idle = self._idle, []
+        for news in idle:
+            news.wake()
+
+    def _call(self) -> None:
+        """See that a task comes for the next job: the last one has begun to wait, or has ended."""
+        if self._jobs and not self._is_coming:
+            self._is_coming = True
+            if self._idle:
+                self._idle.pop().wake()
+            else:
+                self._tasks.start_soon(self._work, name=self._name)
+
+    async def _work(self) -> None:
+        life = Life(self._call)
+        news = Waking()
+        with life.interruption, life.rest:
+            while True:
+                self._is_coming = False
+                slice_end = perf_counter() + SLICE
+                while self._jobs and not life.is_spent:
+                    await self._jobs.popleft()(life)
+                    if perf_counter() >= slice_end:
+                        await cancel_shielded_checkpoint()
+                        slice_end = perf_counter() + SLICE
+                if life.is_spent or self._closed or len(self._idle) >= MOST_IDLE:
+                    break
+                self._idle.append(news)
+                await news.wait()
+        self._call()

@@ -1,0 +1,118 @@
+"""`fibaction_transports.tcp.settings`: what a URL says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fibaction import (
+    TransportError,
+    connect,
+    serve,
+)
+from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport
+from tests.transports.tcp.servers import SECRET, new_server
+
+pytestmark = pytest.mark.asyncio
+
+
+async def test_the_settings_behind_a_url_have_types_and_those_given_count_for_more() -> None:
+    url = (
+        f"tls://?token={SECRET}&heartbeat=0.5&reconnect=false&reconnect_timeout=7&window=3"
+        "&insecure=true&grace=2&orphans=cancel&ca=a&cert=b&key=c"
+    )
+    made = TcpTransport.from_url(url, window=5)
+    keeping = made._keeping
+    assert (keeping.token, keeping.heartbeat, keeping.window) == (SECRET, 0.5, 5)
+    assert (keeping.reconnect, keeping.reconnect_timeout) == (False, 7.0)
+    assert (made._insecure, made._terms.grace, made._terms.orphans) == (True, 2.0, "cancel")
+    assert made._terms.heartbeat == 0.5
+    assert made._tls == TlsFiles("a", "b", "c")
+    local = UnixTransport.from_url("unix:///run/a%20b?window=3&reconnect=true", window=4)
+    assert (local._path, local._keeping.window) == (Path("/run/a b"), 4)
+
+
+@pytest.mark.parametrize(
+    ("url", "problem"),
+    [
+        (f"tcp://robot?tokem={SECRET}", "tcp://robot has no setting 'tokem'"),
+        (
+            f"tcp://robot?window=few&token={SECRET}",
+            "tcp://robot: the setting 'window' cannot be 'few'",
+        ),
+        (
+            f"tcp://robot?token={SECRET}&reconnect=maybe",
+            "tcp://robot: the setting 'reconnect' cannot be 'maybe'",
+        ),
+        (
+            f"unix:///run/x?token={SECRET}&grace=long",
+            "unix:///run/x: the setting 'grace' cannot be 'long'",
+        ),
+        ("tcp://robot?ca=x", "tcp://robot has no setting 'ca'"),
+        ("unix:///run/x?insecure=", "unix:///run/x has no setting 'insecure'"),
+        ("tcp://robot?insecure=", "tcp://robot: the setting 'insecure' cannot be ''"),
+        ("tcp://robot:99999", "tcp://robot:99999 has no good port: Port out of range 0-65535"),
+        (
+            "tcp://robot:-1",
+            "tcp://robot:-1 has no good port: Port could not be cast to integer value as '-1'",
+        ),
+        ("unix://", "the URL of a socket is like unix:///run/robot.sock, not unix://"),
+        ("unix:///", "the URL of a socket is like unix:///run/robot.sock, not unix:///"),
+        ("unix://x/y", "the URL of a socket is like unix:///run/robot.sock, not unix://x/y"),
+    ],
+)
+async def test_a_bad_url_is_refused_in_one_sentence(url: str, problem: str) -> None:
+    with pytest.raises(TransportError) as caught:
+        connect(url)
+    assert type(caught.value) is TransportError
+    assert str(caught.value) == problem
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        f"tcp://robot:99999?token={SECRET}",
+        f"unix://x/y?token={SECRET}",
+        f"tcp:robot?token={SECRET}",
+    ],
+)
+async def test_a_bad_url_is_refused_without_telling_its_token(url: str) -> None:
+    with pytest.raises(TransportError) as caught:
+        connect(url)
+    assert SECRET not in str(caught.value)
+
+
+@pytest.mark.parametrize("url", ["tcp://[::1", "tcp://robot?heartbeat=0", "tcp://robot?window=-1"])
+async def test_a_bad_url_is_a_transport_error_whatever_is_bad(url: str) -> None:
+    with pytest.raises(TransportError):
+        connect(url)
+
+
+@pytest.mark.parametrize(
+    ("url", "what"),
+    [
+        (f"tcp://me:{SECRET}@robot:7400", "tcp://robot:7400 has a user"),
+        (f"tls://{SECRET}@robot?ca=x", "tls://robot has a user"),
+        ("tcp://@robot", "tcp://robot has a user"),
+        ("tcp://robot:7400/arm", "tcp://robot:7400/arm has a path"),
+        ("tcp:///run/robot.sock", "tcp:///run/robot.sock has a path"),
+        (f"tcp://robot?token={SECRET}#1", "tcp://robot has a part behind #"),
+    ],
+)
+async def test_what_a_url_says_besides_is_refused_and_not_left_out_silently(
+    url: str, what: str
+) -> None:
+    with pytest.raises(TransportError) as caught:
+        connect(url)
+    assert str(caught.value) == (
+        f"{what}, and the URL of a server is like {url[:3]}://host:port,"
+        f" with settings behind ? such as token="
+    )
+    assert TcpTransport.from_url("tcp://robot:7400/")._where == "tcp://robot:7400"
+
+
+async def test_a_socket_whose_path_cannot_be_is_refused() -> None:
+    with pytest.raises(TransportError):
+        async with serve(new_server(), "unix:///tmp/a%00b"):
+            raise AssertionError("the block must not run")

@@ -1,0 +1,203 @@
+"""`fibaction_transports.tcp.tls`: who is let in, and who is talked to."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import ssl
+from pathlib import Path
+from typing import Any
+
+import anyio
+import anyio.lowlevel
+import pytest
+from anyio.abc import SocketAttribute, SocketStream
+
+from fibaction import (
+    AuthenticationFailed,
+    ConnectionLost,
+    TransportError,
+    connect,
+    serve,
+)
+from fibaction.wire.limits import Limits
+from fibaction_transports.tcp import TcpTransport, TlsFiles
+from fibaction_transports.tcp.tls import TlsListener
+from tests.certificates import pems
+from tests.fibonacci import FIBONACCI, Goal
+from tests.transports.hearing import Hearing, port_of, raw
+from tests.transports.tcp.servers import Named, new_server, tls_server, works
+
+pytestmark = pytest.mark.asyncio
+
+
+async def test_a_client_that_knows_the_authority_is_served_over_tls() -> None:
+    async with serve(new_server(), tls_server(cert=pems().cert)) as (url,):
+        assert url == f"tls://127.0.0.1:{port_of(url)}"
+        assert await works(url, tls=TlsFiles(ca=pems().ca))
+        assert await works(f"{url}?ca={pems().ca}")
+
+
+async def test_contexts_of_ones_own_are_used_as_they_are() -> None:
+    serving = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    serving.load_cert_chain(pems().cert)
+    connecting = ssl.create_default_context(cafile=pems().ca)
+    async with serve(new_server(), TcpTransport(port=0, tls=serving)) as (url,):
+        assert await works(TcpTransport(port=port_of(url), tls=connecting))
+
+
+@pytest.mark.parametrize(
+    ("host", "ca", "reason"),
+    [
+        ("127.0.0.1", "", "certificate"),
+        ("127.0.0.1", "other.test", "certificate"),
+        ("other.test", "other.test", "certificate is not valid for '127.0.0.1'"),
+    ],
+    ids=["an authority of nobody's", "another authority", "another host"],
+)
+async def test_a_server_whose_certificate_is_not_right_is_not_talked_to(
+    host: str, ca: str, reason: str
+) -> None:
+    trusted = TlsFiles(ca=pems(ca).ca if ca else None)
+    async with serve(new_server(), tls_server(cert=pems(host).cert)) as (url,):
+        for reconnect in (True, False):
+            with anyio.fail_after(5), pytest.raises(AuthenticationFailed, match=reason) as caught:
+                async with connect(url, tls=trusted, reconnect=reconnect):
+                    raise AssertionError("the block must not run")
+            assert str(caught.value).startswith(f"no TLS with {url}: ")
+
+
+async def test_with_mutual_tls_a_client_that_has_a_certificate_is_served() -> None:
+    async with serve(new_server(), tls_server(**pems()._asdict())) as (url,):
+        assert await works(url, tls=TlsFiles(*pems()))
+
+
+async def test_with_mutual_tls_a_client_without_a_certificate_is_not_served(
+    heard: Hearing,
+) -> None:
+    async with serve(new_server(), tls_server(**pems()._asdict())) as (url,):
+        with anyio.fail_after(5), pytest.raises(TransportError):
+            async with connect(
+                url, FIBONACCI, tls=TlsFiles(ca=pems().ca), reconnect=False, heartbeat=0.1
+            ) as client:
+                await client.call(Goal(1))
+        (said,) = heard.warnings
+        assert said.endswith(": no TLS: PEER_DID_NOT_RETURN_A_CERTIFICATE")
+        assert await works(url, tls=TlsFiles(*pems()))
+
+
+async def test_a_client_without_a_certificate_is_not_let_in_and_the_servers_log_says_why(
+    heard: Hearing,
+) -> None:
+    async with serve(new_server(), tls_server(**pems()._asdict())) as (url,):
+        # It has shaken hands by the time that the server looks at its certificate, and all that it
+        # sees then is that the connection is closed.
+        with anyio.fail_after(5), pytest.raises(ConnectionLost):
+            async with connect(url, tls=TlsFiles(ca=pems().ca), reconnect=False, heartbeat=1):
+                raise AssertionError("the block must not run")
+        await heard.until("no TLS: PEER_DID_NOT_RETURN_A_CERTIFICATE")
+
+
+async def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
+    nonsense = tmp_path / "nonsense.pem"
+    nonsense.write_text("nonsense")
+    for files, problem in (
+        ({}, "a TLS server needs a certificate: say cert=, and key="),
+        ({"cert": "/none.pem"}, "there is no TLS with /none.pem: .*No such file"),
+        ({"cert": pems().cert, "key": str(nonsense)}, f"there is no TLS with .*, {nonsense}: "),
+        ({"cert": pems().cert, "ca": str(nonsense)}, f"there is no TLS with {nonsense}, .*: "),
+    ):
+        with pytest.raises(TransportError, match=problem):
+            async with serve(new_server(), tls_server(**files)):
+                raise AssertionError("the block must not run")
+    with pytest.raises(TransportError, match=f"there is no TLS with {nonsense}: "):
+        TlsFiles(ca=str(nonsense)).client()
+    with pytest.raises(TransportError, match=r"there is no TLS with /none\.pem: "):
+        TlsFiles(cert="/none.pem").client()
+
+
+async def test_plain_text_at_a_tls_port_is_one_line_in_the_log(heard: Hearing) -> None:
+    async with serve(new_server(), tls_server(cert=pems().cert)) as (url,):
+        async with raw(url) as peer:
+            await peer.say(b"hello?")
+            record = await heard.until(peer.name)
+            assert record.getMessage() == f"{peer.name}: no TLS: WRONG_VERSION_NUMBER"
+            assert (record.levelno, record.exc_info) == (logging.WARNING, None)
+            assert await works(url, tls=TlsFiles(ca=pems().ca))
+        assert heard.warnings == [record.getMessage()]
+
+
+async def test_who_does_not_begin_with_tls_is_not_waited_for(heard: Hearing) -> None:
+    limits = Limits(handshake=0.05)
+    transport = TcpTransport(port=0, tls=TlsFiles(cert=pems().cert), limits=limits)
+    async with serve(new_server(), transport) as (url,), raw(url) as peer:
+        await heard.until(f"{peer.name}: no TLS: TimeoutError")
+
+
+async def test_a_server_can_stop_while_somebody_begins_with_tls() -> None:
+    with anyio.fail_after(5):
+        async with serve(new_server(), tls_server(cert=pems().cert)) as (url,), raw(url):
+            await anyio.wait_all_tasks_blocked()
+
+
+async def test_plain_text_at_a_tls_port_ends_the_connection() -> None:
+    async with serve(new_server(), tls_server(cert=pems().cert)) as (url,), raw(url) as peer:
+        await peer.say(b"hello?")
+        with anyio.fail_after(1), pytest.raises((anyio.EndOfStream, anyio.BrokenResourceError)):
+            while True:
+                await peer.stream.receive()
+
+
+async def test_a_server_that_closes_during_the_handshake_is_a_transport_error() -> None:
+    async def hang_up(stream: SocketStream) -> None:
+        await stream.aclose()
+
+    async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(listener.serve, hang_up)
+            port = listener.extra(SocketAttribute.local_port)
+            with anyio.fail_after(5), pytest.raises(TransportError):
+                async with connect(f"tls://127.0.0.1:{port}", reconnect=False):
+                    raise AssertionError("the block must not run")
+            tasks.cancel_scope.cancel()
+
+
+async def test_a_client_whose_handshake_fails_closes_its_socket() -> None:
+    closed = anyio.Event()
+
+    async def speak_no_tls(stream: SocketStream) -> None:
+        async with stream:
+            await stream.send(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+            try:
+                while True:
+                    await stream.receive()
+            except (anyio.EndOfStream, anyio.BrokenResourceError):
+                closed.set()
+
+    async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(listener.serve, speak_no_tls)
+            port = listener.extra(SocketAttribute.local_port)
+            with anyio.fail_after(5), pytest.raises(AuthenticationFailed):
+                async with connect(f"tls://127.0.0.1:{port}"):
+                    raise AssertionError("the block must not run")
+            with anyio.move_on_after(1):
+                await closed.wait()
+            tasks.cancel_scope.cancel()
+    assert closed.is_set()
+
+
+class _Closing(Named):
+    """A stream that can be closed."""
+
+    closed: bool = False
+
+    async def aclose(self) -> None:
+        self.closed = True
+
+
+async def test_what_is_to_end_python_itself_goes_on_from_a_handshake_that_is_closed() -> None:
+    stream: Any = _Closing(socket.AF_INET, ("127.0.0.1", 5))
+    with pytest.raises(KeyboardInterrupt):
+        await TlsListener.handle_handshake_error(KeyboardInterrupt(), stream)
+    assert stream.closed

@@ -1,0 +1,81 @@
+"""What a URL of these transports says: where the server is, and settings behind the `?`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+from typing import Any
+from urllib.parse import SplitResult, parse_qsl, urlsplit
+
+from fibaction.exceptions import TransportError
+
+
+def split(url: str) -> tuple[SplitResult, dict[str, str]]:
+    """A URL in its parts, and what stands behind its `?`.
+
+    Raises:
+        TransportError: It is none.
+    """
+    with translated(url):
+        parts = urlsplit(url)
+    return parts, dict(parse_qsl(parts.query, keep_blank_values=True))
+
+
+def check_is_all_known(url: str, parts: SplitResult) -> None:
+    """See that nothing in the URL would be left out silently.
+
+    Raises:
+        TransportError: Something would.
+    """
+    for what, is_there in (
+        ("user", "@" in parts.netloc),
+        ("path", parts.path not in ("", "/")),
+        ("part behind #", bool(parts.fragment)),
+    ):
+        if is_there:
+            raise TransportError(
+                f"{without_query(url)} has a {what}, and the URL of a server is like"
+                f" {parts.scheme}://host:port, with settings behind ? such as token="
+            )
+
+
+@contextmanager
+def translated(url: str) -> Generator[None, None, None]:
+    """A value that cannot be is the URL's fault."""
+    try:
+        yield
+    except ValueError as exc:
+        raise TransportError(f"{without_query(url)}: {exc}") from exc
+
+
+def settings_of(url: str, query: Mapping[str, str], more: set[str]) -> dict[str, Any]:
+    """The settings in a URL, of their types: those that all have, and `more`.
+
+    Raises:
+        TransportError: There is no such setting, or it cannot have such a value.
+    """
+    settings: dict[str, Any] = {}
+    for name, text in query.items():
+        try:
+            if name in ("heartbeat", "reconnect_timeout", "grace"):
+                settings[name] = float(text)
+            elif name == "reconnect" or name in more & {"insecure"}:
+                settings[name] = {"true": True, "false": False}[text]
+            elif name == "window":
+                settings[name] = int(text)
+            elif name in {"token", "orphans"} | more:
+                settings[name] = text
+            else:
+                raise TransportError(f"{without_query(url)} has no setting {name!r}")
+        except (ValueError, KeyError):
+            raise TransportError(
+                f"{without_query(url)}: the setting {name!r} cannot be {text!r}"
+            ) from None
+    return settings
+
+
+def without_query(url: str) -> str:
+    """A URL for people to read, without anything secret."""
+    # What is behind it may be a token, and what stands before an @ a password.
+    return re.sub("://[^/]*@", "://", url.partition("?")[0])
