@@ -1,4 +1,4 @@
-"""The verbs in one group, and what all of them share: the server's URL, exit codes, errors.
+"""The verbs in one group, and what they share: the server's URL, and how it is reached.
 
 The module of a verb is imported only when that verb is used, so that help and completion are there
 at once.
@@ -8,34 +8,20 @@ from __future__ import annotations
 
 import difflib
 import logging
-import os
 import sys
-import traceback
-from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
-from contextlib import asynccontextmanager
-from enum import IntEnum
+from collections.abc import Awaitable, Callable, Iterable
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 from io import TextIOWrapper
-from typing import IO, Any, TypeVar, cast
+from typing import Any, NoReturn, TypeVar
 
 import anyio
 import click
 
 from fibaction.action import ActionInfo
-from fibaction.connection import ClientConnection, connect
-from fibaction.exceptions import (
-    ActionError,
-    AuthenticationFailed,
-    ConnectionLost,
-    GoalAborted,
-    GoalCanceled,
-    GoalRejected,
-    ProtocolError,
-    ServerNotFound,
-    TransportError,
-    UnknownGoal,
-)
+from fibaction.cli.ending import ExitCode, Failure, debugging, telling_errors
+from fibaction.connection import ClientConnection
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
@@ -53,9 +39,9 @@ VERBS = {
     "attach": ("fibaction.cli.reaching", "attach_command", "Follow a goal that was sent before."),
     "echo": ("fibaction.cli.watching", "echo_command", "Show all that happens at an action."),
     "top": ("fibaction.cli.top", "top_command", "Watch all actions and goals on a live screen."),
-    "serve": ("fibaction.cli.running", "serve_command", "Run your action servers."),
+    "serve": ("fibaction.cli.serving", "serve_command", "Run your action servers."),
     "bridge": (
-        "fibaction.cli.running",
+        "fibaction.cli.bridging",
         "bridge_command",
         "Serve at one URL what is at another.",
     ),
@@ -64,80 +50,7 @@ VERBS = {
 """Each verb: its module, the name of its command in there, and what it is for."""
 
 
-class ExitCode(IntEnum):
-    """What the shell is told."""
-
-    SUCCEEDED = 0
-    ABORTED = 1
-    USAGE = 2
-    CANCELED = 3
-    REJECTED = 4
-    TIMED_OUT = 5
-    UNREACHABLE = 6
-    """There is no such server or action, or the connection was lost."""
-    BUG = 70
-    """`EX_SOFTWARE` of `sysexits.h`: an error of fibaction itself."""
-    INTERRUPTED = 130
-    """As for a program that SIGINT has ended: Ctrl-C where no goal was to be canceled."""
-
-
-_CODES: tuple[tuple[type[ActionError], ExitCode], ...] = (
-    (GoalRejected, ExitCode.REJECTED),
-    (GoalCanceled, ExitCode.CANCELED),
-    (GoalAborted, ExitCode.ABORTED),
-    (UnknownGoal, ExitCode.USAGE),
-    (ServerNotFound, ExitCode.UNREACHABLE),
-    (ConnectionLost, ExitCode.UNREACHABLE),
-    (AuthenticationFailed, ExitCode.UNREACHABLE),
-    (TransportError, ExitCode.USAGE),  # what is left of it: a URL that cannot be used
-    (ProtocolError, ExitCode.UNREACHABLE),
-)
-
-
-class Failure(click.ClickException):
-    """One sentence for the user on stderr, and the exit code."""
-
-    def __init__(self, message: str, code: ExitCode) -> None:
-        super().__init__(message)
-        self.exit_code = code  # type: ignore[misc]  # click, too, looks at the instance
-
-    def show(self, file: IO[str] | None = None) -> None:
-        if debugging():
-            traceback.print_exception(self)
-        super().show(file)
-
-
-def debugging() -> bool:
-    """Whether tracebacks are wanted."""
-    return bool(os.environ.get("FIBACTION_DEBUG"))
-
-
-def failure_of(error: ActionError) -> Failure:
-    """What the user is told of an error."""
-    code = next((code for kind, code in _CODES if isinstance(error, kind)), ExitCode.ABORTED)
-    # The advice is for programs; who types a command can do something else.
-    text = str(error).replace(
-        "or wait for it with wait_for_server()", "or name another with --url or FIBACTION_URL"
-    )
-    return Failure(text, code)
-
-
 # For the modules of the verbs
-
-
-@asynccontextmanager
-async def connected(url: str) -> AsyncGenerator[ClientConnection, None]:
-    """A connection to whatever the URL names, for as long as the block lasts.
-
-    Raises:
-        Failure: It cannot be had. Errors within the block are translated by `run`.
-    """
-    try:
-        connecting = connect(url)
-    except ActionError as exc:
-        raise failure_of(exc) from exc
-    async with connecting as connection:
-        yield connection
 
 
 async def find_action(connection: ClientConnection, name: str) -> ActionInfo:
@@ -179,41 +92,18 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return next(iter(difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)), "")
 
 
-def run(verb: Callable[..., Awaitable[int]], *arguments: Any, **settings: Any) -> None:
-    """Run a verb's async function to its end, and exit with the code that it gives.
+def run(
+    verb: Callable[..., Awaitable[int]], *arguments: Any, uvloop: bool = False, **settings: Any
+) -> NoReturn:
+    """Run a verb's async function to its end, and exit with the code that it gives. With `uvloop`
+    that is done by uvloop, where it is installed: it is quicker, but not at once.
 
     Raises:
-        Failure: It ended with an `ActionError`, alone or in a group.
         click.exceptions.Exit: It ended.
     """
-    try:
-        code = anyio.run(partial(verb, *arguments, **settings))
-    except KeyboardInterrupt:
-        code = ExitCode.INTERRUPTED
-    except ActionError as exc:
-        raise failure_of(exc) from exc
-    except BaseExceptionGroup as group:
-        raise _first(group) from group
-    raise click.exceptions.Exit(code)
-
-
-def _first(group: BaseExceptionGroup[BaseException]) -> BaseException:
-    """The error behind a group of tasks that ended with it: the first that is for the user."""
-    errors = list(_leaves(group))
-    for error in errors:
-        if isinstance(error, ActionError):
-            return failure_of(error)
-        if isinstance(error, click.ClickException | OSError):  # OSError: a pipe that is closed
-            return error
-    return errors[0]
-
-
-def _leaves(error: Any) -> Iterable[BaseException]:
-    if isinstance(error, BaseExceptionGroup):
-        for part in cast("BaseExceptionGroup[BaseException]", error).exceptions:
-            yield from _leaves(part)
-    else:
-        yield error
+    options = {"use_uvloop": uvloop and find_spec("uvloop") is not None}
+    verb = partial(verb, *arguments, **settings)
+    raise click.exceptions.Exit(anyio.run(verb, backend_options=options))
 
 
 def url_of(context: click.Context) -> str:
@@ -265,6 +155,10 @@ class Verbs(click.Group):
             module, attribute, _ = VERBS[command.name or ""]
             command = getattr(import_module(module), attribute)
         return name, command, rest
+
+    def invoke(self, ctx: click.Context) -> Any:
+        with telling_errors():
+            return super().invoke(ctx)
 
 
 @click.group(

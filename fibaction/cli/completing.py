@@ -11,7 +11,8 @@ import click
 from click.shell_completion import CompletionItem
 
 from fibaction.action import ActionInfo
-from fibaction.cli.app import connected, shown, url_of
+from fibaction.cli.app import shown, url_of
+from fibaction.connection import connect
 from fibaction.exceptions import ActionError
 
 PATIENCE = 2.0
@@ -56,7 +57,7 @@ def reachable(url: str) -> list[ActionInfo]:
     """The actions at a URL; none if it cannot be said soon."""
     try:
         return anyio.run(actions_at, url)
-    except (ActionError, click.ClickException):
+    except ActionError:
         return []
 
 
@@ -64,9 +65,9 @@ async def actions_at(url: str) -> list[ActionInfo]:
     """The actions at a URL; none if there is no answer within `PATIENCE`.
 
     Raises:
-        ActionError, Failure: There is nobody, or the URL cannot be used.
+        ActionError: There is nobody, or the URL cannot be used.
     """
     with anyio.move_on_after(PATIENCE):
-        async with connected(url) as connection:
+        async with connect(url) as connection:
             return await connection.actions()
     return []

@@ -11,7 +11,8 @@ import anyio
 import msgspec
 
 from fibaction.action import Action, ActionInfo
-from fibaction.cli.app import ExitCode, Failure, find_action, shown
+from fibaction.cli.app import find_action, shown
+from fibaction.cli.ending import ExitCode, Failure
 from fibaction.cli.output import clean, note
 from fibaction.client import ActionClient
 from fibaction.connection import ClientConnection

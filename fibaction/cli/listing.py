@@ -7,19 +7,11 @@ from collections.abc import Iterable
 import click
 
 from fibaction.action import ActionInfo
-from fibaction.cli.app import (
-    ExitCode,
-    Failure,
-    connected,
-    find_action,
-    json_option,
-    no_action,
-    run,
-    shown,
-    url_option,
-)
+from fibaction.cli.app import find_action, json_option, no_action, run, shown, url_option
 from fibaction.cli.completing import ACTION, TYPE
+from fibaction.cli.ending import ExitCode, Failure
 from fibaction.cli.output import clean, say, say_json
+from fibaction.connection import connect
 from fibaction.exceptions import ServerNotFound
 
 _types_option = click.option("-t", "--show-types", is_flag=True, help="Show the types, too.")
@@ -43,7 +35,7 @@ def list_command(show_types: bool, count: bool, as_json: bool, url: str) -> None
 
 async def list_actions(url: str, *, show_types: bool, count: bool, as_json: bool) -> int:
     """Print the names of the actions, one a line, or how many there are."""
-    async with connected(url) as connection:
+    async with connect(url) as connection:
         actions = _sorted(await connection.actions())
     if count:
         _say_count(len(actions), as_json)
@@ -70,7 +62,7 @@ def find_command(type_name: str, count: bool, as_json: bool, url: str) -> None:
 
 async def find(url: str, type_name: str, *, count: bool, as_json: bool) -> int:
     """Print the names of the actions of a type, one a line, or how many there are."""
-    async with connected(url) as connection:
+    async with connect(url) as connection:
         actions = _sorted(await connection.actions())
     found = [info for info in actions if info.type_name == type_name]
     if count:
@@ -101,7 +93,7 @@ async def say_type(url: str, name: str, *, as_json: bool) -> int:
     Raises:
         Failure: Nobody serves it, or its server does not say.
     """
-    async with connected(url) as connection:
+    async with connect(url) as connection:
         info = await find_action(connection, name)
     if as_json:
         say_json({"name": info.name, "type": info.type_name})
@@ -134,7 +126,7 @@ async def say_info(url: str, name: str, *, show_types: bool, count: bool, as_jso
     Raises:
         Failure: It has neither.
     """
-    async with connected(url) as connection:
+    async with connect(url) as connection:
         actions = await connection.actions()
         found = [info for info in actions if shown(info.name) == shown(name)]
         info = found[0] if found else ActionInfo(name)

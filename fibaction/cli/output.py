@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 import click
 import msgspec
 
-from fibaction.cli.app import ExitCode, Failure
+from fibaction.cli.ending import ExitCode, Failure
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,8 +30,9 @@ DEEPEST = 50
 """Levels of nesting that are shown. Nobody reads more, and Python could not recurse for ever."""
 
 _PLAIN = re.compile(r"(?:[^\W\d]|/)(?:[\w ./()+-]*[\w./()+-])?")
-# What YAML 1.1 would read as something else than text.
-_NOT_TEXT = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
+# What would be read as something else than text. YAML 1.1 has `y` and `n` there as well, but hardly
+# any reader does, and half of what robots send has a field `y`.
+_NOT_TEXT = {"yes", "no", "on", "off", "true", "false", "null"}
 
 
 def say(text: str = "") -> None:

@@ -21,29 +21,37 @@ FRACTION = ("fraction", "fraction_complete", "fraction_done", "ratio", "completi
 """Fields that tell how far a goal has come: of 100, and of 1. Those of 1 are of 100 as soon as one
 is larger, since people count `progress` both ways."""
 
-BAR_WIDTH = 30
+BAR_SHARE = 4
+"""How many times as wide as its bar a terminal is."""
 MOST_CHARACTERS = 500
 """Of a text: more than a terminal is wide."""
 MOST_ITEMS = 8
 """Of a list: its last ones, because many lists of feedback grow."""
+
+_WORDS = {None: "null", False: "false", True: "true"}
 
 
 class Meter:
     """Finds out how far a goal has come, from one feedback after the other."""
 
     def __init__(self) -> None:
+        self.field = ""
+        """The field that has told it last; empty if none has."""
         self._of_hundred = False
 
     def read(self, feedback: Any) -> float | None:
         """How far, from 0 to 1; None if the feedback does not tell."""
+        self.field = ""
         if not is_map(feedback):
             return None
         for name, value in feedback.items():
             if isinstance(value, bool) or not isinstance(value, int | float):
                 continue
             if name in PERCENT:
+                self.field = name
                 return _within(value / 100)
             if name in FRACTION:
+                self.field = name
                 self._of_hundred = self._of_hundred or value > 1
                 return _within(value / 100 if self._of_hundred else value)
         return None
@@ -60,7 +68,8 @@ class LiveLine:
         self._console = console
         self._meter = Meter()
         self._spinner = Spinner("line")
-        self._latest: tuple[int, Any, float | None] | None = None
+        self._latest: tuple[int, Any] | None = None
+        self._done: float | None = None
         # It draws from a thread of its own, ten times a second, whatever is then the latest.
         self._live = Live(
             console=console, transient=True, refresh_per_second=10, get_renderable=self._line
@@ -80,10 +89,13 @@ class LiveLine:
 
     def show(self, number: int, feedback: Any) -> None:
         """Show a feedback instead of the one before."""
-        self._latest = number, feedback, self._meter.read(feedback)
+        done = self._meter.read(feedback)
+        if done is not None:  # the bar says it
+            feedback = {name: feedback[name] for name in feedback if name != self._meter.field}
+        self._latest, self._done = (number, feedback), done
 
     def _line(self) -> Table:
-        line = Table.grid(padding=(0, 1), expand=True)
+        line = Table.grid(padding=(0, 2, 0, 0), expand=True)
         # What a terminal shows of a Ctrl-C must not begin another line: this one is to be erased.
         line.width = self._console.width - len("^C^C")
         line.add_column(no_wrap=True)
@@ -92,12 +104,14 @@ class LiveLine:
         if self._latest is None:
             line.add_row(self._spinner, Text("waiting for feedback"), "")
             return line
-        number, feedback, done = self._latest
-        if done is None:
-            line.add_row(self._spinner, Text(f"feedback {number}"), Text(on_one_line(feedback)))
+        number, feedback = self._latest
+        text = Text(on_one_line(feedback))
+        if self._done is None:
+            line.add_row(self._spinner, Text(f"feedback {number}"), text)
         else:
-            bar = ProgressBar(1.0, done, width=BAR_WIDTH)
-            line.add_row(bar, Text(f"{done:4.0%}"), Text(on_one_line(feedback)))
+            width = self._console.width // BAR_SHARE
+            bar = ProgressBar(1.0, self._done, width=width, complete_style="green")
+            line.add_row(bar, Text(f"{self._done:4.0%}"), text)
         return line
 
 
@@ -115,6 +129,8 @@ def _brief(value: Any) -> str:
         items = list(value)
         shown = ", ".join(_brief(item) for item in items[-MOST_ITEMS:])
         return f"[{'..., ' if len(items) > MOST_ITEMS else ''}{shown}]"
+    if value is None or isinstance(value, bool):
+        return _WORDS[value]
     if isinstance(value, float):
         return f"{value:.6g}"
     return clean(str(value)[:MOST_CHARACTERS])

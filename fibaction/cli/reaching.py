@@ -8,12 +8,14 @@ from functools import partial
 import anyio
 import click
 
-from fibaction.cli.app import ExitCode, Failure, connected, json_option, run, shown, url_option
+from fibaction.cli.app import json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION
+from fibaction.cli.ending import ExitCode, Failure
 from fibaction.cli.goal_list import AnyClient, Clients, Row, goal_digits, goals_of, pick
 from fibaction.cli.observing import until_interrupted
 from fibaction.cli.output import clean, note, say, say_json
 from fibaction.cli.telling import follow, teller
+from fibaction.connection import connect
 from fibaction.exceptions import ActionError, UnknownGoal
 from fibaction.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.states import GoalStatus
@@ -96,7 +98,7 @@ async def cancel_one(url: str, name: str | None, digits: str, *, as_json: bool) 
     Raises:
         Failure, ActionError: There is no such goal, or the server cannot be asked.
     """
-    async with connected(url) as connection:
+    async with connect(url) as connection:
         clients = await Clients(connection, name).now()
         action, goal_id = await pick(clients, digits)
         answer = await clients[action].cancel_goals(goal_id)
@@ -128,7 +130,7 @@ async def cancel_many(url: str, name: str | None, before: int | None, *, as_json
         found += len({*meant, *(info.goal_id for info in answer.goals_canceling)})
         codes.add(_say_answer(action, meant, answer, as_json))
 
-    async with connected(url) as connection:
+    async with connect(url) as connection:
         clients = await Clients(connection, name).now()
         rows = await goals_of(clients)
         # Side by side: one server that is slow must not keep the others going.
@@ -208,7 +210,7 @@ async def attach(url: str, digits: str, name: str | None, *, full: bool, as_json
         Failure, ActionError: There is no such goal, or it cannot be followed to its end.
     """
     codes = [ExitCode.INTERRUPTED]
-    async with connected(url) as connection:
+    async with connect(url) as connection:
         clients = await Clients(connection, name).now()
         action, goal_id = await pick(clients, digits)
         if await until_interrupted(

@@ -22,21 +22,12 @@ from anyio.abc import Process
 
 from fibaction.action import ActionInfo
 from fibaction.background import Background
-from fibaction.cli.app import ExitCode, Failure
+from fibaction.cli.app import run
+from fibaction.cli.ending import ExitCode, Failure, telling_errors
+from fibaction.cli.loading import AnyServer, add_current_folder, load, no_module, parse
 from fibaction.cli.output import note, say
-from fibaction.cli.running import (
-    AnyServer,
-    add_current_folder,
-    load,
-    logging_to_stderr,
-    names_of,
-    no_module,
-    parse,
-    run_until_stopped,
-    serving,
-    stop_signals,
-    telling_errors,
-)
+from fibaction.cli.running import logging_to_stderr, names_of, stop_signals
+from fibaction.cli.serving import serving
 from fibaction.connection import connect
 from fibaction.exceptions import TransportError
 from fibaction.serving import serve
@@ -232,27 +223,15 @@ def _without_lines_of(inner: str) -> Generator[None, None, None]:
 # The process that serves
 
 
-def main() -> None:
-    """Be the process that serves: its arguments are a socket of the parent's, what to serve and
-    where.
-    """
-    number, target, url = sys.argv[1:]
-    with _exiting(), logging_to_stderr(), socket.socket(fileno=int(number)) as parent:
+@click.command(add_help_option=False)
+@click.argument("parent", type=int)
+@click.argument("target")
+@click.argument("url")
+def main(parent: int, target: str, url: str) -> None:
+    """Be the process that serves, for the one at the other end of the socket with that number."""
+    with telling_errors(), logging_to_stderr(), socket.socket(fileno=parent) as other:
         _wire.setLevel(logging.WARNING)  # its only client is the parent
-        with telling_errors():
-            run_until_stopped(serve_for, parent, load(target), url)
-
-
-@contextmanager
-def _exiting() -> Generator[None, None, None]:
-    """What click does about its exceptions."""
-    try:
-        yield
-    except Failure as failure:
-        failure.show()
-        sys.exit(failure.exit_code)
-    except click.exceptions.Exit as ended:
-        sys.exit(ended.exit_code)
+        run(serve_for, other, load(target), url, uvloop=True)
 
 
 async def serve_for(parent: socket.socket, servers: Sequence[AnyServer], url: str) -> int:

@@ -18,21 +18,13 @@ from anyio import get_cancelled_exc_class
 from fibaction.abc import Endpoint, GoalStream
 from fibaction.action import Action, ActionInfo
 from fibaction.background import Background
-from fibaction.cli.app import (
-    ExitCode,
-    Failure,
-    connected,
-    find_action,
-    json_option,
-    run,
-    shown,
-    url_option,
-)
+from fibaction.cli.app import find_action, json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION, TYPE
+from fibaction.cli.ending import ExitCode, Failure
 from fibaction.cli.goal_text import read_goal
 from fibaction.cli.output import clean, note, say
 from fibaction.cli.telling import Teller, follow, teller
-from fibaction.connection import ClientConnection
+from fibaction.connection import ClientConnection, connect
 from fibaction.exceptions import ActionError, GoalRejected
 from fibaction.goals import CancelCode, GoalID
 
@@ -183,7 +175,7 @@ class _Sending:
                 if self._options.timeout is not None:
                     tasks.start_soon(self._limit, self._options.timeout)
                 with self._all:
-                    async with connected(url) as connection:
+                    async with connect(url) as connection:
                         code = await self._send(connection, name, type_name, text)
                         return ExitCode.TIMED_OUT if self._late else code
         return self._left()

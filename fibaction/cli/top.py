@@ -8,10 +8,11 @@ from importlib.util import find_spec
 import click
 
 from fibaction.background import Background
-from fibaction.cli.app import ExitCode, Failure, connected, run, url_option
+from fibaction.cli.app import run, url_option
 from fibaction.cli.board import Board
+from fibaction.cli.ending import ExitCode, Failure
 from fibaction.cli.observing import observe, until_interrupted
-from fibaction.connection import ClientConnection
+from fibaction.connection import ClientConnection, connect
 from fibaction.exceptions import ActionError
 
 
@@ -42,7 +43,7 @@ async def top(url: str) -> int:
     Raises:
         ActionError: The server cannot be reached; or it is lost, and will not be looked for.
     """
-    async with connected(url) as connection:
+    async with connect(url) as connection:
         await connection.actions()  # what is wrong is told before the screen is taken
         await show(connection, url)
     return ExitCode.SUCCEEDED

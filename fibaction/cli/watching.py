@@ -11,16 +11,9 @@ import anyio
 import click
 
 from fibaction.action import Action, ActionInfo
-from fibaction.cli.app import (
-    ExitCode,
-    connected,
-    find_action,
-    json_option,
-    run,
-    shown,
-    url_option,
-)
+from fibaction.cli.app import find_action, json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION
+from fibaction.cli.ending import ExitCode
 from fibaction.cli.goal_list import AnyClient, Clients, Row, goals_of, in_columns
 from fibaction.cli.observing import (
     LOOK,
@@ -32,7 +25,7 @@ from fibaction.cli.observing import (
 )
 from fibaction.cli.output import as_yaml, clean, console, note, on_terminal, say, say_json
 from fibaction.cli.telling import INDENT
-from fibaction.connection import ClientConnection
+from fibaction.connection import ClientConnection, connect
 from fibaction.exceptions import ActionError
 from fibaction.goals import GoalID, GoalInfo
 from fibaction.observing import GoalFeedback
@@ -84,7 +77,7 @@ def goals_command(name: str | None, watch: bool, as_json: bool, url: str) -> Non
 
 async def goals(url: str, name: str | None, *, watch: bool, as_json: bool) -> int:
     """Print the goals, once or until Ctrl-C."""
-    async with connected(url) as connection:
+    async with connect(url) as connection:
         if not watch:
             await _list(connection, name, as_json=as_json)
         elif as_json or not on_terminal():
@@ -162,7 +155,7 @@ def picture(screen: Console, rows: list[Row], away: str, *, actions: bool) -> Te
     active = sum(row.info.status.is_active for row in rows)
     state = f"{active} active, {len(rows) - active} ended"
     if len(seen) < len(rows):
-        state += f"; {len(rows) - len(seen)} of them have no room here"
+        state += f"; {len(rows) - len(seen)} not shown"
     if away:
         lines.append(Text(f"The server is away: {clean(away)}", "bold red"))
     else:
@@ -189,7 +182,7 @@ def echo_command(name: str, full: bool, as_json: bool, url: str) -> None:
 
 async def echo(url: str, name: str, *, full: bool, as_json: bool) -> int:
     """Print all that happens at an action, until Ctrl-C."""
-    async with connected(url) as connection:
+    async with connect(url) as connection:
         told = _Echo(as_json, full=full)
         await until_interrupted(partial(_observe, connection, name, told, feedback=True))
     return ExitCode.SUCCEEDED

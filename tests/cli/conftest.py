@@ -21,6 +21,7 @@ import termios
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from pathlib import Path
+from threading import Event
 from typing import Any, NamedTuple, Protocol
 
 import pyte
@@ -28,6 +29,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from fibaction.cli.app import cli
+from tests.cli.robot_module import MODULE
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 30.0
@@ -153,6 +155,31 @@ def nobody(unused_tcp_port: int) -> str:
     return f"tcp://127.0.0.1:{unused_tcp_port}"
 
 
+# A module of the user's
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A current folder with the module `robot` in it."""
+    (tmp_path / "robot.py").write_text(MODULE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    before = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        if str(getattr(sys.modules[name], "__file__", None)).startswith(str(tmp_path)):
+            del sys.modules[name]
+
+
+def eventually(condition: Callable[[], bool]) -> None:
+    """Wait, in a thread, for something that tells nobody."""
+    for _ in range(int(PATIENCE / 0.02)):
+        if condition():
+            return
+        Event().wait(0.02)
+    raise AssertionError(condition)
+
+
 # The command
 
 
@@ -264,6 +291,8 @@ def invoke() -> Invoke:
 class Terminal:
     """The command in a terminal of its own: what a person sees there, and the keys."""
 
+    screen_type = pyte.HistoryScreen
+
     def __init__(
         self,
         *arguments: str,
@@ -272,7 +301,7 @@ class Terminal:
         columns: int = 80,
         lines: int = 24,
     ) -> None:
-        self._screen = pyte.HistoryScreen(columns, lines, history=10_000, ratio=1)
+        self._screen = self.screen_type(columns, lines, history=10_000, ratio=1)
         self._stream = pyte.ByteStream(self._screen)
         self.raw = b""
         """All that was written, escape sequences included."""

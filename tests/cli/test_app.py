@@ -3,36 +3,24 @@
 from __future__ import annotations
 
 import ast
-import errno
+import inspect
 import logging
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-import anyio
 import click
 import pytest
 
 from fibaction import (
-    ActionError,
     ActionInfo,
-    AuthenticationFailed,
-    CancelRejected,
-    ConnectionLost,
-    GoalAborted,
-    GoalCanceled,
-    GoalID,
-    GoalRejected,
-    ProtocolError,
-    ServerNotFound,
-    TransportError,
-    UnknownGoal,
     connect,
     serve,
 )
 from fibaction.cli import app
-from fibaction.cli.app import ExitCode, Failure
+from fibaction.cli.ending import ExitCode, Failure
+from fibaction_transports.tcp import TcpTransport
 from tests.cli.conftest import Invoke, Run
 from tests.cli.robot import servers
 
@@ -101,9 +89,9 @@ def test_the_url_is_that_of_the_verb_or_of_the_group_or_of_the_environment(
 
 
 def test_without_a_url_it_is_the_default_of_the_tcp_transport(invoke: Invoke) -> None:
-    from fibaction_transports.tcp import HOST, PORT
+    settings = inspect.signature(TcpTransport).parameters
 
-    assert f"tcp://{HOST}:{PORT}" == app.URL
+    assert f"tcp://{settings['host'].default}:{settings['port'].default}" == app.URL
     assert f"default: {app.URL}" in " ".join(invoke("--help").output.split())
 
 
@@ -139,34 +127,24 @@ def test_a_wrong_url_is_one_sentence(invoke: Invoke, url: str, text: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("error", "code"),
-    [
-        (GoalAborted("no"), 1),
-        (GoalCanceled("no"), 3),
-        (GoalRejected("no"), 4),
-        (ServerNotFound("no"), 6),
-        (ConnectionLost("no"), 6),
-        (AuthenticationFailed("no"), 6),
-        (ProtocolError("no"), 6),
-        (TransportError("no"), 2),
-        (UnknownGoal(GoalID(bytes(16))), 2),
-        (CancelRejected("no"), 1),
-    ],
+    ("wanted", "installed", "loop"),
+    [(True, True, "uvloop"), (True, False, "asyncio"), (False, True, "asyncio")],
 )
-def test_every_error_has_its_exit_code_alone_and_in_a_group(error: ActionError, code: int) -> None:
-    async def alone() -> int:
-        raise error
+def test_a_verb_that_serves_runs_on_uvloop_where_that_is_installed(
+    monkeypatch: pytest.MonkeyPatch, wanted: bool, installed: bool, loop: str
+) -> None:
+    found: list[str] = []
 
-    async def grouped() -> int:
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(alone)
-        raise AssertionError
+    async def verb() -> int:
+        # Not imported: it is only here that anyone wants to know what is below anyio.
+        found.append(type(sys.modules["asyncio"].get_running_loop()).__module__)
+        return 0
 
-    for verb in (alone, grouped):
-        with pytest.raises(Failure) as failure:
-            app.run(verb)
-        assert failure.value.exit_code == code
-        assert failure.value.message == str(error)
+    monkeypatch.setattr(app, "find_spec", lambda name: name if installed else None)
+    with pytest.raises(click.exceptions.Exit):
+        app.run(verb, uvloop=wanted)
+
+    assert found[0].startswith(loop)
 
 
 def test_what_a_verb_returns_is_the_exit_code() -> None:
@@ -177,57 +155,6 @@ def test_what_a_verb_returns_is_the_exit_code() -> None:
         app.run(verb, 2, more=3)
 
     assert exit.value.exit_code == 5
-
-
-def test_ctrl_c_where_nothing_is_to_be_canceled_ends_as_shells_expect() -> None:
-    async def verb() -> int:
-        raise KeyboardInterrupt
-
-    with pytest.raises(click.exceptions.Exit) as exit:
-        app.run(verb)
-
-    assert exit.value.exit_code == 130
-
-
-def test_a_failure_in_a_group_is_found_among_other_errors() -> None:
-    async def fail() -> None:
-        raise Failure("it is wrong", ExitCode.USAGE)
-
-    async def verb() -> int:
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(fail)
-            await fail_too()
-        raise AssertionError
-
-    async def fail_too() -> None:
-        raise ZeroDivisionError
-
-    with pytest.raises(Failure, match="it is wrong"):
-        app.run(verb)
-
-
-def test_an_error_in_a_group_that_is_for_nobody_comes_out_as_itself() -> None:
-    async def fail() -> None:
-        raise ZeroDivisionError
-
-    async def verb() -> int:
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(fail)
-        raise AssertionError
-
-    with pytest.raises(ZeroDivisionError):
-        app.run(verb)
-
-
-def test_a_traceback_is_shown_only_if_it_is_asked_for(invoke: Invoke) -> None:
-    plain = invoke("-u", "nonsense", "list")
-    debugged = invoke("-u", "nonsense", "list", env={"FIBACTION_DEBUG": "1"})
-
-    assert "Traceback" not in plain.stderr
-    assert "Traceback" in debugged.stderr
-    assert "fibaction.exceptions.TransportError" in debugged.stderr
-    assert debugged.stderr.endswith(plain.stderr)
-    assert plain.exit_code == debugged.exit_code == ExitCode.USAGE
 
 
 def test_a_bug_is_one_line_too(
@@ -287,19 +214,6 @@ def test_a_reader_who_has_enough_is_no_error(tcp: str) -> None:
 
     assert run.stdout == "/arm/pick\n"
     assert run.stderr == ""
-
-
-def test_a_closed_pipe_within_a_group_comes_out_for_click_to_handle() -> None:
-    async def write() -> None:
-        raise BrokenPipeError(errno.EPIPE, "closed")
-
-    async def verb() -> int:
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(write)
-        raise AssertionError
-
-    with pytest.raises(BrokenPipeError):
-        app.run(verb)
 
 
 # Actions by name

@@ -6,7 +6,7 @@ import anyio
 import pytest
 
 from fibaction import ActionClient, ConnectionLost, GoalID, GoalInfo, GoalStatus, ServerNotFound
-from fibaction.cli.app import ExitCode, Failure
+from fibaction.cli.ending import ExitCode, Failure
 from fibaction.cli.goal_list import (
     Clients,
     Row,

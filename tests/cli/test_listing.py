@@ -9,7 +9,7 @@ import pytest
 from fibaction import Action, ActionServer, serve
 from fibaction.abc import Connection
 from fibaction.cli import listing
-from fibaction.cli.app import ExitCode, Failure
+from fibaction.cli.ending import ExitCode, Failure
 from fibaction.connection import ClientConnection
 from fibaction.goals import ActionPeers
 from tests.cli.conftest import Invoke, Run

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from msgspec.msgpack import Ext
 
 from fibaction.cli import output
-from fibaction.cli.app import Failure
+from fibaction.cli.ending import Failure
 
 # What msgpack carries: text without lone surrogates, integers of 64 bits.
 scalars = (
@@ -51,7 +51,7 @@ def test_it_looks_as_ros_prints_it() -> None:
         "done": True,
         "nothing": None,
         "numbers": [0, 1],
-        "pose": {"x": 1.5, "frame": "map"},
+        "pose": {"x": 1.5, "y": 2.0, "frame": "map"},
         "points": [{"x": 1, "tags": ["a"]}, [1, 2]],
         "empty": [],
         "none": {},
@@ -67,6 +67,7 @@ def test_it_looks_as_ros_prints_it() -> None:
         "    - 1",
         "    pose:",
         "      x: 1.5",
+        "      y: 2.0",
         "      frame: map",
         "    points:",
         "    - x: 1",

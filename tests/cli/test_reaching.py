@@ -23,7 +23,7 @@ from fibaction import (
     serve,
 )
 from fibaction.cli import reaching
-from fibaction.cli.app import ExitCode
+from fibaction.cli.ending import ExitCode
 from fibaction.cli.reaching import attach, cancel_many, cancel_one, reason_of
 from tests.cli.conftest import (
     Invoke,

@@ -18,9 +18,17 @@ import pytest
 
 from fibaction import Action, ActionInfo, GoalStatus, connect
 from fibaction.cli import reloading
-from fibaction.cli.app import ExitCode, Failure
-from tests.cli.conftest import PATIENCE, Invoke, Open, Run, Start, ended, lines_until
-from tests.cli.test_running import eventually
+from fibaction.cli.ending import ExitCode, Failure
+from tests.cli.conftest import (
+    PATIENCE,
+    Invoke,
+    Open,
+    Run,
+    Start,
+    ended,
+    eventually,
+    lines_until,
+)
 
 MODULE = """
 from collections.abc import AsyncGenerator

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
+import anyio
 import pytest
 from textual.pilot import Pilot
 from textual.widgets import DataTable
@@ -14,6 +15,7 @@ from fibaction.cli.board import Board, GoalKey
 from fibaction.cli.screen import Screen
 from fibaction.observing import GoalFeedback
 from fibaction.states import GoalStatus
+from tests.cli.conftest import PATIENCE
 from tests.cli.served import Served, counter
 
 FIRST, SECOND = GoalID(b"\x11" * 16), GoalID(b"\x22" * 16)
@@ -37,7 +39,9 @@ def filled() -> Board:
 async def shown(board: Board, columns: int = 80) -> AsyncGenerator[Pilot[None], None]:
     screen = Screen(board, "tcp://robot:7400")
     async with screen.run_test(size=(columns, 24), notifications=True) as pilot:
-        await pilot.pause()
+        with anyio.fail_after(PATIENCE):
+            while "Quit" not in lines(pilot)[-1]:  # the keys come last, a moment later
+                await pilot.pause()
         yield pilot
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from fibaction import ConnectionLost, serve
 from fibaction.cli import observing, top
-from fibaction.cli.app import ExitCode
+from fibaction.cli.ending import ExitCode
 from fibaction.cli.screen import Screen
 from tests.cli.conftest import Invoke, Open, Robot, Run
 from tests.cli.served import Served, counter

@@ -25,7 +25,7 @@ from fibaction import (
     serve,
 )
 from fibaction.cli import observing, watching
-from fibaction.cli.app import ExitCode
+from fibaction.cli.ending import ExitCode
 from fibaction.cli.goal_list import Row
 from fibaction.cli.watching import echo, goals, picture
 from fibaction.observing import GoalFeedback
@@ -384,7 +384,7 @@ def test_a_picture_has_the_active_goals_first_and_says_what_is_left_out(screen: 
 
     assert len(lines) == 9
     assert [line[:2] for line in lines[1:8]] == ["14", "12", "10", "0e", "0c", "0a", "08"]
-    assert lines[8] == "10 active, 10 ended; 13 of them have no room here"
+    assert lines[8] == "10 active, 10 ended; 13 not shown"
     away = picture(screen, [], "gone\x1b", actions=True).plain.splitlines()
     assert away[1] == "The server is away: gone\\x1b"
 

@@ -1,0 +1,104 @@
+"""`fibaction bridge`: `fibaction.serve`, of what another server has. It has no logic of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import suppress
+
+import anyio
+import click
+
+from fibaction.abc import Connection, Endpoint
+from fibaction.action import ActionInfo
+from fibaction.cli.app import no_action, run, shown
+from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.output import note, say
+from fibaction.cli.running import logging_to_stderr, names_of, stop_signals
+from fibaction.connection import connect
+from fibaction.exceptions import ServerNotFound, TransportError
+from fibaction.serving import serve
+
+LOOK_PAUSE = 0.2
+"""Seconds between two looks whether an action is there that a bridge waits for."""
+
+
+@click.command(
+    "bridge",
+    epilog="""\b
+Examples:
+  fibaction bridge ros2:// tcp://127.0.0.1:7400
+  fibaction bridge tcp://127.0.0.1:7400 ros2:// fibonacci""",
+)
+@click.argument("from_url", metavar="FROM_URL")
+@click.argument("to_url", metavar="TO_URL")
+@click.argument("names", metavar="[NAME]...", nargs=-1)
+def bridge_command(from_url: str, to_url: str, names: tuple[str, ...]) -> None:
+    """Serve at TO_URL the actions that are served at FROM_URL.
+
+    Without a NAME it is all that there are when the bridge starts. An action that is named is
+    waited for. If the server is away for a while, the bridge goes on when it is back.
+
+    Ctrl-C or SIGTERM ends the bridge; the goals go on at their server. A second one ends at once.
+    """
+    if from_url == to_url:
+        raise Failure("a bridge from a URL to itself would lead nowhere", ExitCode.USAGE)
+    with logging_to_stderr():
+        run(bridge, from_url, to_url, names, uvloop=True)
+
+
+async def bridge(from_url: str, to_url: str, names: Sequence[str]) -> int:
+    """Serve what is at one URL at another, until a signal comes.
+
+    Raises:
+        Failure: There is nothing to serve.
+    """
+    async with stop_signals() as stop, connect(from_url) as connection:
+        infos = await _wait_for(names, connection, stop) if names else await connection.actions()
+        if stop.is_set():
+            return ExitCode.SUCCEEDED
+        endpoints = list(_endpoints(connection, infos, choose=not names))
+        if not endpoints:
+            raise Failure(f"there is no action to bridge at {from_url}", ExitCode.UNREACHABLE)
+        async with serve(endpoints, to_url) as (where,):
+            say(f"bridging {names_of(endpoints)} from {from_url} to {where}, Ctrl-C stops it")
+            await stop.wait()
+    return ExitCode.SUCCEEDED
+
+
+async def _wait_for(
+    names: Sequence[str], connection: Connection, stop: anyio.Event
+) -> list[ActionInfo]:
+    """Wait until all that were named are there; an empty list if it is to stop before."""
+    told = False
+    while not stop.is_set():
+        infos: list[ActionInfo] = []
+        with suppress(ServerNotFound):
+            infos = await connection.actions()
+        known = {shown(info.name): info for info in infos}
+        missing = [name for name in names if shown(name) not in known]
+        if not missing:
+            return list({shown(name): known[shown(name)] for name in names}.values())
+        if not told:
+            text = f"waiting for {', '.join(map(shown, missing))}"
+            note(f"{no_action(missing[0], infos).message}: {text}" if infos else text)
+            told = True
+        with anyio.move_on_after(LOOK_PAUSE):
+            await stop.wait()
+    return []
+
+
+def _endpoints(
+    connection: Connection, infos: Iterable[ActionInfo], *, choose: bool
+) -> Generator[Endpoint, None, None]:
+    """The endpoints of actions; with `choose` without those that cannot be had here.
+
+    Raises:
+        TransportError: One cannot be had: ROS does not know its type.
+    """
+    for info in infos:
+        try:
+            yield connection.endpoint(info)
+        except TransportError as exc:
+            if not choose:
+                raise
+            note(f"{shown(info.name)} is left out: {exc}")

@@ -1,0 +1,62 @@
+"""A module as users write them, as text: tests put it into a folder as `robot.py`."""
+
+MODULE = """
+from collections.abc import AsyncGenerator
+
+import anyio
+
+from fibaction import Action, ActionServer, GoalHandle, GoalRejected
+
+COUNT = Action("count", goal=int, feedback=int, result=str)
+TELL = Action("arm/tell", goal=str, feedback=int, result=str)
+
+
+def on_goal(goal: int) -> None:
+    if goal < 0:
+        raise GoalRejected("one cannot count down")
+
+
+async def count(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
+    try:
+        for number in range(goal.request):
+            yield number
+        await anyio.sleep(0 if goal.request < 100 else 3600)
+    finally:
+        if goal.request == 666:
+            print("it does not want to go", flush=True)
+            with anyio.CancelScope(shield=True):
+                await anyio.sleep(3600)
+    yield "counted"
+
+
+async def tell(goal: GoalHandle[str]) -> AsyncGenerator[int | str, None]:
+    yield goal.request
+
+
+server = ActionServer(COUNT, count, on_goal=on_goal, shutdown_timeout=600)
+several = (server, ActionServer(TELL, tell))
+nested = type("Namespace", (), {"server": server})
+empty = []
+mixed = [server, 3]
+number = 3
+
+
+def make():
+    return [ActionServer(TELL, tell)]
+
+
+def make_one(name):
+    return server
+
+
+def make_nothing():
+    return None
+
+
+def fail():
+    raise RuntimeError("the arm is not plugged in")
+
+
+async def make_later():
+    return server
+"""

@@ -1,0 +1,129 @@
+"""Exit codes, and errors as sentences."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Awaitable, Callable
+
+import anyio
+import click
+import pytest
+
+from fibaction import (
+    ActionError,
+    AuthenticationFailed,
+    CancelRejected,
+    ConnectionLost,
+    GoalAborted,
+    GoalCanceled,
+    GoalID,
+    GoalRejected,
+    ProtocolError,
+    ServerNotFound,
+    TransportError,
+    UnknownGoal,
+)
+from fibaction.cli import app
+from fibaction.cli.ending import ExitCode, Failure, telling_errors
+from tests.cli.conftest import Invoke
+
+
+def run(verb: Callable[[], Awaitable[int]]) -> None:
+    """Run a verb as the group of verbs does."""
+    with telling_errors():
+        app.run(verb)
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (GoalAborted("no"), 1),
+        (GoalCanceled("no"), 3),
+        (GoalRejected("no"), 4),
+        (ServerNotFound("no"), 6),
+        (ConnectionLost("no"), 6),
+        (AuthenticationFailed("no"), 6),
+        (ProtocolError("no"), 6),
+        (TransportError("no"), 2),
+        (UnknownGoal(GoalID(bytes(16))), 2),
+        (CancelRejected("no"), 1),
+    ],
+)
+def test_every_error_has_its_exit_code_alone_and_in_a_group(error: ActionError, code: int) -> None:
+    async def alone() -> int:
+        raise error
+
+    async def grouped() -> int:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(alone)
+        raise AssertionError
+
+    for verb in (alone, grouped):
+        with pytest.raises(Failure) as failure:
+            run(verb)
+        assert failure.value.exit_code == code
+        assert failure.value.message == str(error)
+
+
+def test_ctrl_c_where_nothing_is_to_be_canceled_ends_as_shells_expect() -> None:
+    async def verb() -> int:
+        raise KeyboardInterrupt
+
+    with pytest.raises(click.exceptions.Exit) as exit:
+        run(verb)
+
+    assert exit.value.exit_code == 130
+
+
+def test_a_failure_in_a_group_is_found_among_other_errors() -> None:
+    async def fail() -> None:
+        raise Failure("it is wrong", ExitCode.USAGE)
+
+    async def verb() -> int:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(fail)
+            await fail_too()
+        raise AssertionError
+
+    async def fail_too() -> None:
+        raise ZeroDivisionError
+
+    with pytest.raises(Failure, match="it is wrong"):
+        run(verb)
+
+
+def test_an_error_in_a_group_that_is_for_nobody_comes_out_as_itself() -> None:
+    async def fail() -> None:
+        raise ZeroDivisionError
+
+    async def verb() -> int:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(fail)
+        raise AssertionError
+
+    with pytest.raises(ZeroDivisionError):
+        run(verb)
+
+
+def test_a_traceback_is_shown_only_if_it_is_asked_for(invoke: Invoke) -> None:
+    plain = invoke("-u", "nonsense", "list")
+    debugged = invoke("-u", "nonsense", "list", env={"FIBACTION_DEBUG": "1"})
+
+    assert "Traceback" not in plain.stderr
+    assert "Traceback" in debugged.stderr
+    assert "fibaction.exceptions.TransportError" in debugged.stderr
+    assert debugged.stderr.endswith(plain.stderr)
+    assert plain.exit_code == debugged.exit_code == ExitCode.USAGE
+
+
+def test_a_closed_pipe_within_a_group_comes_out_for_click_to_handle() -> None:
+    async def write() -> None:
+        raise BrokenPipeError(errno.EPIPE, "closed")
+
+    async def verb() -> int:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(write)
+        raise AssertionError
+
+    with pytest.raises(BrokenPipeError):
+        run(verb)
