@@ -1,0 +1,81 @@
+"""Run scenarios until the time is up, or one fails: see the package."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import secrets
+import sys
+import time
+
+from tests.simulation.scenario import scenario_of
+from tests.simulation.world import Report, simulate
+
+SEEDS = 2**32
+"""How many seeds a fresh one is chosen from: few digits to type, and hardly ever the same twice."""
+
+
+def main() -> int:
+    """What `python -m tests.simulation` does; gives the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m tests.simulation")
+    parser.add_argument("--seconds", type=float, default=60.0, help="how long, by the real clock")
+    parser.add_argument("--seed", type=int, help="run this scenario, and no other")
+    parser.add_argument("--from", type=int, dest="first", help="begin with this seed, and count on")
+    parser.add_argument("--trace", action="store_true", help="print all that happens")
+    chosen = parser.parse_args()
+    if chosen.seed is not None:
+        return _replay(chosen.seed, trace=chosen.trace)
+    first = secrets.randbelow(SEEDS) if chosen.first is None else chosen.first
+    return _explore(first, chosen.seconds)
+
+
+def _replay(seed: int, *, trace: bool) -> int:
+    report = simulate(scenario_of(seed))
+    if trace or report.violations:
+        print("\n".join(report.trace))
+    for violation in report.violations:
+        print(f"VIOLATED {violation}")
+    print(f"seed {seed}: {report.digest}")
+    return int(report.has_failed)
+
+
+def _explore(first: int, seconds: float) -> int:
+    print(f"first seed: {first}", flush=True)
+    begun = time.perf_counter()
+    counts = dict.fromkeys(
+        ("scenarios", "known", "goals", "connections", "cuts", "restarts", "virtual_seconds"), 0.0
+    )
+    seed = first
+    while (elapsed := time.perf_counter() - begun) < seconds:
+        report = simulate(scenario_of(seed))
+        if report.has_failed:
+            tell_failure(report)
+            return 1
+        _count(counts, report)
+        seed += 1
+    counts["per_minute"] = 60 * counts["scenarios"] / elapsed
+    print(json.dumps({name: round(count) for name, count in counts.items()}))
+    return 0
+
+
+def _count(counts: dict[str, float], report: Report) -> None:
+    counts["scenarios"] += 1
+    counts["known"] += bool(report.violations)
+    counts["goals"] += report.goals
+    counts["connections"] += report.connections
+    counts["cuts"] += report.cuts
+    counts["restarts"] += report.restarts
+    counts["virtual_seconds"] += report.seconds
+
+
+def tell_failure(report: Report) -> None:
+    """Print what happened, what was wrong, and how to see it again."""
+    print("\n".join(report.trace))
+    print(f"\nseed {report.scenario.seed} fails:")
+    for violation in report.violations:
+        print(f"  {violation}")
+    print(f"again: python -m tests.simulation --seed {report.scenario.seed} --trace")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,181 @@
+"""The executors of the simulation: each kind behaves in its own way, as its goal says."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Callable
+from typing import TypeAlias
+
+import anyio
+
+from fibaction import CancelRejected, GoalAborted, GoalCanceled, GoalHandle, GoalRejected
+from fibaction.executor import Executor
+from tests.simulation.invariants import ON_PURPOSE, Record, Truth
+from tests.simulation.scenario import Done, Step, Work
+
+Items: TypeAlias = AsyncGenerator[Step | Done, None]
+
+ENDLESS = 30.0
+"""Seconds that an endless goal takes, if nobody ends it."""
+
+
+class Job:
+    """One goal being executed, and what is known of it."""
+
+    def __init__(self, goal: GoalHandle[Work], truth: Truth) -> None:
+        self.goal = goal
+        self.work = goal.request
+        self._truth = truth
+
+    def step(self) -> Step:
+        """The next feedback."""
+        self._truth.count += 1
+        return Step(self._truth.count, bytes(self.work.size))
+
+    def done(self) -> Done:
+        """The result."""
+        result = self.part()
+        if self._truth.outcome is None:  # or it was killed, and nobody wants it any more
+            self._truth.result = result
+        return result
+
+    def part(self) -> Done:
+        """What there is of the result."""
+        return Done(self.work.key, self._truth.count, bytes(self.work.size))
+
+    async def rest(self) -> None:
+        """Await, for as long as the goal says."""
+        await anyio.sleep(self.work.pause)
+
+
+async def steady(job: Job) -> Items:
+    for _ in range(job.work.steps):
+        yield job.step()
+        await job.rest()
+    yield job.done()
+
+
+async def busy(job: Job) -> Items:
+    for _ in range(job.work.steps):
+        yield job.step()
+    yield job.done()
+
+
+async def bursts(job: Job) -> Items:
+    for number in range(job.work.steps):
+        yield job.step()
+        if number % 5 == 4:
+            await job.rest()
+    yield job.done()
+
+
+async def instant(job: Job) -> Items:
+    yield job.done()
+
+
+async def tidy(job: Job) -> Items:
+    try:
+        for _ in range(job.work.steps):
+            yield job.step()
+            await job.rest()
+        await anyio.sleep(0.2)
+    except anyio.get_cancelled_exc_class():
+        await anyio.sleep(job.work.cleanup)
+        raise GoalCanceled(ON_PURPOSE, result=job.part()) from None
+    yield job.done()
+
+
+async def polite(job: Job) -> Items:
+    for _ in range(job.work.steps):
+        if job.goal.cancel_requested:
+            raise GoalCanceled(ON_PURPOSE, result=job.part())
+        yield job.step()
+        await job.rest()
+    yield job.done()
+
+
+async def stubborn(job: Job) -> Items:
+    left = job.work.steps
+    while left:
+        try:
+            left -= 1
+            yield job.step()
+            await job.rest()
+        except anyio.get_cancelled_exc_class():
+            await anyio.sleep(job.work.cleanup)
+    yield job.done()
+
+
+async def raises(job: Job) -> Items:
+    for _ in range(job.work.steps):
+        yield job.step()
+        await job.rest()
+    raise ValueError(ON_PURPOSE)
+
+
+async def aborts(job: Job) -> Items:
+    for _ in range(job.work.steps):
+        yield job.step()
+    raise GoalAborted(ON_PURPOSE, result=job.part())
+
+
+async def endless(job: Job) -> Items:
+    ends_at = anyio.current_time() + ENDLESS
+    while anyio.current_time() < ends_at:
+        if job.goal.cancel_requested:
+            raise GoalCanceled(ON_PURPOSE)
+        yield job.step()
+        await anyio.sleep(max(job.work.pause, 0.05))
+    yield job.done()
+
+
+KINDS: dict[str, Callable[[Job], Items]] = {
+    kind.__name__: kind
+    for kind in (
+        steady,
+        busy,
+        bursts,
+        instant,
+        tidy,
+        polite,
+        stubborn,
+        raises,
+        aborts,
+        endless,
+    )
+}
+
+
+def executor_for(record: Record) -> Executor[Work, Step, Done]:
+    """The executor of all goals, which tells the record what it does."""
+
+    def execute(goal: GoalHandle[Work]) -> Items:
+        truth = record.started(goal.goal_id, goal.stamp)
+        return KINDS[goal.request.kind](Job(goal, truth))
+
+    return execute
+
+
+def agree_on_goal(work: Work) -> None:
+    """A sync `on_goal`."""
+    if work.refuse == "reject":
+        raise GoalRejected(ON_PURPOSE)
+    if work.refuse == "fail":
+        raise ValueError(ON_PURPOSE)
+
+
+async def agree_on_goal_later(work: Work) -> None:
+    """An async `on_goal`."""
+    await anyio.sleep(work.decide)
+    agree_on_goal(work)
+
+
+def agree_on_cancel(goal: GoalHandle[Work]) -> None:
+    """A sync `on_cancel`."""
+    if goal.request.refuse == "cancel":
+        raise CancelRejected(ON_PURPOSE)
+
+
+async def agree_on_cancel_later(goal: GoalHandle[Work]) -> None:
+    """An async `on_cancel`."""
+    await anyio.sleep(goal.request.decide)
+    agree_on_cancel(goal)

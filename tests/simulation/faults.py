@@ -1,0 +1,375 @@
+"""Small deliberate mistakes in the product, to show that the simulation finds such.
+
+Each is a context manager that replaces one method of one class, as a slip in its code would, and
+knows seeds of scenarios that find it. What it is to be found by is an invariant, any of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from typing import Any
+
+import msgspec
+from anyio import sleep
+
+from fibaction.goals import GoalID, GoalInfo
+from fibaction.messages import CancelAnswered, Ended, Follow, Received, decode_from_client
+from fibaction.observing import _Observer
+from fibaction.protocol import (
+    Admission,
+    Cancellation,
+    Ending,
+    EndKind,
+    Goal,
+    ServerProtocol,
+    _Kept,
+)
+from fibaction.server import ActionServer
+from fibaction.states import GoalStatus
+from fibaction.streams import GoalLog, LogStream, StatusFeed
+from fibaction.waking import Waking
+from fibaction.wire.calls import RemoteGoal, _Credits
+from fibaction.wire.channel import StreamChannel
+from fibaction.wire.connecting import RemoteConnection
+from fibaction.wire.flows import Flow
+from fibaction.wire.link import PING, Link
+from fibaction.wire.orphans import Orphans
+from fibaction.wire.serving import Session
+
+
+class Mistake(msgspec.Struct, frozen=True):
+    """One of them."""
+
+    name: str
+    meaning: str
+    cls: type
+    method: str
+    make: Callable[[Any], Any]
+    """Given the real method, the wrong one."""
+    seeds: tuple[int, ...]
+    """Scenarios that are known to find it, tried first."""
+
+    @contextmanager
+    def made(self) -> Generator[None, None, None]:
+        """Make it, for as long as the block lasts."""
+        real = self.cls.__dict__[self.method]
+        setattr(self.cls, self.method, self.make(real))
+        try:
+            yield
+        finally:
+            setattr(self.cls, self.method, real)
+
+
+MISTAKES: dict[str, Mistake] = {}
+
+
+def mistake(
+    cls: type, method: str, *seeds: int
+) -> Callable[[Callable[[Any], Any]], Callable[[Any], Any]]:
+    """Decorates what makes a wrong method out of the real one; its docstring says what is wrong."""
+
+    def register(make: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        name = make.__name__.replace("_", " ")
+        meaning = " ".join((make.__doc__ or "").split())
+        MISTAKES[name] = Mistake(name, meaning, cls, method, make, seeds)
+        return make
+
+    return register
+
+
+class _Deaf(Waking):
+    """Something that wakes nobody."""
+
+    __slots__ = ()
+
+    def wake(self) -> None:
+        pass
+
+
+# The server
+
+
+@mistake(ServerProtocol, "admit", 38, 10, 28)
+def a_goal_runs_again_when_it_is_sent_again(real: Any) -> Any:
+    """A retry is taken for a new goal."""
+
+    def admit(self: ServerProtocol, goal_id: GoalID, payload: bytes, *, now: float) -> Admission:
+        admission: Admission = real(self, goal_id, payload, now=now)
+        if admission is Admission.REPEAT:
+            self._undecided[goal_id] = hash(payload)
+            return Admission.DECIDE
+        return admission
+
+    return admit
+
+
+@mistake(Cancellation, "accept", 192, 94, 376)
+def a_cancel_races_the_end(real: Any) -> Any:
+    """A goal that has ended while its cancel was decided upon is said to be canceling."""
+
+    def accept(self: Cancellation, goal: Goal) -> bool:
+        if goal.status.is_terminal:
+            self._canceling[goal.goal_id] = goal.info
+            return True
+        accepted: bool = real(self, goal)
+        return accepted
+
+    return accept
+
+
+@mistake(ServerProtocol, "finish", 18, 36, 47)
+def a_cancel_beats_the_result(real: Any) -> Any:
+    """A goal that yields its result while it is canceling ends as canceled."""
+
+    def finish(self: ServerProtocol, goal: Goal, ending: Ending, *, now: float) -> Any:
+        if goal.status is GoalStatus.CANCELING and ending.kind is EndKind.RESULT:
+            ending = Ending(EndKind.CANCELED, ending.result)
+        return real(self, goal, ending, now=now)
+
+    return finish
+
+
+@mistake(_Kept, "put", 159, 97, 190)
+def a_result_expires_too_early(real: Any) -> Any:
+    """Outcomes are kept for half the time."""
+
+    def put(self: _Kept[Any], goal_id: GoalID, thing: Any, now: float) -> None:
+        real(self, goal_id, thing, now - self._seconds / 2)
+
+    return put
+
+
+@mistake(ActionServer, "__init__", 80, 54, 97)
+def nobody_hears_of_a_decision(real: Any) -> Any:
+    """Whoever waits until a goal is decided upon is not woken."""
+
+    def __init__(self: ActionServer[Any, Any, Any], *args: Any, **keywords: Any) -> None:
+        real(self, *args, **keywords)
+        self._decided = _Deaf()
+
+    return __init__
+
+
+@mistake(GoalLog, "append", 3, 5, 6)
+def feedback_is_numbered_twice(real: Any) -> Any:
+    """Every fifth message gets the number of the one before."""
+
+    def append(self: GoalLog, payload: bytes) -> None:
+        if self.goal.feedback_count % 5 == 4:
+            self.goal.feedback_count -= 1
+        real(self, payload)
+
+    return append
+
+
+@mistake(GoalLog, "finish", 8, 19)
+def the_end_wakes_only_readers(real: Any) -> Any:
+    """Those who follow a goal without its feedback are not told that it has ended."""
+
+    def finish(self: GoalLog) -> None:
+        for stream in self._readers:
+            stream.news.wake()
+        self._ended.wake()
+
+    return finish
+
+
+@mistake(LogStream, "take", 14, 5, 26)
+def the_end_overtakes_feedback(real: Any) -> Any:
+    """A goal that has ended has no more feedback, even if that was not read."""
+
+    def take(self: LogStream, limit: int = 1) -> Any:
+        return None if self.ended() is not None else real(self, limit)
+
+    return take
+
+
+@mistake(StatusFeed, "publish", 5, 6, 8)
+def statuses_come_out_of_order(real: Any) -> Any:
+    """That a goal is executing is told after what follows it."""
+    late: list[GoalInfo] = []
+
+    def publish(self: StatusFeed, info: GoalInfo) -> None:
+        if info.status is GoalStatus.EXECUTING:
+            late.append(info)
+            return
+        real(self, info)
+        while late:
+            real(self, late.pop())
+
+    return publish
+
+
+# The server's half of a connection
+
+
+@mistake(Session, "_say", 5, 17, 8)
+def an_answer_is_dropped(real: Any) -> Any:
+    """The answer to a cancel is not sent."""
+
+    async def _say(self: Session, answer: Any) -> None:
+        if not isinstance(answer, CancelAnswered):
+            await real(self, answer)
+
+    return _say
+
+
+@mistake(Session, "_handle", 14, 5, 8)
+def received_is_not_heard(real: Any) -> Any:
+    """That a client has the end of a goal goes unnoticed."""
+
+    def _handle(self: Session, frame: bytes) -> None:
+        if not isinstance(decode_from_client(frame), Received):
+            real(self, frame)
+
+    return _handle
+
+
+@mistake(Orphans, "_wait", 49, 3, 66)
+def an_orphan_is_never_ended(real: Any) -> Any:
+    """What is kept for a client that does not come back is kept for ever."""
+
+    async def _wait(self: Orphans, *_: Any) -> None:
+        pass
+
+    return _wait
+
+
+@mistake(Flow, "add", 14, 8, 30)
+def credit_counts_twice(real: Any) -> Any:
+    """A client is sent more than it has asked for."""
+
+    def add(self: Flow, count: int) -> None:
+        real(self, 2 * count)
+
+    return add
+
+
+@mistake(Waking, "wake", 22, 28, 17)
+def a_listener_is_lost(real: Any) -> Any:
+    """Once in a while, who listens is forgotten instead of called."""
+    calls = [0]
+
+    def wake(self: Waking) -> None:
+        calls[0] += self.listener is not None
+        if calls[0] % 20 == 19:
+            self.listener = None
+        real(self)
+
+    return wake
+
+
+# The client's half
+
+
+@mistake(RemoteGoal, "opening", 97, 458, 483)
+def the_resume_number_is_one_too_large(real: Any) -> Any:
+    """A goal that is followed on a new connection goes on one message too late."""
+
+    def opening(self: RemoteGoal) -> Any:
+        message = real(self)
+        if isinstance(message, Follow) and message.after is not None:
+            message.after += 1
+        return message
+
+    return opening
+
+
+@mistake(RemoteGoal, "opening", 56, 17, 50)
+def the_resume_number_is_one_too_small(real: Any) -> Any:
+    """A goal that is followed on a new connection begins with what has come already."""
+
+    def opening(self: RemoteGoal) -> Any:
+        message = real(self)
+        if isinstance(message, Follow) and message.after:
+            message.after -= 1
+        return message
+
+    return opening
+
+
+@mistake(RemoteGoal, "hear", 14, 8)
+def the_end_wakes_nobody(real: Any) -> Any:
+    """Whoever waits for a goal at the client is not woken by its end."""
+
+    def hear(self: RemoteGoal, message: Any) -> Any:
+        news = self.news
+        if isinstance(message, Ended):
+            self.news = _Deaf()
+        try:
+            return real(self, message)
+        finally:
+            self.news = news
+
+    return hear
+
+
+@mistake(_Credits, "grant", 22, 14)
+def credit_is_never_granted(real: Any) -> Any:
+    """What was read makes no room for more."""
+
+    def grant(self: _Credits, count: int = 1) -> None:
+        pass
+
+    return grant
+
+
+@mistake(RemoteConnection, "_begin", 5, 6)
+def a_call_is_not_opened_again(real: Any) -> Any:
+    """A new connection does not ask for the last thing that was under way."""
+
+    def _begin(self: RemoteConnection, welcome: Any) -> None:
+        if self._calls:
+            self._calls.popitem()
+        real(self, welcome)
+
+    return _begin
+
+
+@mistake(RemoteConnection, "_give_up", 2, 3)
+def giving_up_forgets_a_waiter(real: Any) -> Any:
+    """When there is no hope for a connection, one who waits is not told."""
+
+    def _give_up(self: RemoteConnection, error: Any) -> None:
+        if self._calls:
+            self._calls.popitem()
+        real(self, error)
+
+    return _give_up
+
+
+@mistake(_Observer, "_follow", 400, 291)
+def a_goal_is_watched_twice(real: Any) -> Any:
+    """A watcher follows a goal again if a change of its status comes after its feedback."""
+
+    async def _follow(self: _Observer[Any], goal_id: GoalID, *args: Any) -> None:
+        await real(self, goal_id, *args)
+        self._late.pop(goal_id, None)
+
+    return _follow
+
+
+# Both halves
+
+
+@mistake(Link, "_watch", 31, 9, 17)
+def silence_is_not_noticed(real: Any) -> Any:
+    """A line on which nothing comes any more is taken for a quiet one."""
+
+    async def _watch(self: Link) -> None:
+        while True:
+            await sleep(self._heartbeat)
+            self.post(PING)
+
+    return _watch
+
+
+@mistake(StreamChannel, "aclose", 0, 2, 1)
+def a_connection_is_left_open(real: Any) -> Any:
+    """Who is through with a connection does not close it."""
+
+    async def aclose(self: StreamChannel) -> None:
+        pass
+
+    return aclose

@@ -1,0 +1,399 @@
+"""What must be true in every run, and what is known of a run to say so.
+
+A `Record` is told what servers and executors do, which is the truth, and how clients fare. What
+does not fit is kept as a `Violation`. It never acts, and nobody waits for it. What clients see of
+goals is compared with it in `views`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from fibaction import (
+    ActionError,
+    CancelAnswer,
+    CancelCode,
+    ConnectionLost,
+    GoalID,
+    GoalRejected,
+    GoalStatus,
+    Outcome,
+    ServerNotFound,
+    UnknownGoal,
+)
+from fibaction.states import INITIAL, TRANSITIONS
+from tests.simulation.scenario import SIMULATED, ClientPlan, Done, Scenario
+
+INVARIANTS = {
+    "once": "an accepted goal is executed at most once",
+    "end": "an accepted goal ends exactly once, in the way that its executor did",
+    "answer": "everybody who waits is answered",
+    "feedback": "feedback comes in order, as it was yielded, and no gap is silent",
+    "complete": "no feedback is dropped if nobody was late",
+    "status": "a status follows another only along the edges of the table",
+    "outcome": "every client is told the outcome that the server has",
+    "error": "a call fails only if there is a reason",
+    "cancel": "the answer to a cancel is what happens",
+    "rest": "nothing is left at the end: no task, no connection, no goal",
+    "log": "no error is logged, and no exception is lost",
+}
+"""What is claimed, by short names."""
+
+ON_PURPOSE = "on purpose"
+"""Stands in the text of every error that a scenario wants."""
+EPSILON = 1e-3
+"""Seconds that a message needs to be seen, once it is there: no weather is meant, only turns."""
+
+
+class Violation(msgspec.Struct, frozen=True):
+    """Something that must not be."""
+
+    invariant: str
+    text: str
+    at: float
+
+    def __str__(self) -> str:
+        return f"[{self.at:.6f}] {self.invariant} ({INVARIANTS[self.invariant]}): {self.text}"
+
+
+def _reachable() -> dict[GoalStatus, frozenset[GoalStatus]]:
+    """For each status, those that can come after it, itself included, at whatever distance."""
+    edges = {(before, after) for (before, _), after in TRANSITIONS.items()}
+    reach = {status: {status} for status in GoalStatus}
+    for _ in GoalStatus:
+        for before, after in edges:
+            reach[before] |= reach[after]
+    for status in GoalStatus:
+        if status.is_terminal:
+            reach[status].add(GoalStatus.UNKNOWN)  # it is forgotten
+    return {status: frozenset(others) for status, others in reach.items()}
+
+
+REACHABLE = _reachable()
+NEXT = {(before, after) for (before, _), after in TRANSITIONS.items()}
+
+
+class Truth:
+    """An accepted goal, as its server knows it."""
+
+    def __init__(self, goal_id: GoalID, stamp: int, life: Life, at: float) -> None:
+        self.goal_id = goal_id
+        self.stamp = stamp
+        self.life = life
+        self.accepted_at = at
+        self.statuses = [INITIAL]
+        self.starts = 0
+        self.count = 0
+        """How much feedback the executor has yielded."""
+        self.result: Done | None = None
+        """The result that it has yielded."""
+        self.outcome: Outcome[Any] | None = None
+        self.ended_at = math.inf
+
+
+class Life:
+    """One server, from its start to its stop."""
+
+    def __init__(self, number: int, at: float, protocol: object) -> None:
+        self.number = number
+        self.began_at = at
+        self.stops_at = math.inf
+        self.crashed = False
+        self.protocol = protocol
+        self.goals: dict[tuple[GoalID, int], Truth] = {}
+        self.ended: list[Truth] = []
+        self.rejected: set[GoalID] = set()
+
+
+class ClientState:
+    """One client's connection, as it was seen from outside."""
+
+    def __init__(self, plan: ClientPlan) -> None:
+        self.plan = plan
+        self.is_ready = False
+        self.was_ready = False
+        self.has_failed = False
+        """Whether an attempt to connect has failed, and none has succeeded since."""
+        self.lost_at = math.inf
+        self.losses = 0
+        self.absent_at = -math.inf
+        """When it was last found that there is no connection, and that nobody waits for one."""
+        self.is_final = False
+        self.is_leaving = False
+        self.goals: set[GoalID] = set()
+        """Those that it has sent."""
+
+    def is_absent(self, now: float) -> bool:
+        """Whether its calls may fail because there is no connection."""
+        if self.is_leaving or self.is_final:
+            return True
+        if self.is_ready:
+            return False
+        if not self.was_ready:
+            return self.has_failed
+        return now >= self.lost_at + self.plan.reconnect_timeout - EPSILON
+
+
+class Record:
+    """All that is known of one run."""
+
+    def __init__(self, scenario: Scenario, now: Callable[[], float]) -> None:
+        self.scenario = scenario
+        self.now = now
+        self.trace: list[tuple[float, str]] = []
+        self.violations: list[Violation] = []
+        self.lives: list[Life] = []
+        self.clients = {plan.name: ClientState(plan) for plan in scenario.clients}
+        self.sent: list[tuple[GoalID, Any]] = []
+        """Every goal that was sent, with what was sent."""
+        self.sent_again: set[GoalID] = set()
+        """Those that were sent more than once on purpose."""
+        self.clashes: set[GoalID] = set()
+        """The IDs under which another goal was sent."""
+        self._cancels: set[GoalID | None] = set()
+        self._orphaned: dict[GoalID, float] = {}
+        self._outages: dict[GoalID, list[float]] = {}
+        server = scenario.server
+        faults = [fault.kind for fault in scenario.faults]
+        self.all_ends_are_told = bool(faults) and all(kind == "restart" for kind in faults)
+        """Whether all that goes wrong is that servers stop, which tell their clients first."""
+        self.promises_all = server.feedback == "every" and scenario.climate != "rough"
+
+    def tell(self, text: str) -> None:
+        """Something has happened."""
+        self.trace.append((self.now(), text))
+
+    def may_cancel(self, goal_id: GoalID | None) -> None:
+        """Somebody may ask to cancel that goal; None is all."""
+        self._cancels.add(goal_id)
+
+    def fail(self, invariant: str, text: str) -> None:
+        """Something has happened that must not."""
+        assert invariant in INVARIANTS
+        violation = Violation(invariant, text, self.now())
+        self.violations.append(violation)
+        self.tell(f"VIOLATION {violation}")
+
+    # What servers do
+
+    def life_of(self, protocol: object) -> Life:
+        """The server whose protocol that is."""
+        return next(life for life in reversed(self.lives) if life.protocol is protocol)
+
+    def truth(self, goal_id: GoalID, stamp: int | None) -> Truth | None:
+        """What is true of a goal; of the last of that ID, if `stamp` is None."""
+        for life in reversed(self.lives):
+            for (known, known_stamp), truth in reversed(life.goals.items()):
+                if known == goal_id and stamp in (None, known_stamp):
+                    return truth
+        return None
+
+    def outcomes(self, goal_id: GoalID, stamp: int | None) -> list[Outcome[Any] | None]:
+        """How the goals of that ID have ended; there are several if it was sent again later."""
+        return [
+            truth.outcome
+            for life in self.lives
+            for (known, known_stamp), truth in life.goals.items()
+            if known == goal_id and stamp in (None, known_stamp)
+        ]
+
+    def orphaned(self, goal_id: GoalID) -> None:
+        """A server has lost the client of a goal."""
+        self._orphaned.setdefault(goal_id, self.now())
+
+    def owned(self, goal_id: GoalID) -> None:
+        """A client follows its goal."""
+        if (since := self._orphaned.pop(goal_id, None)) is not None:
+            self._outages.setdefault(goal_id, []).append(self.now() - since)
+
+    def was_orphaned_for(self, goal_id: GoalID, seconds: float) -> bool:
+        """Whether a goal was without its client for so long, at once."""
+        since = self._orphaned.get(goal_id, math.inf)
+        outages = [*self._outages.get(goal_id, []), self.now() - since]
+        return any(outage >= seconds - EPSILON for outage in outages)
+
+    def accepted(self, life: Life, goal_id: GoalID, stamp: int) -> None:
+        """A server has accepted a goal."""
+        now = self.now()
+        self.tell(f"server {life.number} accepts {short(goal_id)}")
+        for known in life.goals.values():
+            if known.goal_id == goal_id and not self._may_run_again(known, now):
+                lost = any(one.losses for one in self.clients.values() if goal_id in one.goals)
+                how = "again, after its connection was lost" if lost else "twice"
+                self.fail("once", f"goal {short(goal_id)} was accepted {how}")
+        life.goals[goal_id, stamp] = Truth(goal_id, stamp, life, now)
+
+    def _may_run_again(self, truth: Truth, now: float) -> bool:
+        if not self._has_expired(truth, now):
+            return False
+        if truth.goal_id in self.sent_again:
+            return True
+        return self.was_orphaned_for(truth.goal_id, self.scenario.server.grace)
+
+    def changed(self, truth: Truth, status: GoalStatus) -> None:
+        """A goal has another status."""
+        before = truth.statuses[-1]
+        if status is before:
+            return
+        self.tell(f"{short(truth.goal_id)} is {status.name}")
+        if (before, status) not in NEXT:
+            self.fail("status", f"a goal went from {before.name} to {status.name}")
+        truth.statuses.append(status)
+
+    def started(self, goal_id: GoalID, stamp: int) -> Truth:
+        """An executor has started."""
+        truth = self.truth(goal_id, stamp)
+        assert truth is not None
+        truth.starts += 1
+        if truth.starts > 1:
+            self.fail("once", f"the executor of {short(goal_id)} was started {truth.starts} times")
+        return truth
+
+    def ended(self, truth: Truth, outcome: Outcome[bytes], count: int) -> None:
+        """A goal has ended."""
+        name = short(truth.goal_id)
+        result = None if outcome.result is None else SIMULATED.result.decode(outcome.result)
+        self.tell(f"{name} ends {outcome.status.name} {outcome.reason} after {count}")
+        if truth.outcome is not None:
+            self.fail("end", f"goal {name} ended twice")
+        truth.outcome = Outcome(outcome.status, result, outcome.reason)
+        truth.ended_at = self.now()
+        truth.life.ended.append(truth)
+        succeeded = outcome.status is GoalStatus.SUCCEEDED
+        if succeeded != (truth.result is not None) or (succeeded and result != truth.result):
+            self.fail("end", f"goal {name} ended {truth.outcome}; it had yielded {truth.result}")
+        if count != truth.count:
+            self.fail("feedback", f"goal {name} has yielded {truth.count}, and {count} are counted")
+        asked = self._cancels & {truth.goal_id, None} or self.scenario.server.orphans == "cancel"
+        if outcome.status is GoalStatus.CANCELED and not asked:
+            self.fail("cancel", f"goal {name} was canceled, and nobody has asked for it")
+
+    # What clients see
+
+    def is_forgotten(
+        self,
+        client: ClientState,
+        goal_id: GoalID,
+        stamp: int | None,
+        *,
+        own: bool,
+        since: float = math.inf,
+    ) -> bool:
+        """Whether a client that has asked at `since` may be told that nobody knows of the goal;
+        `stamp` None is the last of that ID.
+        """
+        now = self.now()
+        if self.lives and self.lives[-1].stops_at <= now:
+            return True
+        truths = [
+            truth
+            for life in self.lives
+            for (known, known_stamp), truth in life.goals.items()
+            if known == goal_id and stamp in (None, known_stamp)
+        ]
+        if not truths:
+            return True
+        truth = truths[-1]
+        if truth.life is not self.lives[-1] or (stamp is None and truth.accepted_at >= since):
+            return True
+        if not self._has_expired(truth, now):
+            return False
+        # Of what is kept for a client there is one, and the next request for it has it.
+        is_shared = goal_id in self.sent_again
+        return not own or is_shared or self.was_orphaned_for(goal_id, self.scenario.server.grace)
+
+    def _has_expired(self, truth: Truth, now: float) -> bool:
+        server, ended = self.scenario.server, truth.life.ended
+        if now >= truth.ended_at + server.result_timeout - EPSILON:
+            return True
+        later = len(ended) - 1 - ended.index(truth) if truth in ended else 0
+        return truth.outcome is not None and later >= server.max_results
+
+    def failed(
+        self,
+        client: ClientState,
+        error: ActionError,
+        what: str,
+        goal_id: GoalID | None = None,
+        *,
+        since: float = math.inf,
+    ) -> None:
+        """A call of a client, made at `since`, has failed."""
+        self.tell(f"{client.plan.name}: {what}: {type(error).__name__}: {error}")
+        if not self._is_excused(client, error, goal_id, since):
+            text = f"{client.plan.name}: {what}: {type(error).__name__}: {error}"
+            self.fail("error", text)
+
+    def _is_excused(
+        self, client: ClientState, error: ActionError, goal_id: GoalID | None, since: float
+    ) -> bool:
+        now = self.now()
+        if isinstance(error, GoalRejected):
+            stops = any(life.stops_at <= now for life in self.lives)
+            return (
+                ON_PURPOSE in error.reason
+                or (stops and "stopping" in error.reason)
+                or (goal_id in self.clashes and "in use" in error.reason)
+                or ("too much at once" in error.reason and self._is_limited)
+            )
+        if isinstance(error, UnknownGoal):
+            # Whoever attaches is an observer, also to a goal of its own.
+            return goal_id is not None and self.is_forgotten(
+                client, goal_id, None, own=False, since=since
+            )
+        if isinstance(error, ServerNotFound | ConnectionLost):
+            if "is not running" in str(error):
+                return any(life.stops_at <= now for life in self.lives)
+            if self.scenario.climate == "calm":
+                return client.is_leaving
+            return client.is_absent(now) or client.absent_at >= since
+        return "too much at once" in str(error) and self._is_limited
+
+    @property
+    def _is_limited(self) -> bool:
+        return self.scenario.server.goals < 1000
+
+    def cancel_answered(
+        self, answer: CancelAnswer, goal_id: GoalID | None, asked_at: float, stamp: int | None
+    ) -> None:
+        """A cancel was answered."""
+        for info in answer.goals_canceling:
+            truth = self.truth(info.goal_id, info.stamp)
+            if truth is None or GoalStatus.CANCELING not in truth.statuses:
+                self.fail("cancel", f"{short(info.goal_id)} is not canceling, unlike {answer}")
+        if bool(answer.goals_canceling) and answer.return_code is not CancelCode.NONE:
+            self.fail("cancel", f"goals are canceling, and the answer is {answer}")
+        if goal_id is None or stamp:
+            return
+        code = answer.return_code
+        life = self.lives[-1]
+        truths = [truth for (known, _), truth in life.goals.items() if known == goal_id]
+        if life.began_at > asked_at or life.stops_at <= self.now() or not truths:
+            return
+        truth = truths[-1]
+        if truth.accepted_at > asked_at:
+            return
+        if code is CancelCode.UNKNOWN_GOAL_ID and not self._has_expired(truth, self.now()):
+            self.fail("cancel", f"{short(goal_id)} is said to be unknown")
+        if code is CancelCode.GOAL_TERMINATED and truth.outcome is None:
+            self.fail("cancel", f"{short(goal_id)} is said to have ended")
+        if code is CancelCode.NONE and not answer.goals_canceling:
+            self.fail("cancel", f"{short(goal_id)} is said to cancel, without its name")
+
+    # At the end
+
+    def over(self) -> None:
+        """Nothing will happen any more."""
+        for life in self.lives:
+            for truth in life.goals.values():
+                if truth.outcome is None:
+                    self.fail("end", f"goal {short(truth.goal_id)} has not ended")
+
+
+def short(goal_id: GoalID) -> str:
+    """A goal's name in few letters."""
+    return f"g{int.from_bytes(goal_id[:4], 'big')}"

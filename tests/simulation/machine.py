@@ -1,0 +1,112 @@
+"""What the product asks of the machine, made up from a seed: the time, chance, and goal IDs.
+
+All modules of fibaction that are loaded get it, whatever they call it by, so that none can be
+forgotten. What it is for is not known here.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import secrets
+import sys
+import time
+import types
+from collections.abc import Callable, Generator, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+from unittest.mock import patch
+
+from fibaction import (
+    GoalID,
+)
+from fibaction.streams import LogStream
+from tests.simulation import loop as virtual
+from tests.simulation.clients import naming
+
+LOOK = 5e-5
+"""Virtual seconds that it takes the product to look at the time: so a generator that never awaits
+uses up its slice, as it does in the real world."""
+PAST = 1_700_000_000 * 10**9
+"""When virtual time began, in nanoseconds since 1970."""
+
+_FUNCTION = types.BuiltinFunctionType | types.FunctionType | types.MethodType
+
+
+class _Shadow(types.ModuleType):
+    """A module, with some of its functions replaced."""
+
+    def __init__(self, module: types.ModuleType, functions: dict[str, Any]) -> None:
+        super().__init__(module.__name__)
+        self._module = module
+        self.__dict__.update(functions)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+
+@contextmanager
+def made_up(loop: virtual.VirtualLoop, seed: int) -> Generator[None, None, None]:
+    """Let all modules of the product have the time and chance of this run."""
+    chance = random.Random(f"product {seed}")
+    numbers = iter(range(1, sys.maxsize))
+
+    def look() -> float:
+        loop.now += LOOK
+        return loop.now
+
+    def new_goal_id() -> GoalID:
+        goal_id = GoalID(next(numbers).to_bytes(4, "big") + b"simulated 12")
+        if (mine := naming.get(None)) is not None:
+            mine.named(goal_id)
+        return goal_id
+
+    replaced: dict[types.ModuleType, dict[str, Any]] = {
+        time: {
+            "time": lambda: PAST / 1e9 + loop.now,
+            "time_ns": lambda: PAST + int(loop.now * 1e9),
+            "monotonic": look,
+            "perf_counter": look,
+            "monotonic_ns": lambda: int(look() * 1e9),
+            "perf_counter_ns": lambda: int(look() * 1e9),
+        },
+        random: {
+            name: getattr(chance, name)
+            for name in ("random", "uniform", "randrange", "randint", "choice", "getrandbits")
+        },
+        secrets: {"token_bytes": chance.randbytes},
+        os: {"urandom": chance.randbytes},
+    }
+    shadows = {module: _Shadow(module, functions) for module, functions in replaced.items()}
+    single = {
+        getattr(module, name): function
+        for module, functions in replaced.items()
+        for name, function in functions.items()
+    }
+    with ExitStack() as stack:
+        stack.enter_context(patch.object(GoalID, "random", new_goal_id))
+        # Followers who want the end only are woken in the order of a set.
+        stack.enter_context(patch.object(LogStream, "__hash__", _counted(iter(range(sys.maxsize)))))
+        for module in _product():
+            for name, value in list(vars(module).items()):
+                if isinstance(value, types.ModuleType) and value in shadows:
+                    stack.enter_context(patch.object(module, name, shadows[value]))
+                elif isinstance(value, _FUNCTION) and value in single:
+                    stack.enter_context(patch.object(module, name, single[value]))
+        yield
+
+
+def _counted(numbers: Iterator[int]) -> Callable[[object], int]:
+    """A hash that is no address of memory."""
+
+    def __hash__(self: object) -> int:
+        number: int = self.__dict__.setdefault("_simulated_hash", None) or next(numbers) + 1
+        self.__dict__["_simulated_hash"] = number
+        return number
+
+    return __hash__
+
+
+def _product() -> list[types.ModuleType]:
+    roots = ("fibaction.", "fibaction_transports.")
+    return [module for name, module in sys.modules.items() if f"{name}.".startswith(roots)]

@@ -1,0 +1,90 @@
+"""The wire's two halves over the simulated network, put together as they are for TCP."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+
+from anyio.abc import TaskGroup
+
+from fibaction import (
+    Endpoint,
+    ServerNotFound,
+    Transport,
+)
+from fibaction.abc import Connection
+from fibaction.background import Background
+from fibaction.framing import MAX_FRAME
+from fibaction.wire.channel import StreamChannel
+from fibaction.wire.connecting import Keeping, connected
+from fibaction.wire.hub import Hub, hub
+from fibaction.wire.serving import Terms
+from fibaction_transports.tcp.lines import ProtocolLine
+from tests.simulation.network import Line, Listening, Network, SimulatedStream
+from tests.simulation.sockets import line_over
+
+
+class SimulatedTransport(Transport):
+    """The wire's two halves over the simulated network, put together as TCP does it."""
+
+    def __init__(
+        self,
+        network: Network,
+        line: Line | None = None,
+        keeping: Keeping | None = None,
+        terms: Terms | None = None,
+        *,
+        calls_back: bool = False,
+    ) -> None:
+        """A client has a line and keeps its connection, a server has terms. `calls_back` says that
+        no tasks read and write, but the loop calls, as it does for TCP without TLS.
+        """
+        self._calls_back = calls_back
+        self._network = network
+        self._line = line
+        self._keeping = keeping
+        self._terms = terms
+
+    @classmethod
+    def from_url(cls, url: str, **settings: Any) -> SimulatedTransport:
+        raise NotImplementedError  # a simulated network has no addresses
+
+    @asynccontextmanager
+    async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
+        assert self._terms is not None
+        served = {endpoint.info.name: endpoint for endpoint in endpoints}
+        async with hub(served, self._terms) as (connections, tasks):
+            listener = self._network.host.listen()
+            try:
+                async with Background() as accepting:
+                    accepting.start_soon(self._accept, listener, connections, tasks)
+                    yield "sim://server"
+            finally:
+                await listener.aclose()
+
+    async def _accept(self, listener: Listening, connections: Hub, tasks: TaskGroup) -> None:
+        while True:
+            stream = await listener.accept()
+            tasks.start_soon(connections.serve, self._line_over(stream, ""))
+
+    def _line_over(self, stream: SimulatedStream, peer: str) -> ProtocolLine | StreamChannel:
+        if self._calls_back:
+            return line_over(stream, MAX_FRAME, peer)
+        return StreamChannel(stream, peer or stream.peer, MAX_FRAME)
+
+    @asynccontextmanager
+    async def connect(self) -> AsyncGenerator[Connection, None]:
+        assert self._line is not None
+        assert self._keeping is not None
+        where = f"sim://server/{self._line.name}"
+        async with connected(self._dial, where, self._keeping) as connection:
+            yield connection
+
+    async def _dial(self) -> ProtocolLine | StreamChannel:
+        assert self._line is not None
+        try:
+            stream = await self._line.dial()
+        except OSError as exc:
+            raise ServerNotFound(f"nobody listens: {exc}") from exc
+        return self._line_over(stream, stream.peer)

@@ -1,0 +1,217 @@
+"""Tells a record what happens inside the product: what servers decide, how connections fare, what
+is logged.
+
+It looks on, by methods that call the real ones: nothing is decided or done otherwise here.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import sys
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+from unittest.mock import patch
+
+from fibaction import (
+    ActionError,
+    Endpoint,
+    GoalID,
+    Outcome,
+    ProtocolError,
+)
+from fibaction.abc import GoalStream
+from fibaction.protocol import Cancellation, Ending, Goal, ServerProtocol
+from fibaction.wire.connecting import RemoteConnection
+from fibaction.wire.hub import Hub
+from fibaction.wire.orphans import Orphans
+from fibaction.wire.serving import Session
+from tests.simulation.invariants import ON_PURPOSE, Record, Truth
+
+
+@contextmanager
+def recorded(record: Record, on_hub: Callable[[Hub], None]) -> Generator[None, None, None]:
+    """Let the record know what servers decide, and how connections fare."""
+    with ExitStack() as stack:
+
+        def observe(cls: type, name: str, make: Callable[[Any], Any]) -> None:
+            stack.enter_context(patch.object(cls, name, make(getattr(cls, name))))
+
+        observe(ServerProtocol, "accept", lambda real: _accepting(real, record))
+        observe(ServerProtocol, "execute", lambda real: _executing(real, record))
+        observe(ServerProtocol, "finish", lambda real: _finishing(real, record))
+        observe(Cancellation, "accept", lambda real: _canceling(real, record))
+        observe(RemoteConnection, "_attempt", lambda real: _attempting(real, record))
+        observe(RemoteConnection, "_begin", lambda real: _beginning(real, record))
+        observe(Session, "run", lambda real: _session_running(real, record))
+        observe(Orphans, "adopt", lambda real: _adopting(real, record))
+        observe(Orphans, "own", lambda real: _owning(real, record))
+        observe(Hub, "__init__", lambda real: _opening_hub(real, on_hub))
+        yield
+
+
+def _accepting(real: Any, record: Record) -> Any:
+    def accept(self: ServerProtocol, goal_id: GoalID, **keywords: Any) -> Goal:
+        goal: Goal = real(self, goal_id, **keywords)
+        record.accepted(record.life_of(self), goal_id, goal.stamp)
+        return goal
+
+    return accept
+
+
+def _truth(record: Record, goal: Goal) -> Truth:
+    truth = record.truth(goal.goal_id, goal.stamp)
+    assert truth is not None
+    return truth
+
+
+def _executing(real: Any, record: Record) -> Any:
+    def execute(self: ServerProtocol, goal: Goal) -> None:
+        real(self, goal)
+        record.changed(_truth(record, goal), goal.status)
+
+    return execute
+
+
+def _finishing(real: Any, record: Record) -> Any:
+    def finish(self: ServerProtocol, goal: Goal, ending: Ending, *, now: float) -> Outcome[bytes]:
+        outcome: Outcome[bytes] = real(self, goal, ending, now=now)
+        truth = _truth(record, goal)
+        record.changed(truth, goal.status)
+        record.ended(truth, outcome, goal.feedback_count)
+        return outcome
+
+    return finish
+
+
+def _canceling(real: Any, record: Record) -> Any:
+    def accept(self: Cancellation, goal: Goal) -> bool:
+        accepted: bool = real(self, goal)
+        record.changed(_truth(record, goal), goal.status)
+        return accepted
+
+    return accept
+
+
+def _attempting(real: Any, record: Record) -> Any:
+    async def _attempt(self: RemoteConnection) -> ActionError:
+        error: ActionError = await real(self)
+        state = record.clients[_name_in(self._where)]
+        if state.is_ready:
+            state.is_ready, state.lost_at = False, record.now()
+            state.losses += 1
+        else:
+            state.has_failed = True
+        record.tell(f"{state.plan.name} has no connection: {error}")
+        if isinstance(error, ProtocolError) and not _is_lines_fault(error, record):
+            record.fail("error", f"{state.plan.name}'s connection ended: {error}")
+        state.is_final = isinstance(error, ProtocolError) or not state.plan.reconnect
+        if state.is_absent(record.now()):
+            state.absent_at = record.now()
+        return error
+
+    return _attempt
+
+
+def _is_lines_fault(error: ProtocolError, record: Record) -> bool:
+    """Whether it may come of a line that stands still, and not of what was said."""
+    what, scenario = str(error), record.scenario
+    is_late = "has not said hello" in what
+    is_much = "asks for more than it reads" in what and scenario.server.queue < 10_000
+    return scenario.climate != "calm" and (is_late or is_much)
+
+
+def _beginning(real: Any, record: Record) -> Any:
+    def _begin(self: RemoteConnection, welcome: Any) -> None:
+        state = record.clients[_name_in(self._where)]
+        state.is_ready = state.was_ready = True
+        state.has_failed, state.lost_at = False, math.inf
+        real(self, welcome)
+
+    return _begin
+
+
+def _session_running(real: Any, record: Record) -> Any:
+    async def run(self: Session) -> ActionError:
+        peer = self._link.peer
+        error: ActionError = await real(self)
+        record.tell(f"the server's connection with {peer} ended: {error}")
+        if isinstance(error, ProtocolError) and not _is_lines_fault(error, record):
+            record.fail("error", f"the server's connection with {peer} ended: {error}")
+        return error
+
+    return run
+
+
+def _adopting(real: Any, record: Record) -> Any:
+    def adopt(self: Orphans, endpoint: Endpoint, stream: GoalStream, *, left: bool) -> None:
+        record.orphaned(stream.goal_id)
+        real(self, endpoint, stream, left=left)
+
+    return adopt
+
+
+def _owning(real: Any, record: Record) -> Any:
+    def own(self: Orphans, stream: GoalStream, *rest: Any) -> bool:
+        is_own: bool = real(self, stream, *rest)
+        if is_own:
+            record.owned(stream.goal_id)
+        return is_own
+
+    return own
+
+
+def _opening_hub(real: Any, on_hub: Callable[[Hub], None]) -> Any:
+    def __init__(self: Hub, *args: Any, **keywords: Any) -> None:
+        real(self, *args, **keywords)
+        on_hub(self)
+
+    return __init__
+
+
+def _name_in(where: str) -> str:
+    return where.rpartition("/")[2]
+
+
+class _Log(logging.Handler):
+    """Puts what is logged into the trace."""
+
+    def __init__(self, record: Record) -> None:
+        super().__init__()
+        self._record = record
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = record.getMessage()
+        self._record.tell(f"log {record.levelname} {text}")
+        wanted = ON_PURPOSE in text or ON_PURPOSE in str(record.exc_info and record.exc_info[1])
+        if record.levelno >= logging.ERROR and not wanted:
+            more = logging.Formatter().formatException(record.exc_info) if record.exc_info else ""
+            self._record.fail("log", f"{text}\n{more}")
+
+
+@contextmanager
+def listening(record: Record) -> Generator[None, None, None]:
+    """Hear what is logged, and what Python can only print."""
+    logger = logging.getLogger("fibaction")
+    handler = _Log(record)
+    before = logger.level, logger.propagate
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+
+    def unraisable(what: Any) -> None:
+        record.fail("log", f"nobody could be told of {what.exc_value!r} in {what.object!r}")
+
+    try:
+        with patch.object(sys, "unraisablehook", unraisable):
+            yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(before[0])
+        logger.propagate = before[1]
+
+
+def lost(record: Record, context: dict[str, Any]) -> None:
+    error = context.get("exception")
+    record.fail("log", f"{context['message']}: {error!r}")

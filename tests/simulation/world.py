@@ -1,0 +1,365 @@
+"""A world for one scenario: the real server, client and wire code, in virtual time.
+
+It builds what the scenario says, lets it happen, and looks at what is left. The product is the real
+one down to its connections; what it asks of the `machine` is made up, all of it from the seed. What
+is right and wrong is not known here but in `invariants`.
+"""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+import math
+import random
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+import anyio
+import msgspec
+from anyio import CancelScope, create_task_group, current_time
+from anyio.abc import TaskGroup
+
+from fibaction import (
+    ActionServer,
+    serve,
+)
+from fibaction.wire.access import Access, Peer, Verb
+from fibaction.wire.connecting import Keeping
+from fibaction.wire.hub import Hub
+from fibaction.wire.limits import Limits
+from fibaction.wire.serving import Terms
+from tests.simulation import loop as virtual
+from tests.simulation.clients import Client
+from tests.simulation.executors import (
+    agree_on_cancel,
+    agree_on_cancel_later,
+    agree_on_goal,
+    agree_on_goal_later,
+    executor_for,
+)
+from tests.simulation.invariants import Life, Record, Violation
+from tests.simulation.known import is_known
+from tests.simulation.machine import made_up
+from tests.simulation.network import Line, Network
+from tests.simulation.scenario import SIMULATED, Done, Fault, Scenario, Step, Work
+from tests.simulation.transport import SimulatedTransport
+from tests.simulation.witness import listening, lost, recorded
+
+PATIENCE = 900.0
+"""Seconds that a run may take after the last fault: several times the longest timeout there is."""
+
+
+class Report(msgspec.Struct, frozen=True):
+    """What came of a run."""
+
+    scenario: Scenario
+    violations: list[Violation]
+    trace: list[str]
+    goals: int
+    connections: int
+    cuts: int
+    restarts: int
+    seconds: float
+    """Virtual ones."""
+    turns: int
+    """Of the event loop."""
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether something is wrong that is not known."""
+        return bool(self.violations) and not is_known(self.violations[0])
+
+    @property
+    def digest(self) -> str:
+        """The trace in short: two runs that have the same were the same."""
+        return hashlib.sha256("\n".join(self.trace).encode()).hexdigest()
+
+
+class _Hopeless(Exception):
+    """Somebody has waited for too long, and nothing will come of it."""
+
+
+class World:
+    """One scenario, happening."""
+
+    def __init__(self, scenario: Scenario, loop: virtual.VirtualLoop) -> None:
+        self.scenario = scenario
+        self.record = Record(scenario, lambda: loop.now - virtual.EPOCH)
+        self.network = Network(loop, random.Random(f"network {scenario.seed}"), self.record.tell)
+        self.hub: Hub | None = None
+        self._loop = loop
+        self._server: ActionServer[Work, Step, Done] | None = None
+        self._life_scope: CancelScope
+        self._stop = anyio.Event()
+        self._lines = [self.network.line(plan.name, plan.weather) for plan in scenario.clients]
+        self._clients = [
+            Client(self.record, plan, self._client_transport(line, number))
+            for number, (plan, line) in enumerate(zip(scenario.clients, self._lines, strict=True))
+        ]
+        self._lives = 0
+        """How many servers have not stopped, those included that are dead to the world."""
+        self._tasks: TaskGroup
+
+    def _client_transport(self, line: Line, number: int) -> SimulatedTransport:
+        plan = self.scenario.clients[number]
+        keeping = Keeping(
+            heartbeat=plan.heartbeat,
+            reconnect=plan.reconnect,
+            reconnect_timeout=plan.reconnect_timeout,
+            window=plan.window,
+        )
+        calls_back = self.scenario.calls_back
+        return SimulatedTransport(self.network, line, keeping, calls_back=calls_back)
+
+    def on_hub(self, opened: Hub) -> None:
+        """A server has opened its hub."""
+        self.hub = opened
+
+    # The servers
+
+    def _new_server(self) -> ActionServer[Work, Step, Done]:
+        plan = self.scenario.server
+        on_goal = {"none": None, "sync": agree_on_goal, "async": agree_on_goal_later}
+        on_cancel = {"none": None, "sync": agree_on_cancel, "async": agree_on_cancel_later}
+        return ActionServer(
+            SIMULATED,
+            executor_for(self.record),
+            on_goal=on_goal[plan.on_goal],
+            on_cancel=on_cancel[plan.on_cancel],
+            interrupt_on_cancel=plan.interrupt_on_cancel,
+            feedback=plan.feedback,
+            feedback_window=plan.feedback_window,
+            stall_timeout=plan.stall_timeout,
+            result_timeout=plan.result_timeout,
+            max_results=plan.max_results,
+            shutdown_timeout=plan.shutdown_timeout,
+        )
+
+    def _server_transport(self) -> SimulatedTransport:
+        plan = self.scenario.server
+
+        async def ask(_peer: Peer, _action: str, _verb: Verb) -> bool:
+            await anyio.sleep(0.002)
+            return True
+
+        rules: dict[str, Any] = {"open": None, "sync": lambda *_: True, "async": ask}
+        limits = Limits(queue=plan.queue, goals=plan.goals)
+        access = Access(authorize=rules[plan.authorize])
+        terms = Terms(plan.heartbeat, access, limits, plan.orphans, plan.grace)
+        return SimulatedTransport(self.network, terms=terms, calls_back=self.scenario.calls_back)
+
+    async def _live(self, after: float) -> None:
+        """Be a server, from its start until it is stopped or killed."""
+        self._lives += 1
+        await anyio.sleep(after)
+        server = self._new_server()
+        self._stop = anyio.Event()
+        stop = self._stop
+        with CancelScope() as self._life_scope:
+            self._server = server
+            life = Life(len(self.record.lives) + 1, self.record.now(), server._protocol)
+            self.record.lives.append(life)
+            self.record.tell(f"server {life.number} starts")
+            async with serve(server, self._server_transport()):
+                await stop.wait()
+        self.record.tell(f"server {life.number} has stopped")
+        self._lives -= 1
+        if server._runs:
+            self.record.fail("rest", f"goals run on in a server that has stopped: {server!r}")
+
+    async def _restart(self, fault: Fault) -> None:
+        """End this server, well or badly, and start another one, which knows of nothing."""
+        if not self._is_served:
+            return
+        self.record.lives[-1].stops_at = self.record.now()
+        if fault.kind == "crash":
+            # For others the process is gone. That its tasks clean up, nobody hears.
+            self.network.host.die(fault.manner)
+            self._life_scope.cancel()
+        else:
+            self._stop.set()
+            await self._until(lambda: self.network.host.listener is None, "the server to close")
+        self._tasks.start_soon(self._live, fault.seconds)
+
+    # What goes wrong
+
+    async def _fail_as_planned(self) -> None:
+        for fault in self.scenario.faults:
+            await anyio.sleep_until(virtual.EPOCH + fault.at)
+            line = self._lines[fault.client % len(self._lines)]
+            self.record.tell(f"FAULT {fault.kind} {line.name} {fault.manner} {fault.seconds:g}")
+            if fault.kind in ("restart", "crash"):
+                await self._restart(fault)
+            elif fault.kind == "cut":
+                line.cut(fault.manner)
+            elif fault.kind == "half-close":
+                line.half_close(fault.directions[0])
+            elif fault.kind == "freeze":
+                line.freeze(fault.seconds, *fault.directions)
+            elif fault.kind == "stale":
+                line.freeze(fault.seconds, *fault.directions, new_too=False)
+            elif fault.kind == "refuse":
+                line.refuses_until = current_time() + fault.seconds
+                line.cut(fault.manner)
+            else:
+                line.dies_at_once = 2
+                line.cut(fault.manner)
+
+    async def _be_a_client(self, client: Client, line: Line) -> None:
+        dies_at = current_time() + client.plan.starts_at + client.plan.dies_at
+        with CancelScope() as scope:
+            async with create_task_group() as tasks:
+                tasks.start_soon(self._let_die, dies_at, client, line, scope)
+                await client.run()
+                tasks.cancel_scope.cancel()
+        client.is_done = client.has_left = True
+
+    async def _let_die(self, at: float, client: Client, line: Line, scope: CancelScope) -> None:
+        if at == math.inf:
+            return
+        await anyio.sleep_until(at)
+        self.record.tell(f"FAULT {client.plan.name} dies")
+        client.state.is_leaving = True
+        for goal_id in client.state.goals:
+            self.record.may_cancel(goal_id)
+        line.die()
+        scope.cancel()
+
+    # The whole
+
+    async def run(self) -> None:
+        """Let everything happen, and look at what is left."""
+        async with create_task_group() as self._tasks:
+            self._tasks.start_soon(self._live, self.scenario.server_at)
+            for client, line in zip(self._clients, self._lines, strict=True):
+                self._tasks.start_soon(self._be_a_client, client, line)
+            async with create_task_group() as faults:
+                faults.start_soon(self._fail_as_planned)
+                await self._until_all_is_done()
+            await self._until_nothing_is_left()
+            await self._end()
+        for task in virtual.waiting_tasks():
+            self.record.fail("rest", f"a task is left: {task}")
+        for end in self.network.open_ends():
+            self.record.fail("rest", f"a connection is left open: {end}")
+        if left := self._left_by_goals():
+            self.record.fail("rest", f"left when all have gone: {left}")
+        self.record.over()
+
+    @property
+    def _is_served(self) -> bool:
+        return bool(self.record.lives) and self.record.lives[-1].stops_at == math.inf
+
+    async def _until_all_is_done(self) -> None:
+        scenario = self.scenario
+        last = max((fault.at + 1 for fault in scenario.faults), default=0.0)
+        for plan in scenario.clients:
+            last = max(last, *(plan.starts_at + deed.at + 1 for deed in plan.deeds))
+        last = max(last, scenario.server_at)
+        await anyio.sleep_until(virtual.EPOCH + last)
+        give_up_at = current_time() + PATIENCE
+        while not self._is_quiet():
+            if current_time() >= give_up_at:
+                self._nobody_answers()
+            # What would go on for long is canceled, so that this ends some time.
+            if self._is_served and self._server is not None:
+                self.record.may_cancel(None)
+                await self._server.cancel_goals()
+            await anyio.sleep(2)
+
+    def _is_quiet(self) -> bool:
+        is_idle = self._server is not None and self._is_served and not self._server._runs
+        return is_idle and all(client.is_done for client in self._clients)
+
+    def _nobody_answers(self) -> None:
+        for client in self._clients:
+            for deed, since in client.under_way.items():
+                at = since - virtual.EPOCH
+                text = f"{client.plan.name} still waits for {deed.kind!r}, begun at {at:.6f}"
+                self.record.fail("answer", text)
+        raise _Hopeless("\n".join(["somebody still waits:", *virtual.waiting_tasks()]))
+
+    async def _until_nothing_is_left(self) -> None:
+        """Nobody wants anything any more, so after a while nothing is kept for anybody."""
+        give_up_at = current_time() + 4 * 60
+        while left := self._left_by_goals():
+            gc.collect()  # a goal that nobody reads any more is let go of with its reader
+            if current_time() >= give_up_at:
+                self.record.fail("rest", f"left when all is done: {left}")
+                return
+            await anyio.sleep(2)
+
+    def _left_by_goals(self) -> list[str]:
+        left: list[str] = []
+        if self.hub is not None:
+            orphans = self.hub._orphans
+            for what in (orphans._streams, orphans._sessions, orphans._losses):
+                left += (f"an orphan: {one!r}" for one in what)
+            for session in self.hub._sessions:
+                peer = session._link.peer
+                left += (f"a goal of {peer}: {one}" for one in session._goals)
+                left += (f"a request of {peer}: {one}" for one in session._waiting)
+        for client in self._clients:
+            left += (f"a call of {client.plan.name}: {one}" for one in client.calls())
+        return left
+
+    async def _end(self) -> None:
+        """Everybody goes, the clients first or the server first."""
+        if self.scenario.seed % 2:
+            await self._stop_server()
+        for client in self._clients:
+            client.may_leave.set()
+        await self._until(lambda: all(client.has_left for client in self._clients), "to leave")
+        await self._stop_server()
+
+    async def _stop_server(self) -> None:
+        if self._is_served:
+            self.record.lives[-1].stops_at = self.record.now()
+        self._stop.set()
+        await self._until(lambda: not self._lives, "the server to stop")
+
+    async def _until(self, is_so: Callable[[], bool], what: str) -> None:
+        give_up_at = current_time() + 60
+        while not is_so():
+            if current_time() >= give_up_at:
+                waiting = "\n".join(virtual.waiting_tasks())
+                raise _Hopeless(f"waited in vain for {what}:\n{waiting}")
+            await anyio.sleep(0.01)
+
+
+def simulate(scenario: Scenario) -> Report:
+    """Run a scenario, and say what came of it."""
+    loop = virtual.VirtualLoop(longest=20_000, most_turns=1_000_000)
+    world = World(scenario, loop)
+    record = world.record
+    with (
+        listening(record),
+        made_up(loop, scenario.seed),
+        recorded(record, world.on_hub),
+    ):
+        try:
+            virtual.run(world.run, loop, lambda context: lost(record, context))
+        except* (virtual.Deadlock, virtual.Livelock, _Hopeless) as group:
+            for error in _leaves(group):
+                record.fail("answer", f"{type(error).__name__}: {error}")
+        except* Exception as group:
+            for error in _leaves(group):
+                record.fail("log", "".join(traceback.format_exception(error)))
+    return Report(
+        scenario=scenario,
+        violations=record.violations,
+        trace=[f"{at:.6f} {text}" for at, text in record.trace],
+        goals=sum(len(life.goals) for life in record.lives),
+        connections=world.network.opened,
+        cuts=world.network.cuts,
+        restarts=max(0, len(record.lives) - 1),
+        seconds=loop.now - virtual.EPOCH,
+        turns=loop.turns,
+    )
+
+
+def _leaves(error: BaseException) -> list[BaseException]:
+    if isinstance(error, BaseExceptionGroup):
+        return [leaf for inner in error.exceptions for leaf in _leaves(inner)]
+    return [error]
