@@ -1,4 +1,7 @@
-"""`python -m tests.benchmarks inprocess`, `tcp` or `ros2`: measure, and print JSON.
+"""`python -m tests.benchmarks all`: measure everything, as `make bench` does it.
+
+`inprocess`, `tcp` or `ros2` measures one thing, and prints JSON. `page` makes the pictures and the
+tables of the docs again, of what was measured last.
 
 Machines are shared and noisy, so every figure stands beside another that was measured in turn with
 it, in the same run: read the ratios.
@@ -13,24 +16,33 @@ from importlib.metadata import version
 
 import anyio
 
-from tests.benchmarks import inprocess, ros2, tcp
+from tests.benchmarks import inprocess, ros2, suite, tcp
 
 SUBJECTS = {"inprocess": inprocess.measure, "tcp": tcp.measure, "ros2": ros2.measure}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
-    parser.add_argument("subject", choices=SUBJECTS)
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.benchmarks",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("subject", choices=["all", "page", *SUBJECTS])
     parser.add_argument("--scale", type=float, default=1.0, help="do so much of each (default 1)")
     arguments = parser.parse_args()
-    report = {
-        "subject": arguments.subject,
-        "python": platform.python_version(),
-        "machine": platform.machine(),
-        "versions": {name: version(name) for name in ("anyio", "msgspec")},
-        **anyio.run(SUBJECTS[arguments.subject], arguments.scale),
-    }
-    print(json.dumps(report, indent=2))
+    if arguments.subject == "page":
+        suite.write()
+    elif arguments.subject == "all":
+        anyio.run(suite.run, arguments.scale)
+    else:
+        report = {
+            "subject": arguments.subject,
+            "python": platform.python_version(),
+            "machine": platform.machine(),
+            "versions": {name: version(name) for name in ("anyio", "msgspec")},
+            **anyio.run(SUBJECTS[arguments.subject], arguments.scale),
+        }
+        print(json.dumps(report, indent=2))
 
 
 main()

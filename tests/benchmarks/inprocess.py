@@ -13,6 +13,7 @@ import anyio
 import msgspec
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, connect, serve
+from tests.benchmarks.contender import PACED, PAUSE, PENDING, stamped
 from tests.benchmarks.timing import ROUNDS, beside, seconds_each
 
 
@@ -33,12 +34,18 @@ Client = ActionClient[Goal, Feedback, Result]
 
 
 async def count(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-    feedback = Feedback([1, 2, 3])
-    for _ in range(goal.request.count):
-        yield feedback
-    if goal.request.count < 0:
+    wanted = goal.request.count
+    if wanted >= PACED:
+        for _ in range(wanted - PACED):
+            await anyio.sleep(PAUSE)
+            yield Feedback(stamped())
+    else:
+        feedback = Feedback([1, 2, 3])
+        for _ in range(wanted):
+            yield feedback
+    if wanted == PENDING:
         await anyio.sleep_forever()
-    yield Result(goal.request.count)
+    yield Result(wanted)
 
 
 async def measure(scale: float) -> dict[str, Any]:
@@ -101,9 +108,8 @@ async def growth(client: Client, scale: float) -> dict[str, float]:
             await client.call(Goal(0))
 
     async def with_active(number: int, times: int) -> float:
-        active = [await client.send_goal(Goal(-1)) for _ in range(number)]
-        for _ in range(3):
-            await anyio.lowlevel.checkpoint()
+        active = [await client.send_goal(Goal(PENDING)) for _ in range(number)]
+        await anyio.wait_all_tasks_blocked()  # so that it is not their beginning that is measured
         seconds = await seconds_each(call, times)
         await client.cancel_goals()
         for goal in active:

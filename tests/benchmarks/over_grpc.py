@@ -9,9 +9,18 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
 
+import anyio
 from anyio import create_task_group
 
-from tests.benchmarks.contender import AT_ONCE, Contender
+from tests.benchmarks.contender import (
+    AT_ONCE,
+    PACED,
+    PAUSE,
+    PENDING,
+    Contender,
+    seconds_since,
+    stamped,
+)
 from tests.benchmarks.inprocess import ACTION, Feedback, Goal, Result
 
 SERVICE, METHOD = "Count", "send_goal"
@@ -24,11 +33,18 @@ async def serve() -> AsyncGenerator[str, None]:
     import grpc.aio  # here, because the other benchmarks run without it
 
     async def send_goal(request: bytes, _context: Any) -> AsyncGenerator[bytes, None]:
-        goal = ACTION.goal.decode(request)
-        feedback = Feedback([1, 2, 3])
-        for _ in range(goal.count):
-            yield ACTION.feedback.encode(feedback)
-        yield ACTION.result.encode(Result(goal.count))
+        wanted = ACTION.goal.decode(request).count
+        if wanted >= PACED:
+            for _ in range(wanted - PACED):
+                await anyio.sleep(PAUSE)
+                yield ACTION.feedback.encode(Feedback(stamped()))
+        else:
+            feedback = Feedback([1, 2, 3])
+            for _ in range(wanted):
+                yield ACTION.feedback.encode(feedback)
+        if wanted == PENDING:
+            await anyio.sleep_forever()
+        yield ACTION.result.encode(Result(wanted))
 
     server = grpc.aio.server()
     # Without serializers, bytes go through as they are.
@@ -53,6 +69,7 @@ async def connect(address: str) -> AsyncGenerator[Contender, None]:
 class OverGrpc(Contender):
     def __init__(self, channel: Any) -> None:
         self._send_goal = channel.unary_stream(f"/{SERVICE}/{METHOD}")
+        self._pending: list[Any] = []
 
     async def goals(self, times: int) -> None:
         for _ in range(times):
@@ -66,6 +83,18 @@ class OverGrpc(Contender):
 
     async def feedback(self, times: int) -> None:
         await self._call(times)
+
+    async def feedback_times(self, times: int) -> list[float]:
+        taken: list[float] = []
+        async for message in self._send_goal(ACTION.goal.encode(Goal(PACED + times))):
+            if len(taken) < times:  # and the last one is the result
+                taken.append(seconds_since(ACTION.feedback.decode(message).numbers))
+        return taken
+
+    async def hold(self, times: int) -> None:
+        self._pending += [self._send_goal(ACTION.goal.encode(Goal(PENDING))) for _ in range(times)]
+        # One that is sent behind them, and answered: then the server has them, too.
+        await self._call(0)
 
     async def _call(self, count: int) -> None:
         seen, last = 0, b""

@@ -16,7 +16,14 @@ from anyio.abc import SocketAttribute, SocketStream
 from fibaction import GoalStatus, messages
 from fibaction.framing import MAX_FRAME, FrameReader, header
 from fibaction.goals import GoalID
-from tests.benchmarks.contender import AT_ONCE, Contender
+from tests.benchmarks.contender import (
+    AT_ONCE,
+    PACED,
+    PAUSE,
+    Contender,
+    seconds_since,
+    stamped,
+)
 from tests.benchmarks.inprocess import ACTION, Feedback, Goal, Result
 
 CHUNK = 2**16
@@ -69,17 +76,31 @@ async def answer_goals(stream: SocketStream) -> None:
 
 async def send_feedback(stream: SocketStream) -> None:
     without_delay(stream)
-    feedback = Feedback([1, 2, 3])
     async with stream:
         async for wanted in stream:
-            chunk = bytearray()
-            for number in range(1, int.from_bytes(wanted, "big") + 1):
-                frame = framed(messages.Feedback(CALL, number, ACTION.feedback.encode(feedback)))
-                if len(chunk) + len(frame) > CHUNK:
-                    await stream.send(bytes(chunk))
-                    chunk = bytearray()
-                chunk += frame
+            times = int.from_bytes(wanted, "big")
+            if times >= PACED:
+                for number in range(1, times - PACED + 1):
+                    await anyio.sleep(PAUSE)
+                    await stream.send(feedback_frame(number, Feedback(stamped())))
+            else:
+                await send_as_quickly_as_can_be(stream, times)
+
+
+async def send_as_quickly_as_can_be(stream: SocketStream, times: int) -> None:
+    feedback = Feedback([1, 2, 3])
+    chunk = bytearray()
+    for number in range(1, times + 1):
+        frame = feedback_frame(number, feedback)
+        if len(chunk) + len(frame) > CHUNK:
             await stream.send(bytes(chunk))
+            chunk = bytearray()
+        chunk += frame
+    await stream.send(bytes(chunk))
+
+
+def feedback_frame(number: int, feedback: Feedback) -> bytes:
+    return framed(messages.Feedback(CALL, number, ACTION.feedback.encode(feedback)))
 
 
 @asynccontextmanager
@@ -111,10 +132,17 @@ class OverSockets(Contender):
         seen = 0
         while seen < times:
             for frame in reader.feed(await self._feedback.receive(CHUNK)):
-                message = messages.decode_from_server(frame)
-                assert isinstance(message, messages.Feedback)
-                ACTION.feedback.decode(message.payload)
+                decoded(frame)
                 seen += 1
+
+    async def feedback_times(self, times: int) -> list[float]:
+        reader = FrameReader(MAX_FRAME)
+        await self._feedback.send((PACED + times).to_bytes(NUMBER, "big"))
+        taken: list[float] = []
+        while len(taken) < times:
+            frames = reader.feed(await self._feedback.receive(CHUNK))
+            taken += [seconds_since(decoded(frame).numbers) for frame in frames]
+        return taken
 
     async def _exchange(self, times: int, size: int) -> None:
         reader = FrameReader(MAX_FRAME)
@@ -124,6 +152,12 @@ class OverSockets(Contender):
             seen = 0
             while seen < 2 * size:
                 seen += len(reader.feed(await self._goals.receive(CHUNK)))
+
+
+def decoded(frame: bytes) -> Feedback:
+    message = messages.decode_from_server(frame)
+    assert isinstance(message, messages.Feedback)
+    return ACTION.feedback.decode(message.payload)
 
 
 def without_delay(stream: SocketStream) -> None:

@@ -1,0 +1,83 @@
+"""`python -m tests.benchmarks.child server NAME` or `client NAME ADDRESS`: one end of a contender.
+
+It says what it has to say in lines of JSON. A server gives its address, and serves until standard
+input ends; so it never outlives the benchmark, however that ends. A client says `ready`, and is
+then told what to do: the name of a function below, and how many times.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Awaitable, Callable
+from importlib import import_module
+from time import perf_counter
+from typing import Any
+
+import anyio
+
+from tests.benchmarks.contender import AT_ONCE, Contender
+
+
+def say(value: object) -> None:
+    print(json.dumps(value), flush=True)
+
+
+async def goals(contender: Contender, times: int) -> list[float]:
+    """How many were done, and the seconds that they took; so for all of these."""
+    start = perf_counter()
+    await contender.goals(times)
+    return [times, perf_counter() - start]
+
+
+async def batches(contender: Contender, times: int) -> list[float]:
+    start = perf_counter()
+    done = 0
+    for _ in range(times):
+        done += await contender.batch()
+    return [done / AT_ONCE, perf_counter() - start]
+
+
+async def feedback(contender: Contender, times: int) -> list[float]:
+    start = perf_counter()
+    return [await contender.stream(times), perf_counter() - start]
+
+
+async def goal_times(contender: Contender, times: int) -> list[tuple[float | None, float]]:
+    return [(one.accepted, one.ended) for one in await contender.goal_times(times)]
+
+
+async def feedback_times(contender: Contender, times: int) -> list[float]:
+    return await contender.feedback_times(times)
+
+
+async def hold(contender: Contender, times: int) -> None:
+    await contender.hold(times)
+    # Where the server is in this process, the executors may have yet to begin.
+    await anyio.wait_all_tasks_blocked()
+
+
+ORDERS: dict[str, Callable[[Contender, int], Awaitable[Any]]] = {
+    one.__name__: one for one in (goals, batches, feedback, goal_times, feedback_times, hold)
+}
+
+
+async def server(module: Any) -> None:
+    async with module.serve() as address:
+        say(address)
+        await anyio.to_thread.run_sync(sys.stdin.read, abandon_on_cancel=True)
+
+
+async def client(module: Any, address: str) -> None:
+    async with module.connect(address) as contender:
+        say("ready")
+        while line := await anyio.to_thread.run_sync(sys.stdin.readline, abandon_on_cancel=True):
+            order = json.loads(line)
+            say(await ORDERS[order["do"]](contender, order["times"]))
+
+
+if __name__ == "__main__":
+    end, name, *address = sys.argv[1:]
+    module = import_module(f"tests.benchmarks.over_{name}")
+    ends: dict[str, Callable[..., Awaitable[None]]] = {"server": server, "client": client}
+    anyio.run(ends[end], module, *address)
