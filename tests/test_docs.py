@@ -9,12 +9,15 @@ import inspect
 import io
 import re
 import sys
+import tomllib
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import redirect_stdout
+from importlib.metadata import entry_points
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
+from xml.etree import ElementTree
 
 import anyio
 import msgspec
@@ -22,6 +25,7 @@ import pytest
 
 import fibaction
 import fibaction.abc
+import fibaction.action_files
 import fibaction.testing
 import fibaction.waking
 import fibaction.wire.access
@@ -35,46 +39,32 @@ from fibaction.testing import ScriptedServer
 from fibaction.urls import GROUP
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.golden import GOLDEN
+from tests.pages import FENCED, NOT_RUN, Block
+from tests.pages import blocks_of as blocks_of  # for the tests with ROS 2, too
+from tests.walks import file_of, terminal_of
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PAGES = [
-    ROOT / "README.md",
-    ROOT / "CHANGELOG.md",
+    *sorted(ROOT.glob("*.md")),
     ROOT / "transports" / "README.md",
     *sorted(DOCS.rglob("*.md")),
 ]
-LANGUAGES = {"python", "text", "console", "toml"}
+LANGUAGES = {"cmake", "console", "ini", "python", "text", "toml", "xml"}
 WITH_ROS = "it needs ROS 2, and is run where that is"
 """Why a block is not run here: tests/ros2/test_docs_ros.py runs it."""
 
-_FENCED = re.compile(r"^```(?P<info>[^\n]*)\n(?P<code>.*?)^```$", re.DOTALL | re.MULTILINE)
-_NOT_RUN = re.compile(r"<!-- not run: (?P<reason>.*?) -->\n\Z", re.DOTALL)
+SHELLS_ELSEWHERE = {
+    "CONTRIBUTING.md": "its commands are those that make the checks, this one among them",
+    "docs/cli.md": "tests/cli runs each verb as a process, and looks at what it prints",
+    "docs/comparisons.md": "measuring takes minutes; the tests compare the page with what came out",
+    "docs/contributing.md": "as for CONTRIBUTING.md",
+}
+"""Pages whose shell commands are not run by `tests.walks`, and who runs them."""
+
 _LINK = re.compile(r"\]\((?P<target>[^)\s]+)\)")
 _NAME = re.compile(r"`(fibaction(?:_transports)?(?:\.\w+)+)`")
 _DIRECTIVE = re.compile(r"^::: (\S+)$", re.MULTILINE)
-
-
-class Block(NamedTuple):
-    """A fenced block of a page."""
-
-    language: str
-    code: str
-    line: int
-    before: str
-    """What stands between the block before it, or the page's start, and this one."""
-
-
-def blocks_of(page: str) -> list[Block]:
-    """The fenced blocks of a page, in order."""
-    blocks: list[Block] = []
-    end = 0
-    for match in _FENCED.finditer(page):
-        line = page.count("\n", 0, match.start("code"))
-        before = page[end : match.start()]
-        blocks.append(Block(match["info"], match["code"], line, before))
-        end = match.end()
-    return blocks
 
 
 def run_page(page: str, name: str, *, ros: bool = False) -> list[str]:
@@ -82,7 +72,7 @@ def run_page(page: str, name: str, *, ros: bool = False) -> list[str]:
 
     A ```text block right after a Python block is what that prints; a block without one prints
     nothing. A block under `<!-- not run: reason -->` is left out; with `ros`, one that needs ROS 2
-    is not.
+    is not. A file that the reader is to write is left to `tests.walks`.
     """
     blocks = blocks_of(page)
     module = ModuleType(f"page_{name}")
@@ -90,11 +80,11 @@ def run_page(page: str, name: str, *, ros: bool = False) -> list[str]:
     wrong: list[str] = []
     try:
         for block, following in pairwise([*blocks, Block("", "", 0, "the end")]):
-            marked = _NOT_RUN.search(block.before)
+            marked = NOT_RUN.search(block.before)
             if marked is not None and len(marked["reason"].split()) < 3:
                 wrong.append(f"{name}:{block.line}: no reason is given why it is not run")
             left_out = marked is not None and not (ros and marked["reason"] == WITH_ROS)
-            if block.language != "python" or left_out:
+            if block.language != "python" or left_out or file_of(block):
                 continue
             shown = ""
             if following.language == "text" and not following.before.strip():
@@ -126,7 +116,7 @@ def _tests_in(module: ModuleType) -> Iterator[Callable[[], Awaitable[object]]]:
 
 def slugs_of(page: str) -> set[str]:
     """The anchors of a page's headings, as GitHub and the site both make them."""
-    prose = _FENCED.sub("", page)
+    prose = FENCED.sub("", page)
     return {
         re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-")
         for heading in re.findall(r"^#+ (.+)$", prose, re.MULTILINE)
@@ -169,6 +159,18 @@ def test_every_fence_says_which_known_language_it_holds(path: Path) -> None:
     assert {block.language for block in blocks_of(page)} <= LANGUAGES
 
 
+@every_page
+def test_every_shell_command_is_run_or_says_why_not(path: Path) -> None:
+    name = str(path.relative_to(ROOT))
+    unmarked = [
+        f"{name}:{block.line}"
+        for block in blocks_of(path.read_text(encoding="utf-8"))
+        if block.language == "console" and not (terminal_of(block) or NOT_RUN.search(block.before))
+    ]
+
+    assert not unmarked or name in SHELLS_ELSEWHERE
+
+
 def test_an_example_that_prints_something_else_is_found() -> None:
     page = "```python\nprint(1)\n```\n\n```text\n2\n```\n"
 
@@ -192,8 +194,7 @@ def test_an_error_in_an_example_is_not_swallowed() -> None:
         run_page("```python\n1 / 0\n```\n", "page")
 
 
-@pytest.mark.parametrize("name", ["HouseTransport", "QueueTransport"])
-def test_the_transports_that_the_guide_for_authors_shows_work(name: str) -> None:
+def test_the_transport_that_the_guide_for_authors_shows_works() -> None:
     page = (ROOT / "transports" / "README.md").read_text(encoding="utf-8")
     shown: dict[str, Any] = {}
     for block in blocks_of(page):
@@ -201,7 +202,7 @@ def test_the_transports_that_the_guide_for_authors_shows_work(name: str) -> None
             exec(block.code, shown)
 
     async def use() -> None:
-        transport = shown[name]()
+        transport = shown["HouseTransport"]()
         server = ScriptedServer(FIBONACCI, [Feedback([1]), Feedback([2]), Result([3])])
         with anyio.fail_after(5):
             async with serve(server, transport), connect(transport, FIBONACCI) as client:
@@ -239,6 +240,15 @@ def test_an_example_that_needs_ros_is_left_out_unless_it_is_there() -> None:
 
 def test_the_picture_of_the_states_is_the_one_that_the_table_makes() -> None:
     assert (DOCS / "states.svg").read_text(encoding="utf-8") == build.diagram()
+
+
+def test_the_picture_of_the_parts_has_every_transport() -> None:
+    picture = ElementTree.parse(DOCS / "architecture.svg")
+
+    texts = " ".join(picture.getroot().itertext())
+    assert {entry.name for entry in entry_points(group=GROUP)} == set(
+        re.findall(r"(\w+)://", texts)
+    )
 
 
 def test_the_picture_has_an_arrow_for_every_transition() -> None:
@@ -363,6 +373,7 @@ def resolve(dotted: str) -> object:
     ("module", "known"),
     [
         (fibaction, "connect"),
+        (fibaction.action_files, "load_action"),
         (fibaction.abc, "GoalStream"),
         (fibaction.testing, "Step"),
         (fibaction.waking, "Waking"),
@@ -399,7 +410,7 @@ def test_the_settings_on_the_page_have_the_defaults_of_the_code() -> None:
 
 @every_page
 def test_every_dotted_name_in_the_prose_exists(path: Path) -> None:
-    for dotted in _NAME.findall(_FENCED.sub("", path.read_text(encoding="utf-8"))):
+    for dotted in _NAME.findall(FENCED.sub("", path.read_text(encoding="utf-8"))):
         # GROUP is the one name of this form that is not Python's.
         if dotted != GROUP and not needs_ros(dotted):
             resolve(dotted)
@@ -410,7 +421,7 @@ def test_every_dotted_name_in_the_prose_exists(path: Path) -> None:
 
 @every_page
 def test_every_link_leads_to_a_file_and_a_heading(path: Path) -> None:
-    for target in _LINK.findall(_FENCED.sub("", path.read_text(encoding="utf-8"))):
+    for target in _LINK.findall(FENCED.sub("", path.read_text(encoding="utf-8"))):
         if "://" in target:
             continue
         name, _, anchor = target.partition("#")
@@ -418,6 +429,25 @@ def test_every_link_leads_to_a_file_and_a_heading(path: Path) -> None:
         assert file.is_file(), f"{target} leads to no file"
         if anchor and not anchor.startswith("fibaction"):
             assert anchor in slugs_of(file.read_text(encoding="utf-8")), f"{target} has no place"
+
+
+def pages_in(nav: Any) -> Iterator[str]:
+    """The files that a navigation leads to."""
+    match nav:
+        case str(page):
+            yield page
+        case dict() as titled:
+            yield from pages_in(list(titled.values()))
+        case list() as several:
+            for one in several:
+                yield from pages_in(one)
+
+
+def test_the_navigation_leads_to_every_page() -> None:
+    settings = tomllib.loads((ROOT / "zensical.toml").read_text(encoding="utf-8"))
+
+    found = sorted(pages_in(settings["project"]["nav"]))
+    assert found == sorted(str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md"))
 
 
 @pytest.fixture

@@ -111,6 +111,7 @@ async def test_a_goal_is_accepted_with_a_stamp(stock: Peer) -> None:
     assert await result(stock, answer["goal"]) == (SUCCEEDED, [0, 1, 1, 2])
 
 
+@pytest.mark.promise("STATUS-6")
 async def test_a_rejected_goal_is_known_to_nobody(stock: Peer) -> None:
     answer = await send(stock, orders.REJECTED)
 
@@ -123,6 +124,7 @@ async def test_a_rejected_goal_is_known_to_nobody(stock: Peer) -> None:
     assert cancel == {"code": UNKNOWN_ID, "goals": []}
 
 
+@pytest.mark.promise("ACCEPT-2", "EXECUTE-5")
 async def test_the_reasons_of_a_rejection_and_of_an_abort_are_in_the_log_of_ros(
     stock: Peer,
 ) -> None:
@@ -138,6 +140,7 @@ async def test_the_reasons_of_a_rejection_and_of_an_abort_are_in_the_log_of_ros(
     assert f"ours: goal {aborted} ABORTED: the pen is lost" in said
 
 
+@pytest.mark.promise("ACCEPT-4")
 async def test_a_callback_that_raises_rejects_the_goal_and_the_server_goes_on(stock: Peer) -> None:
     assert not (await send(stock, orders.GOAL_RAISES))["accepted"]
     await lives(stock)
@@ -149,6 +152,7 @@ async def test_several_goals_at_once_all_succeed(stock: Peer) -> None:
     assert [a["sequence"] for a in answers] == [[0, 1, 1, 2], [0, 1, 1, 2, 3], [0, 1, 1, 2, 3, 5]]
 
 
+@pytest.mark.promise("ACCEPT-7")
 async def test_an_id_in_use_is_rejected_while_the_goal_runs_and_while_it_is_remembered(
     stock: Peer, ours: Behaviour
 ) -> None:
@@ -203,6 +207,7 @@ async def test_who_subscribes_late_gets_the_last_list_of_statuses(stock: Peer) -
     assert [goal, SUCCEEDED] in lists[0]
 
 
+@pytest.mark.promise("EXECUTE-7", "RESULT-1")
 async def test_an_abort_comes_with_the_part_that_is_done(stock: Peer) -> None:
     goal = await accepted(stock, orders.ABORTS)
 
@@ -211,6 +216,7 @@ async def test_an_abort_comes_with_the_part_that_is_done(stock: Peer) -> None:
     assert await statuses_of(stock, goal) == [ACCEPTED, EXECUTING, ABORTED]
 
 
+@pytest.mark.promise("EXECUTE-5")
 @pytest.mark.parametrize("order", [orders.RAISES, orders.FORGETS])
 async def test_an_executor_that_goes_wrong_is_aborted_with_an_empty_result(
     stock: Peer, order: int
@@ -253,6 +259,7 @@ async def test_feedback_out_of_range_is_left_out_and_logged(stock: Peer) -> None
 # Canceling
 
 
+@pytest.mark.promise("CANCEL-9")
 async def test_a_cancel_is_accepted_and_the_goal_ends_as_canceled(stock: Peer) -> None:
     goal = await accepted(stock, orders.WAITS)
     await eventually(lambda: stock.ask("feedback", goal=goal), len)
@@ -264,6 +271,7 @@ async def test_a_cancel_is_accepted_and_the_goal_ends_as_canceled(stock: Peer) -
     assert await statuses_of(stock, goal) == [ACCEPTED, EXECUTING, CANCELING, CANCELED]
 
 
+@pytest.mark.promise("CANCEL-3")
 @pytest.mark.parametrize("order", [orders.STUBBORN, orders.CANCEL_RAISES])
 async def test_a_refused_cancel_says_so_and_the_goal_goes_on(
     stock: Peer, ours: Behaviour, order: int
@@ -278,6 +286,7 @@ async def test_a_refused_cancel_says_so_and_the_goal_goes_on(
     assert await result(stock, goal) == (SUCCEEDED, orders.PART)
 
 
+@pytest.mark.promise("CANCEL-17")
 async def test_canceling_all_names_those_that_end_and_no_other(
     stock: Peer, ours: Behaviour
 ) -> None:
@@ -294,6 +303,7 @@ async def test_canceling_all_names_those_that_end_and_no_other(
     assert [(await result(stock, goal))[0] for goal in stubborn] == [SUCCEEDED] * 3
 
 
+@pytest.mark.promise("CANCEL-16")
 async def test_canceling_all_when_all_refuse_says_rejected(stock: Peer, ours: Behaviour) -> None:
     goal = await accepted(stock, orders.STUBBORN)
     await eventually(lambda: stock.ask("feedback", goal=goal), len)
@@ -328,6 +338,7 @@ async def test_canceling_by_time_and_id_includes_both(stock: Peer, ours: Behavio
     await end_all(stock, ours)
 
 
+@pytest.mark.promise("CANCEL-16")
 async def test_a_cancel_of_nothing_has_the_code_of_rcl(stock: Peer) -> None:
     over = await accepted(stock, 3)
     await result(stock, over)

@@ -7,9 +7,12 @@ import signal
 import subprocess
 import sys
 from collections.abc import Generator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+
+from tests.cli.conftest import Terminal
 
 ROOT = Path(__file__).parents[2]
 COMMAND = Path(sys.executable).with_name("fibaction")
@@ -115,3 +118,34 @@ def test_what_happens_is_echoed_until_ctrl_c() -> None:
             assert echo.wait(PATIENCE) == 0
         finally:
             echo.kill()
+
+
+def test_ctrl_c_at_a_terminal_cancels_the_goal_and_says_how_it_ended() -> None:
+    with closing(Terminal("send_goal", "fibonacci", "order: 46", "-f", url=URL)) as shown:
+        shown.until("partial_sequence")
+        shown.press("\x03")
+        assert shown.ends() == 3
+        assert "CANCELED" in shown.text
+
+
+def test_goals_are_watched_and_seen_in_top_until_they_end() -> None:
+    with (
+        closing(Terminal("goals", "fibonacci", "--watch", url=URL)) as watched,
+        closing(Terminal("top", url=URL, columns=160)) as top,
+        closing(Terminal("send_goal", "fibonacci", "order: 46", url=URL)) as sent,
+    ):
+        watched.until("^ID ")
+        top.until("/fibonacci")
+        sent.until("accepted with ID: [0-9a-f]{32}")
+        (line,) = (line for line in sent.text.splitlines() if "accepted with ID" in line)
+        short = line.split()[-1][:8]
+        watched.until(rf"^{short}\w* +EXECUTING")
+        top.until(rf"{short}\w* +/fibonacci +EXECUTING")
+        sent.press("\x03")
+        assert sent.ends() == 3
+        watched.until(rf"^{short}\w* +CANCELED")
+        top.until(rf"{short}\w* +/fibonacci +CANCELED")
+        watched.press("\x03")
+        assert watched.ends() == 0
+        top.press("q")
+        assert top.ends() == 0

@@ -106,14 +106,21 @@ def stories(programs: Path) -> Mapping[tuple[str, str, str], list[str]]:
         for process in serving:
             stack.callback(finish, process)
             stack.callback(process.send_signal, signal.SIGINT)
-        # All at once: they spend their time waiting.
-        asking = {
-            (server, client, goal): start(programs / f"{client}_client.py", where, *goal.split())
-            for server, where in servers.items()
-            for client in MAKERS
-            for goal in GOALS
-        }
-        ended = {key: finish(process) for key, process in asking.items()}
+        ended: dict[tuple[str, str, str], tuple[int, str, str]] = {}
+        for (server, where), client in product(servers.items(), MAKERS):
+            program = programs / f"{client}_client.py"
+            # At once, as they spend their time waiting; but not all pairs, as each that starts
+            # keeps the others from being found.
+            asking = {goal: start(program, where, *goal.split()) for goal in GOALS}
+            for goal, process in asking.items():
+                try:
+                    ended[server, client, goal] = finish(process)
+                except subprocess.TimeoutExpired:
+                    # An answer that the server sends before it has found the reader of answers is
+                    # lost, and a client of rclpy waits for it for ever.
+                    assert client == "rclpy", f"{server}, {client}, {goal}: it did not end"
+                    again = start(program, where, *goal.split())
+                    ended[server, client, goal] = finish(again)
         assert [process.poll() for process in serving] == [None, None], "a server has ended"
     for key, (code, _, err) in ended.items():
         assert code == 0, f"{key}: {err}"

@@ -80,6 +80,7 @@ async def lost_after(act: Callable[[], object], goal: ClientGoal[Feedback, Resul
     return perf_counter() - start
 
 
+@pytest.mark.promise("LOSS-1")
 async def test_a_server_of_ours_that_is_killed_is_missed_by_its_signs_of_life() -> None:
     async with peer("ours", "serve_it", "loss_killed", "asyncio") as server:
         async with waiting_for(server, "loss_killed") as (client, goal):
@@ -90,6 +91,7 @@ async def test_a_server_of_ours_that_is_killed_is_missed_by_its_signs_of_life() 
                 await client.send_goal(Goal(1))
 
 
+@pytest.mark.promise("GOAL-4", "LOSS-2")
 async def test_all_that_is_pending_ends_when_a_server_of_ours_is_killed() -> None:
     ended: list[str] = []
 
@@ -118,6 +120,7 @@ async def test_all_that_is_pending_ends_when_a_server_of_ours_is_killed() -> Non
         assert sorted(ended) == ["call", "cancel", "statuses"]
 
 
+@pytest.mark.promise("STOP-3", "STOP-8")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 async def test_a_server_of_ours_that_stops_ends_its_goals_first(number: signal.Signals) -> None:
     name = f"loss_{number.name.lower()}"

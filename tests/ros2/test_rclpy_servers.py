@@ -97,6 +97,7 @@ async def test_a_rejection_is_raised(client: Client) -> None:
         await client.attach(caught.value.goal_id)
 
 
+@pytest.mark.promise("ERROR-2")
 async def test_an_abort_comes_with_the_part_that_is_done(client: Client) -> None:
     with pytest.raises(GoalAborted) as caught:
         await client.call(Goal(orders.ABORTS))
@@ -242,6 +243,7 @@ async def test_a_goal_whose_execution_is_deferred_can_be_canceled(client: Client
 # Later
 
 
+@pytest.mark.promise("FEEDBACK-10")
 async def test_a_goal_can_be_followed_by_who_did_not_send_it(client: Client) -> None:
     sent = await client.send_goal(Goal(orders.STUBBORN))
     assert await anext(sent.feedback) == Feedback([1])
@@ -303,12 +305,14 @@ async def test_a_server_that_is_not_there_is_not_found() -> None:
             await nobody.send_goal(Goal(1))
 
 
+@pytest.mark.promise("REACH-3")
 async def test_actions_are_listed_with_their_types(connection: ClientConnection) -> None:
     infos = {info.name: info.type_name for info in await connection.actions()}
 
     assert infos == dict.fromkeys(("stock", "stock_hasty", "tutorial"), TYPE)
 
 
+@pytest.mark.promise("ACCEPT-3")
 async def test_a_goal_out_of_range_is_rejected_before_it_is_sent(client: Client) -> None:
     with pytest.raises(GoalRejected, match="order"):
         await client.send_goal(Goal(2**31))
@@ -318,11 +322,13 @@ class OtherFeedback(msgspec.Struct):
     sequence: list[int]
 
 
+@pytest.mark.promise("ACCEPT-3")
 async def test_a_goal_of_another_type_is_rejected_before_it_is_sent(client: Client) -> None:
     with pytest.raises(GoalRejected, match="unknown field `sequence`"):
         await client.send_goal(cast("Goal", Result([1])))
 
 
+@pytest.mark.promise("REACH-1")
 async def test_an_action_of_another_type_under_the_same_name_finds_no_server(
     client: Client,
 ) -> None:

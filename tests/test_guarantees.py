@@ -1,0 +1,257 @@
+"""docs/guarantees.md: each promise has its tests, each test of the contract its promises."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+
+import pytest
+
+from tests.promises import (
+    CONTRACT,
+    PAGE,
+    ROOT,
+    Promise,
+    Proof,
+    all_proofs,
+    faults,
+    left_out_over_ros,
+    promises_of,
+    proofs_in,
+    with_tests,
+)
+
+OVER_ROS = (ROOT / "tests/ros2/test_contract.py").read_text(encoding="utf-8")
+
+
+def contract(test: str, *promises: str) -> Proof:
+    return Proof(test, f"{CONTRACT}test_it.py", promises)
+
+
+def over_ros(test: str, *promises: str) -> Proof:
+    return Proof(test, "tests/ros2/test_it.py", promises)
+
+
+def on_a_line(test: str, *promises: str) -> Proof:
+    return Proof(test, "tests/transports/test_faults.py", promises)
+
+
+def of_the_core(test: str, *promises: str) -> Proof:
+    return Proof(test, "tests/test_states.py", promises)
+
+
+@pytest.fixture(scope="module")
+def proofs() -> list[Proof]:
+    return all_proofs()
+
+
+# The page as it is
+
+
+def test_the_promises_and_their_tests_name_each_other(proofs: list[Proof]) -> None:
+    promises = promises_of(PAGE.read_text(encoding="utf-8"))
+
+    found = list(faults(promises, proofs, left_out_over_ros(OVER_ROS)))
+
+    assert not found, "\n".join(found)
+
+
+def test_every_row_of_the_page_is_a_promise() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    heads = ("| Name |", "| --- |")
+    rows = [row for row in page.splitlines() if row.startswith("|") and not row.startswith(heads)]
+
+    assert len(rows) == len(promises_of(page))
+
+
+def test_the_page_names_the_tests(proofs: list[Proof]) -> None:
+    page = PAGE.read_text(encoding="utf-8")
+
+    assert page == with_tests(page, proofs), "write them: python -m tests.promises"
+
+
+def test_every_module_of_the_contract_is_looked_at(proofs: list[Proof]) -> None:
+    found = {proof.file for proof in proofs if proof.file.startswith(CONTRACT)}
+
+    assert found == {f"{CONTRACT}{path.name}" for path in (ROOT / CONTRACT).glob("test_*.py")}
+
+
+def test_every_module_of_the_contract_is_run_over_ros() -> None:
+    modules = {f"tests.contract.{path.stem}" for path in (ROOT / CONTRACT).glob("test_*.py")}
+    (listed,) = (
+        ast.literal_eval(node.value)
+        for node in ast.parse(OVER_ROS).body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "MODULES"
+    )
+
+    assert set(listed) == modules
+
+
+# What would be wrong is found
+
+ONE = Promise("GOAL-1", "It ends.", "Yes", "goal-1")
+TWO = Promise("GOAL-2", "It ends once.", "Yes: by a rule of ROS", "goal-2")
+SHOWN = [contract("test_it_ends", "GOAL-1"), contract("test_it_ends_once", "GOAL-1", "GOAL-2")]
+
+
+def test_promises_and_tests_that_name_each_other_have_no_fault() -> None:
+    assert list(faults([ONE, TWO], SHOWN, {})) == []
+
+
+@pytest.mark.parametrize(
+    ("promises", "proofs", "fault"),
+    [
+        ([ONE, TWO], SHOWN[:1], "GOAL-2 is shown by no test"),
+        (
+            [ONE],
+            SHOWN,
+            f"{SHOWN[1]} names GOAL-2, and there is no such promise",
+        ),
+        (
+            [ONE, TWO],
+            [*SHOWN, contract("test_more")],
+            f"{CONTRACT}test_it.py::test_more names no promise",
+        ),
+        (
+            [ONE, TWO],
+            [*SHOWN, SHOWN[0]._replace(file=f"{CONTRACT}test_more.py")],
+            "test_it_ends is the name of 2 tests of the contract",
+        ),
+        ([ONE, TWO, TWO], SHOWN, "GOAL-2 comes after GOAL-2, and numbers only grow"),
+        ([TWO, ONE], SHOWN, "GOAL-1 comes after GOAL-2, and numbers only grow"),
+        (
+            [ONE, Promise("STOP-1", "It stops.", "Yes", "stop-1"), TWO],
+            [*SHOWN, contract("test_it_stops", "STOP-1")],
+            "the promises of GOAL are not together",
+        ),
+        ([ONE, TWO._replace(anchor="goal-1")], SHOWN, "GOAL-2 has the anchor goal-1"),
+        ([ONE, TWO._replace(text="It ends")], SHOWN, "GOAL-2 is not one sentence"),
+        ([ONE, TWO._replace(text="It ends. Once.")], SHOWN, "GOAL-2 is not one sentence"),
+    ],
+)
+def test_a_fault_between_promises_and_tests_is_found(
+    promises: list[Promise], proofs: list[Proof], fault: str
+) -> None:
+    assert list(faults(promises, proofs, {})) == [fault]
+
+
+@pytest.mark.parametrize("ros", ["", "Maybe", "Yes, mostly", "In part", "No", "No: ", "yes"])
+def test_a_promise_that_does_not_say_what_holds_over_ros_is_found(ros: str) -> None:
+    assert list(faults([ONE._replace(ros=ros)], SHOWN[:1], {})) == [
+        "GOAL-1 does not say whether it holds over ROS 2, or not why"
+    ]
+
+
+@pytest.mark.parametrize("ros", ["Yes", "Yes: by a rule", "In part: not the reason"])
+@pytest.mark.parametrize("proof", [contract, on_a_line])
+def test_a_promise_that_is_said_to_hold_over_ros_and_is_not_shown_there_is_found(
+    proof: Callable[..., Proof], ros: str
+) -> None:
+    promise = ONE._replace(ros=ros)
+    shown = [proof("test_it_ends", "GOAL-1")]
+    left_out = {"test_it_ends": "TYPE"} if proof is contract else {}
+
+    fault = "GOAL-1 holds over ROS 2, it says, but no test shows it there"
+    assert list(faults([promise], shown, left_out)) == [fault]
+    there = over_ros("test_it_ends_there", "GOAL-1")
+    assert list(faults([promise], [*shown, there], left_out)) == []
+
+
+def test_what_the_core_alone_shows_holds_over_ros_too() -> None:
+    assert list(faults([ONE], [of_the_core("test_it_ends", "GOAL-1")], {})) == []
+
+
+@pytest.mark.parametrize("ros", ["No: it cannot", "Does not arise: there are none"])
+@pytest.mark.parametrize("proof", [contract, over_ros])
+def test_a_promise_that_is_said_not_to_hold_over_ros_and_is_shown_there_is_found(
+    proof: Callable[..., Proof], ros: str
+) -> None:
+    shown = proof("test_it_ends", "GOAL-1")
+
+    assert list(faults([ONE._replace(ros=ros)], [shown], {})) == [
+        f"GOAL-1 does not hold over ROS 2, it says, but {shown} shows it there"
+    ]
+
+
+def test_a_test_that_is_left_out_over_ros_for_no_reason_on_the_page_is_found() -> None:
+    assert list(faults([ONE, TWO], SHOWN, {"test_it_ends": "REASON"})) == [
+        "test_it_ends is left out over ROS 2, and its promises say nothing of that"
+    ]
+
+
+def test_a_test_that_is_left_out_over_ros_and_is_not_there_is_found() -> None:
+    assert list(faults([ONE, TWO], SHOWN, {"test_gone": "REASON"})) == [
+        "test_gone is left out over ROS 2, and there is no such test"
+    ]
+
+
+# How both are read
+
+
+MODULE = """
+@pytest.mark.promise("GOAL-1", "GOAL-2")
+@pytest.mark.parametrize("x", [1])
+async def test_one(x): ...
+
+def test_two(): ...
+
+@pytest.mark.anyio
+@pytest.mark.promise("GOAL-3")
+def test_three(): ...
+
+def helper(): ...
+"""
+
+
+def test_the_marks_of_a_module_are_read_without_running_it() -> None:
+    assert list(proofs_in(MODULE, "test_it.py")) == [
+        Proof("test_one", "test_it.py", ("GOAL-1", "GOAL-2")),
+        Proof("test_two", "test_it.py", ()),
+        Proof("test_three", "test_it.py", ("GOAL-3",)),
+    ]
+
+
+@pytest.mark.parametrize("names", ["NAME", "1", '*["GOAL-1"]', 'name="GOAL-1"'])
+def test_a_mark_whose_names_cannot_be_read_is_refused(names: str) -> None:
+    with pytest.raises(ValueError, match="names of promises only"):
+        list(proofs_in(f"@pytest.mark.promise({names})\ndef test_it(): ...", "test_it.py"))
+
+
+def test_what_is_left_out_over_ros_is_read_with_its_reasons() -> None:
+    source = 'A = "so"\nEXCLUSIONS: dict[str, str] = {"test_one": A, "test_two": "not so"}\n'
+
+    assert left_out_over_ros(source) == {"test_one": "A", "test_two": "'not so'"}
+    with pytest.raises(ValueError, match="no EXCLUSIONS"):
+        left_out_over_ros("A = 1")
+
+
+PARTS = """\
+| <nobr id="goal-1">GOAL-1</nobr> | It ends. | Yes |
+
+<!-- tests of GOAL: made by tests/promises.py -->
+| <nobr id="goal-9">GOAL-9</nobr> | It is old. | Yes |
+- `test_old`
+<!-- end of tests -->
+"""
+
+
+def test_the_tests_of_a_promise_are_written_below_it() -> None:
+    page = with_tests(PARTS, SHOWN)
+
+    assert promises_of(page) == promises_of(PARTS) == [ONE]
+    assert (
+        "- GOAL-1\n"
+        "    - `test_it_ends` in tests/contract/test_it.py\n"
+        "    - `test_it_ends_once` in tests/contract/test_it.py\n"
+    ) in page
+    assert "old" not in page
+    assert with_tests(page, SHOWN) == page
+
+
+@pytest.mark.parametrize(
+    "page",
+    [PARTS.replace("tests of GOAL", "tests of STOP"), PARTS.partition("<!--")[0], PARTS + PARTS],
+)
+def test_a_page_without_a_place_for_the_tests_is_refused(page: str) -> None:
+    with pytest.raises(ValueError, match="one list of tests"):
+        with_tests(page, SHOWN)
