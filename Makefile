@@ -2,8 +2,13 @@
 # where that is installed, and do only what is left to do.
 
 PYTHON ?= python3
+# How much `make bench` does: with less it is quicker, and says less.
+SCALE ?= 1
 VENV := .venv
 BIN := $(VENV)/bin
+
+# mutmut brings much along that the tests have to do without.
+MUTANTS_VENV := .venv-mutants
 
 # ROS 2 has a virtual environment of its own: its wheels start each Python of theirs twice.
 ROS_VENV := .venv-ros
@@ -20,8 +25,11 @@ new_venv = $(PYTHON) -m venv $(1) && $(1)/bin/python -m pip install --quiet "pip
 install = $(1)/bin/python -m pip install --quiet
 endif
 
+# The tests start hundreds of processes, and each would compile everything anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
-.PHONY: help demo test format lint types imports unit own-coverage docs docs-serve bench soak fuzz test-ros test-wheel ros clean
+.PHONY: help demo test format lint types imports unit docs docs-serve bench simulate soak fuzz mutants test-ros test-wheel test-pythons test-lowest ros clean
 
 help:  ## Say what there is
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -29,7 +37,7 @@ help:  ## Say what there is
 demo: $(VENV)/.installed  ## Watch a Fibonacci goal: feedback, a cancel half-way, a result
 	@$(BIN)/python examples/fibonacci_demo.py
 
-test: lint types imports unit own-coverage docs  ## The whole check, with ROS 2 where it can be had
+test: lint types imports unit docs  ## The whole check, with ROS 2 where it can be had
 	@why=$$($(PYTHON) examples/ros2/build_interfaces.py --platform); if [ -z "$$why" ]; \
 	    then $(MAKE) --no-print-directory test-ros; else echo "test-ros is left out: $$why"; fi
 
@@ -49,10 +57,7 @@ imports: $(VENV)/.tools
 	$(BIN)/lint-imports
 
 unit: $(VENV)/.tools
-	$(BIN)/pytest -n auto --dist worksteal
-
-own-coverage: $(VENV)/.tools  ## Is each module covered by its own test file?
-	$(BIN)/python tests/own_coverage.py
+	$(BIN)/python -m pytest -p tests.own_coverage -n auto --dist worksteal
 
 docs: $(VENV)/.docs  ## Build the documentation into site/
 	$(BIN)/python docs/build.py
@@ -60,9 +65,14 @@ docs: $(VENV)/.docs  ## Build the documentation into site/
 docs-serve: $(VENV)/.docs  ## Show the documentation while it is written
 	$(BIN)/zensical serve
 
-bench: $(VENV)/.bench  ## Measure, and print JSON
-	$(BIN)/python -m tests.benchmarks inprocess
-	$(BIN)/python -m tests.benchmarks tcp
+# A server of NATS is unpacked rather than installed: as a package, it would start a service.
+bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparisons.md
+	@cd $(VENV) && which nats-server >/dev/null || [ -d nats ] || ! which apt-get >/dev/null || \
+	    { apt-get download -qq nats-server 2>/dev/null && dpkg -x nats-server_*.deb nats; } || true
+	$(no_other_ros) $(BIN)/python -m tests.benchmarks all --scale $(SCALE)
+
+simulate: $(VENV)/.tools  ## Ten minutes of random scenarios in virtual time: does anything go wrong?
+	$(BIN)/python -m tests.simulation --seconds 600
 
 soak: $(VENV)/.tools  ## Fifty connections for ten minutes: does anything grow?
 	$(BIN)/python -m tests.soak
@@ -70,13 +80,43 @@ soak: $(VENV)/.tools  ## Fifty connections for ten minutes: does anything grow?
 fuzz: $(VENV)/.fuzz  ## Two minutes of bytes that mean no good
 	$(BIN)/python -m tests.fuzz.wire -max_total_time=120
 
-test-wheel: $(VENV)/.tools  ## Run the tests against the built wheel, from another folder
-	rm -rf dist build/wheel
-	$(BIN)/python -m build --quiet --wheel --outdir dist .
+mutants: $(MUTANTS_VENV)/.installed  ## Put small faults into the rules: do the tests notice each one?
+	$(MUTANTS_VENV)/bin/python -m tests.mutants
+
+# The wheel is made of the sdist, as others make it; and of the checkout, to compare.
+test-wheel: $(VENV)/.release  ## Look into the sdist and the wheel, and run the tests against the wheel
+	rm -rf dist build/checkout build/consumer build/wheel
+	$(BIN)/python -m build --quiet --outdir dist .
+	$(BIN)/python -m build --quiet --outdir build/checkout --wheel .
+	$(BIN)/python -m twine check --strict dist/*
+	$(call new_venv,build/consumer)
+	$(call install,build/consumer) dist/*.whl
+	FIBACTION_BUILT=1 $(BIN)/python -m pytest tests/packaging
 	$(call new_venv,build/wheel)
 	$(call install,build/wheel) dist/*.whl --group test
 	cd build && wheel/bin/python -m pytest -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
 	    -o cache_dir=build/.pytest_cache ../tests
+
+# Of those that pyproject.toml names, the ones that `make test` is not run with.
+PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'),3.11 3.12 3.13)
+# What another Python or library may do otherwise: property tests need few examples to show that, and
+# how coverage is looked at matters in .venv only.
+test_elsewhere = FIBACTION_EXAMPLES=20 $(1)/bin/python -m pytest -q -n auto --dist worksteal \
+    -o cache_dir=$(1)/.pytest_cache $(ELSEWHERE)
+ELSEWHERE := tests --ignore=tests/test_own_coverage.py
+
+test-pythons:  ## Run the tests with each other Python that is there
+	@for version in $(PYTHONS); do \
+	    if ! python=$$(tests/find_python.sh $$version); \
+	    then echo "Python $$version is left out: it is not here"; \
+	    else $(MAKE) --no-print-directory test-python$$version PYTHON=$$python || exit; fi; \
+	done
+
+test-python%: build/python%/.installed
+	$(call test_elsewhere,build/python$*)
+
+test-lowest: build/lowest/.installed  ## Run the tests with the lowest versions of libraries allowed
+	$(call test_elsewhere,build/lowest)
 
 # `timeout` is for a process that does not even end by what the tests have against hanging. The tests
 # spend half of their time waiting for other processes, so two of them run at once.
@@ -93,7 +133,8 @@ test-ros: $(ROS_VENV)/.interfaces  ## Test the ROS 2 transport with ROS 2, from 
 ros: $(ROS_VENV)/.interfaces  ## Make .venv-ros: ROS 2 from wheels, and the interfaces used here
 
 clean:  ## Remove all that was made
-	rm -rf $(VENV) $(ROS_VENV) .cache build dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(MUTANTS_VENV) $(ROS_VENV) .cache build dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -prune -exec rm -r {} +
 
 $(VENV)/.made:
 	$(call new_venv,$(VENV))
@@ -111,12 +152,40 @@ $(VENV)/.docs: $(VENV)/.tools
 	$(call install,$(VENV)) --group docs
 	@touch $@
 
+$(VENV)/.release: $(VENV)/.tools
+	$(call install,$(VENV)) --group release
+	@touch $@
+
 $(VENV)/.fuzz: $(VENV)/.tools
 	$(call install,$(VENV)) --group fuzz
 	@touch $@
 
+$(MUTANTS_VENV)/.made:
+	$(call new_venv,$(MUTANTS_VENV))
+	@touch $@
+
+$(MUTANTS_VENV)/.installed: $(MUTANTS_VENV)/.made pyproject.toml
+	$(call install,$(MUTANTS_VENV)) -e . --group test --group mutants
+	@touch $@
+
 $(VENV)/.bench: $(VENV)/.tools
 	$(call install,$(VENV)) --group bench
+	@touch $@
+
+.PRECIOUS: build/python%/.installed
+build/python%/.installed: pyproject.toml
+	rm -rf $(@D)
+	mkdir -p build
+	$(call new_venv,$(@D))
+	$(call install,$(@D)) -e '.[uvloop]' --group test
+	@touch $@
+
+build/lowest/.installed: pyproject.toml tests/lowest.py
+	rm -rf $(@D)
+	mkdir -p build
+	$(call new_venv,$(@D))
+	$(PYTHON) -m tests.lowest > $(@D)/lowest.txt
+	$(call install,$(@D)) -e '.[uvloop]' --group test --constraint $(@D)/lowest.txt
 	@touch $@
 
 $(ROS_VENV)/.made:

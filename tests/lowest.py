@@ -1,0 +1,42 @@
+"""The lowest versions that `pyproject.toml` allows, as constraints for pip and uv.
+
+    python tests/lowest.py > lowest.txt
+
+Of what fibaction and its tests name themselves; what those need is the newest that fits.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parent.parent / "pyproject.toml"
+
+
+def constraints(project: Path = PROJECT) -> list[str]:
+    """One line per library, sorted.
+
+    Raises:
+        ValueError: A requirement has no lower bound.
+    """
+    settings = tomllib.loads(project.read_text())
+    requirements: list[str] = settings["project"]["dependencies"]
+    for extra in settings["project"]["optional-dependencies"].values():
+        requirements += extra
+    requirements += settings["dependency-groups"]["test"]
+    name = settings["project"]["name"]
+    return sorted({lowest(each) for each in requirements if not re.match(rf"{name}\b", each)})
+
+
+def lowest(requirement: str) -> str:
+    """The constraint for one requirement."""
+    found = re.fullmatch(r"([\w.-]+)(?:\[[\w,]+\])?>=([\w.]+)", requirement)
+    if found is None:
+        raise ValueError(f"no lower bound, or more than that: {requirement}")
+    return f"{found[1]}=={found[2]}"
+
+
+if __name__ == "__main__":
+    sys.stdout.writelines(f"{line}\n" for line in constraints())

@@ -1,0 +1,345 @@
+"""Would the tests notice? A module gets one small fault at a time, and its tests have to fail.
+
+    python -m tests.mutants [--list] [--where NAME] [MODULE...]
+
+A fault that no test notices is a survivor. Each of them is either killed, with a better test, or
+explained, in `tests/mutants.toml`; one that is not explained makes the run fail, and so does an
+explanation of one that is gone.
+
+The faults are those of mutmut, and five kinds more. `mutmut run` itself looks into functions only,
+and not into those that have a decorator: it would leave alone the table of transitions, each
+property, and all that says what a message is. So its operators are used here on whole modules. A
+fault is in the memory of a process of its own: nothing is written to the tree.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import gc
+import importlib.abc
+import os
+import resource
+import sys
+import time
+import tomllib
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from importlib.machinery import ModuleSpec
+from importlib.util import spec_from_loader
+from pathlib import Path
+from tempfile import TemporaryFile
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import anyio.pytest_plugin
+import hypothesis.stateful
+import libcst
+import pytest
+import pytest_asyncio
+import trio
+from hypothesis import HealthCheck, Phase, settings
+from mutmut.mutation.mutators import mutation_operators
+
+LOADED = [anyio.pytest_plugin, hypothesis.stateful, pytest_asyncio, trio]
+"""What tests need is loaded once, here, and not anew in each of some hundred processes."""
+ROOT = Path(__file__).resolve().parent.parent
+EXPLAINED = Path(__file__).with_suffix(".toml")
+MODULES = ["states", "protocol", "messages"]
+"""What is looked into unless other modules are named: the rules, which everything else rests on."""
+OF_FIELDS = {"messages"}
+"""Where the types of fields are more than a note for the reader: what comes is checked by them."""
+
+LIMITED = {
+    **dict.fromkeys(["ID", "Stamp", "Status", "Count", "FrameSize"], "int"),
+    "GoalBytes": "bytes",
+    "Seconds": "float",
+}
+"""The types of fields that have limits, and what they are without them."""
+
+SECONDS_PER_TEST = 60  # many times what the slowest test takes; one with a fault may never end
+SECONDS_PER_MUTANT = 300  # of a processor's time, for what does not even stop for that
+MEMORY = 2**31  # a loop without an end may fill a list
+FAILED = 3  # pytest's number for an error of its own
+NOTICED = {1, 2}  # what pytest ends with if a test fails, or if a test file cannot be imported
+
+settings.register_profile(
+    "mutants",
+    # The same examples each time, so that it is not chance which mutants survive, and none is made
+    # smaller: nobody will read it.
+    derandomize=True,
+    database=None,
+    phases=[Phase.explicit, Phase.generate],
+    max_examples=50,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+
+
+class Fault(NamedTuple):
+    """What is wrong with a mutant, as people see it."""
+
+    where: str
+    """The function or class that has it; empty if none has."""
+    before: str
+    after: str
+    """The lines that differ."""
+
+    def __str__(self) -> str:
+        return f"in {self.where or 'the module'}:\n  - {self.before}\n  + {self.after}"
+
+
+class Mutant(NamedTuple):
+    """A module with one fault in it."""
+
+    fault: Fault
+    code: str
+
+
+# What is made of a node, beyond what mutmut makes of it
+
+
+def without_a_statement(node: libcst.CSTNode) -> Iterator[libcst.CSTNode]:
+    """A call, a `del`, or an assignment to what has a value already may be left out."""
+    said = node.value if isinstance(node, libcst.Expr) else node
+    if isinstance(said, libcst.Assign) and isinstance(said.targets[0].target, libcst.Name):
+        return  # what follows would fail without it
+    if isinstance(said, libcst.Call | libcst.Del | libcst.Assign | libcst.AugAssign):
+        yield libcst.Pass()
+
+
+def with_the_other_branch(node: libcst.CSTNode) -> Iterator[libcst.CSTNode]:
+    """A condition may be the opposite of what it should be; mutmut knows those with an operator."""
+    if isinstance(node, libcst.If) and isinstance(
+        node.test, libcst.Name | libcst.Attribute | libcst.Call
+    ):
+        yield node.with_changes(test=libcst.UnaryOperation(libcst.Not(), node.test))
+
+
+def without_an_entry(node: libcst.CSTNode) -> Iterator[libcst.CSTNode]:
+    """A table may lack a line, and a clause an error."""
+    if isinstance(node, libcst.Dict | libcst.Set | libcst.List | libcst.Tuple):
+        for place in range(len(node.elements)):
+            others = (*node.elements[:place], *node.elements[place + 1 :])
+            yield node.with_changes(elements=others)
+
+
+def with_half_a_union(node: libcst.CSTNode) -> Iterator[libcst.CSTNode]:
+    """One of two types may be missing."""
+    if isinstance(node, libcst.BinaryOperation) and isinstance(node.operator, libcst.BitOr):
+        yield node.left
+        yield node.right
+
+
+def without_limits(node: libcst.CSTNode) -> Iterator[libcst.CSTNode]:
+    """A type may say less than it should."""
+    if isinstance(node, libcst.Name) and node.value in LIMITED:
+        yield libcst.Name(LIMITED[node.value])
+
+
+Operator = Callable[[Any], Iterator[libcst.CSTNode]]
+OPERATORS: list[tuple[type, Operator]] = [
+    *mutation_operators,
+    (libcst.CSTNode, without_a_statement),
+    (libcst.CSTNode, with_the_other_branch),
+    (libcst.CSTNode, without_an_entry),
+]
+OPERATORS_ON_TYPES: list[tuple[type, Operator]] = [
+    *((kind, operator) for kind, operator in mutation_operators if kind is not libcst.CSTNode),
+    (libcst.CSTNode, with_half_a_union),
+    (libcst.CSTNode, without_limits),
+]
+
+
+def faults(
+    node: libcst.CSTNode, where: tuple[str, ...] = (), *, fields: bool, in_type: bool = False
+) -> Iterator[tuple[tuple[str, ...], libcst.CSTNode, libcst.CSTNode]]:
+    """Where, what, and what to put instead; `fields` says whether the types of fields count."""
+    if isinstance(node, libcst.Annotation):
+        if not fields:
+            return
+        in_type = True
+    if isinstance(node, libcst.Call) and getattr(node.func, "value", "") == "TypeVar":
+        return  # the name of a type variable is for people
+    for kind, operator in OPERATORS_ON_TYPES if in_type else OPERATORS:
+        if isinstance(node, kind):
+            for other in operator(node):
+                yield where, node, other
+    if isinstance(node, libcst.FunctionDef | libcst.ClassDef):
+        where = (*where, node.name.value)
+    # What a function takes and gives is for the reader everywhere, what is in a class is not.
+    fields = fields and not isinstance(node, libcst.FunctionDef)
+    for child in node.children:
+        yield from faults(child, where, fields=fields, in_type=in_type)
+
+
+def mutants(name: str) -> Iterator[Mutant]:
+    """All mutants of a module, each once."""
+    source = source_of(name).read_text()
+    module = libcst.parse_module(source)
+    seen = {source}
+    for where, node, other in faults(module, fields=name in OF_FIELDS):
+        code = module.deep_replace(node, other).code
+        if code not in seen and is_python(code):
+            seen.add(code)
+            yield Mutant(Fault(".".join(where), *differences(source, code)), code)
+
+
+def is_python(code: str) -> bool:
+    try:
+        compile(code, "mutant", "exec")
+    except SyntaxError:
+        return False
+    return True
+
+
+def differences(source: str, code: str) -> tuple[str, str]:
+    """The lines that are in only one of the two."""
+    lines = list(difflib.ndiff(source.splitlines(), code.splitlines()))
+    before = " ".join(line[2:].strip() for line in lines if line.startswith("- "))
+    after = " ".join(line[2:].strip() for line in lines if line.startswith("+ "))
+    return before, after
+
+
+# Running the tests of one
+
+
+class Instead(importlib.abc.InspectLoader, importlib.abc.MetaPathFinder):
+    """Has a module's code ready for whoever imports it."""
+
+    def __init__(self, name: str, code: str) -> None:
+        self.name = name
+        self.code = code
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        return spec_from_loader(fullname, self) if fullname == self.name else None
+
+    def get_source(self, fullname: str) -> str:
+        return self.code
+
+
+def source_of(name: str) -> Path:
+    return ROOT / "fibaction" / f"{name}.py"
+
+
+def tests_of(name: str) -> Path:
+    path = Path(name)
+    return ROOT / "tests" / path.parent / f"test_{path.name}.py"
+
+
+def run_tests(name: str, code: str) -> tuple[int, str]:
+    """What pytest ends with if the module has that code, and what it prints.
+
+    The number is negative if a signal ended it.
+    """
+    with TemporaryFile() as printed:
+        process = os.fork()
+        if not process:
+            os.dup2(printed.fileno(), 1)
+            os.dup2(printed.fileno(), 2)
+            result = FAILED
+            try:
+                result = run_tests_here(name, code)
+            except BaseException:
+                traceback.print_exc()
+            finally:
+                os._exit(result)  # nothing of what the first process has to do when it ends
+        _, status = os.waitpid(process, 0)
+        printed.seek(0)
+        return os.waitstatus_to_exitcode(status), printed.read().decode(errors="replace")
+
+
+def run_tests_here(name: str, code: str) -> int:
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS_PER_MUTANT, SECONDS_PER_MUTANT))
+    module = "fibaction." + name.replace("/", ".")
+    sys.meta_path.insert(0, Instead(module, code))
+    return pytest.main(
+        [
+            *("-x", "-q", "-p", "no:cacheprovider", "--hypothesis-profile=mutants"),
+            *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # of what was imported before
+            *(f"--timeout={SECONDS_PER_TEST}", str(tests_of(name))),
+        ]
+    )
+
+
+def survives(name: str, fault: Fault, code: str) -> bool:
+    """Whether no test notices the fault."""
+    result, printed = run_tests(name, code)
+    if result > 0 and result not in NOTICED:
+        sys.exit(f"{printed}\npytest ended with {result}, for the mutant of {name} {fault}")
+    return result == 0
+
+
+def check_that_it_works(name: str) -> None:
+    """The tests pass as things are, and notice a module that is no good at all."""
+    code, printed = run_tests(name, source_of(name).read_text())
+    if code:
+        sys.exit(f"{printed}\nthe tests of {name} fail as they are")
+    code, printed = run_tests(name, "raise ImportError('this is a mutant')")
+    if code not in NOTICED or "this is a mutant" not in printed:
+        sys.exit(f"{printed}\nthe tests of {name} do not use the module that they are given")
+
+
+# Comparing with what is expected
+
+
+def explained(name: str) -> dict[Fault, str]:
+    """Why a mutant may survive."""
+    return {
+        Fault(entry["where"], before, after): entry["why"]
+        for entry in tomllib.loads(EXPLAINED.read_text()).get(name, [])
+        for before, after in entry["mutants"]
+    }
+
+
+def look_into(name: str, where: str) -> int:
+    """Try the mutants of a module; how many things are not as they should be."""
+    gc.freeze()  # what is here is here to stay: pytest collects garbage at each end
+    check_that_it_works(name)
+    began = time.monotonic()
+    tried = [mutant for mutant in mutants(name) if mutant.fault.where.startswith(where)]
+    expected = {fault for fault in explained(name) if fault.where.startswith(where)}
+    survivors: set[Fault] = set()
+    for number, (fault, code) in enumerate(tried):
+        if sys.stdout.isatty():
+            print(f"{name}: {number} of {len(tried)}", end="\r", flush=True)
+        if survives(name, fault, code):
+            survivors.add(fault)
+            if fault not in expected:
+                print(f"{name}: a mutant survives {fault}", flush=True)
+    for fault in expected - survivors:
+        print(f"{name}: {EXPLAINED.name} explains a mutant that does not survive {fault}")
+    unexpected = len(survivors ^ expected)
+    minutes = (time.monotonic() - began) / 60
+    print(
+        f"{name}: {len(tried)} mutants, {len(survivors)} survive, {len(survivors & expected)} of "
+        f"these are explained; {unexpected} to look at; {minutes:.1f} minutes",
+        flush=True,
+    )
+    return unexpected
+
+
+def main() -> int:
+    """Look into the modules that are named, or into those that matter most."""
+    parser = argparse.ArgumentParser(description="Would the tests notice a fault?")
+    parser.add_argument("modules", nargs="*", default=MODULES, metavar="MODULE")
+    parser.add_argument(
+        "--where", default="", metavar="NAME", help="only in that function or class"
+    )
+    parser.add_argument("--list", action="store_true", help="only say what would be tried")
+    options = parser.parse_args()
+    os.chdir(ROOT)
+    if options.list:
+        for name in options.modules:
+            for mutant in mutants(name):
+                print(f"{name}: {mutant.fault}")
+        return 0
+    unexpected = [look_into(name, options.where) for name in options.modules]
+    return 1 if any(unexpected) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

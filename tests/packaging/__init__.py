@@ -1,0 +1,1 @@
+"""What is published: `make test-wheel` builds it, and says where it is."""
