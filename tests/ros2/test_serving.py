@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import subprocess
+import sys
 import uuid
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
@@ -25,7 +27,7 @@ from fibaction import (
     serve,
 )
 from fibaction_transports.inprocess import InProcessTransport
-from fibaction_transports.ros2 import feedback, serving
+from fibaction_transports.ros2 import feedback, rcl, serving
 from fibaction_transports.ros2.cdr import info_of, unpack_statuses
 from fibaction_transports.ros2.following import Reading, RosGoal
 from fibaction_transports.ros2.messages import RosAction
@@ -121,6 +123,94 @@ async def test_a_goal_sent_twice_while_it_is_decided_is_accepted_once(url: str) 
             assert answers == []
             decide.set()
     assert sorted(answers) == [False, True]
+
+
+async def test_an_answer_that_cannot_reach_its_client_yet_is_sent_again_and_feedback_waits_for_it(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    happened: list[str] = []
+
+    def has_answered(service: Any, response: Any, header: Any) -> bool:
+        if type(response).__name__.endswith("SendGoal_Response"):
+            happened.append("answer")
+            if len(happened) < 3:
+                return False
+        return rcl.has_answered(service, response, header)
+
+    async def keep_pace(topic: feedback.FeedbackTopic) -> None:
+        happened.append("feedback")
+
+    monkeypatch.setattr(serving, "has_answered", has_answered)
+    monkeypatch.setattr(feedback.FeedbackTopic, "_keep_pace", keep_pace)
+    with anyio.fail_after(10):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), url),
+            connect(url, FIBONACCI) as client,
+            client.send_goal(Goal(5)) as goal,
+        ):
+            received = [len(item.partial_sequence) async for item in goal.feedback]
+    assert happened == ["answer"] * 3 + ["feedback"] * 4
+    assert received == [3, 4, 5, 6]
+
+
+async def test_a_client_that_no_answer_can_reach_is_given_up_and_others_are_served(
+    url: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(serving, "ANSWER_PAUSES", (0.01,))
+    heard = anyio.Event()
+
+    def on_goal(goal: Goal) -> None:
+        if goal.order == 7:
+            heard.set()
+
+    server = ActionServer(FIBONACCI, fibonacci, on_goal=on_goal)
+    with anyio.fail_after(20):
+        async with (
+            serve(server, url),
+            connect(url, FIBONACCI) as other,
+            own_node(NodeSettings(namespace=url.partition("=")[2])) as deaf,
+        ):
+            service = RosAction.find(FIBONACCI.info.type_name).ros_type.Impl.SendGoalService
+            # Every server hears it, and it hears only servers that keep their answers for it.
+            profile = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
+            name = action_names(deaf.node, "fibonacci").send_goal
+            client = deaf.make(raw.Client, service, name, profile.get_c_qos_profile())
+            request = service.Request()
+            request.goal_id.uuid = uuid_of(GoalID.random())
+            request.goal.order = 7
+            while not heard.is_set():  # there is no sign by which to know that the server hears it
+                client.send_request(request)
+                with anyio.move_on_after(0.1):
+                    await heard.wait()
+            assert (await (await other.send_goal(Goal(5))).result()).sequence == [0, 1, 1, 2, 3, 5]
+    assert "fibonacci: an answer cannot reach its client, and is lost" in caplog.text
+
+
+def test_only_for_our_own_answers_a_warning_of_rclpy_is_an_error() -> None:
+    program = """
+import warnings
+from fibaction_transports.ros2.rcl import has_answered
+
+class Service:
+    def service_send_response(self, response, header):
+        warnings.warn("failed to send response (timeout): why", RuntimeWarning, stacklevel=2)
+
+print(has_answered(Service(), None, None))
+print(Service().service_send_response(None, None))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout.split() == ["False", "None"]
+    assert "RuntimeWarning: failed to send response (timeout): why" in done.stderr
+
+
+@pytest.mark.parametrize("error", [RuntimeError("the client has left"), SystemError("a bug")])
+def test_an_answer_that_fails_in_another_way_is_an_error(error: Exception) -> None:
+    class Service:
+        def service_send_response(self, response: Any, header: Any) -> None:
+            raise error
+
+    with pytest.raises(type(error), match=str(error)):
+        rcl.has_answered(Service(), None, None)
 
 
 async def test_a_rejection_says_its_reason_in_the_log_of_ros(

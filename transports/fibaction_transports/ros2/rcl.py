@@ -6,6 +6,8 @@ handles, `Waitable`): whoever adapts this package to another rclpy looks here fi
 
 from __future__ import annotations
 
+import re
+import warnings
 from importlib import import_module
 from typing import Any
 
@@ -34,6 +36,29 @@ LIVELINESS_CHANGED: Any = raw.rcl_subscription_event_type_t.RCL_SUBSCRIPTION_LIV
 GoalInfoMessage: Any = import_module("action_msgs.msg").GoalInfo
 
 _numpy: Any = import_module("numpy")
+
+# Only what rclpy says of calls in this module, and so of nobody else's services.
+warnings.filterwarnings(
+    "error", r"failed to send response \(timeout\)", RuntimeWarning, re.escape(__name__)
+)
+
+
+def has_answered(service: Any, response: Any, header: Any) -> bool:
+    """Send the answer of a raw service; False if the middleware has yet to find the way to who
+    asked.
+
+    A client and a server find each other's ends one by one, so a request may arrive before its
+    answer can. Fast DDS waits 0.1 s for that, and stops all of Python meanwhile; then rclpy only
+    warns, and nobody sends the answer again.
+    """
+    try:
+        service.service_send_response(response, header)
+    except (RuntimeWarning, SystemError) as exc:
+        # rclpy does not look whether its warning became an error, and CPython notices that.
+        if not isinstance(exc.__cause__ or exc, RuntimeWarning):
+            raise
+        return False
+    return True
 
 
 def uuid_of(goal_id: bytes) -> Any:

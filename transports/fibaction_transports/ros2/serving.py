@@ -32,7 +32,7 @@ from fibaction_transports.ros2.intake import Requests
 from fibaction_transports.ros2.messages import RosAction, RosCodecs
 from fibaction_transports.ros2.node import RosNode
 from fibaction_transports.ros2.pump import Pump
-from fibaction_transports.ros2.rcl import GoalInfoMessage, raw, uuid_of
+from fibaction_transports.ros2.rcl import GoalInfoMessage, has_answered, raw, uuid_of
 
 NO_GOAL = bytes(16)
 DRAIN_TIMEOUT = 1.0
@@ -44,6 +44,8 @@ RIVALS_PAUSE = 1.0
 """Seconds between two looks for a second server of the same name."""
 RETRY_PAUSE = 1.0
 """Seconds between attempts to follow the statuses of an endpoint that cannot be reached."""
+ANSWER_PAUSES = (0.1, 0.3, 0.6)
+"""Seconds between attempts to send an answer that cannot reach its client yet."""
 UNDERWAY = 10_000
 """How many requests may be under way: most of them ask for the results of goals that run."""
 
@@ -135,6 +137,7 @@ class Served:
         self, service: Any, answer: Callable[[Any], Awaitable[Any]], failure: Any
     ) -> Callable[[Any], None]:
         """What to do with a request; `failure` is the answer if nothing else can be said."""
+        deciding = answer == self._answer_goal
         quick = answer != self._answer_result
 
         def begin(item: Any) -> None:
@@ -156,16 +159,26 @@ class Served:
                     # An endpoint of somebody else's: that is its fault, and one request's.
                     logger.error("%s: a request failed: %s", self._name, exc, exc_info=exc)
                     response = failure
-                service.service_send_response(response, header)
+                await self._send(service, response, header)
             except Exception as exc:  # rclpy raises whatever rcl says
                 # Most likely, the client has left.
                 logger.info("%s: an answer could not be sent: %s", self._name, exc)
             finally:
+                if deciding:
+                    self._deciding.discard(_goal_id(request.goal_id))
                 self._underway -= 1
                 self._quick -= quick
                 self._progress.wake()
 
         return begin
+
+    async def _send(self, service: Any, response: Any, header: Any) -> None:
+        for pause in ANSWER_PAUSES:
+            if has_answered(service, response, header):
+                return
+            await anyio.sleep(pause)
+        if not has_answered(service, response, header):
+            logger.warning("%s: an answer cannot reach its client, and is lost", self._name)
 
     async def _answer_goal(self, request: Any) -> Any:
         response = self._impl.SendGoalService.Response()
@@ -187,13 +200,8 @@ class Served:
             await self._progress.wait()
         if goal_id in self._pumps or goal_id in self._board:
             raise GoalRejected("its ID is in use")
-        self._deciding.add(goal_id)
-        try:
-            payload = self._codecs.goal.from_ros(goal)
-            stream = await self._endpoint.send_goal(goal_id, payload)
-        finally:
-            self._deciding.discard(goal_id)
-            self._progress.wake()
+        self._deciding.add(goal_id)  # until the client has been told
+        stream = await self._endpoint.send_goal(goal_id, self._codecs.goal.from_ros(goal))
         # The stream of all statuses may be read later than the goal's own.
         self._board.tell(GoalInfo(goal_id, stream.stamp, GoalStatus.ACCEPTED))
         self._pump(goal_id, Pump(stream, self._feedback.of(goal_id), self._board.tell))
@@ -253,6 +261,9 @@ class Served:
 
     async def _run_pump(self, goal_id: GoalID, pump: Pump) -> None:
         try:
+            # Who cannot be told of the goal cannot be told of its feedback either.
+            while goal_id in self._deciding:
+                await self._progress.wait()
             outcome = await pump.outcome()
             if outcome.reason:
                 self._ros.warn(
