@@ -288,8 +288,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
     def events(self, *, feedback: bool = True) -> AbstractAsyncContextManager[Events[FeedbackT]]:
         """`async with` this, and `async for` over what it gives: first every goal that the server
         knows, then each change of a status, and, with `feedback`, the feedback of all goals, of new
-        ones from the beginning; but a goal that ends at once may be over before its feedback can be
-        followed. A goal's end comes after its feedback.
+        ones from the beginning, as far as the server remembers it. A goal's end comes after its
+        feedback.
 
         Raises:
             ServerNotFound, ConnectionLost: As for `send_goal`.

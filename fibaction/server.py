@@ -10,6 +10,7 @@ import inspect
 import logging
 import math
 import time
+from collections import deque
 from collections.abc import Awaitable, Coroutine, Generator
 from contextlib import contextmanager
 from functools import partial
@@ -42,6 +43,10 @@ from fibaction.waking import Waking
 EXPIRY_STEP = 0.1
 """Seconds between two looks for expired results at most: an answer is exact to the moment all the
 same, this only limits how often memory is freed."""
+
+RECENT_TIME, RECENT_GOALS = 1.0, 1000
+"""Seconds that the feedback of a goal outlives it, while somebody follows the statuses, and of how
+many goals at most: who has just learned of a goal asks for its feedback, and it may be over."""
 
 SERVER_STOPPED = "server stopped"
 CANCELED_UNASKED = "the executor ended as canceled, but nobody had asked for that"
@@ -151,6 +156,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._protocol = ServerProtocol(result_timeout=result_timeout, max_results=max_results)
         self._runs: dict[GoalID, _Run[GoalT, FeedbackT, ResultT]] = {}
         self._unread: WeakValueDictionary[GoalID, GoalLog] = WeakValueDictionary()
+        self._recent: deque[tuple[float, GoalLog]] = deque(maxlen=RECENT_GOALS)
         self._statuses = StatusFeed()
         self._callbacks = Callbacks(action.name)
         self._started = Waking()
@@ -224,13 +230,18 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
     async def _forget_expired(self) -> None:
         while True:
-            while self._protocol.next_expiry == math.inf:
+            while (next_expiry := self._next_expiry()) == math.inf:
                 await self._ended.wait()
-            not_before = current_time() + EXPIRY_STEP
-            await anyio.sleep_until(max(self._protocol.next_expiry, not_before))
+            await anyio.sleep_until(max(next_expiry, current_time() + EXPIRY_STEP))
             self._expire(current_time())
 
+    def _next_expiry(self) -> float:
+        recent = self._recent[0][0] if self._recent else math.inf
+        return min(recent, self._protocol.next_expiry)
+
     def _expire(self, now: float) -> None:
+        while self._recent and self._recent[0][0] <= now:
+            self._recent.popleft()
         for goal_id in self._protocol.expire(now):
             self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))
 
@@ -418,7 +429,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         now = current_time()
         self._protocol.finish(goal, ending, now=now)
         del self._runs[goal.goal_id]
-        if run.log.is_followed:
+        if self._statuses:
+            self._recent.append((now + RECENT_TIME, run.log))
+        if self._statuses or run.log.is_followed:
             self._unread[goal.goal_id] = run.log
         self._tell_status(run)
         run.log.finish()

@@ -29,6 +29,7 @@ from fibaction import (
 from fibaction.abc import GoalStream
 from fibaction.crew import Life
 from fibaction.protocol import Ending, EndKind
+from fibaction.server import EXPIRY_STEP, RECENT_TIME
 from tests.executors import Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
@@ -785,6 +786,36 @@ async def test_an_outcome_is_kept_for_its_time_to_the_moment() -> None:
         GoalStatus.UNKNOWN,
         GoalStatus.UNKNOWN,
     ]
+
+
+@pytest.mark.promise("FEEDBACK-11")
+@pytest.mark.parametrize(
+    "anyio_backend",
+    [("trio", {"clock": trio.testing.MockClock(autojump_threshold=0)})],
+    ids=["virtual time"],
+)
+async def test_feedback_outlives_its_goal_for_a_moment_while_somebody_watches_the_goals() -> None:
+    async def feedback_of(goal_id: GoalID) -> int:
+        with await server.feedback(goal_id, after=0) as stream:
+            items = stream.take(10)
+            assert not isinstance(items, GoalStatus)
+            return len(items or ())
+
+    async def one_that_ends() -> GoalID:
+        goal_id = GoalID.random()
+        with await server.send_goal(goal_id, packed(4), feedback=False) as stream:
+            await stream.outcome()
+        return goal_id
+
+    async with ActionServer(FIBONACCI, fibonacci, result_timeout=math.inf) as server:
+        unwatched = await one_that_ends()
+        with await server.status():
+            watched = await one_that_ends()
+            await anyio.sleep(RECENT_TIME / 2)
+            later = await one_that_ends()
+            assert [await feedback_of(one) for one in (unwatched, watched, later)] == [0, 3, 3]
+            await anyio.sleep(RECENT_TIME / 2 + EXPIRY_STEP)
+            assert [await feedback_of(one) for one in (watched, later)] == [0, 3]
 
 
 @pytest.mark.promise("FEEDBACK-4")

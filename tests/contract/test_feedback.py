@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import ActionServer, GoalHandle, GoalStatus
+from fibaction import ActionServer, GoalFeedback, GoalHandle, GoalInfo, GoalStatus
 from tests.contract.conftest import Reach
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 
@@ -250,6 +250,25 @@ async def test_an_observer_may_ask_for_what_was_before(reach: Reach) -> None:
         assert later.feedback_dropped == 6
         assert numbers([item async for item in future.feedback]) == []
         assert await goal.result() == Result([10])
+
+
+@pytest.mark.promise("FEEDBACK-11")
+async def test_who_watches_all_goals_sees_the_feedback_of_one_that_ends_at_once(
+    reach: Reach,
+) -> None:
+    executor = Counts()
+    executor.finish.set()
+    seen: list[object] = []
+    async with reach(ActionServer(FIBONACCI, executor)) as client, client.events() as events:
+        await client.call(Goal(3))
+        async for event in events:
+            if isinstance(event, GoalFeedback):
+                seen.append(event.feedback.partial_sequence[0])
+            elif isinstance(event, GoalInfo):
+                seen.append(event.status.name)
+            if seen[-1] == "SUCCEEDED":
+                break
+    assert seen == ["ACCEPTED", "EXECUTING", 1, 2, 3, "SUCCEEDED"]
 
 
 @pytest.mark.promise("FEEDBACK-12")
