@@ -213,6 +213,18 @@ def test_an_answer_that_fails_in_another_way_is_an_error(error: Exception) -> No
         rcl.has_answered(Service(), None, None)
 
 
+async def test_the_node_stays_for_a_moment_after_the_last_answer_so_that_it_is_heard(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serving, "LINGER", 0.5)
+    async with connect(url, FIBONACCI) as client:
+        async with serve(ActionServer(FIBONACCI, forever), url):
+            goal = await client.send_goal(Goal(1))
+            leaving = anyio.current_time()
+        assert anyio.current_time() - leaving >= 0.5  # the end was told after `leaving`
+        assert (await goal.outcome()).status is GoalStatus.ABORTED
+
+
 async def test_a_rejection_says_its_reason_in_the_log_of_ros(
     url: str, capfd: pytest.CaptureFixture[str]
 ) -> None:

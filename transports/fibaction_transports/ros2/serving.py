@@ -7,11 +7,13 @@ so it serves a server of this process as well as whatever a gateway reaches.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio
+from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction.abc import Endpoint
@@ -35,11 +37,14 @@ from fibaction_transports.ros2.pump import Pump
 from fibaction_transports.ros2.rcl import GoalInfoMessage, has_answered, raw, uuid_of
 
 NO_GOAL = bytes(16)
-DRAIN_TIMEOUT = 1.0
+DRAIN_TIMEOUT = 5.0
 """Seconds that leaving waits for the last answers to be sent."""
 ASKING_TIME = 0.5
 """Seconds of these in which clients may still ask for results: one who has just been told that its
 goal was accepted is about to."""
+LINGER = 0.2
+"""Seconds that the node stays after the last thing that was told. Fast DDS drops what has arrived,
+and that it has yet to handle, if it hears first that the sender has left."""
 RIVALS_PAUSE = 1.0
 """Seconds between two looks for a second server of the same name."""
 RETRY_PAUSE = 1.0
@@ -82,6 +87,9 @@ class Served:
         self._deciding: set[GoalID] = set()
         self._pumps: dict[GoalID, Pump] = {}
         self._quick = 0
+        self._sending = 0
+        self.told_at = -math.inf
+        """When the last answer or status was sent."""
         self._is_drained = False
         self._underway = 0
         self._progress = Waking()
@@ -128,7 +136,7 @@ class Served:
         self._is_drained = True
 
     async def _all_told(self) -> None:
-        while self._quick or any(pump.is_owed for pump in self._pumps.values()):
+        while self._quick or self._sending or any(pump.is_owed for pump in self._pumps.values()):
             await self._progress.wait()
 
     # Requests
@@ -173,12 +181,18 @@ class Served:
         return begin
 
     async def _send(self, service: Any, response: Any, header: Any) -> None:
-        for pause in ANSWER_PAUSES:
-            if has_answered(service, response, header):
-                return
-            await anyio.sleep(pause)
-        if not has_answered(service, response, header):
-            logger.warning("%s: an answer cannot reach its client, and is lost", self._name)
+        pauses = iter(ANSWER_PAUSES)
+        self._sending += 1
+        try:
+            while not has_answered(service, response, header):
+                pause = next(pauses, None)
+                if pause is None:
+                    logger.warning("%s: an answer cannot reach its client, and is lost", self._name)
+                    return
+                await anyio.sleep(pause)
+            self.told_at = current_time()
+        finally:
+            self._sending -= 1
 
     async def _answer_goal(self, request: Any) -> Any:
         response = self._impl.SendGoalService.Response()
@@ -283,6 +297,7 @@ class Served:
             self._progress.wake()
 
     def _publish_status(self, message: bytes) -> None:
+        self.told_at = current_time()
         self._ros.attempt(self._status.publish_raw, message)
 
     # Statuses
@@ -346,6 +361,9 @@ async def served(
         finally:
             for action in actions:
                 await action.drain()
+            last = max(action.told_at for action in actions)
+            with anyio.CancelScope(shield=True):
+                await anyio.sleep_until(last + LINGER)
 
 
 def _goal_id(message: Any) -> GoalID:
