@@ -49,8 +49,10 @@ def named(name: str, type_name: str = FIBONACCI.type_name) -> Any:
 @pytest.mark.parametrize(
     ("url", "text"),
     [
-        ("ros2://robot/arm", "the URL of ROS is like ros2://node_name"),
-        ("ros2://robot#arm", "the URL of ROS is like ros2://node_name"),
+        ("ros2://robot/arm", "has a path, and the URL of ROS is like ros2://node_name"),
+        ("ros2://robot#arm", "has a part behind #, and the URL of ROS is like ros2://node_name"),
+        ("ros2://robot#", "has a part behind #, and the URL of ROS is like ros2://node_name"),
+        ("ros2://?domain_id=7&domain_id=8", "has a setting twice: say it once"),
         ("ros2://[", "Invalid IPv6 URL"),
         ("ros2://?color=red", "has no setting 'color'; there is namespace, domain_id"),
         ("ros2://?domain_id=x", "the setting 'domain_id' cannot be 'x'"),

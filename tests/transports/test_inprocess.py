@@ -24,7 +24,9 @@ from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 pytestmark = pytest.mark.asyncio
 
 
-@pytest.mark.parametrize("url", ["inproc://", "inproc://a/b", "inproc://ä", "inproc://a b"])
+@pytest.mark.parametrize(
+    "url", ["inproc://", "inproc://a/b", "inproc://ä", "inproc://a b", "inproc://a#b"]
+)
 async def test_a_url_with_no_good_name_is_refused(url: str) -> None:
     with pytest.raises(TransportError, match="an in-process URL is like inproc://robot, unlike"):
         InProcessTransport.from_url(url)
@@ -33,6 +35,14 @@ async def test_a_url_with_no_good_name_is_refused(url: str) -> None:
 async def test_it_has_no_settings() -> None:
     with pytest.raises(TypeError, match="token"):
         InProcessTransport.from_url("inproc://a", token="x")
+
+
+async def test_settings_in_its_url_are_refused_and_not_shown() -> None:
+    with pytest.raises(TransportError) as caught:
+        InProcessTransport.from_url("inproc://a?token=secret")
+    assert str(caught.value) == (
+        "inproc://a has settings behind ?, and there are none: leave them out"
+    )
 
 
 async def test_transports_of_one_name_meet_and_those_without_a_name_do_not() -> None:

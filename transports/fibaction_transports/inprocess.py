@@ -64,6 +64,11 @@ class InProcessTransport(Transport):
             TransportError: The URL is another one.
             TypeError: There are settings.
         """
+        where, has_settings, _ = url.partition("?")
+        if has_settings:  # not shown: people take them along from another URL, with the token
+            raise TransportError(
+                f"{where} has settings behind ?, and there are none: leave them out"
+            )
         return cls(url.removeprefix("inproc://") or "/", **settings)
 
     @asynccontextmanager

@@ -97,7 +97,6 @@ async def test_a_bad_url_is_a_transport_error_whatever_is_bad(url: str) -> None:
         ("tcp://@robot", "tcp://robot has a user"),
         ("tcp://robot:7400/arm", "tcp://robot:7400/arm has a path"),
         ("tcp:///run/robot.sock", "tcp:///run/robot.sock has a path"),
-        (f"tcp://robot?token={SECRET}#1", "tcp://robot has a part behind #"),
     ],
 )
 async def test_what_a_url_says_besides_is_refused_and_not_left_out_silently(
@@ -110,6 +109,37 @@ async def test_what_a_url_says_besides_is_refused_and_not_left_out_silently(
         f" with settings behind ? such as token="
     )
     assert TcpTransport.from_url("tcp://robot:7400/")._where == "tcp://robot:7400"
+
+
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("unix:///run/robot#1.sock", "unix:///run/robot#1.sock"),
+        ("unix:///run/robot#", "unix:///run/robot#"),
+        (f"unix:///run/x?token={SECRET}#1", "unix:///run/x"),
+        ("tcp://robot:7400#arm", "tcp://robot:7400#arm"),
+        (f"tcp://robot?token={SECRET}#1", "tcp://robot"),
+        (f"tls://{SECRET}@robot?ca=x#y", "tls://robot"),
+    ],
+)
+async def test_a_url_is_not_cut_off_silently_at_a_number_sign(url: str, shown: str) -> None:
+    with pytest.raises(TransportError) as caught:
+        connect(url)
+    assert str(caught.value) == (
+        f"{shown} has a part behind #, which says nothing here: write %23 if the # belongs to a"
+        f" path or a token"
+    )
+
+
+async def test_a_number_sign_that_belongs_to_a_path_or_a_token_is_written_as_a_number() -> None:
+    made = UnixTransport.from_url("unix:///run/robot%231.sock?token=%23a")
+    assert (made._path, made._keeping.token) == (Path("/run/robot#1.sock"), "#a")
+
+
+async def test_of_two_values_of_one_setting_none_is_left_out_silently() -> None:
+    with pytest.raises(TransportError) as caught:
+        connect(f"tcp://robot?token={SECRET}&token=b")
+    assert str(caught.value) == "tcp://robot has a setting twice: say it once"
 
 
 async def test_a_socket_whose_path_cannot_be_is_refused() -> None:

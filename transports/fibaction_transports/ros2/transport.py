@@ -76,11 +76,13 @@ class Ros2Transport(Transport):
         """
         try:
             parts = urlsplit(url)
-            found = _settings(url, dict(parse_qsl(parts.query, keep_blank_values=True)))
-            if parts.path.strip("/") or parts.fragment:
+            if parts.path.strip("/") or "#" in url:
+                what = "part behind #" if "#" in url else "path"
                 raise TransportError(
-                    f"{url}: the URL of ROS is like ros2://node_name?namespace=/robot1&domain_id=7"
+                    f"{url} has a {what}, and the URL of ROS is like"
+                    f" ros2://node_name?namespace=/robot1&domain_id=7"
                 )
+            found = _settings(url, parse_qsl(parts.query, keep_blank_values=True))
             return cls(parts.netloc or None, **{**found, **settings})
         except ValueError as exc:
             raise TransportError(f"{url}: {exc}") from exc
@@ -138,7 +140,7 @@ def _plans(endpoints: Sequence[Endpoint]) -> list[Plan]:
     return plans
 
 
-def _settings(url: str, query: dict[str, str]) -> dict[str, Any]:
+def _settings(url: str, query: list[tuple[str, str]]) -> dict[str, Any]:
     """The settings in a URL, of their types."""
     kinds = {
         "namespace": str,
@@ -147,9 +149,11 @@ def _settings(url: str, query: dict[str, str]) -> dict[str, Any]:
         "discovery_timeout": float,
     }
     settings: dict[str, Any] = {}
-    for name, text in query.items():
+    for name, text in query:
         if name not in kinds:
             raise TransportError(f"{url} has no setting {name!r}; there is {', '.join(kinds)}")
+        if name in settings:
+            raise TransportError(f"{url} has a setting twice: say it once")
         try:
             settings[name] = kinds[name](text)
         except ValueError:

@@ -15,23 +15,31 @@ def split(url: str) -> tuple[SplitResult, dict[str, str]]:
     """A URL in its parts, and what stands behind its `?`.
 
     Raises:
-        TransportError: It is none.
+        TransportError: It is none, or some of it would be left out silently.
     """
     with translated(url):
         parts = urlsplit(url)
-    return parts, dict(parse_qsl(parts.query, keep_blank_values=True))
+    if "#" in url:
+        raise TransportError(
+            f"{without_query(url)} has a part behind #, which says nothing here: write %23 if the"
+            f" # belongs to a path or a token"
+        )
+    pairs = parse_qsl(parts.query, keep_blank_values=True)
+    settings = dict(pairs)
+    if len(settings) < len(pairs):
+        raise TransportError(f"{without_query(url)} has a setting twice: say it once")
+    return parts, settings
 
 
-def check_is_all_known(url: str, parts: SplitResult) -> None:
-    """See that nothing in the URL would be left out silently.
+def check_has_host_only(url: str, parts: SplitResult) -> None:
+    """See that nothing but a host stands before the `?`, or it would be left out silently.
 
     Raises:
-        TransportError: Something would.
+        TransportError: Something does.
     """
     for what, is_there in (
         ("user", "@" in parts.netloc),
         ("path", parts.path not in ("", "/")),
-        ("part behind #", bool(parts.fragment)),
     ):
         if is_there:
             raise TransportError(

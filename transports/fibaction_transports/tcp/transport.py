@@ -40,7 +40,7 @@ from fibaction.wire.limits import Limits
 from fibaction.wire.serving import Terms
 from fibaction_transports.tcp import lines, streams
 from fibaction_transports.tcp.settings import (
-    check_is_all_known,
+    check_has_host_only,
     settings_of,
     split,
     translated,
@@ -217,7 +217,7 @@ class TcpTransport(_StreamTransport):
             TypeError: There is no such setting.
         """
         parts, query = split(url)
-        check_is_all_known(url, parts)
+        check_has_host_only(url, parts)
         try:
             host, port = parts.hostname or HOST, PORT if parts.port is None else parts.port
         except ValueError as exc:
