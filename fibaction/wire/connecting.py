@@ -58,7 +58,7 @@ from fibaction.states import GoalStatus
 from fibaction.waking import Waking
 from fibaction.wire.calls import Call, Question, RemoteGoal, RemoteStatuses
 from fibaction.wire.channel import Line
-from fibaction.wire.link import Link
+from fibaction.wire.link import Link, naming
 
 logger = logging.getLogger("fibaction.wire")
 
@@ -218,7 +218,7 @@ class RemoteConnection(Connection):
             if self._ready:
                 self._ready, pause = False, FIRST_PAUSE
                 self._patience_ends = current_time() + self._keeping.reconnect_timeout
-                logger.info("%s: %s", self._where, error)
+                logger.info("%s", naming(self._where, error))
             useless = isinstance(error, AuthenticationFailed | ProtocolError)
             self._final = useless or not self._keeping.reconnect
             waited = self._patience_ends is None or current_time() >= self._patience_ends

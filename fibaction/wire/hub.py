@@ -15,7 +15,7 @@ from fibaction.background import Background
 from fibaction.exceptions import AuthenticationFailed, ProtocolError
 from fibaction.messages import Goodbye, Why, encode
 from fibaction.wire.channel import Line
-from fibaction.wire.link import Link
+from fibaction.wire.link import Link, naming
 from fibaction.wire.orphans import Orphans
 from fibaction.wire.serving import Session, Terms
 
@@ -62,7 +62,7 @@ class Hub:
         finally:
             del self._sessions[session]
         wrong = isinstance(error, ProtocolError | AuthenticationFailed)
-        logger.log(logging.WARNING if wrong else logging.INFO, "%s: %s", line.peer, error)
+        logger.log(logging.WARNING if wrong else logging.INFO, "%s", naming(line.peer, error))
 
     def _supersede(self, client: bytes) -> None:
         for session in tuple(self._sessions):

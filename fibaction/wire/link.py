@@ -170,3 +170,9 @@ class Link:
     @property
     def _progress(self) -> tuple[int, int]:
         return self._writes, self._line.progress
+
+
+def naming(peer: str, error: ActionError) -> str:
+    """What a connection ended with, as a line of the log that names the peer once."""
+    text = str(error)
+    return text if peer in text else f"{peer}: {text}"

@@ -89,13 +89,13 @@ class Scene:
         """Wait until the server closes; check what it tells the peer, and what it logs."""
         messages: list[Any] = await peer.hear_all()
         assert messages[-1] == Goodbye(f"the server has closed the connection: {problem}", why)
-        self.logged_once(peer, problem, logging.WARNING)
+        self.logged_once(peer, f"{peer.name}: {problem}", logging.WARNING)
         assert await self.is_well()
         return messages
 
-    def logged_once(self, peer: Raw, problem: str, level: int) -> None:
+    def logged_once(self, peer: Raw, text: str, level: int) -> None:
         (record,) = [one for one in self.heard.records if peer.name in one.getMessage()]
-        assert record.getMessage() == f"{peer.name}: {problem}"
+        assert record.getMessage() == text
         assert (record.levelno, record.exc_info) == (level, None)
 
 
@@ -171,7 +171,7 @@ async def test_a_frame_that_is_no_message_ends_the_connection(
         assert messages[-1].why == Why.PROTOCOL
         said = messages[-1].reason.removeprefix("the server has closed the connection: ")
         assert said.startswith(problem)
-        here.logged_once(peer, said, logging.WARNING)
+        here.logged_once(peer, f"{peer.name}: {said}", logging.WARNING)
         assert await here.is_well()
 
 
@@ -253,7 +253,7 @@ async def test_who_falls_silent_after_the_hello_is_not_waited_for() -> None:
         await peer.say(encode(Hello(VERSION, 0.01)))
         # The server looks once per its own heartbeat, which is 1 s.
         with anyio.fail_after(5):
-            record = await here.heard.until(f"{peer.name}: {peer.name} has been silent for")
+            record = await here.heard.until(f"{peer.name} has been silent for")
         assert record.levelno == logging.INFO
         assert isinstance((await peer.hear_all())[0], Welcome)
         assert await here.is_well()
@@ -349,7 +349,7 @@ async def test_a_peer_that_never_reads_is_dropped_and_costs_no_more_than_its_que
         async with raw(here.url) as peer:
             endless = SendGoal(1, NAME, ID, FIBONACCI.goal.encode(Goal(1)), 2**31 - 1)
             await peer.say(HELLO, encode(endless))
-            await here.heard.until(f"{peer.name}: {peer.name} has read nothing for 0.2 s")
+            await here.heard.until(f"{peer.name} has read nothing for 0.2 s")
             with anyio.fail_after(5):
                 await canceled.wait()
             assert taken * size > queue  # more than that is on the line, whatever it holds

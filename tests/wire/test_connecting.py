@@ -623,7 +623,7 @@ async def test_a_loss_is_one_line_of_the_log() -> None:
             server.channel.cut()
             await network.accept()
             await settled()
-        assert [line.getMessage() for line in lines] == [f"{WHERE}: {WHERE} closed its side"]
+        assert [line.getMessage() for line in lines] == [f"{WHERE} closed its side"]
 
 
 async def test_a_server_that_says_goodbye_is_found_again() -> None:

@@ -165,16 +165,24 @@ async def test_a_client_too_many_that_does_not_read_holds_nobody_up() -> None:
 
 
 @pytest.mark.parametrize(
-    ("messages", "level", "cause"),
+    ("messages", "level", "text"),
     [
-        ([ListActions(1)], logging.WARNING, "its first message was a ListActions, not a Hello"),
-        ([Hello(VERSION, LONG, "x")], logging.WARNING, "its token is not one of this server's"),
+        (
+            [ListActions(1)],
+            logging.WARNING,
+            "the bad one: its first message was a ListActions, not a Hello",
+        ),
+        (
+            [Hello(VERSION, LONG, "x")],
+            logging.WARNING,
+            "the bad one: its token is not one of this server's",
+        ),
         ([Hello(VERSION, LONG, "right"), Goodbye("done")], logging.INFO, "the bad one left: done"),
     ],
     ids=["a wrong message", "a wrong token", "a goodbye"],
 )
-async def test_the_end_of_a_session_is_one_line_with_its_peer_and_harms_nobody_else(
-    messages: list[Any], level: int, cause: str
+async def test_the_end_of_a_session_is_one_line_that_names_its_peer_once_and_harms_nobody_else(
+    messages: list[Any], level: int, text: str
 ) -> None:
     async with serving(access=Access({"right": "ann"})) as bench:
         good = bench.connect()
@@ -183,9 +191,7 @@ async def test_the_end_of_a_session_is_one_line_with_its_peer_and_harms_nobody_e
         with logged() as lines:
             await bench.connect("the bad one").say(*messages)
             await settled()
-        assert [(line.levelno, line.getMessage()) for line in lines] == [
-            (level, f"the bad one: {cause}")
-        ]
+        assert [(line.levelno, line.getMessage()) for line in lines] == [(level, text)]
         assert await is_served(good)
 
 

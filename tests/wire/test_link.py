@@ -21,7 +21,7 @@ from fibaction.framing import header
 from fibaction.messages import Ping, decode_from_client, decode_from_server
 from fibaction.waking import Waking
 from fibaction.wire.channel import Channel, StreamChannel
-from fibaction.wire.link import HIGH_WATER, MISSED, PING, Link
+from fibaction.wire.link import HIGH_WATER, MISSED, PING, Link, naming
 
 pytestmark = pytest.mark.anyio
 
@@ -808,3 +808,15 @@ async def test_a_peer_in_the_middle_of_a_large_message_is_not_silent() -> None:
 
     assert str(await link.run(handle)) == str(OVER)
     assert handled == [large]
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("10.0.0.1:7400 closed its side", "10.0.0.1:7400 closed its side"),
+        ("the connection to 10.0.0.1:7400 broke", "the connection to 10.0.0.1:7400 broke"),
+        ("it said hello twice", "10.0.0.1:7400: it said hello twice"),
+    ],
+)
+async def test_the_line_of_the_log_about_an_end_names_the_peer_once(text: str, line: str) -> None:
+    assert naming("10.0.0.1:7400", ConnectionLost(text)) == line

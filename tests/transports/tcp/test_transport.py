@@ -472,7 +472,8 @@ async def test_the_log_names_the_peer(heard: Hearing, tmp_path: Path) -> None:
                 await client.call(Goal(1))
     left = "left: the client has what it wanted"
     assert (await heard.until(left)).getMessage().startswith("127.0.0.1:")
-    await heard.until(f"a local process: a local process {left}")
+    line = await heard.until(f"a local process {left}")
+    assert line.getMessage().startswith("a local process left")
 
 
 async def test_what_is_too_large_is_one_goals_error_and_the_connection_lives(
