@@ -11,7 +11,8 @@ import random
 import secrets
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import anyio
 import msgspec
@@ -60,6 +61,7 @@ from fibaction.wire.calls import Call, Question, RemoteGoal, RemoteStatuses
 from fibaction.wire.channel import Line
 from fibaction.wire.link import Link, naming
 
+T = TypeVar("T")
 logger = logging.getLogger("fibaction.wire")
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.02, 2.0
@@ -131,12 +133,7 @@ class RemoteConnection(Connection):
         """Ask a question, on this connection or the next, and give its answer."""
         call_id = next(self._ids)
         question = Question(call_id, request(call_id))
-        try:
-            await self._open(question)
-            return await question.answer(kind)
-        finally:
-            if self._calls.pop(call_id, None) is not None:
-                self._post(Close(call_id))
+        return await self._open(question, partial(question.answer, kind))
 
     async def follow(self, request: Callable[[int, int], SendGoal | Follow]) -> RemoteGoal:
         """Send or follow a goal; `request` gets the ID and the credit."""
@@ -144,25 +141,13 @@ class RemoteConnection(Connection):
         call_id, window = next(self._ids), max(self._keeping.window, 2)
         opening = request(call_id, window)
         goal = RemoteGoal(call_id, opening, window, self._post)
-        try:
-            await self._open(goal)
-            await goal.accepted()
-        except BaseException:
-            self._calls.pop(call_id, None)
-            self._post(Close(call_id))
-            raise
+        await self._open(goal, goal.accepted)
         return goal
 
     async def watch(self, action: str) -> RemoteStatuses:
         """Follow the statuses of an action."""
         statuses = RemoteStatuses(next(self._ids), action, self._keeping.window, self._post)
-        try:
-            await self._open(statuses)
-            await statuses.begun()
-        except BaseException:
-            self._calls.pop(statuses.id, None)
-            statuses.close()
-            raise
+        await self._open(statuses, statuses.begun)
         return statuses
 
     async def changed(self) -> None:
@@ -176,14 +161,21 @@ class RemoteConnection(Connection):
         if self._final and self._absent is not None:
             raise _anew(self._absent)
 
-    async def _open(self, call: Call) -> None:
+    async def _open(self, call: Call, answer: Callable[[], Awaitable[T]]) -> T:
+        """Open a call, and wait for what the server says to it, or give it up."""
         if self._absent is not None:
             raise _anew(self._absent)
         frame = self._opening(call)
         self._calls[call.id] = call
-        if self._link is not None and self._ready:
-            with suppress(ConnectionLost):  # then it is opened on the next connection, or fails
-                await self._link.send(frame)
+        try:
+            if self._link is not None and self._ready:
+                with suppress(ConnectionLost):  # then it is opened on the next connection, or fails
+                    await self._link.send(frame)
+            return await answer()
+        except BaseException:
+            if self._calls.pop(call.id, None) is not None:
+                self._post(Close(call.id))
+            raise
 
     def _opening(self, call: Call) -> bytes:
         frame = encode(call.opening())

@@ -447,7 +447,6 @@ async def test_following_an_unknown_goal_is_an_error_and_its_result_is_unknown()
             await server.say(Failed(asked.id, Why.UNKNOWN_GOAL, "unknown"))
             with pytest.raises(UnknownGoal):
                 await asking.answer()
-        await server.hear(Close)
         async with Running(lambda: endpoint.get_result(GOAL_ID)) as asking:
             await server.say(Failed((await server.hear(Follow)).id, Why.UNKNOWN_GOAL, "unknown"))
             assert (await asking.answer()).status is GoalStatus.UNKNOWN
@@ -459,6 +458,20 @@ async def test_who_uses_an_action_is_asked_of_the_server() -> None:
             asked = await server.hear(AskPeers)
             await server.say(Peers(asked.id, ["10.0.0.7:1"]))
             assert await asking.answer() == ActionPeers((WHERE,), ("10.0.0.7:1",))
+
+
+@every_call
+async def test_what_the_server_has_refused_is_over_and_nothing_more_is_said_of_it(
+    call: Callable[[RemoteConnection], Awaitable[Any]],
+) -> None:
+    async with reached(Network()) as (connection, server):
+        async with Running(lambda: call(connection)) as asking:
+            (asked,) = await server.hear_all()
+            await server.say(Failed(asked.id, Why.LIMIT, "too much at once"))
+            with pytest.raises(TransportError, match="too much at once"):
+                await asking.answer()
+        assert await server.hear_all() == []
+        assert connection._calls == {}
 
 
 async def test_statuses_are_watched() -> None:
@@ -482,7 +495,7 @@ async def test_a_message_that_no_server_takes_is_not_sent() -> None:
             pytest.raises(ProtocolError, match=f"{MAX_FRAME} are the server's limit"),
         ):
             await endpoint_of(connection).send_goal(GOAL_ID, bytes(MAX_FRAME))
-        assert await server.hear_all() == [Close(1)]
+        assert await server.hear_all() == []
         assert connection._calls == {}
 
 
@@ -502,7 +515,7 @@ async def test_each_side_says_how_much_it_takes() -> None:
         text = rf"^the message has {size + 30} bytes, and 60 are the server's limit$"
         with anyio.fail_after(5), pytest.raises(ProtocolError, match=text):
             await endpoint_of(connection).send_goal(GOAL_ID, bytes(40))
-        assert await server.hear_all() == [Close(1)]
+        assert await server.hear_all() == []
         async with Running(
             lambda: endpoint_of(connection).send_goal(GOAL_ID, bytes(10 + 60 - size))
         ):
