@@ -1,5 +1,7 @@
 """Actions from ROS 2 interface files, with no ROS and no build step.
 
+    from fibaction.action_files import load_action
+
     FIBONACCI = load_action("arduinobot_msgs/action/Fibonacci.action")
 
 The same as a module that type checkers can read is what `fibaction gen` writes.

@@ -61,6 +61,12 @@ def test_a_public_name_and_its_members_have_docstrings(name: str) -> None:
             assert inspect.getdoc(getattr(value, member_name)), f"{name}.{member_name}"
 
 
+def test_an_import_brings_no_parser_of_action_files_which_has_a_module_of_its_own() -> None:
+    imported = modules_after("import fibaction")
+    assert {name for name in imported if name.startswith("fibaction.interfaces")} == set()
+    assert "fibaction.interfaces" in modules_after("from fibaction.action_files import load_action")
+
+
 def test_an_import_brings_no_transport_no_ros_and_no_event_loop() -> None:
     imported = modules_after("import fibaction, fibaction.testing")
     assert "fibaction.server" in imported
