@@ -204,8 +204,10 @@ class Endpoint(ABC):
         self, goal_id: GoalID, goal: bytes, *, feedback: bool = True, client: str = ""
     ) -> GoalStream | Coroutine[Any, Any, GoalStream]:
         """`send_goal` for the server half of a transport: gives the stream itself if there is
-        nothing to wait for, else a coroutine that waits for it. `client` says who has sent the
-        goal, for people to read; what is behind another transport is not told.
+        nothing to wait for, else a coroutine that waits for it. Begin it in any case, be it only
+        to be canceled: until then the goal is being decided upon, and whoever sends the same one
+        waits. `client` says who has sent the goal, for people to read; what is behind another
+        transport is not told.
 
         Raises:
             ActionError: What `send_goal` raises, if that is known at once.

@@ -1269,6 +1269,26 @@ async def test_goals_that_are_decided_upon_take_no_more_memory_than_the_limit() 
         await client.send(3, bytes([3] * 16), credit=None)
 
 
+async def test_a_goal_whose_client_leaves_in_the_same_moment_is_not_undecided_for_ever() -> None:
+    asked = 0
+
+    async def on_goal(goal: fib.Goal) -> None:
+        nonlocal asked
+        asked += 1
+        if asked == 1:
+            await anyio.sleep_forever()
+
+    async with serving(ActionServer(FIBONACCI, fib.fibonacci, on_goal=on_goal)) as bench:
+        client, other = await bench.greet(), await bench.greet()
+        # Both arrive at once, so the session is over before a task of its could wait for an answer.
+        await client.say(SendGoal(1, "fibonacci", A, GOAL, ANY), Goodbye("never mind"))
+        await settled()
+        assert str(client.error) == "the client left: never mind"
+        await other.say(SendGoal(1, "fibonacci", A, GOAL, ANY))
+        assert isinstance(await other.hear(Following), Following)
+        assert asked == 2
+
+
 @pytest.mark.parametrize("requests", [1, 1000], ids=["over the limit", "unknown goals"])
 async def test_a_client_that_asks_and_does_not_read_fills_no_memory(requests: int) -> None:
     async with serving(held(), limits=Limits(requests=requests, queue=10_000)) as bench:
