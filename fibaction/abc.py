@@ -82,6 +82,8 @@ class GoalStream(_Closing):
 
         Raises:
             ConnectionLost: The connection ended, and more was to come.
+            TransportError: The server cannot tell the rest, or may not: for instance, a result is
+                larger than this client takes.
         """
 
     @abstractmethod
@@ -90,6 +92,7 @@ class GoalStream(_Closing):
 
         Raises:
             ConnectionLost: The connection ended before the goal did.
+            TransportError: As for `take`.
         """
 
     async def next_event(self) -> FeedbackItem | GoalStatus | None:
@@ -97,7 +100,7 @@ class GoalStream(_Closing):
         None when there is no more. Nothing is lost if the wait is canceled.
 
         Raises:
-            ConnectionLost: As for `take`.
+            ConnectionLost, TransportError: As for `take`.
         """
         while (event := self.take()) is not None:
             if isinstance(event, GoalStatus):
@@ -111,7 +114,7 @@ class GoalStream(_Closing):
         """The next feedback; None when there is no more.
 
         Raises:
-            ConnectionLost: As for `take`.
+            ConnectionLost, TransportError: As for `take`.
         """
         while (event := self.take()) is not None:
             if isinstance(event, GoalStatus):
@@ -127,7 +130,7 @@ class GoalStream(_Closing):
         It is answered also after the server has forgotten the result, or the stream was closed.
 
         Raises:
-            ConnectionLost: As for `ended`.
+            ConnectionLost, TransportError: As for `ended`.
         """
         while (outcome := self.ended()) is None:
             await self.news.wait()
@@ -164,13 +167,14 @@ class StatusStream(_Closing):
 
         Raises:
             ConnectionLost: The connection ended.
+            TransportError: The server does not tell the rest, or this client may not know it.
         """
 
     async def listed(self) -> list[GoalInfo]:
         """The goals that there were when the stream began: its first items.
 
         Raises:
-            ConnectionLost: The connection ended.
+            ConnectionLost, TransportError: As for `receive`.
         """
         goals: list[GoalInfo] = []
         while len(goals) < self.known and (info := await self.receive()) is not None:
@@ -197,6 +201,7 @@ class Endpoint(ABC):
             GoalRejected: The server did not accept it; `reason` says why.
             ServerNotFound: Nobody serves this action.
             ConnectionLost: The connection ended before the answer; the goal may have been accepted.
+            AuthenticationFailed: This client may not do that.
             ProtocolError: The goal is too large to be sent.
         """
 
@@ -227,7 +232,8 @@ class Endpoint(ABC):
 
         Raises:
             UnknownGoal: The server has no such goal.
-            ServerNotFound, ConnectionLost: As for `send_goal`.
+            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
+            TransportError: The server takes no more requests of this client for now.
         """
 
     @abstractmethod
@@ -241,7 +247,8 @@ class Endpoint(ABC):
         is canceled by its ID as soon as it is accepted.
 
         Raises:
-            ServerNotFound, ConnectionLost: As for `send_goal`.
+            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
+            TransportError: As for `feedback`.
         """
 
     @abstractmethod
@@ -249,7 +256,8 @@ class Endpoint(ABC):
         """Follow the statuses of all goals.
 
         Raises:
-            ServerNotFound, ConnectionLost: As for `send_goal`.
+            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
+            TransportError: As for `feedback`.
         """
 
     @abstractmethod
@@ -257,14 +265,15 @@ class Endpoint(ABC):
         """Return as soon as somebody serves this action. Has no time limit of its own.
 
         Raises:
-            ConnectionLost: The connection ended for good.
+            TransportError: The connection ended for good, or the server does not say.
         """
 
     async def get_result(self, goal_id: GoalID) -> Outcome[bytes]:
         """Wait for the end of a goal; UNKNOWN at once if the server has no such goal.
 
         Raises:
-            ServerNotFound, ConnectionLost: As for `send_goal`.
+            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
+            TransportError: As for `feedback` and `GoalStream.ended`.
         """
         try:
             stream = await self.feedback(goal_id)
@@ -286,15 +295,15 @@ class Connection(ABC):
         """What can be reached now.
 
         Raises:
-            ConnectionLost: The connection ended.
+            TransportError: The server cannot be asked: mostly `ServerNotFound` or `ConnectionLost`.
         """
 
     async def peers(self, action: str) -> ActionPeers:
         """Who serves that action and who uses it, as far as this transport knows.
 
         Raises:
-            ConnectionLost: The connection ended.
             AuthenticationFailed: This client may not know that.
+            TransportError: As for `actions`.
         """
         return ActionPeers()
 

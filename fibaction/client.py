@@ -54,6 +54,7 @@ class FeedbackReader(Generic[FeedbackT]):
         Raises:
             StopAsyncIteration: The goal has ended, and all its feedback has been read.
             ConnectionLost: The connection ended before the goal did.
+            TransportError: As for `ClientGoal.outcome`.
             ProtocolError: The server sent what is not of the feedback's type.
         """
         if not self._holding:
@@ -123,6 +124,8 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
 
         Raises:
             ConnectionLost: The connection ended before the goal did.
+            TransportError: The server cannot tell the outcome, or may not: for instance, the result
+                is larger than this client takes.
             ProtocolError: The server sent what is not of the result's type.
         """
         if self._outcome is None:
@@ -139,7 +142,7 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
             GoalAborted: It was aborted; `reason` says why, `result` is what there was.
             GoalCanceled: It was canceled; `result` is what there was.
             UnknownGoal: The server does not know of it any more.
-            ConnectionLost, ProtocolError: As for `outcome`.
+            ConnectionLost, TransportError, ProtocolError: As for `outcome`.
         """
         outcome = await self.outcome()
         if outcome.status is GoalStatus.SUCCEEDED:
@@ -155,6 +158,8 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
 
         Raises:
             ServerNotFound, ConnectionLost: The server cannot be asked.
+            AuthenticationFailed: This client may not cancel.
+            TransportError: The server takes no more requests of this client for now.
         """
         return await self._endpoint.cancel_goals(self.goal_id)
 
@@ -224,6 +229,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             GoalRejected: The server did not accept; `reason` says why.
             ServerNotFound: Nobody serves this action.
             ConnectionLost: The connection ended before the answer.
+            AuthenticationFailed: This client may not do that.
+            ProtocolError: The goal is too large to be sent.
             TypeError, OverflowError: The goal holds what cannot be encoded: see `Codec.encode`.
         """
         return SendingGoal(self._send(goal, goal_id or GoalID.random()))
@@ -238,9 +245,9 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         feedback. Being canceled, or an exception of `on_feedback`, cancels the goal.
 
         Raises:
-            GoalRejected, ServerNotFound, ConnectionLost, TypeError, OverflowError: As for
-                `send_goal`.
-            GoalAborted, GoalCanceled: As for `ClientGoal.result`.
+            GoalRejected, ServerNotFound, ConnectionLost, AuthenticationFailed, ProtocolError,
+                TypeError, OverflowError: As for `send_goal`.
+            GoalAborted, GoalCanceled, UnknownGoal, TransportError: As for `ClientGoal.result`.
         """
         sending = self._send(goal, GoalID.random(), feedback=on_feedback is not None)
         async with SendingGoal(sending) as sent:
@@ -260,7 +267,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
         Raises:
             UnknownGoal: The server has no such goal.
-            ServerNotFound, ConnectionLost: As for `send_goal`.
+            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
+            TransportError: As for `ClientGoal.cancel`.
         """
         stream = await self.endpoint.feedback(goal_id, after=after)
         return ClientGoal(self.endpoint, self.action, stream)
@@ -272,7 +280,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         before that stamp; with `goal_id`, that goal; with both, that goal and those.
 
         Raises:
-            ServerNotFound, ConnectionLost: As for `send_goal`.
+            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
+            TransportError: As for `ClientGoal.cancel`.
         """
         return await self.endpoint.cancel_goals(goal_id, before)
 
@@ -280,7 +289,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         """Every goal that the server knows: those that have ended, then the active ones.
 
         Raises:
-            ServerNotFound, ConnectionLost: As for `send_goal`.
+            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
+            TransportError: As for `ClientGoal.cancel`.
         """
         with await self.endpoint.status() as statuses:
             return await statuses.listed()
@@ -292,7 +302,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         feedback.
 
         Raises:
-            ServerNotFound, ConnectionLost: As for `send_goal`.
+            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
+            TransportError: As for `ClientGoal.cancel`.
         """
         return events_of(self.endpoint, self.action.feedback, feedback=feedback)
 
@@ -301,7 +312,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
         Raises:
             ServerNotFound: Nobody did within `timeout` seconds (None: no limit).
-            ConnectionLost: The connection ended for good.
+            TransportError: The connection ended for good, or the server does not say.
         """
         with anyio.move_on_after(timeout):
             return await self.endpoint.wait_for_server()

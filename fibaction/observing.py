@@ -58,6 +58,7 @@ class Events(Generic[FeedbackT]):
         Raises:
             StopAsyncIteration: The server has stopped.
             ConnectionLost: The connection ended.
+            TransportError: The server cannot tell more, or may not.
             ProtocolError: The server sent what is not of the feedback's type.
         """
         event = await self._stream.__anext__()
@@ -76,7 +77,7 @@ async def events_of(
     """All that happens at the endpoint, from every goal that it knows now on.
 
     Raises:
-        ServerNotFound, ConnectionLost: The server cannot be asked.
+        TransportError: The server cannot be asked: see `Endpoint.status`.
     """
     with await endpoint.status() as statuses:
         send, receive = anyio.create_memory_object_stream[
