@@ -290,6 +290,9 @@ class Session:
                     raise
                 if message.after is not None:
                     stream.rewind(message.after)
+                    # Of a goal that was sent twice, the other call may have had less of it.
+                    while (missing := message.after - stream.place) > 0 and stream.take(missing):
+                        pass
             self._begin_stream(flow, endpoint, stream, own=own)
 
     def _ended(self, goal_id: GoalID, goal: bytes | None = None) -> GoalStream | None:

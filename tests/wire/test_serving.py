@@ -730,6 +730,24 @@ async def test_an_end_that_was_lost_is_told_once_to_a_client_that_follows_its_go
         assert [message.why for message in refused] == [Why.UNKNOWN_GOAL]
 
 
+@pytest.mark.parametrize("after", [2, 3, 99])
+async def test_of_a_goal_that_was_sent_twice_each_call_goes_on_behind_what_it_had(
+    after: int,
+) -> None:
+    """What is kept for the client is the stream of the second, which had one message only."""
+    async with serving(giving(*feedback(1, 2, 3), fib.Result([]), result_timeout=0)) as bench:
+        client = await bench.greet()
+        await client.send(1, credit=0)
+        await client.say(SendGoal(2, "fibonacci", A, GOAL, 1))
+        await client.hear_all()
+        client.channel.cut()
+        again = await bench.greet()
+        assert (await again.ask(follow(after), Following)).place == min(after, 3)
+        heard = await again.hear_all()
+        assert [one.number for one in heard[:-1]] == list(range(after + 1, 4))
+        assert isinstance(heard[-1], Ended)
+
+
 @pytest.mark.parametrize("result_timeout", [10, 0])
 async def test_feedback_that_there_was_no_credit_for_is_told_on_the_next_connection(
     result_timeout: float,
