@@ -9,8 +9,9 @@ import itertools
 import logging
 import random
 import secrets
+from collections import deque
 from collections.abc import AsyncGenerator, Awaitable, Callable
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from functools import partial
 from typing import Any, TypeVar
 
@@ -58,7 +59,7 @@ from fibaction.messages import (
 from fibaction.states import GoalStatus
 from fibaction.waking import Waking
 from fibaction.wire.calls import Call, Question, RemoteGoal, RemoteStatuses
-from fibaction.wire.channel import Line
+from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.link import Link, naming
 
 T = TypeVar("T")
@@ -111,6 +112,7 @@ class RemoteConnection(Connection):
         self._session = secrets.token_bytes(16)
         self._patience_ends: float | None = None
         self._calls: dict[int, Call] = {}
+        self._unopened: deque[Call] = deque()  # on this connection; by turns, for they may be large
         self._ids = itertools.count(1)
         self._changed = Waking()
 
@@ -165,25 +167,34 @@ class RemoteConnection(Connection):
         """Open a call, and wait for what the server says to it, or give it up."""
         if self._absent is not None:
             raise _anew(self._absent)
-        frame = self._opening(call)
         self._calls[call.id] = call
+        if self._link is not None and self._ready:
+            self._unopened.append(call)
+            self._link.stir()
         try:
-            if self._link is not None and self._ready:
-                with suppress(ConnectionLost):  # then it is opened on the next connection, or fails
-                    await self._link.send(frame)
             return await answer()
         except BaseException:
             if self._calls.pop(call.id, None) is not None:
                 self._post(Close(call.id))
             raise
 
-    def _opening(self, call: Call) -> bytes:
-        frame = encode(call.opening())
-        if len(frame) > self._max_frame:
-            raise ProtocolError(
-                f"the message has {len(frame)} bytes, and {self._max_frame} are the server's limit"
-            )
-        return frame
+    def _openings(self) -> list[bytes]:
+        """What opens the calls that are not open on this connection, as much as fills one write."""
+        frames: list[bytes] = []
+        size = 0
+        while self._unopened and size < CHUNK:
+            call = self._unopened.popleft()
+            if self._calls.get(call.id) is not call:
+                continue  # given up since
+            frame = encode(call.opening())
+            if len(frame) <= self._max_frame:
+                frames.append(frame)
+                size += len(frame)
+            else:
+                del self._calls[call.id]
+                limit = f"{self._max_frame} are the server's limit"
+                call.fail(ProtocolError(f"the message has {len(frame)} bytes, and {limit}"))
+        return frames
 
     def _post(self, message: FromClient) -> None:
         if self._link is not None and self._ready:
@@ -245,7 +256,8 @@ class RemoteConnection(Connection):
                 VERSION, keeping.heartbeat, keeping.token, self._session, keeping.max_frame
             )
             self._link.post(encode(hello))
-            return await self._link.run(self._handle)
+            self._unopened.clear()
+            return await self._link.run(self._handle, self._openings)
         finally:
             self._link = None
             await line.aclose()
@@ -288,12 +300,8 @@ class RemoteConnection(Connection):
         self._absent = None
         self._patience_ends = None
         self._calls = {call.id: call for call in self._calls.values() if not call.is_over}
-        for call in tuple(self._calls.values()):
-            try:
-                self._link.post(self._opening(call))
-            except ProtocolError as exc:  # this server takes less than the one before
-                del self._calls[call.id]
-                call.fail(exc)
+        self._unopened.extend(self._calls.values())
+        self._link.stir()
         self._changed.wake()
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import AsyncGenerator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
 from typing import Any
 
 import anyio
@@ -69,7 +70,7 @@ from fibaction.wire.connecting import (
 )
 from fibaction.wire.hub import Hub
 from fibaction.wire.limits import Limits
-from fibaction.wire.link import HIGH_WATER
+from fibaction.wire.link import HIGH_WATER, OVERFULL
 from fibaction.wire.serving import Terms
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
@@ -740,6 +741,37 @@ async def test_a_goal_that_was_not_answered_is_sent_again_as_the_same() -> None:
                 assert await server.hear(SendGoal) == first
             await server.say(following(first))
             assert (await sending.answer()).goal_id == GOAL_ID
+
+
+async def test_what_was_not_answered_may_be_more_than_fits_into_the_queue_of_a_connection() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        network.refusal = AWAY
+        server.channel.cut()
+        await settled()
+        async with AsyncExitStack() as stack:
+            for number in range(5 * OVERFULL):
+                goal_id = GoalID(bytes([number] * 16))
+                send = partial(endpoint_of(connection).send_goal, goal_id, bytes(HIGH_WATER // 2))
+                await stack.enter_async_context(Running(send))
+            network.refusal = None
+            server = await network.accept()
+            numbers = [(await server.hear(SendGoal)).goal_id[0] for _ in range(5 * OVERFULL)]
+            assert numbers == list(range(5 * OVERFULL))
+
+
+async def test_a_call_that_is_given_up_before_it_could_be_sent_is_not_sent() -> None:
+    async with reached(Network()) as (connection, server):
+        server.channel.stop_reading()
+        send = endpoint_of(connection).send_goal
+        async with Running(lambda: send(GOAL_ID, bytes(HIGH_WATER))):
+            async with Running(lambda: send(GoalID(bytes([2] * 16)), b"given up")):
+                pass
+            async with Running(lambda: send(GoalID(bytes([3] * 16)), b"small")):
+                server.channel.go_on_reading()
+                heard = await server.hear_all()
+                sent = [len(one.goal) for one in heard if isinstance(one, SendGoal)]
+                assert sent == [HIGH_WATER, 5]
 
 
 async def test_a_goal_that_waits_for_room_is_sent_once_on_the_next_connection() -> None:
