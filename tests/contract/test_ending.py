@@ -48,6 +48,8 @@ async def test_a_result_can_be_fetched_by_anybody_any_number_of_times(reach: Rea
             other = await client.attach(goal.goal_id)
             assert await other.result() == Result([0, 1, 1])
             assert [item async for item in other.feedback] == []
+            raw = await client.endpoint.get_result(goal.goal_id)
+            assert raw.status is GoalStatus.SUCCEEDED
 
 
 async def next_with(statuses: StatusStream, status: GoalStatus) -> GoalInfo:
@@ -124,14 +126,25 @@ async def test_no_more_results_are_kept_than_asked_for(reach: Reach) -> None:
             )
 
 
-@pytest.mark.promise("RESULT-2")
+@pytest.mark.promise("GOAL-4", "RESULT-8")
 async def test_an_attached_client_of_a_goal_that_is_forgotten_meanwhile_is_told(
     reach: Reach,
 ) -> None:
-    async with reach(ActionServer(FIBONACCI, fibonacci)) as client:
+    go = anyio.Event()
+
+    async def waits(goal: GoalHandle[Goal]) -> Items:
+        await go.wait()
+        yield Result([5])
+
+    async with reach(ActionServer(FIBONACCI, waits, result_timeout=0)) as client:
         goal = await client.send_goal(Goal(1))
-        await goal.result()
-        assert (await client.endpoint.get_result(goal.goal_id)).status is GoalStatus.SUCCEEDED
+        follower = await client.attach(goal.goal_id)
+        with await client.endpoint.status() as statuses:
+            go.set()
+            await next_with(statuses, GoalStatus.UNKNOWN)
+        with pytest.raises(UnknownGoal):
+            await client.attach(goal.goal_id)
+        assert await follower.outcome() == Outcome(GoalStatus.SUCCEEDED, Result([5]))
 
 
 @pytest.mark.promise("STATUS-3", "STATUS-7")
