@@ -12,6 +12,7 @@ import trio.testing
 from hypothesis import given, strategies
 
 from fibaction.abc import FeedbackItem, GoalStream
+from fibaction.exceptions import ConnectionLost
 from fibaction.goals import GoalID, GoalInfo, Outcome
 from fibaction.protocol import Goal
 from fibaction.states import GoalStatus
@@ -968,6 +969,72 @@ async def test_each_status_stream_sees_all_changes_and_one_that_is_closed_none()
     with anyio.fail_after(5):
         assert await stamps(one) == await stamps(other) == [1]
         assert await stamps(closed) == []
+
+
+def new_stream(*stamps: int, limit: int = 1000) -> FeedStream:
+    """A stream of statuses that is not of a feed; goals with those stamps are known."""
+    return FeedStream([info(stamp) for stamp in stamps], lambda _: None, limit)
+
+
+@pytest.mark.asyncio
+async def test_a_status_stream_that_has_failed_gives_what_is_left_and_then_the_error() -> None:
+    stream = new_stream(1)
+    stream.put(info(2))
+    stream.fail(ConnectionLost("the server has gone away"))
+    with anyio.fail_after(5):
+        assert [await stream.receive(), await stream.receive()] == [info(1), info(2)]
+        for _ in range(2):
+            with pytest.raises(ConnectionLost, match=r"^the server has gone away$"):
+                await stream.receive()
+
+
+@pytest.mark.asyncio
+async def test_who_waits_for_a_status_is_told_that_the_stream_has_failed() -> None:
+    stream = new_stream()
+
+    async def lost() -> None:
+        with pytest.raises(ConnectionLost, match="gone away"):
+            await stream.receive()
+
+    await while_waiting(lost, lambda: stream.fail(ConnectionLost("the server has gone away")))
+
+
+@pytest.mark.asyncio
+async def test_each_reader_of_a_failed_status_stream_gets_an_error_of_its_own() -> None:
+    stream = new_stream()
+    error = ConnectionLost("the server has gone away")
+    stream.fail(error)
+    caught: list[ConnectionLost] = [error]
+    for _ in range(2):
+        with pytest.raises(ConnectionLost) as raised:
+            await stream.receive()
+        caught.append(raised.value)
+    # A traceback grows with each `raise` of the same error.
+    assert len(set(map(id, caught))) == 3
+
+
+@pytest.mark.asyncio
+async def test_a_status_stream_that_was_closed_ends_even_if_it_has_failed() -> None:
+    stream = new_stream(1)
+    stream.fail(ConnectionLost("the server has gone away"))
+    stream.close()
+    with anyio.fail_after(5):
+        assert await stamps(stream) == [1]
+
+
+@pytest.mark.asyncio
+async def test_what_is_known_has_room_beside_the_limit_and_what_gives_way_is_counted() -> None:
+    stream = new_stream(1, 2, limit=3)
+    for number in range(3, 6):
+        stream.put(info(number))
+    assert (stream.known, stream.dropped) == (2, 0)
+    stream.put(info(6))
+    stream.put(info(7))
+    assert (stream.known, stream.dropped) == (2, 2)
+    stream.close()
+    with anyio.fail_after(5):
+        assert await stamps(stream) == [3, 4, 5, 6, 7]
+    assert (stream.known, stream.dropped) == (2, 2)
 
 
 @pytest.mark.asyncio
