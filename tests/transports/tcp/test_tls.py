@@ -148,20 +148,6 @@ async def test_plain_text_at_a_tls_port_ends_the_connection() -> None:
                 await peer.stream.receive()
 
 
-async def test_a_server_that_closes_during_the_handshake_is_a_transport_error() -> None:
-    async def hang_up(stream: SocketStream) -> None:
-        await stream.aclose()
-
-    async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(listener.serve, hang_up)
-            port = listener.extra(SocketAttribute.local_port)
-            with anyio.fail_after(5), pytest.raises(TransportError):
-                async with connect(f"tls://127.0.0.1:{port}", reconnect=False):
-                    raise AssertionError("the block must not run")
-            tasks.cancel_scope.cancel()
-
-
 async def test_a_client_whose_handshake_fails_closes_its_socket() -> None:
     closed = anyio.Event()
 
