@@ -44,6 +44,17 @@ class Held:
         yield Result([goal.request.order])
 
 
+class Undecided:
+    """An `on_cancel` or `on_goal` that says that it was asked, and agrees when it is told to."""
+
+    def __init__(self) -> None:
+        self.asked, self.decide = anyio.Event(), anyio.Event()
+
+    async def __call__(self, goal: object) -> None:
+        self.asked.set()
+        await self.decide.wait()
+
+
 @pytest.mark.promise("CANCEL-5", "CANCEL-9", "RESULT-1", "ERROR-2")
 async def test_a_cancel_is_raised_at_an_await_and_the_part_that_is_done_is_kept(
     reach: Reach,
@@ -262,12 +273,7 @@ async def test_a_goal_can_be_canceled_by_somebody_who_did_not_send_it(reach: Rea
 async def test_a_goal_that_is_still_decided_upon_is_canceled_by_its_id_once_it_is_accepted(
     reach: Reach,
 ) -> None:
-    asked, decide = anyio.Event(), anyio.Event()
-
-    async def on_goal(goal: Goal) -> None:
-        asked.set()
-        await decide.wait()
-
+    on_goal = Undecided()
     async with reach(ActionServer(FIBONACCI, Held(), on_goal=on_goal)) as client:
         goal_id = GoalID.random()
         outcomes: list[Outcome[Result]] = []
@@ -282,11 +288,11 @@ async def test_a_goal_that_is_still_decided_upon_is_canceled_by_its_id_once_it_i
 
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(send)
-            await asked.wait()
+            await on_goal.asked.wait()
             tasks.start_soon(cancel)
             await anyio.wait_all_tasks_blocked()
             assert (codes, outcomes) == ([], [])
-            decide.set()
+            on_goal.decide.set()
     assert codes == [CancelCode.NONE]
     assert outcomes == [Outcome(GoalStatus.CANCELED)]
 
@@ -470,12 +476,7 @@ async def test_one_slow_cancel_decision_keeps_no_other_goal_going(reach: Reach) 
 async def test_a_goal_that_is_accepted_after_the_request_is_not_canceled_by_it(
     reach: Reach,
 ) -> None:
-    asked, decide = anyio.Event(), anyio.Event()
-
-    async def on_cancel(goal: GoalHandle[Goal]) -> None:
-        asked.set()
-        await decide.wait()
-
+    on_cancel = Undecided()
     executor = Held()
     async with reach(ActionServer(FIBONACCI, executor, on_cancel=on_cancel)) as client:
         before = await client.send_goal(Goal(1))
@@ -486,9 +487,9 @@ async def test_a_goal_that_is_accepted_after_the_request_is_not_canceled_by_it(
 
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(cancel)
-            await asked.wait()
+            await on_cancel.asked.wait()
             after = await client.send_goal(Goal(2))
-            decide.set()
+            on_cancel.decide.set()
         assert (await before.outcome()).status is GoalStatus.CANCELED
         executor.go.set()
         assert await after.result() == Result([2])
@@ -497,12 +498,7 @@ async def test_a_goal_that_is_accepted_after_the_request_is_not_canceled_by_it(
 
 @pytest.mark.promise("CANCEL-20")
 async def test_a_goal_that_ends_while_its_cancel_is_decided_has_ended(reach: Reach) -> None:
-    asked, decide = anyio.Event(), anyio.Event()
-
-    async def on_cancel(goal: GoalHandle[Goal]) -> None:
-        asked.set()
-        await decide.wait()
-
+    on_cancel = Undecided()
     executor = Held()
     async with reach(ActionServer(FIBONACCI, executor, on_cancel=on_cancel)) as client:
         goal = await client.send_goal(Goal(4))
@@ -513,10 +509,10 @@ async def test_a_goal_that_ends_while_its_cancel_is_decided_has_ended(reach: Rea
 
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(cancel)
-            await asked.wait()
+            await on_cancel.asked.wait()
             executor.go.set()
             assert await goal.result() == Result([4])
-            decide.set()
+            on_cancel.decide.set()
     assert codes == [CancelCode.GOAL_TERMINATED]
 
 
