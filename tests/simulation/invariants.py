@@ -102,7 +102,6 @@ class Life:
         self.number = number
         self.began_at = at
         self.stops_at = math.inf
-        self.crashed = False
         self.protocol = protocol
         self.goals: dict[tuple[GoalID, int], Truth] = {}
         self.ended: list[Truth] = []
