@@ -31,6 +31,7 @@ from fibaction import (
     serve,
 )
 from fibaction.testing import ScriptedServer, run_executor
+from tests.processes import PATIENCE, ended, lines_until
 
 # Examples are scripts beside each other, and import one another as such.
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
@@ -49,7 +50,6 @@ from fibonacci import (
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NUMBERS = [0, 1, 1, 2, 3, 5, 8, 13, 21, 34, 55]
-PATIENCE = 30  # seconds for a whole process: several times what the slowest takes
 WATCHED = ("fibonacci_demo.py", "inprocess.py", "pick_pen.py")
 
 
@@ -58,26 +58,6 @@ def start(script: str, *arguments: str, cwd: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-
-
-def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
-    with process:
-        try:
-            out, err = process.communicate(timeout=PATIENCE)
-        finally:
-            process.kill()
-    return process.returncode, out, err
-
-
-def lines_until(start_of_line: str, process: subprocess.Popen[str]) -> list[str]:
-    """What a process prints, up to the first line that starts so."""
-    assert process.stdout is not None
-    lines: list[str] = []
-    while not (lines and lines[-1].startswith(start_of_line)):
-        line = process.stdout.readline()
-        assert line, f"it ended after {lines}"
-        lines.append(line)
-    return lines
 
 
 # What is watched
@@ -93,10 +73,10 @@ def stories(tmp_path_factory: pytest.TempPathFactory) -> Mapping[tuple[str, str]
         for script in WATCHED
         for where, folder in folders.items()
     }
-    ended = {key: finish(process) for key, process in running.items()}
-    for (script, where), (code, _, err) in ended.items():
+    ends = {key: ended(process) for key, process in running.items()}
+    for (script, where), (code, _, err) in ends.items():
         assert (code, err) == (0, ""), f"{script}, run in {where}"
-    return {key: out for key, (_, out, _) in ended.items()}
+    return {key: out for key, (_, out, _) in ends.items()}
 
 
 @pytest.fixture(params=["checkout", "elsewhere"])
@@ -135,9 +115,9 @@ def test_ctrl_c_a_kill_and_a_closed_terminal_end_the_demo_and_its_server(
     tmp_path: Path, signal_number: signal.Signals
 ) -> None:
     process = start("fibonacci_demo.py", cwd=tmp_path)
-    announced = lines_until("feedback", process)[0]
+    announced = lines_until("^feedback", process)[0]
     process.send_signal(signal_number)
-    code, _, err = finish(process)
+    code, _, err = ended(process)
     assert (code, err) == (0, "")
     host, _, port = announced.strip(".\n").rpartition("//")[2].partition(":")
     with pytest.raises(ConnectionRefusedError):
@@ -148,7 +128,7 @@ def test_the_demo_says_why_its_server_has_not_started(tmp_path: Path) -> None:
     for name in ("fibonacci.py", "fibonacci_client.py", "fibonacci_demo.py"):
         shutil.copy(EXAMPLES / name, tmp_path)
     (tmp_path / "fibonacci_server.py").write_text("import sys; sys.exit('no luck')")
-    code, out, err = finish(start(str(tmp_path / "fibonacci_demo.py"), cwd=tmp_path))
+    code, out, err = ended(start(str(tmp_path / "fibonacci_demo.py"), cwd=tmp_path))
     assert (code, out, err) == (1, "", "the server did not start: no luck\n")
 
 
@@ -444,7 +424,7 @@ def test_a_signal_stops_the_server_with_no_traceback(
     assert process.stdout is not None
     announced = process.stdout.readline()
     process.send_signal(number)
-    code, _, err = finish(process)
+    code, _, err = ended(process)
     assert announced == "serving fibonacci at inproc://here, Ctrl-C stops it\n"
     assert code == 0
     assert len(err.splitlines()) == 1
@@ -460,7 +440,7 @@ def serving(period: float, cwd: Path) -> Iterator[tuple[subprocess.Popen[str], s
     command = ("fibonacci_server.py", "--url", "tcp://127.0.0.1:0", "--period", str(period))
     process = start(*command, cwd=cwd)
     try:
-        announced = lines_until("serving", process)[0]
+        announced = lines_until("^serving", process)[0]
         url = announced.removeprefix("serving fibonacci at ").partition(",")[0]
         assert url.startswith("tcp://127.0.0.1:")
         yield process, url
@@ -474,7 +454,7 @@ def test_a_goal_sent_to_another_process_succeeds(tmp_path: Path, folder: Path | 
     cwd = folder or tmp_path
     with serving(0, cwd) as (server, url):
         client = start("fibonacci_client.py", "--url", url, "--order", "4", cwd=cwd)
-        code, out, err = finish(client)
+        code, out, err = ended(client)
         server.send_signal(SIGTERM)
         _, log = server.communicate(timeout=PATIENCE)
     assert (code, err) == (0, "")
@@ -495,9 +475,9 @@ def test_a_goal_sent_to_another_process_succeeds(tmp_path: Path, folder: Path | 
 def test_ctrl_c_cancels_a_goal_of_another_process(tmp_path: Path) -> None:
     with serving(60, tmp_path) as (_, url):
         client = start("fibonacci_client.py", "--url", url, cwd=tmp_path)
-        lines_until("accepted", client)
+        lines_until("^accepted", client)
         client.send_signal(SIGINT)
-        code, out, err = finish(client)
+        code, out, err = ended(client)
     assert (code, err) == (3, "")
     assert out.splitlines() == ["cancel    accepted", "canceled", "result    0 1"]
 
@@ -505,9 +485,9 @@ def test_ctrl_c_cancels_a_goal_of_another_process(tmp_path: Path) -> None:
 def test_a_client_hears_that_the_server_was_stopped(tmp_path: Path) -> None:
     with serving(60, tmp_path) as (server, url):
         client = start("fibonacci_client.py", "--url", url, cwd=tmp_path)
-        lines_until("accepted", client)
+        lines_until("^accepted", client)
         server.send_signal(SIGTERM)
-        code, out, err = finish(client)
+        code, out, err = ended(client)
         assert server.wait(timeout=PATIENCE) == 0
     assert (code, err) == (1, "")
     assert out.splitlines() == ["aborted   server stopped", "result    0 1"]
@@ -516,9 +496,9 @@ def test_a_client_hears_that_the_server_was_stopped(tmp_path: Path) -> None:
 def test_a_client_that_is_not_to_reconnect_ends_when_the_server_is_killed(tmp_path: Path) -> None:
     with serving(60, tmp_path) as (server, url):
         client = start("fibonacci_client.py", "--url", f"{url}?reconnect=false", cwd=tmp_path)
-        lines_until("accepted", client)
+        lines_until("^accepted", client)
         server.kill()
-        code, out, err = finish(client)
+        code, out, err = ended(client)
     assert (code, out) == (6, "")
     assert err.splitlines()[-1] == f"error: {url} closed its side"
 
@@ -527,7 +507,7 @@ def test_a_client_says_in_one_line_that_nobody_listens(tmp_path: Path) -> None:
     with socket.socket() as not_listening:
         not_listening.bind(("127.0.0.1", 0))
         url = f"tcp://127.0.0.1:{not_listening.getsockname()[1]}"
-        code, out, err = finish(start("fibonacci_client.py", "--url", url, cwd=tmp_path))
+        code, out, err = ended(start("fibonacci_client.py", "--url", url, cwd=tmp_path))
     assert (code, out) == (6, "goal      order 10\n")
     assert err.startswith(f"error: nobody listens at {url} ")
     assert len(err.splitlines()) == 1
@@ -557,11 +537,11 @@ def test_an_error_is_one_line_and_an_exit_code(
     tmp_path: Path, command: str, code: int, error: str
 ) -> None:
     script, *arguments = command.split()
-    ended, out, err = finish(start(script, *arguments, cwd=tmp_path))
-    assert ended == code
-    assert error in err
-    assert len(err.splitlines()) == 1
-    assert out == ("goal      order 10\n" if code == 6 else "")
+    done = ended(start(script, *arguments, cwd=tmp_path))
+    assert done.code == code
+    assert error in done.err
+    assert len(done.err.splitlines()) == 1
+    assert done.out == ("goal      order 10\n" if code == 6 else "")
 
 
 @pytest.mark.skipif(find_spec("rclpy") is not None, reason="ROS 2 is there, and nothing to say")
@@ -569,7 +549,7 @@ def test_an_error_is_one_line_and_an_exit_code(
 def test_without_ros_its_url_says_in_one_sentence_how_to_get_it(
     tmp_path: Path, script: str
 ) -> None:
-    code, out, err = finish(start(script, "--url", "ros2://", cwd=tmp_path))
+    code, out, err = ended(start(script, "--url", "ros2://", cwd=tmp_path))
     assert (code, out) == (2, "")
     assert "error: ros2:// needs rclpy, " in err
     assert "setup.bash" in err

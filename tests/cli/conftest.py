@@ -8,7 +8,7 @@ over TCP. `fibaction` runs the command as a process, `terminal` runs it in a pse
 from __future__ import annotations
 
 import fcntl
-import json
+import logging
 import os
 import pty
 import re
@@ -30,30 +30,11 @@ from click.testing import CliRunner, Result
 
 from fibaction.cli.app import cli
 from tests.cli.robot_module import MODULE
+from tests.processes import PATIENCE, Finished, ended, lines_until
 
 ROOT = Path(__file__).resolve().parents[2]
-PATIENCE = 30.0
-"""Seconds for a whole process: many times what the slowest takes on a busy machine."""
 WARNINGS = ("-W", "error", "-W", "ignore:module 'sre_:DeprecationWarning")
 """Warnings are errors, but for what ROS imports."""
-
-
-class Finished(NamedTuple):
-    """What came of a command."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def lines(self) -> list[str]:
-        """The lines of the output."""
-        return self.out.splitlines()
-
-    @property
-    def json(self) -> list[Any]:
-        """The output as JSON, one value a line."""
-        return [json.loads(line) for line in self.lines]
 
 
 def command(*arguments: str) -> list[str]:
@@ -71,27 +52,6 @@ def environment(url: str | None, env: Mapping[str, str] | None = None) -> dict[s
         and name not in ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TERM")
     }
     return {**kept, **({"FIBACTION_URL": url} if url else {}), **(env or {})}
-
-
-def ended(process: subprocess.Popen[str], input: str | None = None) -> Finished:
-    """Wait for the end of a process, and kill it if that does not come."""
-    with process:
-        try:
-            out, err = process.communicate(input, timeout=PATIENCE)
-        finally:
-            process.kill()
-    return Finished(process.returncode, out, err)
-
-
-def lines_until(pattern: str, process: subprocess.Popen[str]) -> list[str]:
-    """What a process prints, up to the first line in which the pattern is found."""
-    assert process.stdout is not None
-    lines: list[str] = []
-    while not (lines and re.search(pattern, lines[-1])):
-        line = process.stdout.readline()
-        assert line, f"it ended after {lines}"
-        lines.append(line)
-    return lines
 
 
 # Servers
@@ -155,6 +115,15 @@ def nobody(unused_tcp_port: int) -> str:
     return f"tcp://127.0.0.1:{unused_tcp_port}"
 
 
+@pytest.fixture(autouse=True)
+def level_of_the_log() -> Iterator[None]:
+    """The log of lost connections as it was: commands that follow goals turn it on."""
+    log = logging.getLogger("fibaction.wire")
+    level = log.level
+    yield
+    log.setLevel(level)
+
+
 # A module of the user's
 
 
@@ -208,6 +177,11 @@ def fibaction() -> Run:
         return ended(start_command(*arguments, url=url, env=env), input)
 
     return run
+
+
+def detached(run: Run, url: str, *goal: str) -> str:
+    """Send a goal, and give its ID."""
+    return run("send_goal", *goal, "--detach", url=url).out.strip()
 
 
 def start_command(

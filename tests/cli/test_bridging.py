@@ -16,16 +16,9 @@ from fibaction.abc import Connection, Endpoint
 from fibaction.cli import bridging
 from fibaction.cli.ending import ExitCode, Failure
 from fibaction.exceptions import ServerNotFound, TransportError
-from tests.cli.conftest import (
-    PATIENCE,
-    Invoke,
-    Run,
-    Start,
-    ended,
-    eventually,
-    lines_until,
-)
+from tests.cli.conftest import Invoke, Run, Start, eventually
 from tests.fibonacci import FIBONACCI, fibonacci
+from tests.processes import PATIENCE, ended, lines_until
 
 # bridge, as a process
 

@@ -9,9 +9,7 @@ import pytest
 
 from fibaction.cli import loading
 from fibaction.cli.ending import ExitCode, Failure
-from tests.cli.conftest import (
-    Invoke,
-)
+from tests.cli.conftest import Invoke
 
 NO_SERVER = "and not an ActionServer or several; there is robot:server"
 ASYNC = "is an async function, and not an ActionServer or what gives one; there is robot:server"

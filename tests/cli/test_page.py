@@ -10,8 +10,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.cli.conftest import ROOT, Run, ended, lines_until
+from tests.cli.conftest import ROOT, Run
 from tests.pages import blocks_of
+from tests.processes import ended, lines_until
 from tests.walks import Step, steps_of
 
 PAGE = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
-import logging
 import signal
-from collections.abc import Iterator
 
 import anyio
 import pytest
@@ -25,28 +23,12 @@ from fibaction import (
 from fibaction.cli import reaching
 from fibaction.cli.ending import ExitCode
 from fibaction.cli.reaching import attach, cancel_many, cancel_one, reason_of
-from tests.cli.conftest import (
-    Invoke,
-    Open,
-    Run,
-    Start,
-    ended,
-    interrupt,
-    lines_until,
-)
+from tests.cli.conftest import Invoke, Open, Run, Start, detached, interrupt
 from tests.cli.robot import WAIT
 from tests.cli.served import counter
+from tests.processes import ended, lines_until
 
 ID = GoalID(b"\x01" * 16)
-
-
-@pytest.fixture(autouse=True)
-def level_of_the_log() -> Iterator[None]:
-    """The log of lost connections as it was: following a goal turns it on."""
-    log = logging.getLogger("fibaction.wire")
-    level = log.level
-    yield
-    log.setLevel(level)
 
 
 @pytest.fixture(autouse=True)
@@ -61,11 +43,6 @@ async def cancel_all(url: str) -> None:
         answer = await client.cancel_goals()
         for info in answer.goals_canceling:
             await (await client.attach(info.goal_id)).outcome()
-
-
-def detached(run: Run, url: str, *goal: str) -> str:
-    """Send a goal, and give its ID."""
-    return run("send_goal", *goal, "--detach", url=url).out.strip()
 
 
 # cancel

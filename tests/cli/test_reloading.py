@@ -19,16 +19,8 @@ import pytest
 from fibaction import Action, ActionInfo, GoalStatus, connect
 from fibaction.cli import reloading
 from fibaction.cli.ending import ExitCode, Failure
-from tests.cli.conftest import (
-    PATIENCE,
-    Invoke,
-    Open,
-    Run,
-    Start,
-    ended,
-    eventually,
-    lines_until,
-)
+from tests.cli.conftest import Invoke, Open, Run, Start, eventually
+from tests.processes import PATIENCE, ended, lines_until
 
 MODULE = """
 from collections.abc import AsyncGenerator

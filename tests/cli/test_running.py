@@ -12,8 +12,8 @@ import anyio
 import pytest
 
 from fibaction.cli import running
-from tests.cli.conftest import PATIENCE
 from tests.cli.served import counter
+from tests.processes import PATIENCE
 
 
 @pytest.mark.asyncio

@@ -15,8 +15,8 @@ from fibaction.cli.board import Board, GoalKey
 from fibaction.cli.screen import Screen
 from fibaction.observing import GoalFeedback
 from fibaction.states import GoalStatus
-from tests.cli.conftest import PATIENCE
 from tests.cli.served import Served, counter
+from tests.processes import PATIENCE
 
 FIRST, SECOND = GoalID(b"\x11" * 16), GoalID(b"\x22" * 16)
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import logging
 import signal
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import anyio
@@ -18,27 +17,9 @@ from fibaction.cli import sending
 from fibaction.cli.ending import ExitCode, Failure
 from fibaction.cli.sending import Options, send
 from fibaction.testing import ScriptedServer
-from tests.cli.conftest import (
-    Invoke,
-    Open,
-    Robot,
-    Run,
-    Start,
-    ended,
-    interrupt,
-    lines_until,
-)
+from tests.cli.conftest import Invoke, Open, Robot, Run, Start, interrupt
 from tests.cli.robot import WAIT, Progress, Wait, Waited, servers
-
-
-@pytest.fixture(autouse=True)
-def level_of_the_log() -> Iterator[None]:
-    """The log of lost connections as it was: following a goal turns it on."""
-    log = logging.getLogger("fibaction.wire")
-    level = log.level
-    yield
-    log.setLevel(level)
-
+from tests.processes import ended, lines_until
 
 # As processes
 

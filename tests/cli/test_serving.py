@@ -17,16 +17,9 @@ import pytest
 from fibaction import ActionServer, connect
 from fibaction.cli import reloading, running, serving
 from fibaction.cli.ending import ExitCode
-from tests.cli.conftest import (
-    Invoke,
-    Open,
-    Run,
-    Start,
-    ended,
-    eventually,
-    lines_until,
-)
+from tests.cli.conftest import Invoke, Open, Run, Start, eventually
 from tests.fibonacci import FIBONACCI, fibonacci
+from tests.processes import ended, lines_until
 
 # serve, as a process
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import sys
 from collections.abc import AsyncGenerator
 
@@ -162,12 +161,3 @@ async def test_on_a_terminal_the_feedback_is_on_one_line(
     assert "Feedback:" not in out
     assert "feedback 2" in out
     assert out.endswith("Goal finished with status: SUCCEEDED\n")
-
-
-@pytest.fixture(autouse=True)
-def level_of_the_log() -> object:
-    """The log of lost connections as it was: following a goal turns it on."""
-    log = logging.getLogger("fibaction.wire")
-    level = log.level
-    yield
-    log.setLevel(level)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import io
 import json
-import logging
 import signal
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 
 import anyio
@@ -29,34 +28,12 @@ from fibaction.cli.ending import ExitCode
 from fibaction.cli.goal_list import Row
 from fibaction.cli.watching import echo, goals, picture
 from fibaction.observing import GoalFeedback
-from tests.cli.conftest import (
-    Invoke,
-    Open,
-    Robot,
-    Run,
-    Start,
-    ended,
-    interrupt,
-    lines_until,
-)
+from tests.cli.conftest import Invoke, Open, Robot, Run, Start, detached, interrupt
 from tests.cli.served import Heard, Served, counter
+from tests.processes import ended, lines_until
 
 ID = GoalID(b"\x01" * 16)
 OTHER = GoalID(b"\x02" * 16)
-
-
-@pytest.fixture(autouse=True)
-def level_of_the_log() -> Iterator[None]:
-    """The log of lost connections as it was: watching turns it on."""
-    log = logging.getLogger("fibaction.wire")
-    level = log.level
-    yield
-    log.setLevel(level)
-
-
-def detached(fibaction: Run, url: str, *goal: str) -> str:
-    """Send a goal, and give its ID."""
-    return fibaction("send_goal", *goal, "--detach", url=url).out.strip()
 
 
 def begun(process: subprocess.Popen[str], fibaction: Run, url: str, name: str) -> None:

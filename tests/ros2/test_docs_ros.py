@@ -19,13 +19,13 @@ import pytest
 import fibaction_transports.ros2
 from fibaction_transports.ros2 import Ros2Transport
 from tests import test_docs as docs
+from tests.processes import Finished, ended
 
 PROGRAMS = docs.DOCS / "coming_from_rclpy.md"
 MAKERS = ("rclpy", "fibaction")
 SUCCEEDS, IS_CANCELED, IS_REJECTED = GOALS = ("5 0", "46 8", "47 0")
 """Arguments of a client: the order, and the length of the feedback at which it cancels."""
 FEEDBACK = ["[0, 1, 1]", "[0, 1, 1, 2]", "[0, 1, 1, 2, 3]", "[0, 1, 1, 2, 3, 5]"]
-PATIENCE = 30  # seconds for a process: several times what it takes when the machine is busy
 
 _PART = re.compile(r"<!-- not run: a part of (\S+), which is run where ROS 2 is -->\n\Z")
 
@@ -86,15 +86,6 @@ def start(program: Path, namespace: str, *arguments: str) -> subprocess.Popen[st
     )
 
 
-def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
-    with process:
-        try:
-            out, err = process.communicate(timeout=PATIENCE)
-        finally:
-            process.kill()
-    return process.returncode, out, err
-
-
 @pytest.fixture(scope="module")
 def stories(programs: Path) -> Mapping[tuple[str, str, str], list[str]]:
     """What each client prints about each goal, by the makers of server and client."""
@@ -104,9 +95,9 @@ def stories(programs: Path) -> Mapping[tuple[str, str, str], list[str]]:
             start(programs / f"{maker}_server.py", where) for maker, where in servers.items()
         ]
         for process in serving:
-            stack.callback(finish, process)
+            stack.callback(ended, process)
             stack.callback(process.send_signal, signal.SIGINT)
-        ended: dict[tuple[str, str, str], tuple[int, str, str]] = {}
+        ends: dict[tuple[str, str, str], Finished] = {}
         for (server, where), client in product(servers.items(), MAKERS):
             program = programs / f"{client}_client.py"
             # At once, as they spend their time waiting; but not all pairs, as each that starts
@@ -114,17 +105,17 @@ def stories(programs: Path) -> Mapping[tuple[str, str, str], list[str]]:
             asking = {goal: start(program, where, *goal.split()) for goal in GOALS}
             for goal, process in asking.items():
                 try:
-                    ended[server, client, goal] = finish(process)
+                    ends[server, client, goal] = ended(process)
                 except subprocess.TimeoutExpired:
                     # An answer that the server sends before it has found the reader of answers is
                     # lost, and a client of rclpy waits for it for ever.
                     assert client == "rclpy", f"{server}, {client}, {goal}: it did not end"
                     again = start(program, where, *goal.split())
-                    ended[server, client, goal] = finish(again)
+                    ends[server, client, goal] = ended(again)
         assert [process.poll() for process in serving] == [None, None], "a server has ended"
-    for key, (code, _, err) in ended.items():
+    for key, (code, _, err) in ends.items():
         assert code == 0, f"{key}: {err}"
-    return {key: out.splitlines() for key, (_, out, _) in ended.items()}
+    return {key: out.splitlines() for key, (_, out, _) in ends.items()}
 
 
 every_pair = pytest.mark.parametrize(("server", "client"), list(product(MAKERS, MAKERS)))

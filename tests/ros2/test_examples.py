@@ -12,8 +12,9 @@ from signal import SIGINT, SIGKILL, SIGTERM
 
 import pytest
 
+from tests.processes import PATIENCE, ended, lines_until
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
-PATIENCE = 30  # seconds for a whole process: several times what it takes when the machine is busy
 QUICK, STEADY, SLOW = 0.0, 0.2, 60.0  # seconds per number
 NO_REASON = "the server rejected it; ROS 2 transmits no reason, but the server's log may have it"
 # What parses the interfaces of ROS 2 imports a module of `re` by its old name.
@@ -25,29 +26,9 @@ def start(script: str, *arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
-    with process:
-        try:
-            out, err = process.communicate(timeout=PATIENCE)
-        finally:
-            process.kill()
-    return process.returncode, out, err
-
-
 def start_client(url: str, *arguments: str, patience: float = PATIENCE) -> subprocess.Popen[str]:
     url = f"{url}&discovery_timeout={patience}"
     return start("fibonacci_client.py", "--url", url, *arguments)
-
-
-def lines_until(start_of_line: str, process: subprocess.Popen[str]) -> list[str]:
-    """What a process prints, up to the first line that starts so."""
-    assert process.stdout is not None
-    lines: list[str] = []
-    while not (lines and lines[-1].startswith(start_of_line)):
-        line = process.stdout.readline()
-        assert line, f"it ended after {lines}"
-        lines.append(line)
-    return lines
 
 
 @contextmanager
@@ -56,7 +37,7 @@ def serving(period: float) -> Iterator[tuple[subprocess.Popen[str], str]]:
     url = f"ros2://?namespace=/n{uuid.uuid4().hex}"
     process = start("fibonacci_server.py", "--url", url, "--period", str(period))
     try:
-        announced = lines_until("serving", process)
+        announced = lines_until("^serving", process)
         assert announced == [f"serving fibonacci at {url}, Ctrl-C stops it\n"]
         yield process, url
     finally:
@@ -67,7 +48,7 @@ def serving(period: float) -> Iterator[tuple[subprocess.Popen[str], str]]:
 def test_a_goal_succeeds_and_another_is_rejected_and_the_server_says_why() -> None:
     with serving(QUICK) as (server, url):
         clients = [start_client(url, "--order", order) for order in ("4", "47")]
-        (code, out, err), (refused, told, complaint) = map(finish, clients)
+        (code, out, err), (refused, told, complaint) = map(ended, clients)
         server.send_signal(SIGTERM)
         _, log = server.communicate(timeout=PATIENCE)
 
@@ -100,9 +81,9 @@ def test_a_goal_succeeds_and_another_is_rejected_and_the_server_says_why() -> No
 def test_ctrl_c_cancels_the_goal_and_what_there_was_is_printed() -> None:
     with serving(SLOW) as (_, url):
         client = start_client(url)
-        lines_until("accepted", client)
+        lines_until("^accepted", client)
         client.send_signal(SIGINT)
-        code, out, err = finish(client)
+        code, out, err = ended(client)
 
     assert (code, err) == (3, "")
     # The answer to the cancel and the end of the goal come by two services, in either order.
@@ -114,9 +95,9 @@ def test_ctrl_c_cancels_the_goal_and_what_there_was_is_printed() -> None:
 def test_a_server_that_is_stopped_ends_its_goals_and_leaves_nothing_behind(number: int) -> None:
     with serving(SLOW) as (server, url):
         client = start_client(url)
-        lines_until("accepted", client)
+        lines_until("^accepted", client)
         server.send_signal(number)
-        code, out, err = finish(client)
+        code, out, err = ended(client)
         _, log = server.communicate(timeout=PATIENCE)
 
     assert (code, err) == (1, "")
@@ -130,9 +111,9 @@ def test_a_server_that_is_stopped_ends_its_goals_and_leaves_nothing_behind(numbe
 def test_a_client_ends_when_the_server_is_killed() -> None:
     with serving(STEADY) as (server, url):
         client = start_client(url, "--order", "46", patience=6)
-        lines_until("feedback  0 1 1 2 3 5 8", client)  # signs of life have been heard by then
+        lines_until("^feedback  0 1 1 2 3 5 8", client)  # signs of life have been heard by then
         server.send_signal(SIGKILL)
-        code, _, err = finish(client)
+        code, _, err = ended(client)
 
     assert code == 6
     assert err.splitlines()[-1] == "error: the server of 'fibonacci' has gone away"
@@ -141,7 +122,7 @@ def test_a_client_ends_when_the_server_is_killed() -> None:
 def test_a_client_says_in_one_line_that_nobody_serves() -> None:
     name = f"n{uuid.uuid4().hex}"
     client = start_client(f"ros2://?namespace=/{name}", patience=0.1)
-    code, out, err = finish(client)
+    code, out, err = ended(client)
 
     assert (code, out) == (6, "goal      order 10\n")
     assert err.startswith("error: nobody serves the action 'fibonacci' in ROS: ")
@@ -163,7 +144,7 @@ def test_a_client_says_in_one_line_that_nobody_serves() -> None:
 def test_a_url_that_cannot_be_used_is_one_line_and_an_exit_code(
     script: str, url: str, error: str
 ) -> None:
-    code, out, err = finish(start(script, "--url", url))
+    code, out, err = ended(start(script, "--url", url))
 
     assert (code, out) == (2, "")
     # The server logs its end as well, if it had begun before ROS said no.
