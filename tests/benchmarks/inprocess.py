@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from statistics import median
 from time import perf_counter
 from typing import Any
@@ -33,19 +33,33 @@ ACTION = Action("count", goal=Goal, feedback=Feedback, result=Result)
 Client = ActionClient[Goal, Feedback, Result]
 
 
-async def count(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-    wanted = goal.request.count
-    if wanted >= PACED:
-        for _ in range(wanted - PACED):
-            await anyio.sleep(PAUSE)
-            yield Feedback(stamped())
-    else:
-        feedback = Feedback([1, 2, 3])
-        for _ in range(wanted):
-            yield feedback
-    if wanted == PENDING:
-        await anyio.sleep_forever()
-    yield Result(wanted)
+def executor(
+    wanted_of: Callable[[Any], int],
+    feedback: Callable[[list[int]], Any],
+    result: Callable[[int], Any],
+) -> Callable[[GoalHandle[Any]], AsyncGenerator[Any, None]]:
+    """An executor for messages of one's own that does what the number of a goal asks for: see
+    `contender`.
+    """
+
+    async def execute(goal: GoalHandle[Any]) -> AsyncGenerator[Any, None]:
+        wanted = wanted_of(goal.request)
+        if wanted >= PACED:
+            for _ in range(wanted - PACED):
+                await anyio.sleep(PAUSE)
+                yield feedback(stamped())
+        else:
+            same = feedback([1, 2, 3])
+            for _ in range(wanted):
+                yield same
+        if wanted == PENDING:
+            await anyio.sleep_forever()
+        yield result(wanted)
+
+    return execute
+
+
+count = executor(lambda goal: goal.count, Feedback, Result)
 
 
 async def measure(scale: float) -> dict[str, Any]:

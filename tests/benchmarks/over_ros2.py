@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
-import anyio
-
 import fibaction
-from fibaction import Action, ActionServer, GoalHandle
-from tests.benchmarks.contender import PACED, PAUSE, PENDING, Contender, stamped
+from fibaction import Action, ActionServer
+from tests.benchmarks.contender import Contender
+from tests.benchmarks.inprocess import executor
 from tests.benchmarks.over_fibaction import OverFibaction
 from tests.fibonacci import Feedback, Goal, Result
 
@@ -21,20 +20,7 @@ ACTION = Action(
     type_name="arduinobot_msgs/action/Fibonacci",
 )
 
-
-async def execute(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-    wanted = goal.request.order
-    if wanted >= PACED:
-        for _ in range(wanted - PACED):
-            await anyio.sleep(PAUSE)
-            yield Feedback(stamped())
-    else:
-        feedback = Feedback([1, 2, 3])
-        for _ in range(wanted):
-            yield feedback
-    if wanted == PENDING:
-        await anyio.sleep_forever()
-    yield Result([wanted])
+execute = executor(lambda goal: goal.order, Feedback, lambda wanted: Result([wanted]))
 
 
 @asynccontextmanager
