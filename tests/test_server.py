@@ -126,11 +126,19 @@ async def test_a_server_that_is_not_running_is_not_found() -> None:
 
 async def test_waiting_for_a_server_ends_when_it_starts() -> None:
     server = ActionServer(FIBONACCI, fibonacci)
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(server.wait_for_server)
-        await anyio.wait_all_tasks_blocked()
-        async with server:
+    found = anyio.Event()
+
+    async def wait() -> None:
+        await server.wait_for_server()
+        found.set()
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
             await anyio.wait_all_tasks_blocked()
+            assert not found.is_set()
+            async with server:
+                await found.wait()
 
 
 async def test_stopping_twice_is_harmless() -> None:

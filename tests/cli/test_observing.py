@@ -17,6 +17,7 @@ from fibaction.cli.goal_list import AnyClient
 from fibaction.cli.observing import Observer, follow, observe, still_possible, until_interrupted
 from fibaction.observing import GoalFeedback
 from tests.cli.served import Heard, Served, counter
+from tests.wire.memory import in_virtual_time
 
 
 @pytest.fixture(autouse=True)
@@ -149,15 +150,21 @@ async def test_a_connection_that_is_lost_for_good_ends_it(monkeypatch: pytest.Mo
         await still_possible([client])
 
 
-@pytest.mark.asyncio
+@pytest.mark.anyio
+@in_virtual_time()
 async def test_waiting_for_what_may_come_back_takes_a_moment() -> None:
     server = counter("one")
     client = Served(server).connection.client(server.action)
-    with anyio.fail_after(5):
-        await still_possible([client])  # it has not been started
-        await still_possible([])
-        async with server:
-            await still_possible([client])
+
+    async def seconds(clients: list[AnyClient]) -> float:
+        start = anyio.current_time()
+        await still_possible(clients)
+        return anyio.current_time() - start
+
+    assert await seconds([client]) == pytest.approx(observing.LOOK)  # it has not been started
+    assert await seconds([]) == pytest.approx(observing.LOOK)
+    async with server:
+        assert await seconds([client]) == 0
 
 
 @pytest.mark.asyncio

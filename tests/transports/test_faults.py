@@ -364,6 +364,7 @@ async def test_who_waits_for_a_server_waits_through_failed_attempts() -> None:
                 async with Background() as tasks:
                     tasks.start_soon(mend)
                     await client.wait_for_server()
+                    assert not line.refuses
 
 
 async def test_who_may_only_send_gets_the_outcome_after_a_cut_too() -> None:
