@@ -39,12 +39,15 @@ def ended(process: subprocess.Popen[str], input: str | None = None) -> Finished:
     return Finished(process.returncode, out, err)
 
 
-def lines_until(pattern: str, process: subprocess.Popen[str]) -> list[str]:
-    """What a process prints, up to the first line in which the pattern is found."""
-    assert process.stdout is not None
+def lines_until(pattern: str, process: subprocess.Popen[str], *, errors: bool = False) -> list[str]:
+    """What a process prints, up to the first line in which the pattern is found; with `errors`,
+    what it prints as such.
+    """
+    stream = process.stderr if errors else process.stdout
+    assert stream is not None
     lines: list[str] = []
     while not (lines and re.search(pattern, lines[-1])):
-        line = process.stdout.readline()
+        line = stream.readline()
         assert line, f"it ended after {lines}"
         lines.append(line)
     return lines

@@ -110,8 +110,7 @@ def test_a_syntax_error_is_shown_and_the_next_change_is_waited_for(
     file.write_text(module("other"))
     lines_until("serving /other", server)
     file.write_text("1 +\n")
-    while "SyntaxError" not in server.stderr.readline():
-        pass
+    lines_until("SyntaxError", server, errors=True)
     assert fibaction("list", url=url).lines == ["/other"]
     file.write_text(module("another"))
     lines_until("serving /another", server)

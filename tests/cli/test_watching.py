@@ -147,9 +147,7 @@ def test_a_server_that_dies_and_one_that_stops_are_told_of(
     stopped.process.terminate()
     lines_until('"status":"ABORTED"', first)
     stopped.process.wait(30)
-    assert first.stderr is not None
-    while "/wait is away: its server has stopped" not in first.stderr.readline():
-        pass
+    lines_until("/wait is away: its server has stopped", first, errors=True)
     interrupt(first)
     died.process.kill()
     code, _, err = ended(second)
