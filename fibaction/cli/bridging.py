@@ -12,7 +12,7 @@ from fibaction.abc import Connection, Endpoint
 from fibaction.action import ActionInfo
 from fibaction.cli.app import no_action, run, shown
 from fibaction.cli.ending import ExitCode, Failure
-from fibaction.cli.output import note, say
+from fibaction.cli.output import note, say, without_settings
 from fibaction.cli.running import logging_to_stderr, names_of, stop_signals
 from fibaction.connection import connect
 from fibaction.exceptions import ServerNotFound, TransportError
@@ -58,9 +58,11 @@ async def bridge(from_url: str, to_url: str, names: Sequence[str]) -> int:
             return ExitCode.SUCCEEDED
         endpoints = list(_endpoints(connection, infos, choose=not names))
         if not endpoints:
-            raise Failure(f"there is no action to bridge at {from_url}", ExitCode.UNREACHABLE)
+            text = f"there is no action to bridge at {without_settings(from_url)}"
+            raise Failure(text, ExitCode.UNREACHABLE)
         async with serve(endpoints, to_url) as (where,):
-            say(f"bridging {names_of(endpoints)} from {from_url} to {where}, Ctrl-C stops it")
+            there = without_settings(from_url)
+            say(f"bridging {names_of(endpoints)} from {there} to {where}, Ctrl-C stops it")
             await stop.wait()
     return ExitCode.SUCCEEDED
 

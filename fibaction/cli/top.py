@@ -12,6 +12,7 @@ from fibaction.cli.app import run, url_option
 from fibaction.cli.board import Board
 from fibaction.cli.ending import ExitCode, Failure
 from fibaction.cli.observing import observe, until_interrupted
+from fibaction.cli.output import without_settings
 from fibaction.connection import ClientConnection, connect
 from fibaction.exceptions import ActionError
 
@@ -58,8 +59,7 @@ async def show(connection: ClientConnection, url: str) -> None:
     from fibaction.cli.screen import Screen
 
     board = Board()
-    # What is behind the ? may be secret.
-    screen = Screen(board, url.partition("?")[0])
+    screen = Screen(board, without_settings(url))
     lost: list[BaseException] = []
 
     async def feed() -> None:

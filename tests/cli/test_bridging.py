@@ -146,6 +146,31 @@ async def test_a_signal_ends_a_bridge_that_waits(
             assert await bridging.bridge(far, f"unix://{tmp_path}/near", ["fibonacci"]) == 0
 
 
+@pytest.mark.asyncio
+async def test_a_bridge_keeps_the_tokens_in_its_urls_to_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    far, near = f"unix://{tmp_path}/far", f"unix://{tmp_path}/near"
+
+    async def stop() -> None:
+        async with connect(near, FIBONACCI) as client:
+            await client.wait_for_server()
+        os.kill(os.getpid(), SIGINT)
+
+    with anyio.fail_after(PATIENCE):
+        async with serve([], far):
+            with pytest.raises(Failure) as caught:
+                await bridging.bridge(f"{far}?token=secret", near, ())
+        async with serve(ActionServer(FIBONACCI, fibonacci), far):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(stop)
+                assert await bridging.bridge(f"{far}?token=secret", f"{near}?heartbeat=1", ()) == 0
+
+    assert caught.value.message == f"there is no action to bridge at {far}"
+    said = f"bridging /fibonacci from {far} to {near}, Ctrl-C stops it\n"
+    assert capsys.readouterr().out == said
+
+
 class House(Connection):
     """A connection that knows some actions, and has lost some more."""
 
