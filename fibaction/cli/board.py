@@ -205,8 +205,4 @@ class Board(Observer):
 
     def ordered(self, most: int) -> list[GoalLine]:
         """The first so many goals: active ones, then those that have ended, the newest first."""
-        lines = sorted(
-            self.goals.values(),
-            key=lambda line: (not line.status.is_active, -line.row.info.stamp),
-        )
-        return lines[:most]
+        return sorted(self.goals.values(), key=lambda line: line.row.rank)[:most]

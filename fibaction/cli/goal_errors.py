@@ -44,9 +44,7 @@ def told(error: Error) -> Iterator[str]:
             for name in error.validator_value:
                 if name not in error.instance and name not in meant:
                     yield f"{field}.{name} is missing"
-        case "type":
-            yield f"{field} must be {_wanted(error)}, not {value}"
-        case "enum":
+        case "type" | "enum":
             yield f"{field} must be {_wanted(error)}, not {value}"
         case "format":
             yield f"{field}: {value} is no {error.validator_value} as ISO 8601 or RFC 4122 has it"

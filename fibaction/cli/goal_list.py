@@ -49,6 +49,11 @@ class Row(msgspec.Struct, frozen=True):
         """Who sent it."""
         return clean(self.info.client) or "-"
 
+    @property
+    def rank(self) -> tuple[bool, int]:
+        """To sort by, where not all goals fit: active ones first, and among each the newest."""
+        return not self.info.status.is_active, -self.info.stamp
+
     def age(self, now: float) -> str:
         """How long ago it was accepted, if the clocks agree."""
         return duration(now - self.info.stamp / 1e9)

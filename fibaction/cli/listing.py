@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection
 
 import click
 
@@ -36,14 +36,8 @@ def list_command(show_types: bool, count: bool, as_json: bool, url: str) -> None
 async def list_actions(url: str, *, show_types: bool, count: bool, as_json: bool) -> int:
     """Print the names of the actions, one a line, or how many there are."""
     async with connect(url) as connection:
-        actions = _sorted(await connection.actions())
-    if count:
-        _say_count(len(actions), as_json)
-    for info in () if count else actions:
-        if as_json:
-            say_json({"name": info.name, "type": info.type_name})
-        else:
-            say(_line(info.name, info.type_name if show_types else ""))
+        actions = await connection.actions()
+    _say_actions(actions, show_types=show_types, count=count, as_json=as_json)
     return ExitCode.SUCCEEDED
 
 
@@ -63,15 +57,9 @@ def find_command(type_name: str, count: bool, as_json: bool, url: str) -> None:
 async def find(url: str, type_name: str, *, count: bool, as_json: bool) -> int:
     """Print the names of the actions of a type, one a line, or how many there are."""
     async with connect(url) as connection:
-        actions = _sorted(await connection.actions())
+        actions = await connection.actions()
     found = [info for info in actions if info.type_name == type_name]
-    if count:
-        _say_count(len(found), as_json)
-    for info in () if count else found:
-        if as_json:
-            say_json({"name": info.name, "type": info.type_name})
-        else:
-            say(_line(info.name))
+    _say_actions(found, show_types=False, count=count, as_json=as_json)
     return ExitCode.SUCCEEDED
 
 
@@ -152,8 +140,18 @@ async def say_info(url: str, name: str, *, show_types: bool, count: bool, as_jso
 # Lines
 
 
-def _sorted(actions: Iterable[ActionInfo]) -> list[ActionInfo]:
-    return sorted(actions, key=lambda info: shown(info.name))
+def _say_actions(
+    actions: Collection[ActionInfo], *, show_types: bool, count: bool, as_json: bool
+) -> None:
+    """The actions in the order of their names, or how many there are."""
+    if count:
+        _say_count(len(actions), as_json)
+        return
+    for info in sorted(actions, key=lambda info: shown(info.name)):
+        if as_json:
+            say_json({"name": info.name, "type": info.type_name})
+        else:
+            say(_line(info.name, info.type_name if show_types else ""))
 
 
 def _line(name: str, type_name: str = "", *, exact: bool = False) -> str:

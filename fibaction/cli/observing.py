@@ -81,10 +81,10 @@ async def _follow_one(
     except ActionError as exc:  # its ROS type is not installed here
         observer.gone(info.name, str(exc))
         return
-    await follow(client, info, observer, feedback=feedback)
+    await follow_action(client, info, observer, feedback=feedback)
 
 
-async def follow(
+async def follow_action(
     client: AnyClient, info: ActionInfo, observer: Observer, *, feedback: bool
 ) -> None:
     """Follow one action. It has no end of its own.

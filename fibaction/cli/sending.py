@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from contextlib import suppress
 from pathlib import Path
 from signal import SIGINT, SIGTERM, Signals
-from typing import Any
+from typing import Any, Literal
 
 import anyio
 import click
@@ -165,7 +165,7 @@ class _Sending:
         self._withdrawal = anyio.CancelScope(shield=True)
         self._endpoint: Endpoint
         self._goal_id = GoalID.random()
-        self._phase: str = "preparing"  # then "sent", then "accepted"
+        self._phase: Literal["preparing", "sent", "accepted"] = "preparing"
         self._late = False
 
     async def run(self, url: str, name: str, type_name: str, text: str) -> int:

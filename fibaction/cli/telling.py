@@ -137,6 +137,13 @@ def teller(*, feedback: bool, as_json: bool, full: bool) -> Teller:
     return Json(feedback=feedback) if as_json else Words(full=full)
 
 
+def log_connection() -> None:
+    """Let the log say when the connection is lost, and when it is back: who waits for news wants to
+    know why nothing happens.
+    """
+    logging.getLogger("fibaction.wire").setLevel(logging.INFO)
+
+
 async def follow(
     stream: GoalStream, action: Action[Any, Any, Any], told: Teller, *, live: bool
 ) -> ExitCode:
@@ -147,8 +154,7 @@ async def follow(
         ConnectionLost: The connection ended before the goal did.
         ProtocolError: The server sent what cannot be read.
     """
-    # Somebody waits for this goal, and wants to know why nothing happens.
-    logging.getLogger("fibaction.wire").setLevel(logging.INFO)
+    log_connection()
     with stream:
         with _live_line(told, live) as shown:
             while (event := await stream.next_event()) is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -18,13 +17,13 @@ from fibaction.cli.goal_list import AnyClient, Clients, Row, goals_of, in_column
 from fibaction.cli.observing import (
     LOOK,
     Observer,
-    follow,
+    follow_action,
     observe,
     still_possible,
     until_interrupted,
 )
 from fibaction.cli.output import as_yaml, clean, console, note, on_terminal, say, say_json
-from fibaction.cli.telling import INDENT
+from fibaction.cli.telling import INDENT, log_connection
 from fibaction.connection import ClientConnection, connect
 from fibaction.exceptions import ActionError
 from fibaction.goals import GoalID, GoalInfo
@@ -149,8 +148,7 @@ def picture(screen: Console, rows: list[Row], away: str, *, actions: bool) -> Te
     """The list as it fits on the screen: what is going on comes first, then what ended last."""
     from rich.text import Text
 
-    ordered = sorted(rows, key=lambda row: (not row.info.status.is_active, -row.info.stamp))
-    seen = ordered[: max(screen.height - 3, 1)]
+    seen = sorted(rows, key=lambda row: row.rank)[: max(screen.height - 3, 1)]
     lines = in_color(seen, in_columns(seen, actions=actions, width=screen.width - 1))
     active = sum(row.info.status.is_active for row in rows)
     state = f"{active} active, {len(rows) - active} ended"
@@ -191,14 +189,13 @@ async def echo(url: str, name: str, *, full: bool, as_json: bool) -> int:
 async def _observe(
     connection: ClientConnection, name: str | None, told: _Changes, *, feedback: bool
 ) -> None:
-    # Somebody waits here, and wants to know why nothing happens.
-    logging.getLogger("fibaction.wire").setLevel(logging.INFO)
+    log_connection()
     if name is None:
         await observe(connection, told, feedback=feedback)
     else:
         info = await find_action(connection, name)
         client = connection.client(Action.untyped(info))
-        await follow(client, info, told, feedback=feedback)
+        await follow_action(client, info, told, feedback=feedback)
 
 
 class _Changes(Observer):

@@ -28,6 +28,14 @@ def row(goal_id: GoalID = A, *, status: int = 2, stamp: int = 1, client: str = "
     return Row("arm/pick", GoalInfo(goal_id, stamp * 10**9, GoalStatus(status), 0, client))
 
 
+def test_active_goals_come_first_and_the_newest_of_each() -> None:
+    rows = [row(status=status, stamp=stamp) for status, stamp in ((4, 9), (2, 1), (6, 8), (1, 3))]
+
+    ordered = sorted(rows, key=lambda one: one.rank)
+
+    assert [one.info.stamp // 10**9 for one in ordered] == [3, 1, 9, 8]
+
+
 # Finding
 
 

@@ -14,7 +14,13 @@ import pytest
 from fibaction import ActionClient, ActionInfo, ConnectionLost, GoalInfo, GoalStatus, ServerNotFound
 from fibaction.cli import observing
 from fibaction.cli.goal_list import AnyClient
-from fibaction.cli.observing import Observer, follow, observe, still_possible, until_interrupted
+from fibaction.cli.observing import (
+    Observer,
+    follow_action,
+    observe,
+    still_possible,
+    until_interrupted,
+)
 from fibaction.observing import GoalFeedback
 from tests.cli.served import Heard, Served, counter
 from tests.wire.memory import in_virtual_time
@@ -124,7 +130,7 @@ async def test_a_server_that_stops_is_gone_and_found_again() -> None:
     client = served.connection.client(first.action)
     async with anyio.create_task_group() as tasks:
         async with first:
-            tasks.start_soon(lambda: follow(client, first.info, recorder, feedback=True))
+            tasks.start_soon(lambda: follow_action(client, first.info, recorder, feedback=True))
             await recorder.heard.until(lambda all: ("found", "one") in all)
             client.endpoint = second
         await recorder.heard.until(lambda all: ("gone", "one", "its server has stopped") in all)
@@ -144,7 +150,7 @@ async def test_a_connection_that_is_lost_for_good_ends_it(monkeypatch: pytest.Mo
     monkeypatch.setattr(server, "status", lost)
     monkeypatch.setattr(server, "wait_for_server", lost)
     with pytest.raises(ConnectionLost):
-        await follow(client, server.info, recorder, feedback=True)
+        await follow_action(client, server.info, recorder, feedback=True)
     assert recorder.heard == [("gone", "one", "the line is dead")]
     with pytest.raises(ConnectionLost):
         await still_possible([client])
