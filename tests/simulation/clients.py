@@ -57,7 +57,6 @@ class Naming:
         """A goal got that ID, and is about to be sent."""
         self.goal_id = goal_id
         self._client.goals.add(goal_id)
-        assert self._deed.work is not None
         self._record.sent.append((goal_id, self._deed.work))
         if self._deed.patience < math.inf:
             self._record.may_cancel(goal_id)
@@ -171,7 +170,6 @@ class Client:
             await anyio.sleep(deed.at)
             scope.deadline = current_time() + deed.patience
             self.under_way[deed] = current_time()
-            assert deed.work is not None
             mine = Naming(record, name, deed)
             naming.set(mine)
             record.tell(f"{name} begins: {deed.kind}")
@@ -229,7 +227,6 @@ class Client:
         """One that was sent before, by anybody; if there is none, one that never was."""
         sent = self._record.sent
         if not sent:
-            assert deed.work is not None
             return GoalID.random(), deed.work
         goal_id, work = sent[deed.target % len(sent)]
         naming.get().goal_id = goal_id

@@ -8,7 +8,7 @@ goals is compared with it in `views`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import msgspec
@@ -105,7 +105,6 @@ class Life:
         self.protocol = protocol
         self.goals: dict[tuple[GoalID, int], Truth] = {}
         self.ended: list[Truth] = []
-        self.rejected: set[GoalID] = set()
 
 
 class ClientState:
@@ -185,20 +184,18 @@ class Record:
 
     def truth(self, goal_id: GoalID, stamp: int | None) -> Truth | None:
         """What is true of a goal; of the last of that ID, if `stamp` is None."""
-        for life in reversed(self.lives):
-            for (known, known_stamp), truth in reversed(life.goals.items()):
-                if known == goal_id and stamp in (None, known_stamp):
-                    return truth
-        return None
+        return next(self._truths(goal_id, stamp), None)
 
     def outcomes(self, goal_id: GoalID, stamp: int | None) -> list[Outcome[Any] | None]:
         """How the goals of that ID have ended; there are several if it was sent again later."""
-        return [
-            truth.outcome
-            for life in self.lives
-            for (known, known_stamp), truth in life.goals.items()
-            if known == goal_id and stamp in (None, known_stamp)
-        ]
+        return [truth.outcome for truth in self._truths(goal_id, stamp)]
+
+    def _truths(self, goal_id: GoalID, stamp: int | None) -> Iterator[Truth]:
+        """The goals of that ID, and of that stamp unless it is None: the last one first."""
+        for life in reversed(self.lives):
+            for (known, known_stamp), truth in reversed(life.goals.items()):
+                if known == goal_id and stamp in (None, known_stamp):
+                    yield truth
 
     def orphaned(self, goal_id: GoalID) -> None:
         """A server has lost the client of a goal."""
@@ -288,15 +285,9 @@ class Record:
         now = self.now()
         if self.lives and self.lives[-1].stops_at <= now:
             return True
-        truths = [
-            truth
-            for life in self.lives
-            for (known, known_stamp), truth in life.goals.items()
-            if known == goal_id and stamp in (None, known_stamp)
-        ]
-        if not truths:
+        truth = self.truth(goal_id, stamp)
+        if truth is None:
             return True
-        truth = truths[-1]
         if truth.life is not self.lives[-1] or (stamp is None and truth.accepted_at >= since):
             return True
         if not self._has_expired(truth, now):
@@ -322,9 +313,9 @@ class Record:
         since: float = math.inf,
     ) -> None:
         """A call of a client, made at `since`, has failed."""
-        self.tell(f"{client.plan.name}: {what}: {type(error).__name__}: {error}")
+        text = f"{client.plan.name}: {what}: {type(error).__name__}: {error}"
+        self.tell(text)
         if not self._is_excused(client, error, goal_id, since):
-            text = f"{client.plan.name}: {what}: {type(error).__name__}: {error}"
             self.fail("error", text)
 
     def _is_excused(

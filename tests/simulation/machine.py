@@ -6,6 +6,7 @@ forgotten. What it is for is not known here.
 
 from __future__ import annotations
 
+import itertools
 import os
 import random
 import secrets
@@ -17,9 +18,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 from unittest.mock import patch
 
-from fibaction import (
-    GoalID,
-)
+from fibaction import GoalID
 from fibaction.streams import LogStream
 from tests.simulation import loop as virtual
 from tests.simulation.clients import naming
@@ -49,7 +48,7 @@ class _Shadow(types.ModuleType):
 def made_up(loop: virtual.VirtualLoop, seed: int) -> Generator[None, None, None]:
     """Let all modules of the product have the time and chance of this run."""
     chance = random.Random(f"product {seed}")
-    numbers = iter(range(1, sys.maxsize))
+    numbers = itertools.count(1)
 
     def look() -> float:
         loop.now += LOOK
@@ -86,7 +85,7 @@ def made_up(loop: virtual.VirtualLoop, seed: int) -> Generator[None, None, None]
     with ExitStack() as stack:
         stack.enter_context(patch.object(GoalID, "random", new_goal_id))
         # Followers who want the end only are woken in the order of a set.
-        stack.enter_context(patch.object(LogStream, "__hash__", _counted(iter(range(sys.maxsize)))))
+        stack.enter_context(patch.object(LogStream, "__hash__", _counted(itertools.count(1))))
         for module in _product():
             for name, value in list(vars(module).items()):
                 if isinstance(value, types.ModuleType) and value in shadows:
@@ -100,8 +99,9 @@ def _counted(numbers: Iterator[int]) -> Callable[[object], int]:
     """A hash that is no address of memory."""
 
     def __hash__(self: object) -> int:
-        number: int = self.__dict__.setdefault("_simulated_hash", None) or next(numbers) + 1
-        self.__dict__["_simulated_hash"] = number
+        if "_simulated_hash" not in self.__dict__:
+            self.__dict__["_simulated_hash"] = next(numbers)
+        number: int = self.__dict__["_simulated_hash"]
         return number
 
     return __hash__

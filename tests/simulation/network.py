@@ -347,12 +347,10 @@ class Line:
             network.loop.call_at(network.loop.time() + delay, network.sever, connection, "reset")
         return connection.near
 
-    def cut(self, manner: Manner) -> bool:
-        """End all connections, and lose what is under way. False if there are none."""
-        connections = self._connections()
-        for connection in connections:
+    def cut(self, manner: Manner) -> None:
+        """End all connections, and lose what is under way."""
+        for connection in self._connections():
             self._network.sever(connection, manner)
-        return bool(connections)
 
     def half_close(self, direction: Direction) -> None:
         """End one direction, and let the other one be."""

@@ -99,7 +99,8 @@ class Deed(msgspec.Struct, frozen=True):
     at: float
     """Seconds after the client's start."""
     kind: str
-    work: Work | None = None
+    work: Work
+    """The goal that it sends, if it sends one."""
     patience: float = math.inf
     """After so many seconds whoever does it is canceled."""
     delay: float = 0.0
@@ -321,7 +322,6 @@ class _Maker:
         if self.chance.random() < 0.6:
             # While something is under way: chance alone would hit little.
             deed = self.chance.choice(clients[client].deeds)
-            assert deed.work is not None
             lasts = min(deed.work.steps * deed.work.pause, self.span) + 0.05
             at = clients[client].starts_at + deed.at + self.chance.uniform(0, lasts)
         chance, rough = self.chance, self._rough()

@@ -8,11 +8,7 @@ from typing import Any
 
 from anyio.abc import TaskGroup
 
-from fibaction import (
-    Endpoint,
-    ServerNotFound,
-    Transport,
-)
+from fibaction import Endpoint, ServerNotFound, Transport
 from fibaction.abc import Connection
 from fibaction.background import Background
 from fibaction.framing import MAX_FRAME

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from fibaction import (
-    GoalID,
-    GoalInfo,
-    GoalStatus,
-    Outcome,
-)
+from fibaction import GoalID, GoalInfo, GoalStatus, Outcome
 from fibaction.states import INITIAL
 from tests.simulation.invariants import NEXT, REACHABLE, ClientState, Record, Truth, short
 from tests.simulation.scenario import Done, Step

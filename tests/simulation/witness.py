@@ -14,13 +14,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 from unittest.mock import patch
 
-from fibaction import (
-    ActionError,
-    Endpoint,
-    GoalID,
-    Outcome,
-    ProtocolError,
-)
+from fibaction import ActionError, Endpoint, GoalID, Outcome, ProtocolError
 from fibaction.abc import GoalStream
 from fibaction.protocol import Cancellation, Ending, Goal, ServerProtocol
 from fibaction.wire.connecting import RemoteConnection

@@ -20,10 +20,7 @@ import msgspec
 from anyio import CancelScope, create_task_group, current_time
 from anyio.abc import TaskGroup
 
-from fibaction import (
-    ActionServer,
-    serve,
-)
+from fibaction import ActionServer, serve
 from fibaction.wire.access import Access, Peer, Verb
 from fibaction.wire.connecting import Keeping
 from fibaction.wire.hub import Hub
@@ -39,7 +36,6 @@ from tests.simulation.executors import (
     executor_for,
 )
 from tests.simulation.invariants import Life, Record, Violation
-from tests.simulation.known import is_known
 from tests.simulation.machine import made_up
 from tests.simulation.network import Line, Network
 from tests.simulation.scenario import SIMULATED, Done, Fault, Scenario, Step, Work
@@ -62,13 +58,6 @@ class Report(msgspec.Struct, frozen=True):
     restarts: int
     seconds: float
     """Virtual ones."""
-    turns: int
-    """Of the event loop."""
-
-    @property
-    def has_failed(self) -> bool:
-        """Whether something is wrong that is not known."""
-        return bool(self.violations) and not is_known(self.violations[0])
 
     @property
     def digest(self) -> str:
@@ -355,7 +344,6 @@ def simulate(scenario: Scenario) -> Report:
         cuts=world.network.cuts,
         restarts=max(0, len(record.lives) - 1),
         seconds=loop.now - virtual.EPOCH,
-        turns=loop.turns,
     )
 
 
