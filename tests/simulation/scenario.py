@@ -14,7 +14,8 @@ from typing import Literal, TypeAlias
 import msgspec
 
 from fibaction import Action
-from tests.simulation.network import Direction, Manner, Weather
+from tests.simulation.network import Direction
+from tests.simulation.streams import Manner, Weather
 
 Climate: TypeAlias = Literal["calm", "gentle", "rough"]
 """How much goes wrong. In `calm` nothing does; in `gentle` lines fail, but never for longer than

@@ -13,7 +13,7 @@ from contextvars import copy_context
 from typing import Any
 
 from fibaction_transports.tcp import lines
-from tests.simulation.network import SimulatedStream
+from tests.simulation.streams import SimulatedStream
 
 PIECE = 2**18
 """Bytes that are handed over at once at most, as by asyncio."""
@@ -61,7 +61,7 @@ class Socket(asyncio.Transport):
         if self._is_paused and not self._buffer:
             self._is_paused = False
             self._protocol.resume_writing()
-        if self._reads and self._incoming:
+        if self._reads and self._incoming.has_bytes:
             self._protocol.data_received(self._incoming.take(PIECE))
             self._stir()
         elif self._reads and self._incoming.has_ended and not self._has_told_end:

@@ -20,7 +20,7 @@ from fibaction.protocol import ServerProtocol
 from tests.simulation import __main__ as command
 from tests.simulation import loop as virtual
 from tests.simulation.invariants import Life, Record, Violation
-from tests.simulation.network import Line, Network, SimulatedStream, Weather
+from tests.simulation.network import Line, Network
 from tests.simulation.scenario import (
     DEEDS,
     KINDS,
@@ -33,6 +33,7 @@ from tests.simulation.scenario import (
     Work,
     scenario_of,
 )
+from tests.simulation.streams import SimulatedStream, Weather
 from tests.simulation.views import View, Watch
 from tests.simulation.world import Report, simulate
 

@@ -17,8 +17,9 @@ from fibaction.wire.connecting import Keeping, connected
 from fibaction.wire.hub import Hub, hub
 from fibaction.wire.serving import Terms
 from fibaction_transports.tcp.lines import ProtocolLine
-from tests.simulation.network import Line, Listening, Network, SimulatedStream
+from tests.simulation.network import Line, Listening, Network
 from tests.simulation.sockets import line_over
+from tests.simulation.streams import SimulatedStream
 
 
 class SimulatedTransport(Transport):
