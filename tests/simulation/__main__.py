@@ -8,7 +8,7 @@ import secrets
 import sys
 import time
 
-from tests.simulation.scenario import scenario_of
+from tests.simulation.making import scenario_of
 from tests.simulation.world import Report, simulate
 
 SEEDS = 2**32

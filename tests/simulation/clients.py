@@ -1,69 +1,20 @@
-"""The clients of the simulation: each does the deeds of its plan, and tells what it sees.
-
-They use fibaction as its users do: `connect`, `send_goal`, `call`, `attach` and the like. What they
-see goes to the record, which knows whether it is right.
-"""
+"""The clients of the simulation: each connects, does the `deeds` of its plan, and leaves."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Awaitable, Callable
-from contextvars import ContextVar
-
 import anyio
-import anyio.lowlevel
 from anyio import CancelScope, create_task_group, current_time, move_on_after
 from anyio.abc import TaskGroup
 
-from fibaction import (
-    ActionClient,
-    ActionError,
-    ClientConnection,
-    ClientGoal,
-    GoalAborted,
-    GoalCanceled,
-    GoalFeedback,
-    GoalID,
-    GoalStatus,
-    Outcome,
-    connect,
-)
+from fibaction import ActionError, ClientConnection, connect
 from fibaction.abc import Transport
 from fibaction.waking import Waking
 from fibaction.wire.connecting import RemoteConnection
+from tests.simulation.deeds import Deeds
 from tests.simulation.invariants import Record
 from tests.simulation.loop import EPOCH
-from tests.simulation.scenario import SIMULATED, ClientPlan, Deed, Done, Step, Work
-from tests.simulation.views import View, Watch
-
-WATCHED = 2.0
-"""Seconds for which events are watched at most, beside the deed's own delay."""
-LONGEST_READ = 0.5
-"""Seconds that a slow reader takes over one message at most."""
-
-
-class Naming:
-    """Whose goals are being named, so that it is known who has sent which."""
-
-    def __init__(self, record: Record, client: str, deed: Deed) -> None:
-        self._record = record
-        self._client = record.clients[client]
-        self._deed = deed
-        self.losses = self._client.losses
-        self.goal_id: GoalID | None = None
-        """The goal that the deed is about."""
-
-    def named(self, goal_id: GoalID) -> None:
-        """A goal got that ID, and is about to be sent."""
-        self.goal_id = goal_id
-        self._client.goals.add(goal_id)
-        self._record.sent.append((goal_id, self._deed.work))
-        if self._deed.patience < math.inf:
-            self._record.may_cancel(goal_id)
-
-
-naming: ContextVar[Naming] = ContextVar("naming")
-"""What the running deed names."""
+from tests.simulation.naming import Naming, naming
+from tests.simulation.scenario import ClientPlan, Deed
 
 
 class Client:
@@ -75,40 +26,15 @@ class Client:
         self.state = record.clients[plan.name]
         self._transport = transport
         self._connection: ClientConnection | None = None
-        self._client: ActionClient[Work, Step, Done]
         self.under_way: dict[Deed, float] = {}
         """What it is doing, and since when."""
         self._scopes: list[CancelScope] = []
-        self._left = len(plan.deeds)
+        self._left_to_do = len(plan.deeds)
         self._changed = Waking()
         self.may_leave = anyio.Event()
         self.is_done = False
         """Whether all its deeds are done, or it has left."""
         self.has_left = False
-        self._deeds: dict[str, Callable[[Deed, Work], Awaitable[None]]] = {
-            "send": self._send,
-            "call": self._call,
-            "call quietly": self._call_quietly,
-            "leave": self._leave,
-            "cancel": self._cancel,
-            "slow": self._send,
-            "unread": self._unread,
-            "beside": self._beside,
-            "twice": self._twice,
-            "clash": self._clash,
-            "attach": self._attach,
-            "observe": self._observe,
-            "get result": self._get_result,
-            "cancel by id": self._cancel_goals,
-            "cancel by stamp": self._cancel_goals,
-            "cancel by both": self._cancel_goals,
-            "cancel all": self._cancel_goals,
-            "goals": self._goals,
-            "events": self._events,
-            "statuses": self._statuses,
-            "wait for server": self._wait_for_server,
-            "ask": self._ask,
-        }
 
     async def run(self) -> None:
         """Connect, do everything, and leave when that is allowed."""
@@ -124,9 +50,9 @@ class Client:
     async def _be_connected(self, tasks: TaskGroup) -> None:
         async with connect(self._transport) as connection:
             self._connection = connection
-            self._client = connection.client(SIMULATED)
+            deeds = Deeds(self._record, self.state, connection)
             for deed in self.plan.deeds:
-                tasks.start_soon(self._do, deed, name=f"{self.plan.name} {deed.kind}")
+                tasks.start_soon(self._do, deeds, deed, name=f"{self.plan.name} {deed.kind}")
             with move_on_after(self.plan.leaves_at) as staying:
                 await self._until_done()
                 self.is_done = True
@@ -160,10 +86,10 @@ class Client:
             everything.cancel()
 
     async def _until_done(self) -> None:
-        while self._left:
+        while self._left_to_do:
             await self._changed.wait()
 
-    async def _do(self, deed: Deed) -> None:
+    async def _do(self, deeds: Deeds, deed: Deed) -> None:
         record, name = self._record, self.plan.name
         with CancelScope() as scope:
             self._scopes.append(scope)
@@ -174,288 +100,13 @@ class Client:
             naming.set(mine)
             record.tell(f"{name} begins: {deed.kind}")
             try:
-                await self._deeds[deed.kind](deed, deed.work)
+                await deeds.do(deed)
             except ActionError as error:
                 since = self.under_way[deed] - EPOCH
                 record.failed(self.state, error, deed.kind, mine.goal_id, since=since)
         self.under_way.pop(deed, None)
-        self._left -= 1
+        self._left_to_do -= 1
         self._changed.wake()
         record.tell(
             f"{name} {'was canceled' if scope.cancelled_caught else 'is done'}: {deed.kind}"
         )
-
-    # Seeing
-
-    def _view(self, goal: ClientGoal[Step, Done], *, start: int = 0, own: bool = True) -> View:
-        view = View(self._record, self.state, goal.goal_id, goal.stamp, start=start)
-        view.own = view.own and own
-        view.losses = naming.get().losses
-        view.status(goal.status)
-        return view
-
-    async def _read(
-        self,
-        goal: ClientGoal[Step, Done],
-        view: View,
-        *,
-        pause: float = 0.0,
-        most: float = math.inf,
-    ) -> None:
-        """Read the feedback, at most so much of it."""
-        seen = 0
-        if not most:
-            return
-        async for step in goal.feedback:
-            self._record.tell(f"{self.plan.name} reads {step.count} of {view.name}")
-            view.status(goal.status)
-            view.feedback(step, goal.feedback_dropped)
-            seen += 1
-            if seen >= most:
-                return
-            if pause:
-                await anyio.sleep(pause)
-        view.status(goal.status)
-        view.end_of_feedback(goal.feedback_dropped)
-
-    async def _see_outcome(self, goal: ClientGoal[Step, Done], view: View) -> None:
-        outcome = await goal.outcome()
-        self._record.tell(f"{self.plan.name} is told {view.name} {outcome.status.name}")
-        view.outcome(outcome)
-
-    def _some_goal(self, deed: Deed) -> tuple[GoalID, Work]:
-        """One that was sent before, by anybody; if there is none, one that never was."""
-        sent = self._record.sent
-        if not sent:
-            return GoalID.random(), deed.work
-        goal_id, work = sent[deed.target % len(sent)]
-        naming.get().goal_id = goal_id
-        if (
-            deed.patience < math.inf
-            or self.plan.leaves_at < math.inf
-            or self.plan.dies_at < math.inf
-        ):
-            self._record.may_cancel(goal_id)  # a sending that is canceled, if it is to be sent
-        return goal_id, work
-
-    # Sending
-
-    async def _send(self, deed: Deed, work: Work) -> None:
-        goal = await self._client.send_goal(work)
-        view = self._view(goal)
-        pause = min(deed.delay, LONGEST_READ) if deed.kind == "slow" else 0.0
-        view.attentive = not pause
-        await self._read(goal, view, pause=pause)
-        await self._see_outcome(goal, view)
-
-    async def _call(self, deed: Deed, work: Work) -> None:
-        mine = naming.get()
-        view = View(self._record, self.state, GoalID(bytes(15) + b"?"), None, start=0)
-        pause = deed.delay if deed.delay < LONGEST_READ else 0.0
-        view.attentive = not pause
-
-        def on_feedback(step: Step) -> Awaitable[None] | None:
-            assert mine.goal_id is not None
-            view.goal_id = mine.goal_id
-            view.feedback(step, None)
-            return anyio.sleep(pause) if pause else None
-
-        self._record.may_cancel(None)  # whatever goes wrong in a call cancels it
-        try:
-            outcome = Outcome(
-                GoalStatus.SUCCEEDED, await self._client.call(work, on_feedback=on_feedback)
-            )
-        except GoalAborted as error:
-            outcome = Outcome(GoalStatus.ABORTED, error.result, error.reason)
-        except GoalCanceled as error:
-            outcome = Outcome(GoalStatus.CANCELED, error.result, error.reason)
-        assert mine.goal_id is not None
-        view.goal_id = mine.goal_id
-        view.own = True
-        view.outcome(outcome)
-        view.losses = mine.losses
-        view.end_of_call()
-
-    async def _call_quietly(self, deed: Deed, work: Work) -> None:
-        mine = naming.get()
-        try:
-            result = await self._client.call(work)
-        except (GoalAborted, GoalCanceled):
-            return
-        assert mine.goal_id is not None
-        view = View(self._record, self.state, mine.goal_id, None, start=0)
-        view.outcome(Outcome(GoalStatus.SUCCEEDED, result))
-
-    async def _leave(self, deed: Deed, work: Work) -> None:
-        goal_id = GoalID.random()
-        self._record.may_cancel(goal_id)
-        async with self._client.send_goal(work, goal_id=goal_id) as goal:
-            view = self._view(goal)
-            await self._read(goal, view, most=deed.count)
-            await anyio.sleep(deed.delay)
-        await self._see_outcome(goal, view)
-
-    async def _cancel(self, deed: Deed, work: Work) -> None:
-        goal = await self._client.send_goal(work)
-        view = self._view(goal)
-        await self._read(goal, view, most=deed.count)
-        await anyio.sleep(deed.delay)
-        self._record.may_cancel(goal.goal_id)
-        asked_at = self._record.now()
-        answer = await goal.cancel()
-        self._record.cancel_answered(answer, goal.goal_id, asked_at, None)
-        view.status(goal.status)
-        if deed.target % 2:
-            await self._read(goal, view)
-        await self._see_outcome(goal, view)
-
-    async def _unread(self, deed: Deed, work: Work) -> None:
-        goal = await self._client.send_goal(work)
-        view = self._view(goal)
-        if deed.target % 2:
-            goal.close()
-        await anyio.sleep(deed.delay)
-        await self._see_outcome(goal, view)
-
-    async def _beside(self, deed: Deed, work: Work) -> None:
-        goal = await self._client.send_goal(work)
-        view = self._view(goal)
-        view.attentive = True
-
-        async def read() -> None:
-            try:
-                await self._read(goal, view)
-            except ActionError as error:
-                self._record.failed(self.state, error, deed.kind, goal.goal_id)
-
-        async with create_task_group() as tasks:
-            tasks.start_soon(read)
-            # If nobody had begun to read, nobody would wait for the reader.
-            await anyio.lowlevel.checkpoint()
-            try:
-                # A view of its own, because the outcome may be known before the feedback is read.
-                await self._see_outcome(goal, self._view(goal))
-            except ActionError as error:
-                self._record.failed(self.state, error, deed.kind, goal.goal_id)
-
-    async def _twice(self, deed: Deed, work: Work) -> None:
-        goal_id = GoalID.random()
-        if deed.target % 3 == 0 and self._record.sent:
-            goal_id, work = self._some_goal(deed)
-        self._record.sent_again.add(goal_id)
-
-        async def once() -> None:
-            try:
-                goal = await self._client.send_goal(work, goal_id=goal_id)
-                view = self._view(goal)
-                await self._read(goal, view)
-                await self._see_outcome(goal, view)
-            except ActionError as error:
-                self._record.failed(self.state, error, deed.kind, goal_id)
-
-        async with create_task_group() as tasks:
-            tasks.start_soon(once)
-            await anyio.sleep(deed.delay)
-            tasks.start_soon(once)
-
-    async def _clash(self, deed: Deed, work: Work) -> None:
-        goal_id, _ = self._some_goal(deed)
-        self._record.clashes.add(goal_id)
-        self._record.sent_again.add(goal_id)
-        goal = await self._client.send_goal(work, goal_id=goal_id)
-        goal.close()
-
-    # Following
-
-    async def _attach(self, deed: Deed, work: Work) -> None:
-        goal_id, _ = self._some_goal(deed)
-        await anyio.sleep(deed.delay)
-        after = deed.count if deed.target % 2 else None
-        goal = await self._client.attach(goal_id, after=after)
-        view = self._view(goal, start=goal._stream.place, own=False)
-        await self._read(goal, view)
-        await self._see_outcome(goal, view)
-
-    async def _observe(self, deed: Deed, work: Work) -> None:
-        goal_id, _ = self._some_goal(deed)
-        after = deed.count if deed.target % 2 else None
-        with await self._client.endpoint.feedback(goal_id, after=after) as stream:
-            view = View(self._record, self.state, goal_id, stream.stamp, start=stream.place)
-            view.own = False
-            told = View(self._record, self.state, goal_id, stream.stamp, start=0)
-            told.own = False
-            while (event := await stream.next_event()) is not None:
-                if isinstance(event, GoalStatus):
-                    told.status(event)
-                else:
-                    step = SIMULATED.feedback.decode(event.payload)
-                    view.feedback(step, stream.dropped, event.number)
-            told.outcome(_decoded(await stream.outcome()))
-            view.status(stream.status)
-            view.end_of_feedback(stream.dropped)
-
-    async def _get_result(self, deed: Deed, work: Work) -> None:
-        goal_id, _ = self._some_goal(deed)
-        view = View(self._record, self.state, goal_id, None, start=0)
-        view.own = False
-        view.outcome(_decoded(await self._client.endpoint.get_result(goal_id)))
-
-    # Canceling
-
-    async def _cancel_goals(self, deed: Deed, work: Work) -> None:
-        goal_id: GoalID | None = None
-        stamp: int | None = None
-        if deed.kind in ("cancel by id", "cancel by both"):
-            goal_id, _ = self._some_goal(deed)
-        if deed.kind in ("cancel by stamp", "cancel by both"):
-            truths = [truth for life in self._record.lives for truth in life.goals.values()]
-            stamp = truths[deed.count % len(truths)].stamp if truths else 1
-        self._record.may_cancel(None if stamp else goal_id)
-        asked_at = self._record.now()
-        answer = await self._client.cancel_goals(goal_id, before=stamp)
-        self._record.cancel_answered(answer, goal_id, asked_at, stamp)
-
-    # Watching
-
-    async def _goals(self, deed: Deed, work: Work) -> None:
-        watch = Watch(self._record, self.state, exact=False)
-        infos = await self._client.goals()
-        for info in infos:
-            watch.info(info, is_known=True)
-        if len({info.goal_id for info in infos}) < len(infos):
-            how = " (its connection was lost)" if self.state.losses else ""
-            self._record.fail("status", f"{self.plan.name}: a goal is listed twice{how}: {infos}")
-
-    async def _events(self, deed: Deed, work: Work) -> None:
-        watch = Watch(self._record, self.state, exact=self._record.scenario.climate == "calm")
-        with move_on_after(deed.delay + WATCHED):
-            async with self._client.events(feedback=bool(deed.count)) as events:
-                async for event in events:
-                    if isinstance(event, GoalFeedback):
-                        watch.feedback(event.goal_id, event.number, event.feedback)
-                    else:
-                        watch.info(event, is_known=True)
-
-    async def _statuses(self, deed: Deed, work: Work) -> None:
-        watch = Watch(self._record, self.state, exact=self._record.scenario.climate == "calm")
-        with move_on_after(deed.delay + WATCHED):
-            with await self._client.endpoint.status() as statuses:
-                known = statuses.known
-                while (info := await statuses.receive()) is not None:
-                    watch.info(info, is_known=known > 0)
-                    known -= 1
-
-    async def _wait_for_server(self, deed: Deed, work: Work) -> None:
-        await self._client.wait_for_server()
-
-    async def _ask(self, deed: Deed, work: Work) -> None:
-        assert self._connection is not None
-        names = [info.name for info in await self._connection.actions()]
-        peers = await self._connection.peers(SIMULATED.name)
-        if names != [SIMULATED.name] or not all("client-" in name for name in peers.clients):
-            self._record.fail("outcome", f"{self.plan.name} is told of {names} and {peers}")
-
-
-def _decoded(outcome: Outcome[bytes]) -> Outcome[Done]:
-    result = None if outcome.result is None else SIMULATED.result.decode(outcome.result)
-    return Outcome(outcome.status, result, outcome.reason)

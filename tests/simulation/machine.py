@@ -21,7 +21,7 @@ from unittest.mock import patch
 from fibaction import GoalID
 from fibaction.streams import LogStream
 from tests.simulation import loop as virtual
-from tests.simulation.clients import naming
+from tests.simulation.naming import naming
 
 LOOK = 5e-5
 """Virtual seconds that it takes the product to look at the time: so a generator that never awaits

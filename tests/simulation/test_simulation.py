@@ -20,6 +20,7 @@ from fibaction.protocol import ServerProtocol
 from tests.simulation import __main__ as command
 from tests.simulation import loop as virtual
 from tests.simulation.invariants import Life, Record, Violation
+from tests.simulation.making import scenario_of
 from tests.simulation.network import Line, Network
 from tests.simulation.scenario import (
     DEEDS,
@@ -31,7 +32,6 @@ from tests.simulation.scenario import (
     ServerPlan,
     Step,
     Work,
-    scenario_of,
 )
 from tests.simulation.streams import SimulatedStream, Weather
 from tests.simulation.views import View, Watch
@@ -83,7 +83,7 @@ def test_a_seed_is_the_same_run_each_time() -> None:
 def test_a_seed_is_the_same_run_in_every_process() -> None:
     program = (
         "from tests.simulation.world import simulate\n"
-        "from tests.simulation.scenario import scenario_of\n"
+        "from tests.simulation.making import scenario_of\n"
         "print(*(simulate(scenario_of(seed)).digest for seed in range(20, 60)))"
     )
 

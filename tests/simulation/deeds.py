@@ -1,0 +1,352 @@
+"""What the clients of the simulation do: one method for each kind of deed.
+
+They use fibaction as its users do: `send_goal`, `call`, `attach` and the like. What they see goes
+to the record, which knows whether it is right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Awaitable, Callable
+
+import anyio
+import anyio.lowlevel
+from anyio import create_task_group, move_on_after
+
+from fibaction import (
+    ActionError,
+    ClientConnection,
+    ClientGoal,
+    GoalAborted,
+    GoalCanceled,
+    GoalFeedback,
+    GoalID,
+    GoalStatus,
+    Outcome,
+)
+from tests.simulation.invariants import ClientState, Record
+from tests.simulation.naming import naming
+from tests.simulation.scenario import SIMULATED, Deed, Done, Step, Work
+from tests.simulation.views import View, Watch
+
+WATCHED = 2.0
+"""Seconds for which events are watched at most, beside the deed's own delay."""
+LONGEST_READ = 0.5
+"""Seconds that a slow reader takes over one message at most."""
+
+
+class Deeds:
+    """What one client does over its connection."""
+
+    def __init__(self, record: Record, state: ClientState, connection: ClientConnection) -> None:
+        self._record = record
+        self._state = state
+        self._plan = state.plan
+        self._connection = connection
+        self._client = connection.client(SIMULATED)
+        self._kinds: dict[str, Callable[[Deed], Awaitable[None]]] = {
+            "send": self._send,
+            "call": self._call,
+            "call quietly": self._call_quietly,
+            "leave": self._leave,
+            "cancel": self._cancel,
+            "slow": self._send,
+            "unread": self._unread,
+            "beside": self._beside,
+            "twice": self._twice,
+            "clash": self._clash,
+            "attach": self._attach,
+            "observe": self._observe,
+            "get result": self._get_result,
+            "cancel by id": self._cancel_goals,
+            "cancel by stamp": self._cancel_goals,
+            "cancel by both": self._cancel_goals,
+            "cancel all": self._cancel_goals,
+            "goals": self._goals,
+            "events": self._events,
+            "statuses": self._statuses,
+            "wait for server": self._wait_for_server,
+            "ask": self._ask,
+        }
+
+    async def do(self, deed: Deed) -> None:
+        """Do one of them.
+
+        Raises:
+            ActionError: It came to nothing.
+        """
+        await self._kinds[deed.kind](deed)
+
+    # Seeing
+
+    def _view(self, goal: ClientGoal[Step, Done], *, start: int = 0, own: bool = True) -> View:
+        view = View(self._record, self._state, goal.goal_id, goal.stamp, start=start)
+        view.own = view.own and own
+        view.losses = naming.get().losses
+        view.status(goal.status)
+        return view
+
+    async def _read(
+        self,
+        goal: ClientGoal[Step, Done],
+        view: View,
+        *,
+        pause: float = 0.0,
+        most: float = math.inf,
+    ) -> None:
+        """Read the feedback, at most so much of it."""
+        seen = 0
+        if not most:
+            return
+        async for step in goal.feedback:
+            self._record.tell(f"{self._plan.name} reads {step.count} of {view.name}")
+            view.status(goal.status)
+            view.feedback(step, goal.feedback_dropped)
+            seen += 1
+            if seen >= most:
+                return
+            if pause:
+                await anyio.sleep(pause)
+        view.status(goal.status)
+        view.end_of_feedback(goal.feedback_dropped)
+
+    async def _see_outcome(self, goal: ClientGoal[Step, Done], view: View) -> None:
+        outcome = await goal.outcome()
+        self._record.tell(f"{self._plan.name} is told {view.name} {outcome.status.name}")
+        view.outcome(outcome)
+
+    def _some_goal(self, deed: Deed) -> tuple[GoalID, Work]:
+        """One that was sent before, by anybody; if there is none, one that never was."""
+        sent = self._record.sent
+        if not sent:
+            return GoalID.random(), deed.work
+        goal_id, work = sent[deed.target % len(sent)]
+        naming.get().goal_id = goal_id
+        if (
+            deed.patience < math.inf
+            or self._plan.leaves_at < math.inf
+            or self._plan.dies_at < math.inf
+        ):
+            self._record.may_cancel(goal_id)  # a sending that is canceled, if it is to be sent
+        return goal_id, work
+
+    # Sending
+
+    async def _send(self, deed: Deed) -> None:
+        goal = await self._client.send_goal(deed.work)
+        view = self._view(goal)
+        pause = min(deed.delay, LONGEST_READ) if deed.kind == "slow" else 0.0
+        view.attentive = not pause
+        await self._read(goal, view, pause=pause)
+        await self._see_outcome(goal, view)
+
+    async def _call(self, deed: Deed) -> None:
+        mine = naming.get()
+        view = View(self._record, self._state, GoalID(bytes(15) + b"?"), None, start=0)
+        pause = deed.delay if deed.delay < LONGEST_READ else 0.0
+        view.attentive = not pause
+
+        def on_feedback(step: Step) -> Awaitable[None] | None:
+            assert mine.goal_id is not None
+            view.goal_id = mine.goal_id
+            view.feedback(step, None)
+            return anyio.sleep(pause) if pause else None
+
+        self._record.may_cancel(None)  # whatever goes wrong in a call cancels it
+        try:
+            outcome = Outcome(
+                GoalStatus.SUCCEEDED, await self._client.call(deed.work, on_feedback=on_feedback)
+            )
+        except GoalAborted as error:
+            outcome = Outcome(GoalStatus.ABORTED, error.result, error.reason)
+        except GoalCanceled as error:
+            outcome = Outcome(GoalStatus.CANCELED, error.result, error.reason)
+        assert mine.goal_id is not None
+        view.goal_id = mine.goal_id
+        view.own = True
+        view.outcome(outcome)
+        view.losses = mine.losses
+        view.end_of_call()
+
+    async def _call_quietly(self, deed: Deed) -> None:
+        mine = naming.get()
+        try:
+            result = await self._client.call(deed.work)
+        except (GoalAborted, GoalCanceled):
+            return
+        assert mine.goal_id is not None
+        view = View(self._record, self._state, mine.goal_id, None, start=0)
+        view.outcome(Outcome(GoalStatus.SUCCEEDED, result))
+
+    async def _leave(self, deed: Deed) -> None:
+        goal_id = GoalID.random()
+        self._record.may_cancel(goal_id)
+        async with self._client.send_goal(deed.work, goal_id=goal_id) as goal:
+            view = self._view(goal)
+            await self._read(goal, view, most=deed.count)
+            await anyio.sleep(deed.delay)
+        await self._see_outcome(goal, view)
+
+    async def _cancel(self, deed: Deed) -> None:
+        goal = await self._client.send_goal(deed.work)
+        view = self._view(goal)
+        await self._read(goal, view, most=deed.count)
+        await anyio.sleep(deed.delay)
+        self._record.may_cancel(goal.goal_id)
+        asked_at = self._record.now()
+        answer = await goal.cancel()
+        self._record.cancel_answered(answer, goal.goal_id, asked_at, None)
+        view.status(goal.status)
+        if deed.target % 2:
+            await self._read(goal, view)
+        await self._see_outcome(goal, view)
+
+    async def _unread(self, deed: Deed) -> None:
+        goal = await self._client.send_goal(deed.work)
+        view = self._view(goal)
+        if deed.target % 2:
+            goal.close()
+        await anyio.sleep(deed.delay)
+        await self._see_outcome(goal, view)
+
+    async def _beside(self, deed: Deed) -> None:
+        goal = await self._client.send_goal(deed.work)
+        view = self._view(goal)
+        view.attentive = True
+
+        async def read() -> None:
+            try:
+                await self._read(goal, view)
+            except ActionError as error:
+                self._record.failed(self._state, error, deed.kind, goal.goal_id)
+
+        async with create_task_group() as tasks:
+            tasks.start_soon(read)
+            # If nobody had begun to read, nobody would wait for the reader.
+            await anyio.lowlevel.checkpoint()
+            try:
+                # A view of its own, because the outcome may be known before the feedback is read.
+                await self._see_outcome(goal, self._view(goal))
+            except ActionError as error:
+                self._record.failed(self._state, error, deed.kind, goal.goal_id)
+
+    async def _twice(self, deed: Deed) -> None:
+        goal_id, work = GoalID.random(), deed.work
+        if deed.target % 3 == 0 and self._record.sent:
+            goal_id, work = self._some_goal(deed)
+        self._record.sent_again.add(goal_id)
+
+        async def once() -> None:
+            try:
+                goal = await self._client.send_goal(work, goal_id=goal_id)
+                view = self._view(goal)
+                await self._read(goal, view)
+                await self._see_outcome(goal, view)
+            except ActionError as error:
+                self._record.failed(self._state, error, deed.kind, goal_id)
+
+        async with create_task_group() as tasks:
+            tasks.start_soon(once)
+            await anyio.sleep(deed.delay)
+            tasks.start_soon(once)
+
+    async def _clash(self, deed: Deed) -> None:
+        goal_id, _ = self._some_goal(deed)
+        self._record.clashes.add(goal_id)
+        self._record.sent_again.add(goal_id)
+        goal = await self._client.send_goal(deed.work, goal_id=goal_id)
+        goal.close()
+
+    # Following
+
+    async def _attach(self, deed: Deed) -> None:
+        goal_id, _ = self._some_goal(deed)
+        await anyio.sleep(deed.delay)
+        after = deed.count if deed.target % 2 else None
+        goal = await self._client.attach(goal_id, after=after)
+        view = self._view(goal, start=goal._stream.place, own=False)
+        await self._read(goal, view)
+        await self._see_outcome(goal, view)
+
+    async def _observe(self, deed: Deed) -> None:
+        goal_id, _ = self._some_goal(deed)
+        after = deed.count if deed.target % 2 else None
+        with await self._client.endpoint.feedback(goal_id, after=after) as stream:
+            view = View(self._record, self._state, goal_id, stream.stamp, start=stream.place)
+            view.own = False
+            told = View(self._record, self._state, goal_id, stream.stamp, start=0)
+            told.own = False
+            while (event := await stream.next_event()) is not None:
+                if isinstance(event, GoalStatus):
+                    told.status(event)
+                else:
+                    step = SIMULATED.feedback.decode(event.payload)
+                    view.feedback(step, stream.dropped, event.number)
+            told.outcome(_decoded(await stream.outcome()))
+            view.status(stream.status)
+            view.end_of_feedback(stream.dropped)
+
+    async def _get_result(self, deed: Deed) -> None:
+        goal_id, _ = self._some_goal(deed)
+        view = View(self._record, self._state, goal_id, None, start=0)
+        view.own = False
+        view.outcome(_decoded(await self._client.endpoint.get_result(goal_id)))
+
+    # Canceling
+
+    async def _cancel_goals(self, deed: Deed) -> None:
+        goal_id: GoalID | None = None
+        stamp: int | None = None
+        if deed.kind in ("cancel by id", "cancel by both"):
+            goal_id, _ = self._some_goal(deed)
+        if deed.kind in ("cancel by stamp", "cancel by both"):
+            truths = [truth for life in self._record.lives for truth in life.goals.values()]
+            stamp = truths[deed.count % len(truths)].stamp if truths else 1
+        self._record.may_cancel(None if stamp else goal_id)
+        asked_at = self._record.now()
+        answer = await self._client.cancel_goals(goal_id, before=stamp)
+        self._record.cancel_answered(answer, goal_id, asked_at, stamp)
+
+    # Watching
+
+    async def _goals(self, deed: Deed) -> None:
+        watch = Watch(self._record, self._state, exact=False)
+        infos = await self._client.goals()
+        for info in infos:
+            watch.info(info, is_known=True)
+        if len({info.goal_id for info in infos}) < len(infos):
+            how = " (its connection was lost)" if self._state.losses else ""
+            self._record.fail("status", f"{self._plan.name}: a goal is listed twice{how}: {infos}")
+
+    async def _events(self, deed: Deed) -> None:
+        watch = Watch(self._record, self._state, exact=self._record.scenario.climate == "calm")
+        with move_on_after(deed.delay + WATCHED):
+            async with self._client.events(feedback=bool(deed.count)) as events:
+                async for event in events:
+                    if isinstance(event, GoalFeedback):
+                        watch.feedback(event.goal_id, event.number, event.feedback)
+                    else:
+                        watch.info(event, is_known=True)
+
+    async def _statuses(self, deed: Deed) -> None:
+        watch = Watch(self._record, self._state, exact=self._record.scenario.climate == "calm")
+        with move_on_after(deed.delay + WATCHED):
+            with await self._client.endpoint.status() as statuses:
+                known = statuses.known
+                while (info := await statuses.receive()) is not None:
+                    watch.info(info, is_known=known > 0)
+                    known -= 1
+
+    async def _wait_for_server(self, deed: Deed) -> None:
+        await self._client.wait_for_server()
+
+    async def _ask(self, deed: Deed) -> None:
+        names = [info.name for info in await self._connection.actions()]
+        peers = await self._connection.peers(SIMULATED.name)
+        if names != [SIMULATED.name] or not all("client-" in name for name in peers.clients):
+            self._record.fail("outcome", f"{self._plan.name} is told of {names} and {peers}")
+
+
+def _decoded(outcome: Outcome[bytes]) -> Outcome[Done]:
+    result = None if outcome.result is None else SIMULATED.result.decode(outcome.result)
+    return Outcome(outcome.status, result, outcome.reason)
