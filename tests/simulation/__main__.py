@@ -17,12 +17,20 @@ SEEDS = 2**32
 
 def main() -> int:
     """What `python -m tests.simulation` does; gives the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m tests.simulation")
-    parser.add_argument("--seconds", type=float, default=60.0, help="how long, by the real clock")
-    parser.add_argument("--seed", type=int, help="run this scenario, and no other")
-    parser.add_argument("--from", type=int, dest="first", help="begin with this seed, and count on")
-    parser.add_argument("--trace", action="store_true", help="print all that happens")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.simulation",
+        description="Run scenarios from a fresh seed on until the time is up, or one fails.",
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="how long, by the real clock (default 60)"
+    )
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--seed", type=int, help="run this scenario, and no other")
+    which.add_argument("--from", type=int, dest="first", help="begin with this seed, and count on")
+    parser.add_argument("--trace", action="store_true", help="with --seed: print all that happens")
     chosen = parser.parse_args()
+    if chosen.trace and chosen.seed is None:
+        parser.error("--trace shows one scenario: name it with --seed")
     if chosen.seed is not None:
         return _replay(chosen.seed, trace=chosen.trace)
     first = secrets.randbelow(SEEDS) if chosen.first is None else chosen.first

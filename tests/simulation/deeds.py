@@ -24,7 +24,8 @@ from fibaction import (
     GoalStatus,
     Outcome,
 )
-from tests.simulation.invariants import ClientState, Record
+from tests.simulation.facts import ClientState
+from tests.simulation.invariants import Record
 from tests.simulation.naming import naming
 from tests.simulation.scenario import SIMULATED, Deed, Done, Step, Work
 from tests.simulation.views import View, Watch

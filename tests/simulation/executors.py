@@ -9,7 +9,8 @@ import anyio
 
 from fibaction import CancelRejected, GoalAborted, GoalCanceled, GoalHandle, GoalRejected
 from fibaction.executor import Executor
-from tests.simulation.invariants import ON_PURPOSE, Record, Truth
+from tests.simulation.facts import Truth
+from tests.simulation.invariants import ON_PURPOSE, Record
 from tests.simulation.scenario import Done, Step, Work
 
 Items: TypeAlias = AsyncGenerator[Step | Done, None]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from fibaction import GoalID, GoalInfo, GoalStatus, Outcome
 from fibaction.states import INITIAL
-from tests.simulation.invariants import NEXT, REACHABLE, ClientState, Record, Truth, short
+from tests.simulation.facts import ClientState, Truth, short
+from tests.simulation.invariants import NEXT, REACHABLE, Record
 from tests.simulation.scenario import Done, Step
 
 

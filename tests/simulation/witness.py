@@ -21,7 +21,8 @@ from fibaction.wire.connecting import RemoteConnection
 from fibaction.wire.hub import Hub
 from fibaction.wire.orphans import Orphans
 from fibaction.wire.serving import Session
-from tests.simulation.invariants import ON_PURPOSE, Record, Truth
+from tests.simulation.facts import Truth
+from tests.simulation.invariants import ON_PURPOSE, Record
 
 
 @contextmanager

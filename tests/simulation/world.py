@@ -35,7 +35,8 @@ from tests.simulation.executors import (
     agree_on_goal_later,
     executor_for,
 )
-from tests.simulation.invariants import Life, Record, Violation
+from tests.simulation.facts import Life
+from tests.simulation.invariants import Record, Violation
 from tests.simulation.machine import made_up
 from tests.simulation.network import Line, Network
 from tests.simulation.scenario import SIMULATED, Done, Fault, Scenario, Step, Work

@@ -1,0 +1,145 @@
+"""Each thing that must not be is found."""
+
+from __future__ import annotations
+
+from fibaction import CancelAnswer, CancelCode, GoalID, GoalInfo, GoalStatus, Outcome
+from fibaction.protocol import ServerProtocol
+from tests.simulation.facts import Life
+from tests.simulation.invariants import Record
+from tests.simulation.making import scenario_of
+from tests.simulation.scenario import Done, Step
+from tests.simulation.views import View, Watch
+
+GOAL = GoalID(b"a goal of a test")
+
+
+class Known:
+    """A record that knows one goal, of one server, sent by one client."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self.now = 10.0
+        self.record = Record(scenario_of(seed), lambda: self.now)
+        self.protocol = ServerProtocol()
+        self.life = Life(1, 0.0, self.protocol)
+        self.record.lives.append(self.life)
+        self.client = self.record.clients["client-0"]
+        self.client.goals.add(GOAL)
+        self.record.accepted(self.life, GOAL, 1)
+        self.truth = self.record.started(GOAL, 1)
+        self.view = View(self.record, self.client, GOAL, 1, start=0)
+
+    def found(self) -> list[str]:
+        """The invariants that do not hold."""
+        return [violation.invariant for violation in self.record.violations]
+
+    def ends(self, *statuses: GoalStatus) -> None:
+        for status in statuses:
+            self.record.changed(self.truth, status)
+        self.record.ended(self.truth, Outcome(statuses[-1]), self.truth.count)
+
+
+def test_a_goal_that_is_started_twice_is_found() -> None:
+    known = Known()
+    known.record.started(GOAL, 1)
+    assert known.found() == ["once"]
+
+
+def test_a_goal_that_is_accepted_twice_is_found() -> None:
+    known = Known()
+    known.record.accepted(known.life, GOAL, 2)
+    assert known.found() == ["once"]
+
+
+def test_a_goal_that_ends_twice_or_never_is_found() -> None:
+    known = Known()
+    known.record.over()
+    assert known.found() == ["end"]
+    known.ends(GoalStatus.EXECUTING, GoalStatus.ABORTED)
+    known.ends(GoalStatus.ABORTED)
+    assert known.found() == ["end", "end"]
+
+
+def test_a_success_without_a_result_is_found() -> None:
+    known = Known()
+    known.ends(GoalStatus.EXECUTING, GoalStatus.SUCCEEDED)
+    assert known.found() == ["end"]
+
+
+def test_a_status_that_cannot_follow_is_found() -> None:
+    known = Known()
+    known.record.changed(known.truth, GoalStatus.SUCCEEDED)
+    assert known.found() == ["status"]
+
+
+def test_a_status_that_goes_back_is_found() -> None:
+    known = Known()
+    known.view.status(GoalStatus.CANCELING)
+    known.view.status(GoalStatus.EXECUTING)
+    assert known.found() == ["status"]
+
+
+def test_a_gap_that_nobody_has_told_is_found() -> None:
+    known = Known()
+    known.truth.count = 5
+    known.view.feedback(Step(1), 0)
+    known.view.feedback(Step(3), 1)
+    assert known.found() == []
+    known.view.feedback(Step(5), 1)
+    assert known.found() == ["feedback"]
+
+
+def test_feedback_that_comes_again_or_was_never_yielded_is_found() -> None:
+    known = Known()
+    known.truth.count = 1
+    known.view.feedback(Step(1), None)
+    known.view.feedback(Step(1), None)
+    known.view.feedback(Step(2), None)
+    assert known.found() == ["feedback", "feedback"]
+
+
+def test_feedback_that_is_missing_at_the_end_is_found() -> None:
+    known = Known()
+    known.truth.count = 2
+    known.view.feedback(Step(1), 0)
+    known.ends(GoalStatus.EXECUTING, GoalStatus.ABORTED)
+    known.view.status(GoalStatus.ABORTED)
+    known.view.end_of_feedback(0)
+    assert known.found() == ["feedback"]
+
+
+def test_an_outcome_that_is_not_the_servers_is_found() -> None:
+    known = Known()
+    known.ends(GoalStatus.EXECUTING, GoalStatus.ABORTED)
+    known.view.outcome(Outcome(GoalStatus.ABORTED))
+    assert known.found() == []
+    known.view.outcome(Outcome(GoalStatus.ABORTED, Done(1, 1)))
+    assert known.found() == ["outcome"]
+
+
+def test_a_goal_that_is_forgotten_too_early_is_found() -> None:
+    known = Known()
+    known.view.outcome(Outcome(GoalStatus.UNKNOWN))
+    assert set(known.found()) == {"status", "outcome"}
+
+
+def test_a_cancel_of_a_goal_that_is_not_canceling_is_found() -> None:
+    known = Known()
+    info = GoalInfo(GOAL, 1, GoalStatus.CANCELING)
+    known.record.cancel_answered(CancelAnswer(CancelCode.NONE, (info,)), GOAL, 10.0, None)
+    assert known.found() == ["cancel"]
+
+
+def test_a_goal_that_is_canceled_though_nobody_asked_is_found() -> None:
+    known = Known(next(s for s in range(99) if scenario_of(s).server.orphans == "keep"))
+    known.ends(GoalStatus.EXECUTING, GoalStatus.CANCELING, GoalStatus.CANCELED)
+    assert known.found() == ["cancel"]
+
+
+def test_a_watcher_who_misses_a_status_is_found() -> None:
+    known = Known()
+    known.ends(GoalStatus.EXECUTING, GoalStatus.ABORTED)
+    watch = Watch(known.record, known.client, exact=True)
+    watch.info(GoalInfo(GOAL, 1, GoalStatus.ACCEPTED), is_known=False)
+    watch.info(GoalInfo(GOAL, 1, GoalStatus.ABORTED), is_known=False)
+    watch.feedback(GOAL, 1, Step(1))
+    assert known.found() == ["status", "feedback"]

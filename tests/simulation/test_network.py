@@ -1,0 +1,171 @@
+"""A network in memory is as good, and as bad, as a real one."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import anyio
+import pytest
+
+from tests.simulation import loop as virtual
+from tests.simulation.network import Line, Network
+from tests.simulation.streams import SimulatedStream, Weather
+
+
+def over_a_line(
+    main: Callable[[Network, Line, SimulatedStream, SimulatedStream], Awaitable[None]],
+    weather: Weather | None = None,
+) -> None:
+    """Run a test between the two ends of a connection."""
+    loop = virtual.VirtualLoop()
+
+    async def connected() -> None:
+        network = Network(loop, random.Random(1), lambda _: None)
+        line = network.line("client", weather or Weather())
+        listening = network.host.listen()
+        near = await line.dial()
+        far = await listening.accept()
+        with anyio.fail_after(1000):
+            await main(network, line, near, far)
+        await near.aclose()
+        await far.aclose()
+        assert network.open_ends() == []
+
+    virtual.run(connected, loop)
+
+
+async def all_of(stream: SimulatedStream, count: int) -> bytes:
+    received = b""
+    while len(received) < count:
+        received += await stream.receive()
+    return received
+
+
+def test_bytes_arrive_in_order_after_a_while() -> None:
+    sent = bytes(range(256)) * 10
+
+    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
+        begun = anyio.current_time()
+        for start in range(0, len(sent), 100):
+            await near.send(sent[start : start + 100])
+        assert await all_of(far, len(sent)) == sent
+        assert anyio.current_time() - begun >= 0.5
+
+    over_a_line(main, Weather(latency=0.5, jitter=0.2, pieces=7))
+
+
+def test_a_sender_waits_for_a_reader() -> None:
+    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
+        await near.send(bytes(1000))
+        with anyio.move_on_after(60) as scope:
+            await near.send(b"more")
+        assert scope.cancelled_caught
+        await all_of(far, 1000)
+        await near.send(b"more")
+        assert await far.receive() == b"more"
+
+    over_a_line(main, Weather(buffer=1000))
+
+
+def test_a_connection_that_is_cut_loses_what_is_under_way() -> None:
+    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
+        await near.send(bytes(1000))
+        line.cut("reset")
+        received = b""
+        with pytest.raises(anyio.BrokenResourceError):
+            while True:
+                received += await far.receive()
+        assert len(received) < 1000
+        with pytest.raises(anyio.BrokenResourceError):
+            await near.receive()
+        with pytest.raises(anyio.BrokenResourceError):
+            await near.send(b"x")
+
+    over_a_line(main, Weather(latency=0.001, pieces=9))
+
+
+def test_a_silent_end_tells_nobody() -> None:
+    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
+        line.cut("silence")
+        await near.send(b"lost")
+        with anyio.move_on_after(500) as scope:
+            await far.receive()
+        assert scope.cancelled_caught
+
+    over_a_line(main)
+
+
+def test_half_of_a_connection_can_end() -> None:
+    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
+        line.half_close("up")
+        with pytest.raises(anyio.EndOfStream):
+            await far.receive()
+        await far.send(b"still here")
+        assert await near.receive() == b"still here"
+
+    over_a_line(main)
+
+
+def test_a_frozen_line_goes_on_later() -> None:
+    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
+        begun = anyio.current_time()
+        line.freeze(30, "up")
+        await near.send(b"late")
+        assert await far.receive() == b"late"
+        assert anyio.current_time() - begun >= 30
+
+    over_a_line(main)
+
+
+def test_a_new_connection_may_overtake_an_old_one() -> None:
+    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
+        line.freeze(30, "up", "down", new_too=False)
+        await near.send(b"old")
+        assert network.host.listener is not None
+        second = await line.dial()
+        accepted = await network.host.listener.accept()
+        await second.send(b"new")
+        assert await accepted.receive() == b"new"
+        assert await far.receive() == b"old"
+        await second.aclose()
+        await accepted.aclose()
+
+    over_a_line(main)
+
+
+def test_who_closes_is_seen_to_have_closed() -> None:
+    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
+        await near.send(b"last")
+        await near.aclose()
+        assert await far.receive() == b"last"
+        with pytest.raises(anyio.EndOfStream):
+            await far.receive()
+        await far.send(b"to nobody")
+        with pytest.raises(anyio.BrokenResourceError):
+            await far.send(b"to nobody")
+        with pytest.raises(anyio.ClosedResourceError):
+            await near.receive()
+
+    over_a_line(main)
+
+
+def test_a_line_may_refuse() -> None:
+    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
+        line.refuses_until = anyio.current_time() + 1
+        with pytest.raises(ConnectionRefusedError):
+            await line.dial()
+
+    over_a_line(main)
+
+
+def test_a_host_that_dies_breaks_its_ends_at_once_and_listens_no_more() -> None:
+    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
+        network.host.die("silence")
+        with pytest.raises(anyio.BrokenResourceError):
+            await far.receive()
+        with pytest.raises(ConnectionRefusedError):
+            await line.dial()
+
+    over_a_line(main)
