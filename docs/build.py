@@ -10,6 +10,7 @@ exit code 1.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import importlib.util
 import inspect
@@ -478,4 +479,8 @@ def _asking(name: str) -> Iterator[str]:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(
+        prog="python docs/build.py",
+        description="Build the documentation into site/, or say what is wrong with it.",
+    ).parse_args()
     sys.exit(build() or None)

@@ -1,12 +1,13 @@
 """The lowest versions that `pyproject.toml` allows, as constraints for pip and uv.
 
-    python tests/lowest.py > lowest.txt
+    python -m tests.lowest > lowest.txt
 
 Of what fibaction and its tests name themselves; what those need is the newest that fits.
 """
 
 from __future__ import annotations
 
+import argparse
 import re
 import sys
 import tomllib
@@ -39,4 +40,8 @@ def lowest(requirement: str) -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(
+        prog="python -m tests.lowest",
+        description="Print the lowest versions that pyproject.toml allows, as constraints.",
+    ).parse_args()
     sys.stdout.writelines(f"{line}\n" for line in constraints())

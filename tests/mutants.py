@@ -34,12 +34,16 @@ from typing import Any, NamedTuple
 
 import anyio.pytest_plugin
 import hypothesis.stateful
-import libcst
 import pytest
 import pytest_asyncio
 import trio
 from hypothesis import HealthCheck, Phase, settings
-from mutmut.mutation.mutators import mutation_operators
+
+try:
+    import libcst
+    from mutmut.mutation.mutators import mutation_operators
+except ModuleNotFoundError as exc:
+    sys.exit(f"{exc.name} is not installed: `make mutants` makes .venv-mutants, which has it")
 
 LOADED = [anyio.pytest_plugin, hypothesis.stateful, pytest_asyncio, trio]
 """What tests need is loaded once, here, and not anew in each of some hundred processes."""
@@ -173,16 +177,17 @@ def faults(
         yield from faults(child, where, fields=fields, in_type=in_type)
 
 
-def mutants(name: str) -> Iterator[Mutant]:
-    """All mutants of a module, each once."""
+def mutants(name: str, where: str) -> Iterator[Mutant]:
+    """The mutants of a module, or of what is called so in it, each once."""
     source = source_of(name).read_text()
     module = libcst.parse_module(source)
     seen = {source}
-    for where, node, other in faults(module, fields=name in OF_FIELDS):
+    for place, node, other in faults(module, fields=name in OF_FIELDS):
         code = module.deep_replace(node, other).code
         if code not in seen and is_python(code):
             seen.add(code)
-            yield Mutant(Fault(".".join(where), *differences(source, code)), code)
+            if ".".join(place).startswith(where):
+                yield Mutant(Fault(".".join(place), *differences(source, code)), code)
 
 
 def is_python(code: str) -> bool:
@@ -300,7 +305,9 @@ def look_into(name: str, where: str) -> int:
     gc.freeze()  # what is here is here to stay: pytest collects garbage at each end
     check_that_it_works(name)
     began = time.monotonic()
-    tried = [mutant for mutant in mutants(name) if mutant.fault.where.startswith(where)]
+    tried = list(mutants(name, where))
+    if not tried:
+        sys.exit(f"there is nothing to try in {where or 'the module'} of {name}")
     expected = {fault for fault in explained(name) if fault.where.startswith(where)}
     survivors: set[Fault] = set()
     for number, (fault, code) in enumerate(tried):
@@ -322,19 +329,41 @@ def look_into(name: str, where: str) -> int:
     return unexpected
 
 
+def module(name: str) -> str:
+    """A module that has tests of its own.
+
+    Raises:
+        argparse.ArgumentTypeError: There is no such module, or no such tests.
+    """
+    for path in (source_of(name), tests_of(name)):
+        if not path.exists():
+            raise argparse.ArgumentTypeError(f"there is no {path.relative_to(ROOT)}")
+    return name
+
+
 def main() -> int:
     """Look into the modules that are named, or into those that matter most."""
-    parser = argparse.ArgumentParser(description="Would the tests notice a fault?")
-    parser.add_argument("modules", nargs="*", default=MODULES, metavar="MODULE")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.mutants",
+        description="Would the tests notice a small fault in a module? Each is tried in turn.",
+    )
     parser.add_argument(
-        "--where", default="", metavar="NAME", help="only in that function or class"
+        "modules",
+        nargs="*",
+        type=module,
+        default=MODULES,
+        metavar="MODULE",
+        help=f"as in wire/link; {', '.join(MODULES)} if none is named",
+    )
+    parser.add_argument(
+        "--where", default="", metavar="NAME", help="only in functions and classes called so"
     )
     parser.add_argument("--list", action="store_true", help="only say what would be tried")
     options = parser.parse_args()
     os.chdir(ROOT)
     if options.list:
         for name in options.modules:
-            for mutant in mutants(name):
+            for mutant in mutants(name, options.where):
                 print(f"{name}: {mutant.fault}")
         return 0
     unexpected = [look_into(name, options.where) for name in options.modules]

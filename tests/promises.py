@@ -9,6 +9,7 @@ are found where there is none.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import re
 from collections import Counter
@@ -228,5 +229,9 @@ def with_tests(page: str, proofs: list[Proof]) -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(
+        prog="python -m tests.promises",
+        description="Write the names of the tests into docs/guarantees.md.",
+    ).parse_args()
     text = PAGE.read_text(encoding="utf-8")
     PAGE.write_text(with_tests(text, all_proofs()), encoding="utf-8")

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import platform
 from importlib.metadata import version
 
@@ -21,6 +22,14 @@ from tests.benchmarks import inprocess, ros2, suite, tcp
 SUBJECTS = {"inprocess": inprocess.measure, "tcp": tcp.measure, "ros2": ros2.measure}
 
 
+def scale(text: str) -> float:
+    """A number that is more than 0: with none, nothing would be measured."""
+    number = float(text)
+    if not 0 < number < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not a number above 0")
+    return number
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tests.benchmarks",
@@ -28,7 +37,9 @@ def main() -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("subject", choices=["all", "page", *SUBJECTS])
-    parser.add_argument("--scale", type=float, default=1.0, help="do so much of each (default 1)")
+    parser.add_argument(
+        "--scale", type=scale, default=1.0, help="how much of each to do: less is quicker"
+    )
     arguments = parser.parse_args()
     if arguments.subject == "page":
         suite.write()

@@ -7,6 +7,7 @@ then told what to do: the name of a function below, and how many times.
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 from collections.abc import Awaitable, Callable
@@ -77,7 +78,13 @@ async def client(module: Any, address: str) -> None:
 
 
 if __name__ == "__main__":
-    end, name, *address = sys.argv[1:]
-    module = import_module(f"tests.benchmarks.over_{name}")
-    ends: dict[str, Callable[..., Awaitable[None]]] = {"server": server, "client": client}
-    anyio.run(ends[end], module, *address)
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.child")
+    parser.add_argument("end", choices=["server", "client"])
+    parser.add_argument("name", help="of a module: what follows over_")
+    parser.add_argument("address", nargs="?", default="", help="for a client: what a server gave")
+    arguments = parser.parse_args()
+    module = import_module(f"tests.benchmarks.over_{arguments.name}")
+    if arguments.end == "server":
+        anyio.run(server, module)
+    else:
+        anyio.run(client, module, arguments.address)
