@@ -633,6 +633,7 @@ a_goal_id = strategies.sampled_from(GOAL_IDS)
 a_payload = strategies.sampled_from(PAYLOADS)
 a_reason = strategies.sampled_from(REASONS)
 a_number = strategies.integers(0, 99)
+an_end = strategies.sampled_from(EndKind)
 
 
 class ProtocolMachine(RuleBasedStateMachine):
@@ -743,7 +744,7 @@ class ProtocolMachine(RuleBasedStateMachine):
     @precondition(lambda self: self.active or self.ended)
     @rule(
         number=a_number,
-        kind=strategies.sampled_from(EndKind),
+        kind=an_end,
         result=strategies.sampled_from([None, b"done"]),
         reason=strategies.sampled_from(["", "stuck"]),
     )
@@ -835,6 +836,17 @@ class ProtocolMachine(RuleBasedStateMachine):
             if reason not in told:
                 told.append(reason)
         assert answer.reason == "; ".join(told)
+
+    @precondition(lambda self: self.active)
+    @rule(number=a_number, agrees=strategies.booleans(), end=strategies.none() | an_end)
+    def cancel_and_perhaps_end(self, number: int, agrees: bool, end: EndKind | None) -> None:
+        """As above: five steps about one goal, which hardly ever come together by chance."""
+        number %= len(self.active)
+        cancel = self.begin_cancel(self.active[number].goal_id, None, 0)
+        self.decide_cancel(cancel, 0, agrees, "busy")
+        if end is not None:
+            self.finish(number, end, b"done", "")
+        self.answer_cancel(cancel)
 
     @rule(seconds=strategies.sampled_from([0.5, 1.0, 3.0, 10.0]))
     def time_passes(self, seconds: float) -> None:
