@@ -1,1 +1,1 @@
-"""What is published: `make test-wheel` builds it, and says where it is."""
+"""What is published: `make test-wheel` builds it, and then runs these tests."""

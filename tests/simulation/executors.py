@@ -129,7 +129,7 @@ async def endless(job: Job) -> Items:
     yield job.done()
 
 
-KINDS: dict[str, Callable[[Job], Items]] = {
+EXECUTORS: dict[str, Callable[[Job], Items]] = {
     kind.__name__: kind
     for kind in (
         steady,
@@ -151,7 +151,7 @@ def executor_for(record: Record) -> Executor[Work, Step, Done]:
 
     def execute(goal: GoalHandle[Work]) -> Items:
         truth = record.started(goal.goal_id, goal.stamp)
-        return KINDS[goal.request.kind](Job(goal, truth))
+        return EXECUTORS[goal.request.kind](Job(goal, truth))
 
     return execute
 

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from tests.simulation import __main__ as command
+from tests.simulation.executors import EXECUTORS
 from tests.simulation.invariants import Violation
 from tests.simulation.making import scenario_of
 from tests.simulation.scenario import (
@@ -101,6 +102,7 @@ def test_scenarios_are_of_all_kinds() -> None:
     assert {one.climate for one in scenarios} == {"calm", "gentle", "rough"}
     assert {deed.kind for deed in deeds} == {kind for kind, _ in DEEDS}
     assert {deed.work.kind for deed in deeds} == set(KINDS)
+    assert set(EXECUTORS) == set(KINDS)
     assert len(faults) == 8
     assert all(not one.faults for one in scenarios if one.climate == "calm")
     assert not any(one.has_restarts for one in scenarios if one.climate == "gentle")
