@@ -11,7 +11,7 @@ import click
 from fibaction.abc import Connection, Endpoint
 from fibaction.action import ActionInfo
 from fibaction.cli.app import no_action, run, shown
-from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.ending import ExitCode, Failure, failure_of
 from fibaction.cli.output import note, say, without_settings
 from fibaction.cli.running import logging_to_stderr, names_of, stop_signals
 from fibaction.connection import connect
@@ -50,10 +50,10 @@ async def bridge(from_url: str, to_url: str, names: Sequence[str]) -> int:
     """Serve what is at one URL at another, until a signal comes.
 
     Raises:
-        Failure: There is nothing to serve.
+        Failure: There is nothing to serve, and nothing that it is to wait for.
     """
     async with stop_signals() as stop, connect(from_url) as connection:
-        infos = await _wait_for(names, connection, stop) if names else await connection.actions()
+        infos = await (_wait_for(names, connection, stop) if names else _all_at(connection))
         if stop.is_set():
             return ExitCode.SUCCEEDED
         endpoints = list(_endpoints(connection, infos, choose=not names))
@@ -65,6 +65,18 @@ async def bridge(from_url: str, to_url: str, names: Sequence[str]) -> int:
             say(f"bridging {names_of(endpoints)} from {there} to {where}, Ctrl-C stops it")
             await stop.wait()
     return ExitCode.SUCCEEDED
+
+
+async def _all_at(connection: Connection) -> list[ActionInfo]:
+    """All actions that there are now.
+
+    Raises:
+        Failure: There is no server.
+    """
+    try:
+        return await connection.actions()
+    except ServerNotFound as exc:
+        raise failure_of(exc, "or name the actions that the bridge is to wait for") from exc
 
 
 async def _wait_for(

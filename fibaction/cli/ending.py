@@ -73,14 +73,13 @@ def debugging() -> bool:
     return bool(os.environ.get("FIBACTION_DEBUG"))
 
 
-def failure_of(error: ActionError) -> Failure:
-    """What the user is told of an error."""
+def failure_of(
+    error: ActionError, advice: str = "or name another with --url or FIBACTION_URL"
+) -> Failure:
+    """What the user is told of an error, with `advice` on what else to do if nobody listens."""
     code = next((code for kind, code in _CODES if isinstance(error, kind)), ExitCode.ABORTED)
-    # The advice is for programs; who types a command can do something else.
-    text = str(error).replace(
-        "or wait for it with wait_for_server()", "or name another with --url or FIBACTION_URL"
-    )
-    return Failure(text, code)
+    # What the error itself advises is for programs; who types a command can do something else.
+    return Failure(str(error).replace("or wait for it with wait_for_server()", advice), code)
 
 
 @contextmanager

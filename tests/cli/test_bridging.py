@@ -103,6 +103,8 @@ def test_a_bridge_that_leads_nowhere_is_one_sentence(invoke: Invoke, nobody: str
     result = invoke("bridge", nobody, "unix:///tmp/never")
     assert result.exit_code == ExitCode.UNREACHABLE
     assert result.stderr.startswith(f"Error: nobody listens at {nobody} ")
+    advice = "start the server, or name the actions that the bridge is to wait for\n"
+    assert result.stderr.endswith(advice)
 
     result = invoke("bridge", "morse://", "unix:///tmp/never")
     assert result.exit_code == ExitCode.USAGE
