@@ -101,7 +101,7 @@ def _bar(row: Bar, top: float) -> Iterator[str]:
     is_cut = row.value > top
     length = min(row.value * scale, LONGEST)
     end = LABELS + length
-    yield _label(row.label, row.is_ours)
+    yield _text(row.label, row.is_ours, f"{MARGIN}")
     if length:
         color = OURS if row.is_ours else OTHERS
         yield (
@@ -116,13 +116,13 @@ def _bar(row: Bar, top: float) -> Iterator[str]:
         line = f"M{low:.1f},0 H{high:.1f} M{low:.1f},-4 v8 M{high:.1f},-4 v8"
         yield f'<path class="spread" d="{line}"/>'
         end = max(end, high)
-    yield _number(row.text, row.is_ours, end + 8)
+    yield _text(row.text, row.is_ours, f"{end + 8:.1f}")
 
 
 def _range(row: Range, place: Callable[[float], float], low: int, high: int) -> Iterator[str]:
     for power in range(low, high + 1):
         yield f'<path class="grid" d="M{place(10.0**power):.1f},{-ROW / 2:g} v{ROW}"/>'
-    yield _label(row.label, row.is_ours)
+    yield _text(row.label, row.is_ours, f"{MARGIN}")
     color = OURS if row.is_ours else OTHERS
     places = [place(point) for point in row.points]
     if len(places) > 1:
@@ -131,19 +131,12 @@ def _range(row: Range, place: Callable[[float], float], low: int, high: int) -> 
         yield f'<path d="{path}" stroke="{color}" stroke-width="2.5" fill="none"/>'
     for x in places[:1]:
         yield f'<circle cx="{x:.1f}" cy="0" r="6" fill="{color}"/>'
-    yield _number(row.text, row.is_ours, LABELS + LONGEST + 12)
+    yield _text(row.text, row.is_ours, f"{LABELS + LONGEST + 12:.1f}")
 
 
-def _label(text: str, is_ours: bool) -> str:
-    return f'<text class="{_weight(is_ours)}" x="{MARGIN}" y="4.5">{escape(text)}</text>'
-
-
-def _number(text: str, is_ours: bool, x: float) -> str:
-    return f'<text class="{_weight(is_ours)}" x="{x:.1f}" y="4.5">{escape(text)}</text>'
-
-
-def _weight(is_ours: bool) -> str:
-    return "ours" if is_ours else "other"
+def _text(text: str, is_ours: bool, x: str) -> str:
+    kind = "ours" if is_ours else "other"
+    return f'<text class="{kind}" x="{x}" y="4.5">{escape(text)}</text>'
 
 
 def _picture(

@@ -65,14 +65,13 @@ async def growth(without: Mapping[str, str], scale: float) -> tuple[dict[str, An
                 for key, pair in pairs.items():
                     done, taken = await pair.client.ask("goals", times)
                     seconds[key].setdefault(count, []).append(taken / done)
-    return await _memory(resident, counts, scale), _growth(seconds, counts)
+    return _memory(resident, counts, await kept(scale)), _growth(seconds, counts)
 
 
-async def _memory(
-    resident: dict[str, dict[int, int]], counts: list[int], scale: float
+def _memory(
+    resident: dict[str, dict[int, int]], counts: list[int], results: dict[str, float]
 ) -> dict[str, Any]:
     named = labels()
-    results = await kept(scale)
     ways: dict[str, Any] = {}
     for name, sizes in resident.items():
         key = name.partition("_")[0]

@@ -77,10 +77,8 @@ def _growth(report: dict[str, Any]) -> str:
         Panel(
             one["label"],
             [
-                Bar(f"{count:,} active", micros, f"{micros:,.0f} µs", one["ours"])
-                for count, micros in (
-                    (count, one["microseconds"][str(count)]) for count in report["counts"]
-                )
+                Bar(f"{int(count):,} active", micros, f"{micros:,.0f} µs", one["ours"])
+                for count, micros in one["microseconds"].items()
             ],
         )
         for one in report["ways"].values()
