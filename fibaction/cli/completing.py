@@ -15,7 +15,7 @@ from fibaction.cli.app import shown, url_of
 from fibaction.connection import connect
 from fibaction.exceptions import ActionError
 
-PATIENCE = 2.0
+PATIENCE = 5.0
 """Seconds that a server has to answer."""
 
 
