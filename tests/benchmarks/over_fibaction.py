@@ -1,4 +1,4 @@
-"""fibaction over `tcp://`, by what a user would write."""
+"""fibaction over `tcp://`, or what is served in the same way, by what a user would write."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ LIMITS = Limits(goals=20_000)
 
 
 @asynccontextmanager
-async def serve() -> AsyncGenerator[str, None]:
-    server = ActionServer(ACTION, count, stall_timeout=math.inf)
-    async with fibaction.serve(server, "tcp://127.0.0.1:0", limits=LIMITS) as (url,):
+async def serve(where: str = "tcp://127.0.0.1:0", **settings: Any) -> AsyncGenerator[str, None]:
+    """`settings` are the server's."""
+    server = ActionServer(ACTION, count, stall_timeout=math.inf, **settings)
+    async with fibaction.serve(server, where, limits=LIMITS) as (url,):
         yield url
 
 

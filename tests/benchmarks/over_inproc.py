@@ -5,19 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from typing import Any
 
 import fibaction
 from fibaction import ActionServer
+from tests.benchmarks import over_fibaction
 from tests.benchmarks.contender import Contender
 from tests.benchmarks.inprocess import ACTION, count
-from tests.benchmarks.over_fibaction import connect as connect_to
 
 
 @asynccontextmanager
-async def connect(address: str) -> AsyncGenerator[Contender, None]:
-    server = ActionServer(ACTION, count, stall_timeout=math.inf)
+async def connect(address: str, **settings: Any) -> AsyncGenerator[Contender, None]:
+    """`settings` are the server's."""
+    server = ActionServer(ACTION, count, stall_timeout=math.inf, **settings)
     async with (
         fibaction.serve(server, "inproc://benchmark") as (url,),
-        connect_to(url) as contender,
+        over_fibaction.connect(url) as contender,
     ):
         yield contender

@@ -5,22 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from typing import Any
 
-import fibaction
-from fibaction import ActionServer
+from tests.benchmarks import over_inproc
 from tests.benchmarks.contender import Contender
-from tests.benchmarks.inprocess import ACTION, count
-from tests.benchmarks.over_fibaction import connect as connect_to
 
-KEPT = 1_000_000
-"""More results than there are."""
+KEPT: dict[str, Any] = {"result_timeout": math.inf, "max_results": 1_000_000}
+"""Of a server: more results than there are, for ever."""
 
 
 @asynccontextmanager
 async def connect(address: str) -> AsyncGenerator[Contender, None]:
-    server = ActionServer(ACTION, count, result_timeout=math.inf, max_results=KEPT)
-    async with (
-        fibaction.serve(server, "inproc://benchmark") as (url,),
-        connect_to(url) as contender,
-    ):
+    async with over_inproc.connect(address, **KEPT) as contender:
         yield contender
