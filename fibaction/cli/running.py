@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import time
 from collections.abc import AsyncGenerator, Callable, Generator, Iterable
 from contextlib import asynccontextmanager, contextmanager
 from signal import SIGINT, SIGTERM
@@ -30,30 +31,37 @@ async def stop_signals(
     at_once: Callable[[], None] = lambda: None,
 ) -> AsyncGenerator[anyio.Event, None]:
     """Gives an event that is set by the first SIGINT or SIGTERM. The second ends the process, after
-    a call of `at_once`.
+    a call of `at_once`: also behind the block, where Python may wait for threads.
     """
     stop = anyio.Event()
+    first = 0.0
+
+    def second(number: int, _frame: object) -> None:
+        if time.monotonic() - first >= SAME_SIGNAL:
+            at_once()
+            end_by(signal.Signals(number))
+
+    async def watch(*, task_status: anyio.abc.TaskStatus[None]) -> None:
+        nonlocal first
+        with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
+            task_status.started()
+            await anext(signals)
+            first = time.monotonic()
+            stop.set()
+            # Not by a task: a clean-up may hold the event loop up, and the end is to be at once.
+            _handle_with(second)
+            await anyio.sleep_forever()
+
     async with Background() as tasks:
-        await tasks.start(_watch_signals, stop, at_once)
+        await tasks.start(watch)
         yield stop
+    if stop.is_set():
+        _handle_with(second)  # the receiver has left Python's own, which raises KeyboardInterrupt
 
 
-async def _watch_signals(
-    stop: anyio.Event,
-    at_once: Callable[[], None],
-    *,
-    task_status: anyio.abc.TaskStatus[None] = anyio.TASK_STATUS_IGNORED,
-) -> None:
-    with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
-        task_status.started()
-        await anext(signals)
-        stop.set()
-        first = anyio.current_time()
-        number = await anext(signals)
-        while anyio.current_time() - first < SAME_SIGNAL:
-            number = await anext(signals)
-        at_once()
-        end_by(number)
+def _handle_with(handler: Callable[[int, object], None]) -> None:
+    for number in (SIGINT, SIGTERM):
+        signal.signal(number, handler)
 
 
 def end_by(number: signal.Signals) -> None:

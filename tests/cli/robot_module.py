@@ -1,6 +1,7 @@
 """A module as users write them, as text: tests put it into a folder as `robot.py`."""
 
 MODULE = """
+import time
 from collections.abc import AsyncGenerator
 
 import anyio
@@ -20,10 +21,14 @@ async def count(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
     try:
         for number in range(goal.request):
             yield number
+        if goal.request == 668:
+            await anyio.to_thread.run_sync(time.sleep, 3600, abandon_on_cancel=True)
         await anyio.sleep(0 if goal.request < 100 else 3600)
     finally:
-        if goal.request == 666:
+        if goal.request in (666, 667):
             print("it does not want to go", flush=True)
+            if goal.request == 667:
+                time.sleep(3600)
             with anyio.CancelScope(shield=True):
                 await anyio.sleep(3600)
     yield "counted"

@@ -21,13 +21,7 @@ async def test_the_second_signal_ends_it_if_it_is_not_the_first_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     told: list[object] = []
-    ended_by = anyio.Event()
-
-    def end_by(number: signal.Signals) -> None:
-        told.append(number)
-        ended_by.set()
-
-    monkeypatch.setattr(running, "end_by", end_by)
+    monkeypatch.setattr(running, "end_by", told.append)
     with anyio.fail_after(PATIENCE):
         async with running.stop_signals(lambda: told.append("at once")) as stop:
             os.kill(os.getpid(), SIGINT)
@@ -36,9 +30,33 @@ async def test_the_second_signal_ends_it_if_it_is_not_the_first_again(
             await anyio.sleep(running.SAME_SIGNAL)  # it is the time that is tested
             assert told == []
             os.kill(os.getpid(), SIGTERM)
-            await ended_by.wait()
 
     assert told == ["at once", SIGTERM]
+
+
+@pytest.mark.asyncio
+async def test_the_second_signal_ends_it_also_while_nothing_else_is_done_and_behind_the_block(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told: list[object] = []
+    monkeypatch.setattr(running, "end_by", told.append)
+    monkeypatch.setattr(running, "SAME_SIGNAL", 0)
+    async with running.stop_signals() as stop:
+        os.kill(os.getpid(), SIGTERM)
+        await stop.wait()
+        await anyio.wait_all_tasks_blocked()
+        signal.raise_signal(SIGINT)  # and the event loop does not get its turn
+        assert told == [SIGINT]
+    signal.raise_signal(SIGINT)
+    assert told == [SIGINT, SIGINT]
+
+
+@pytest.mark.asyncio
+async def test_without_a_signal_the_ways_to_end_are_as_before() -> None:
+    before = signal.getsignal(SIGTERM)
+    async with running.stop_signals():
+        assert signal.getsignal(SIGTERM) != before
+    assert signal.getsignal(SIGTERM) == before
 
 
 def test_the_end_by_a_signal_is_that_of_a_process_that_does_not_handle_it(

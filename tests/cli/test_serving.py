@@ -64,20 +64,34 @@ def test_the_usual_url_is_the_default(folder: Path, started: Start, fibaction: R
     assert fibaction("list", url=unix).lines == ["/count"]
 
 
-def test_a_second_ctrl_c_ends_at_once(folder: Path, terminal: Open, fibaction: Run) -> None:
+@pytest.mark.parametrize(
+    ("order", "sign"),
+    [
+        ("666", "it does not want to go"),
+        ("667", "it does not want to go"),
+        ("668", "action server 'count' has stopped"),
+    ],
+    ids=["a clean-up takes long", "a clean-up holds the event loop up", "a thread is left over"],
+)
+def test_a_second_ctrl_c_ends_at_once_and_quietly(
+    folder: Path, terminal: Open, fibaction: Run, order: str, sign: str
+) -> None:
     unix = f"unix://{folder}/socket"
     server = terminal("serve", "robot:server", unix)
     server.until("Ctrl-C stops it")
-    assert fibaction("send_goal", "count", "666", "--detach", url=unix).code == 0
+    assert fibaction("send_goal", "count", order, "--detach", url=unix).code == 0
     server.press("\x03")
-    server.until("it does not want to go")
+    server.until(sign)
     # Ctrl-C twice within a moment would count as one.
     while server.process.poll() is None:
         server.press("\x03")
         with suppress(subprocess.TimeoutExpired):
             server.process.wait(running.SAME_SIGNAL)
 
+    server.ends()
     assert server.process.returncode == -SIGINT
+    assert "Traceback" not in server.text
+    assert server.text.rstrip("^C").rstrip().endswith(sign)
 
 
 # serve, in this process
