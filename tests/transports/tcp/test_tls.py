@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import socket
 import ssl
 from collections.abc import Awaitable, Callable
@@ -23,8 +24,8 @@ from fibaction import (
     serve,
 )
 from fibaction.wire.limits import Limits
-from fibaction_transports.tcp import TcpTransport, TlsFiles
-from fibaction_transports.tcp.tls import TlsListener
+from fibaction_transports.tcp import TcpTransport, TlsFiles, tls
+from fibaction_transports.tcp.tls import TlsChannel, TlsListener
 from tests.certificates import pems
 from tests.transports.hearing import Hearing, port_of, raw
 from tests.transports.tcp.servers import Named, new_server, tls_server, works
@@ -73,17 +74,108 @@ async def test_with_mutual_tls_a_client_that_has_a_certificate_is_served() -> No
         assert await works(url, tls=TlsFiles(*pems()))
 
 
-async def test_a_client_without_a_certificate_is_not_let_in_and_the_servers_log_says_why(
-    heard: Hearing,
+@pytest.mark.parametrize("reconnect", [True, False])
+@pytest.mark.parametrize(
+    ("newest", "cert", "text", "line"),
+    [
+        (
+            ssl.TLSVersion.TLSv1_3,
+            "",
+            "URL wants a certificate of its clients: say cert=, and key=",
+            "PEER_DID_NOT_RETURN_A_CERTIFICATE",
+        ),
+        (
+            ssl.TLSVersion.TLSv1_3,
+            "other.test",
+            "URL refused our certificate: unknown ca",
+            "certificate",
+        ),
+        (
+            ssl.TLSVersion.TLSv1_2,
+            "other.test",
+            "URL refused our certificate: unknown ca",
+            "certificate",
+        ),
+    ],
+    ids=["none", "of another authority", "of another authority, with TLS 1.2"],
+)
+async def test_with_mutual_tls_a_client_whose_certificate_is_refused_is_told_so_and_gives_up(
+    newest: ssl.TLSVersion, cert: str, text: str, line: str, reconnect: bool, heard: Hearing
 ) -> None:
+    mine = TlsFiles(ca=pems().ca, cert=pems(cert).cert if cert else None).client()
+    mine.maximum_version = newest
     async with serve(new_server(), tls_server(**pems()._asdict())) as (url,):
-        # It has shaken hands by the time that the server looks at its certificate, and all that it
-        # sees then is that the connection is closed.
-        with anyio.fail_after(5), pytest.raises(ConnectionLost):
-            async with connect(url, tls=TlsFiles(ca=pems().ca), reconnect=False, heartbeat=1):
+        with anyio.fail_after(5), pytest.raises(AuthenticationFailed) as caught:
+            async with connect(url, tls=mine, reconnect=reconnect):
                 raise AssertionError("the block must not run")
-        await heard.until("no TLS: PEER_DID_NOT_RETURN_A_CERTIFICATE")
+        assert str(caught.value) == text.replace("URL", url)
+        (said,) = heard.warnings
+        assert re.search(f": no TLS: .*{line}", said)
         assert await works(url, tls=TlsFiles(*pems()))
+
+
+async def test_a_server_hears_why_a_client_refuses_it(heard: Hearing) -> None:
+    async with serve(new_server(), tls_server(cert=pems().cert)) as (url,):
+        with anyio.fail_after(5), pytest.raises(AuthenticationFailed):
+            async with connect(url, tls=TlsFiles(ca=pems("other.test").ca)):
+                raise AssertionError("the block must not run")
+        await heard.until(": no TLS: TLSV1_ALERT_UNKNOWN_CA")
+
+
+async def test_a_server_with_a_context_of_its_own_refuses_a_client_without_a_word() -> None:
+    strict = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=pems().ca)
+    strict.load_cert_chain(pems().cert)
+    strict.verify_mode = ssl.CERT_REQUIRED
+    async with serve(new_server(), TcpTransport(port=0, tls=strict)) as (url,):
+        with anyio.fail_after(5), pytest.raises(ConnectionLost):
+            async with connect(url, tls=TlsFiles(ca=pems().ca), reconnect=False):
+                raise AssertionError("the block must not run")
+
+
+async def test_who_is_refused_and_does_not_go_is_not_waited_for_long(
+    monkeypatch: pytest.MonkeyPatch, heard: Hearing
+) -> None:
+    monkeypatch.setattr(tls, "LAST_WORDS", 0.01)
+    async with serve(new_server(), tls_server(cert=pems().cert)) as (url,), raw(url) as peer:
+        await peer.say(b"hello?")
+        with anyio.fail_after(5), pytest.raises(anyio.BrokenResourceError):
+            while True:
+                await peer.stream.send(b"and another thing")
+                await anyio.lowlevel.checkpoint()
+        assert len(heard.warnings) == 1
+
+
+class _Failing(Named):
+    """A stream that fails to read."""
+
+    error: Exception = ssl.SSLError()
+
+    async def receive(self, max_bytes: int) -> bytes:
+        raise self.error
+
+
+@pytest.mark.parametrize(
+    ("reason", "kind", "text"),
+    [
+        ("TLSV13_ALERT_CERTIFICATE_REQUIRED", AuthenticationFailed, "robot wants a certificate"),
+        ("SSLV3_ALERT_CERTIFICATE_EXPIRED", AuthenticationFailed, "refused .* certificate expired"),
+        ("SSLV3_ALERT_BAD_CERTIFICATE", AuthenticationFailed, "refused .*: bad certificate"),
+        ("TLSV1_ALERT_ACCESS_DENIED", AuthenticationFailed, "refused .*: access denied"),
+        ("TLSV1_ALERT_INTERNAL_ERROR", ConnectionLost, "the connection to robot broke"),
+        ("CERTIFICATE_VERIFY_FAILED", ConnectionLost, "the connection to robot broke"),
+        (None, ConnectionLost, "the connection to robot broke"),
+    ],
+)
+async def test_what_a_server_says_instead_of_its_first_message_is_a_refusal_or_a_loss(
+    reason: str | None, kind: type[TransportError], text: str
+) -> None:
+    error = ssl.SSLError()
+    error.reason = reason  # type: ignore[assignment]  # as OpenSSL leaves it, if it has none
+    stream: Any = _Failing(socket.AF_INET, None, error)
+    with pytest.raises(kind, match=text) as caught:
+        await TlsChannel(stream, "robot", 1000).receive()
+    assert type(caught.value) is kind
+    assert caught.value.__cause__ is error
 
 
 async def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:

@@ -5,15 +5,19 @@ from __future__ import annotations
 import logging
 import ssl
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import anyio
 import msgspec
-from anyio.abc import AnyByteStream
+from anyio.abc import AnyByteStream, ByteStream
 from anyio.streams.tls import TLSListener
 
-from fibaction.exceptions import TransportError
+from fibaction.exceptions import AuthenticationFailed, ConnectionLost, TransportError
+from fibaction.wire.channel import StreamChannel
 from fibaction_transports.tcp.streams import peer_of
+
+LAST_WORDS = 1.0
+"""Seconds that a peer has to hear why it was refused."""
 
 logger = logging.getLogger("fibaction.wire")
 
@@ -36,6 +40,7 @@ class TlsFiles(msgspec.Struct, frozen=True):
         """
         with self._translated():
             context = ssl.create_default_context(cafile=self.ca)
+            context.sslobject_class = _Telling
             if self.cert is not None:
                 context.load_cert_chain(self.cert, self.key)
             return context
@@ -50,6 +55,7 @@ class TlsFiles(msgspec.Struct, frozen=True):
             raise TransportError("a TLS server needs a certificate: say cert=, and key=")
         with self._translated():
             context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=self.ca)
+            context.sslobject_class = _Telling
             context.load_cert_chain(self.cert, self.key)
             if self.ca is not None:
                 context.verify_mode = ssl.CERT_REQUIRED
@@ -64,6 +70,26 @@ class TlsFiles(msgspec.Struct, frozen=True):
             raise TransportError(f"there is no TLS with {files}: {exc}") from exc
 
 
+class _Telling(ssl.SSLObject):
+    """One end of a connection that tells the other why it refuses to shake hands."""
+
+    _failure: ssl.SSLError | None = None
+
+    def do_handshake(self) -> None:
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+        try:
+            super().do_handshake()
+        except (ssl.SSLWantReadError, ssl.SSLWantWriteError):
+            raise
+        except ssl.SSLError as exc:
+            # The alert that tells it is yet to be written. anyio leaves it where it is if there is
+            # an error, so let it write first; then it comes here again.
+            self._failure = exc
+            raise ssl.SSLWantWriteError from exc
+
+
 class TlsListener(TLSListener):
     """One whose handshakes fail in one line of the log, without a traceback."""
 
@@ -72,10 +98,51 @@ class TlsListener(TLSListener):
         reason = tls_reason(exc) if isinstance(exc, ssl.SSLError) else type(exc).__name__
         logger.warning("%s: no TLS: %s", peer_of(stream), reason)
         try:
+            if isinstance(exc, ssl.SSLError) and isinstance(stream, ByteStream):
+                await _see_off(stream)
             if not isinstance(exc, Exception):
                 raise exc
         finally:
             await anyio.aclose_forcefully(stream)
+
+
+async def _see_off(stream: ByteStream) -> None:
+    """Let a peer hear why it was refused: if what it has said meanwhile were not read, closing
+    would reset the connection, and what is still on the way to it could be lost.
+    """
+    with (
+        anyio.move_on_after(LAST_WORDS),
+        suppress(OSError, anyio.EndOfStream, anyio.BrokenResourceError),
+    ):
+        await stream.send_eof()
+        while True:
+            await stream.receive()
+
+
+class TlsChannel(StreamChannel):
+    """A client's connection. With TLS 1.3 it has shaken hands before the server looks at its
+    certificate, so that it hears of a refusal in place of the first message.
+    """
+
+    async def receive(self) -> list[bytes]:
+        try:
+            return await super().receive()
+        except ConnectionLost as exc:
+            if isinstance(exc.__cause__, ssl.SSLError):
+                text = refusal(self.peer, exc.__cause__)
+                if text:
+                    raise AuthenticationFailed(text) from exc.__cause__
+            raise
+
+
+def refusal(server: str, exc: ssl.SSLError) -> str:
+    """That a server has refused this client's certificate; empty if it is something else."""
+    _, is_alert, said = (getattr(exc, "reason", "") or "").partition("_ALERT_")
+    if not is_alert or not ("CERTIFICATE" in said or said in ("UNKNOWN_CA", "ACCESS_DENIED")):
+        return ""
+    if said == "CERTIFICATE_REQUIRED":
+        return f"{server} wants a certificate of its clients: say cert=, and key="
+    return f"{server} refused our certificate: {said.replace('_', ' ').lower()}"
 
 
 def tls_reason(exc: ssl.SSLError) -> str:

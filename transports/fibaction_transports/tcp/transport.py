@@ -46,7 +46,13 @@ from fibaction_transports.tcp.settings import (
     translated,
     without_query,
 )
-from fibaction_transports.tcp.tls import TlsFiles, TlsListener, tls_reason
+from fibaction_transports.tcp.tls import (
+    TlsChannel,
+    TlsFiles,
+    TlsListener,
+    refusal,
+    tls_reason,
+)
 
 HOST, PORT = "127.0.0.1", 7400
 """Where a server is if nothing else is said: on this machine only."""
@@ -159,7 +165,8 @@ class _StreamTransport(Transport):
         try:
             return await self._open()
         except ssl.SSLError as exc:
-            raise AuthenticationFailed(f"no TLS with {self._where}: {tls_reason(exc)}") from exc
+            text = refusal(self._where, exc) or f"no TLS with {self._where}: {tls_reason(exc)}"
+            raise AuthenticationFailed(text) from exc
         except OSError as exc:
             raise ServerNotFound(
                 f"nobody listens at {self._where} ({exc.strerror or exc}): start the server, or"
@@ -253,7 +260,7 @@ class TcpTransport(_StreamTransport):
             context = self._tls.client() if isinstance(self._tls, TlsFiles) else self._tls
             tls = await TLSStream.wrap(stream, hostname=self._host, ssl_context=context)
             on_failure.pop_all()
-        return StreamChannel(tls, self._where, max_frame)
+        return TlsChannel(tls, self._where, max_frame)
 
     async def _listen(self) -> tuple[Listener[Any], str]:
         if not (self._insecure or self._tls or _is_loopback(self._host)):
