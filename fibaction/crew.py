@@ -11,7 +11,7 @@ from collections.abc import Callable, Coroutine
 from time import perf_counter
 from typing import Any, TypeAlias
 
-from anyio import CancelScope
+from anyio import CancelScope, TaskHandle
 from anyio.abc import TaskGroup
 from anyio.lowlevel import cancel_shielded_checkpoint
 
@@ -27,24 +27,34 @@ and for a heartbeat, long beside a turn of the event loop (some 10 microseconds)
 class Life:
     """What surrounds an executor, so that it can be interrupted once, and later be killed.
 
-    Two scopes, because an interruption is to arrive once: the outer one delivers it, then the inner
-    one shields what follows, the clean-up, until it is killed.
+    Two scopes, because an interruption is to arrive once: the outer one, the task's own, delivers
+    it, then the inner one shields what follows, the clean-up, until it is killed.
     """
 
-    __slots__ = ("interruption", "is_spent", "on_wait", "rest")
+    __slots__ = ("_task", "is_spent", "on_wait", "rest")
 
     def __init__(self, on_wait: Callable[[], None]) -> None:
-        self.interruption = CancelScope(shield=True)
-        self.rest = CancelScope()
+        self._task: TaskHandle[None] | CancelScope | None = None
+        self.rest = CancelScope(shield=True)
         self.is_spent = False
         """Whether nothing else can run in it."""
         self.on_wait = on_wait
         """To be called when what runs in it begins to wait."""
 
+    def run_by(self, task: TaskHandle[None] | CancelScope) -> None:
+        """This task, or what is in this scope, enters `rest`. It may have done so: an eager task
+        has begun before anybody knows it.
+        """
+        self._task = task
+        if not self.rest.shield:
+            task.cancel()
+
     def interrupt(self) -> None:
         """Cancel what runs in it."""
         self.is_spent = True
-        self.interruption.cancel()
+        self.rest.shield = False
+        if self._task is not None:
+            self._task.cancel()
 
     def kill(self) -> None:
         """From now on, cancel whatever is awaited in it."""
@@ -66,6 +76,7 @@ class Crew:
         self._jobs: deque[Job] = deque()
         self._idle: list[Waking] = []
         self._is_coming = False  # a task for the next job
+        self._on_wait = self._call  # made once, and not for each life
         self._closed = False
 
     def add(self, job: Job) -> None:
@@ -87,12 +98,11 @@ class Crew:
             if self._idle:
                 self._idle.pop().wake()
             else:
-                self._tasks.start_soon(self._work, name=self._name)
+                life = Life(self._on_wait)
+                life.run_by(self._tasks.start_soon(self._work, life, name=self._name))
 
-    async def _work(self) -> None:
-        life = Life(self._call)
-        news = Waking()
-        with life.interruption, life.rest:
+    async def _work(self, life: Life) -> None:
+        with life.rest:
             while True:
                 self._is_coming = False
                 slice_end = perf_counter() + SLICE
@@ -103,6 +113,7 @@ class Crew:
                         slice_end = perf_counter() + SLICE
                 if life.is_spent or self._closed or len(self._idle) >= MOST_IDLE:
                     break
+                news = Waking()
                 self._idle.append(news)
                 await news.wait()
         self._call()

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import AsyncGenerator, Callable, Coroutine, Generator
-from contextlib import aclosing
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Generator
 from contextvars import Context, copy_context
 from time import perf_counter
 from types import TracebackType
@@ -108,17 +107,13 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._life: Life | None = None
         self._steps: _Steps
 
-    async def run(self, life: Life) -> Ending:
+    def run(self, life: Life) -> Awaitable[Ending]:
         """Run the executor to its end, and say how it left off."""
         self._life = life
         self._steps = _Steps(self._run(), life, self._context)
         if self._is_interrupted:
             self._steps.interrupt()
-        try:
-            return await self._steps
-        finally:
-            self._life = None
-            del self._steps  # it and this object hold each other
+        return self._steps
 
     def interrupt(self) -> None:
         """Raise the backend's cancellation inside the generator, once, where it is or next awaits
@@ -136,8 +131,11 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
 
     async def _run(self) -> Ending:
         try:
-            async with aclosing(self._start()) as items:
+            items = self._start()
+            try:
                 await self._consume(items)
+            finally:
+                await items.aclose()
         except BaseException as exc:
             cause = _cause(exc)
             if cause is None:
@@ -151,6 +149,9 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             if isinstance(cause, (KeyboardInterrupt, SystemExit)):
                 raise
             return self._failed(cause)
+        finally:
+            self._life = None
+            del self._steps  # it and this object hold each other
         if self._result is None:
             return self._failed(_Misuse("it ended without yielding a result"))
         return Ending(EndKind.RESULT, self._result)

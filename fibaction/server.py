@@ -165,6 +165,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._background: Background
         self._crew: Crew
         self._phase: Literal["new", "running", "stopping", "stopped"] = "new"
+        self._is_stopping = self._stops  # made once, and not for each goal
 
     # Running
 
@@ -367,7 +368,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         goal = self._protocol.accept(goal_id, stamp=time.time_ns(), client=offer.client)
         self._decided.wake()
         log = GoalLog(goal, window=self._window, latest=self._latest)
-        handle = GoalHandle(goal, request, self._stops)
+        handle = GoalHandle(goal, request, self._is_stopping)
         execution = Execution(self.action, self._executor, handle, log, self._stall_timeout)
         run = self._runs[goal_id] = _Run(goal, log, execution)
         self._tell_status(run)
@@ -375,8 +376,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         return log.follow(feedback=offer.feedback, hold=offer.feedback)
 
     async def _run_goal(self, run: _Run[GoalT, FeedbackT, ResultT], life: Life) -> None:
-        ending = Ending(EndKind.CANCELED)
-        if not run.execution.handle.cancel_requested:
+        if run.execution.handle.cancel_requested:
+            ending = Ending(EndKind.CANCELED)
+        else:
             self._execute(run)
             try:
                 ending = await run.execution.run(life)

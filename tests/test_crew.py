@@ -144,6 +144,34 @@ async def test_a_task_whose_job_was_interrupted_takes_no_other() -> None:
         assert bench.tasks.count(bench.tasks[0]) == 1
 
 
+async def test_a_job_is_not_interrupted_by_the_end_of_what_the_crew_runs_in() -> None:
+    async with running() as bench:
+        bench.add_waiting(1)
+        await bench.all_done(1)
+        bench.crew._tasks.cancel_scope.cancel()
+        with anyio.CancelScope(shield=True):
+            await anyio.wait_all_tasks_blocked()
+            assert bench.done == [1]
+            bench.go_on.set()
+            await bench.all_done(2)
+            assert bench.done == [1, -1]
+
+
+async def test_an_interruption_arrives_even_if_the_task_is_known_only_later() -> None:
+    async with running() as bench:
+        life = Life(lambda: None)
+
+        async def work() -> None:
+            with life.rest:
+                life.interrupt()
+                await anyio.sleep_forever()
+
+        task = bench.crew._tasks.start_soon(work)
+        await anyio.wait_all_tasks_blocked()
+        life.run_by(task)
+        await task.wait()
+
+
 async def test_a_job_that_spends_its_task_leaves_the_next_ones_to_another() -> None:
     async with running() as bench:
 

@@ -51,7 +51,8 @@ class Bench:
 
     async def run(self) -> Ending:
         life = Life(lambda: None)
-        with life.interruption, life.rest, anyio.fail_after(5):
+        with anyio.CancelScope() as scope, life.rest, anyio.fail_after(5):
+            life.run_by(scope)
             self.ending = await self.execution.run(life)
         assert self.ending is not None
         return self.ending

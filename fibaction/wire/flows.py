@@ -107,7 +107,7 @@ class GoalFlow(Flow):
         """Whether it has been told the end, or that there is none."""
         self._ready = ready
         self._max_frame = max_frame
-        self._opening: list[bytes] = []
+        self._opening = b""
 
     def begin(self, endpoint: Endpoint, stream: GoalStream, *, own: bool) -> None:
         """Follow the goal by this stream."""
@@ -116,7 +116,7 @@ class GoalFlow(Flow):
         following = Following(
             self.request, stream.stamp, stream.status, stream.latest, stream.place
         )
-        self._opening = [encode(following)]
+        self._opening = encode(following)
         if self.closed:
             stream.close()
         self._tell()
@@ -168,8 +168,8 @@ class GoalFlow(Flow):
         assert stream is not None
         stream.news.listener = self._tell
         if self._opening:
-            opening, self._opening = self._opening, []
-            return opening
+            opening, self._opening = self._opening, b""
+            return [opening]
         event = stream.take(min(self.credit, PIECE))
         if event is None:
             end = stream.ended()

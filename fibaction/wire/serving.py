@@ -114,6 +114,7 @@ class Session:
         self._waiting: dict[int, WaitingFlow] = {}
         self._goals: dict[int, GoalFlow] = {}
         self._ready: dict[GoalFlow, None] = {}
+        self._on_news = self._tell  # made once, and not for each goal
         self._held = 0
         self._progress = Waking()
         self._tasks: TaskGroup
@@ -231,7 +232,7 @@ class Session:
     def _begin_goal(self, message: SendGoal | Follow) -> None:
         if not self._admits(message, has_room=len(self._goals) < self._terms.limits.goals):
             return
-        flow = GoalFlow(message.id, message.credit, self._tell, self._max_frame)
+        flow = GoalFlow(message.id, message.credit, self._on_news, self._max_frame)
         self._goals[message.id] = flow
         if isinstance(message, Follow):
             self._tasks.start_soon(self._follow, message, flow)
