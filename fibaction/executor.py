@@ -175,10 +175,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
                 return
             if self._result is not None:
                 raise _Misuse(f"it yielded {_a(item)} after its result")
-            if result.holds(item):
-                # The only yield that is no cancellation point: the goal is done.
-                self._result = result.encode(item)
-            elif feedback.holds(item):
+            if feedback.holds(item):
                 log.append(feedback.encode(item))
                 if steps.pending or log.is_full or perf_counter() >= steps.slice_end:
                     try:
@@ -189,6 +186,9 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
                         # its own `yield`.
                         step = items.athrow(exc)
                         continue
+            elif result.holds(item):
+                # The only yield that is no cancellation point: the goal is done.
+                self._result = result.encode(item)
             else:
                 raise _Misuse(f"it yielded {_a(item)}, which is neither feedback nor a result")
             step = items.__anext__()

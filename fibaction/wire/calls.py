@@ -126,6 +126,8 @@ class _Credits:
     def __init__(self, call_id: int, window: int, post: Post) -> None:
         self._id = call_id
         self._window = window
+        # In larger pieces: one message for each would cost more than what it is for.
+        self._piece = (window + 1) // 2
         self._post = post
         self._allowed = window
         self._ungranted = 0
@@ -149,8 +151,7 @@ class _Credits:
     def grant(self, count: int = 1) -> None:
         """So many were read, and as many more may come."""
         self._ungranted += count
-        # In larger pieces: one message for each would cost more than what it is for.
-        if self._ungranted >= (self._window + 1) // 2:
+        if self._ungranted >= self._piece:
             self._allowed += self._ungranted
             self._post(Credit(self._id, self._ungranted))
             self._ungranted = 0

@@ -44,6 +44,7 @@ from fibaction.messages import (
     Ended,
     Follow,
     FromClient,
+    FromServer,
     Goodbye,
     Hello,
     ListActions,
@@ -274,6 +275,15 @@ class RemoteConnection(Connection):
 
     def _handle(self, frame: bytes) -> None:
         message = decode_from_server(frame)
+        # Most belong to a call, so that is looked for first.
+        call = self._calls.get(getattr(message, "id", -1))
+        if call is not None and self._ready:
+            if call.hear(message):
+                del self._calls[call.id]
+        else:
+            self._handle_other(message)
+
+    def _handle_other(self, message: FromServer) -> None:
         if isinstance(message, Ping):
             pass
         elif isinstance(message, Goodbye):
@@ -284,9 +294,6 @@ class RemoteConnection(Connection):
             self._begin(message)
         elif not self._ready:
             raise ProtocolError(f"the first message was a {type(message).__name__}, no Welcome")
-        elif (call := self._calls.get(message.id)) is not None:
-            if call.hear(message):
-                del self._calls[message.id]
         elif isinstance(message, Ended):
             self._post(Received(message.id))  # nobody wants it any more
 

@@ -176,8 +176,8 @@ class GoalFlow(Flow):
             return [] if end is None else self._end(stream, end)
         if isinstance(event, GoalStatus):
             return [encode(StatusChanged(request, event))]
-        frames = [encode(Feedback(request, number, payload)) for number, payload in event]
-        if any(len(frame) > self._max_frame for frame in frames):
+        frames = [encode(Feedback(request, item.number, item.payload)) for item in event]
+        if max(map(len, frames), default=0) > self._max_frame:
             frames = self._fitting(frames)
         self.credit -= len(frames)
         return frames
