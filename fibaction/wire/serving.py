@@ -8,10 +8,10 @@ from __future__ import annotations
 import logging
 from collections.abc import Awaitable, Callable, Generator, Mapping
 from contextlib import contextmanager
-from typing import Any, Literal, TypeAlias
+from typing import Literal
 
 import msgspec
-from anyio import CancelScope, sleep
+from anyio import sleep
 from anyio.abc import TaskGroup
 
 from fibaction.abc import Endpoint, GoalStream
@@ -29,29 +29,17 @@ from fibaction.framing import MAX_FRAME
 from fibaction.goals import GoalID
 from fibaction.messages import (
     VERSION,
-    Actions,
-    AskPeers,
-    AwaitServer,
-    CancelAnswered,
-    CancelGoals,
     Close,
     Credit,
-    Done,
     Failed,
-    Finished,
     Follow,
     FromClient,
-    GoalChanged,
     Goodbye,
     Hello,
-    ListActions,
-    Peers,
     Ping,
     Received,
     Rejected,
     SendGoal,
-    Watching,
-    WatchStatus,
     Welcome,
     Why,
     decode_from_client,
@@ -59,15 +47,14 @@ from fibaction.messages import (
 )
 from fibaction.waking import Waking
 from fibaction.wire.access import Access, Peer, Verb
+from fibaction.wire.answering import Answer, Answers, Question
 from fibaction.wire.channel import CHUNK
-from fibaction.wire.flows import Flow, GoalFlow, WaitingFlow, failure, fit, refusal, text_of
+from fibaction.wire.flows import Flow, GoalFlow, WaitingFlow, failure, fit, refusal
 from fibaction.wire.limits import Limits
 from fibaction.wire.link import Link
 from fibaction.wire.orphans import Orphans
 
 logger = logging.getLogger("fibaction.wire")
-
-Question: TypeAlias = CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers
 
 
 class Terms(msgspec.Struct, frozen=True):
@@ -100,7 +87,6 @@ class Session:
         """
         self.actions: set[str] = set()
         """The actions that the client has named."""
-        self._clients_of = clients_of
         self._supersede = supersede
         self._link = link
         self._endpoints = endpoints
@@ -118,13 +104,7 @@ class Session:
         self._held = 0
         self._progress = Waking()
         self._tasks: TaskGroup
-        self._parts: dict[type, Callable[[Any, WaitingFlow], Awaitable[None]]] = {
-            CancelGoals: self._cancel_goals,
-            WatchStatus: self._watch_status,
-            AwaitServer: self._await_server,
-            ListActions: self._list_actions,
-            AskPeers: self._ask_peers,
-        }
+        self._answers = Answers(endpoints, self._endpoint, clients_of, self._say)
 
     async def run(self) -> ActionError:
         """Serve the client until the connection ends, and say why it did."""
@@ -366,7 +346,7 @@ class Session:
     async def _answer(self, message: Question, flow: WaitingFlow) -> None:
         try:
             with self._answering(message):
-                await self._parts[type(message)](message, flow)
+                await self._answers.give(message, flow)
         finally:
             del self._waiting[message.id]
 
@@ -412,57 +392,7 @@ class Session:
         self.actions.add(action)
         return endpoint
 
-    async def _cancel_goals(self, message: CancelGoals, _flow: WaitingFlow) -> None:
-        endpoint = await self._endpoint(message.action, Verb.CANCEL)
-        goal_id = None if message.goal_id is None else GoalID(message.goal_id)
-        answer = await endpoint.cancel_goals(goal_id, message.stamp)
-        goals: list[tuple[bytes, int, int]] = [
-            (info.goal_id, info.stamp, info.status) for info in answer.goals_canceling
-        ]
-        await self._say(
-            CancelAnswered(message.id, answer.return_code, goals, text_of(answer.reason))
-        )
-
-    async def _watch_status(self, message: WatchStatus, flow: WaitingFlow) -> None:
-        endpoint = await self._endpoint(message.action, Verb.OBSERVE)
-        with await endpoint.status() as statuses:
-            flow.stop_with(statuses.close)
-            await self._say(Watching(message.id, statuses.known))
-            while (info := await statuses.receive()) is not None:
-                await flow.wait()
-                if flow.closed:
-                    break
-                flow.credit -= 1
-                changed = GoalChanged(
-                    message.id,
-                    info.goal_id,
-                    info.stamp,
-                    info.status,
-                    statuses.dropped,
-                    info.feedback_count,
-                    info.client,
-                )
-                await self._say(changed)
-            await self._say(Finished(message.id))
-
-    async def _await_server(self, message: AwaitServer, flow: WaitingFlow) -> None:
-        endpoint = await self._endpoint(message.action, Verb.OBSERVE)
-        with CancelScope() as scope:
-            flow.stop_with(scope.cancel)
-            await endpoint.wait_for_server()
-            await self._say(Done(message.id))
-
-    async def _ask_peers(self, message: AskPeers, _flow: WaitingFlow) -> None:
-        await self._endpoint(message.action, Verb.OBSERVE)
-        await self._say(Peers(message.id, self._clients_of(message.action)))
-
-    async def _list_actions(self, message: ListActions, _flow: WaitingFlow) -> None:
-        infos = [endpoint.info for endpoint in self._endpoints.values()]
-        await self._say(Actions(message.id, infos))
-
-    async def _say(
-        self, answer: CancelAnswered | Done | Watching | GoalChanged | Finished | Actions | Peers
-    ) -> None:
+    async def _say(self, answer: Answer) -> None:
         await self._link.send(fit(answer.id, encode(answer), self._max_frame))
 
 

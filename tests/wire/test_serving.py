@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncGenerator, Mapping
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from itertools import pairwise
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import anyio
 import pytest
@@ -23,11 +23,10 @@ from fibaction.exceptions import (
     GoalRejected,
     ProtocolError,
 )
-from fibaction.framing import MAX_FRAME, header
-from fibaction.goals import CancelCode, GoalID
+from fibaction.framing import header
+from fibaction.goals import GoalID
 from fibaction.messages import (
     VERSION,
-    Actions,
     AskPeers,
     AwaitServer,
     CancelAnswered,
@@ -38,21 +37,17 @@ from fibaction.messages import (
     Ended,
     Failed,
     Feedback,
-    Finished,
     Follow,
     Following,
     FromClient,
-    GoalChanged,
     Goodbye,
     Hello,
     ListActions,
-    Peers,
     Ping,
     Received,
     Rejected,
     SendGoal,
     StatusChanged,
-    Watching,
     WatchStatus,
     Welcome,
     Why,
@@ -67,142 +62,32 @@ from fibaction.wire.channel import Channel, StreamChannel
 from fibaction.wire.flows import PIECE
 from fibaction.wire.hub import Hub
 from fibaction.wire.limits import Limits
-from fibaction.wire.link import Link
-from fibaction.wire.orphans import Orphans
 from fibaction.wire.serving import Session, Terms
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.wire import memory
+from tests.wire.bench import (
+    ANN,
+    ANY,
+    BOB,
+    EXECUTING,
+    GOAL,
+    A,
+    B,
+    Client,
+    feedback,
+    held,
+    scripted,
+    serving,
+)
 from tests.wire.memory import LONG, Running, in_virtual_time, logged, settled
 
 pytestmark = pytest.mark.anyio
-
-A, B = bytes([1] * 16), bytes([2] * 16)
-ANY = 2**31 - 1
-"""More credit than any goal here uses up."""
-ANN, BOB = b"ann", b"bob"
-GOAL = FIBONACCI.goal.encode(fib.Goal(3))
-EXECUTING = GoalStatus.EXECUTING
 
 
 @pytest.fixture(params=["asyncio", "trio"])
 def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
-
-
-def feedback(*numbers: int) -> list[fib.Feedback]:
-    return [fib.Feedback([number]) for number in numbers]
-
-
-def scripted(*steps: Any) -> ScriptedServer[fib.Goal, fib.Feedback, fib.Result]:
-    """A server whose goals all go like that."""
-    return ScriptedServer(FIBONACCI, steps)
-
-
-def held() -> ScriptedServer[fib.Goal, fib.Feedback, fib.Result]:
-    """A server whose goals never end by themselves."""
-    return scripted(anyio.Event())
-
-
-class Client(memory.Peer):
-    """A client, and the session that serves it."""
-
-    def __init__(self, channel: memory.MemoryChannel, session: Session) -> None:
-        super().__init__(channel, decode_from_server)
-        self.session = session
-        self.error: ActionError | None = None
-
-    async def ask(self, message: Any, kind: type[memory.T]) -> memory.T:
-        await self.say(message)
-        return await self.hear(kind)
-
-    async def send(self, request: int, goal_id: bytes = A, credit: int | None = ANY) -> Following:
-        """Send a goal, and hear that it is accepted and executing."""
-        following = await self.ask(SendGoal(request, "fibonacci", goal_id, GOAL, credit), Following)
-        if credit is not None:
-            assert await self.hear(StatusChanged) == StatusChanged(request, EXECUTING)
-        return following
-
-    async def hear_by_id(self) -> dict[int, list[Any]]:
-        """As `hear_all`, but the order between requests is nobody's business."""
-        heard: dict[int, list[Any]] = {}
-        for message in await self.hear_all():
-            heard.setdefault(message.id, []).append(message)
-        return heard
-
-    async def is_served(self) -> bool:
-        """Whether its session goes on."""
-        answer = await self.ask(ListActions(99), Actions)
-        return answer.id == 99
-
-
-class Bench:
-    """Sessions, and what they share."""
-
-    def __init__(
-        self,
-        tasks: TaskGroup,
-        endpoints: Mapping[str, Endpoint],
-        terms: Terms,
-        orphans: Orphans,
-    ) -> None:
-        self.endpoints = dict(endpoints)
-        self.orphans = orphans
-        self.superseded: list[bytes] = []
-        self._tasks = tasks
-        self._terms = terms
-
-    def clients_of(self, action: str) -> list[str]:
-        return [f"who uses {action}"]
-
-    async def connect(self) -> Client:
-        """A client that has said nothing yet."""
-        end, other = memory.pair()
-        link = Link(end, LONG, self._terms.limits.queue)
-        session = Session(
-            link,
-            self.endpoints,
-            self._terms,
-            self.orphans,
-            clients_of=self.clients_of,
-            supersede=self.superseded.append,
-        )
-        client = Client(other, session)
-
-        async def run() -> None:
-            client.error = await session.run()
-            await end.aclose()
-
-        self._tasks.start_soon(run)
-        return client
-
-    async def greet(
-        self, session: bytes = ANN, token: str = "", max_frame: int = MAX_FRAME
-    ) -> Client:
-        """A client that was let in."""
-        client = await self.connect()
-        hello = Hello(VERSION, LONG, token, session, max_frame)
-        welcome = Welcome(VERSION, LONG, self._terms.limits.frame)
-        assert await client.ask(hello, Welcome) == welcome
-        return client
-
-
-@asynccontextmanager
-async def serving(
-    *servers: ActionServer[Any, Any, Any],
-    access: Access | None = None,
-    limits: Limits | None = None,
-    grace: float = 10.0,
-    then: Literal["keep", "cancel"] = "keep",
-) -> AsyncGenerator[Bench, None]:
-    async with AsyncExitStack() as stack:
-        for server in servers:
-            await stack.enter_async_context(server)
-        tasks = await stack.enter_async_context(Background())
-        endpoints = {server.info.name: server for server in servers}
-        orphans = Orphans(tasks, grace=grace, then=then)
-        terms = Terms(LONG, access or Access(), limits or Limits(), then, grace)
-        yield Bench(tasks, endpoints, terms, orphans)
 
 
 async def closes(client: Client, goodbye: Goodbye, error: type[ActionError]) -> None:
@@ -428,26 +313,6 @@ async def test_a_goal_that_nobody_knows_cannot_be_followed() -> None:
         assert B.hex() in failed.text
 
 
-async def test_a_canceled_goal_is_answered_and_ends() -> None:
-    async with serving(held()) as bench:
-        client = await bench.greet()
-        stamp = (await client.send(1)).stamp
-        await client.say(CancelGoals(2, "fibonacci", A, None))
-        heard = await client.hear_by_id()
-        assert heard[2] == [CancelAnswered(2, 0, [(A, stamp, GoalStatus.CANCELING)], "")]
-        assert heard[1] == [
-            StatusChanged(1, GoalStatus.CANCELING),
-            Ended(1, GoalStatus.CANCELED, None, "", 0),
-        ]
-
-
-async def test_a_cancel_of_all_by_time_that_finds_none_is_answered() -> None:
-    async with serving(held()) as bench:
-        client = await bench.greet()
-        answer = await client.ask(CancelGoals(2, "fibonacci", None, 1), CancelAnswered)
-        assert answer == CancelAnswered(2, CancelCode.NONE, [], "")
-
-
 async def test_an_action_that_is_not_served_is_told_with_those_that_are() -> None:
     async with serving(held()) as bench:
         client = await bench.greet()
@@ -470,12 +335,6 @@ async def test_a_goal_of_a_server_that_has_stopped_is_not_found() -> None:
         await server.stop()
         failed = await client.ask(SendGoal(1, "fibonacci", A, GOAL, 1), Failed)
         assert failed.why == Why.SERVER_NOT_FOUND
-
-
-async def test_what_is_served_is_listed() -> None:
-    async with serving(held()) as bench:
-        client = await bench.greet()
-        assert await client.ask(ListActions(1), Actions) == Actions(1, [FIBONACCI.info])
 
 
 # Credit
@@ -866,20 +725,6 @@ async def test_feedback_over_the_clients_limit_is_left_out_and_the_goal_goes_on(
         assert await client.hear_all() == [Ended(1, GoalStatus.SUCCEEDED, result, "", 4)]
 
 
-async def test_an_answer_over_the_clients_limit_fails_that_request_only() -> None:
-    async with serving(held()) as bench:
-        client = await bench.greet(max_frame=150)
-        for number in range(10):
-            await client.say(SendGoal(number, "fibonacci", bytes([number + 1] * 16), GOAL, None))
-            await client.hear(Following)
-        await client.say(CancelGoals(50, "fibonacci", None, None), ListActions(51))
-        heard = await client.hear_by_id()
-        for request in (50, 51):
-            (failed,) = heard[request]
-            assert (type(failed), failed.why) == (Failed, Why.LIMIT)
-        await client.ask(AwaitServer(52, "fibonacci"), Done)
-
-
 async def test_a_refusal_is_no_larger_than_the_client_takes() -> None:
     async with serving(scripted(GoalRejected("x" * 1000))) as bench:
         client = await bench.greet(max_frame=500)
@@ -963,29 +808,7 @@ async def test_what_there_is_to_tell_waits_where_it_is_made() -> None:
         assert not client.session._link._queue
 
 
-# Statuses, and waiting
-
-
-async def test_statuses_are_told_as_far_as_there_is_credit() -> None:
-    async with serving(held()) as bench:
-        client = await bench.greet()
-        stamp = (await client.send(1)).stamp
-        assert await client.ask(WatchStatus(2, "fibonacci", 1), Watching) == Watching(2, 1)
-        who = client.session.client
-        assert await client.hear(GoalChanged) == GoalChanged(2, A, stamp, EXECUTING, 0, 0, who)
-        await client.say(CancelGoals(3, "fibonacci", A, None))
-        assert 2 not in await client.hear_by_id()
-        await client.say(Credit(2, 5))
-        assert [message.status for message in await client.hear_all()] == [3, 5]
-
-
-async def test_who_uses_an_action_is_told() -> None:
-    async with serving(held()) as bench:
-        client = await bench.greet()
-        assert client.session.actions == set()
-        answer = await client.ask(AskPeers(2, "fibonacci"), Peers)
-        assert answer == Peers(2, ["who uses fibonacci"])
-        assert client.session.actions == {"fibonacci"}
+# Who a client is
 
 
 async def test_a_client_is_known_by_the_name_of_its_token_and_its_address() -> None:
@@ -995,47 +818,6 @@ async def test_a_client_is_known_by_the_name_of_its_token_and_its_address() -> N
     async with serving(held(), access=Access({"sesame": "ann"})) as bench:
         client = await bench.greet(token="sesame")
         assert client.session.client == "ann at the client"
-
-
-async def test_a_client_that_wants_no_more_statuses_is_told_that_there_are_none() -> None:
-    async with serving(held()) as bench:
-        client = await bench.greet()
-        await client.ask(WatchStatus(2, "fibonacci", 1), Watching)
-        assert await client.ask(Close(2), Finished) == Finished(2)
-
-
-async def test_a_close_while_statuses_wait_for_credit_ends_them() -> None:
-    async with serving(held()) as bench:
-        client = await bench.greet()
-        await client.send(1, A)
-        await client.send(2, B)
-        await client.ask(WatchStatus(3, "fibonacci", 1), Watching)
-        assert [type(message) for message in await client.hear_all()] == [GoalChanged]
-        await client.say(Close(3))
-        assert await client.hear_all() == [Finished(3)]
-
-
-async def test_statuses_end_when_the_server_stops() -> None:
-    server = held()
-    async with serving(server) as bench:
-        client = await bench.greet()
-        await client.ask(WatchStatus(2, "fibonacci", 1), Watching)
-        await server.stop()
-        assert await client.hear(Finished) == Finished(2)
-
-
-async def test_a_client_is_told_when_the_server_is_there() -> None:
-    server = held()
-    async with serving() as bench:
-        bench.endpoints["fibonacci"] = server
-        client = await bench.greet()
-        await client.say(AwaitServer(1, "fibonacci"), AwaitServer(2, "fibonacci"))
-        assert await client.hear_all() == []
-        await client.say(Close(1))
-        assert await client.hear_all() == []
-        async with server:
-            assert await client.hear(Done) == Done(2)
-            assert await client.hear_all() == []
 
 
 # Access
