@@ -6,6 +6,7 @@ Sans-I/O: bytes in, frames out. What is in a frame is not looked at.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from struct import Struct
 
 from fibaction.exceptions import ProtocolError
 
@@ -13,17 +14,19 @@ HEADER = 4
 MAX_FRAME = 16 * 2**20
 """Larger than any sensible message, smaller than memory."""
 
+_LENGTH = Struct(">I")
+
 
 def header(length: int) -> bytes:
     """What comes before a frame of that length."""
-    return length.to_bytes(HEADER, "big")
+    return _LENGTH.pack(length)
 
 
 def framed(frames: Iterable[bytes]) -> bytes:
     """The frames as they are sent, one behind the other."""
     parts: list[bytes] = []
     for frame in frames:
-        parts += (header(len(frame)), frame)
+        parts += (_LENGTH.pack(len(frame)), frame)
     return b"".join(parts)
 
 
@@ -44,11 +47,14 @@ class FrameReader:
             ProtocolError: A frame is longer than the limit. The stream is of no use any more.
         """
         buffer = self._buffer
-        buffer += data
+        pending: bytes | bytearray = data
+        if buffer:
+            buffer += data
+            pending = buffer
         frames: list[bytes] = []
-        start, end = 0, len(buffer)
+        start, end = 0, len(pending)
         while end - start >= HEADER:
-            length = int.from_bytes(buffer[start : start + HEADER], "big")
+            length: int = _LENGTH.unpack_from(pending, start)[0]
             if length > self._limit:
                 raise ProtocolError(
                     f"a frame of {length} bytes was announced, and {self._limit} are the limit"
@@ -56,9 +62,12 @@ class FrameReader:
             if end - start < HEADER + length:
                 break
             start += HEADER
-            frames.append(bytes(buffer[start : start + length]))
+            frames.append(bytes(pending[start : start + length]))
             start += length
-        del buffer[:start]
+        if pending is buffer:
+            del buffer[:start]
+        else:  # most often all of it is used, and never copied
+            buffer += pending[start:]
         return frames
 
     @property

@@ -15,14 +15,11 @@ from typing import Any
 from fibaction_transports.tcp import lines
 from tests.simulation.streams import SimulatedStream
 
-PIECE = 2**18
-"""Bytes that are handed over at once at most, as by asyncio."""
-
 
 class Socket(asyncio.Transport):
     """One end of a connection."""
 
-    def __init__(self, stream: SimulatedStream, protocol: asyncio.Protocol) -> None:
+    def __init__(self, stream: SimulatedStream, protocol: lines.ProtocolLine) -> None:
         super().__init__()
         self._stream = stream
         self._protocol = protocol
@@ -62,7 +59,10 @@ class Socket(asyncio.Transport):
             self._is_paused = False
             self._protocol.resume_writing()
         if self._reads and self._incoming.has_bytes:
-            self._protocol.data_received(self._incoming.take(PIECE))
+            buffer = self._protocol.get_buffer(-1)
+            data = self._incoming.take(len(buffer))
+            buffer[: len(data)] = data
+            self._protocol.buffer_updated(len(data))
             self._stir()
         elif self._reads and self._incoming.has_ended and not self._has_told_end:
             self._has_told_end = True

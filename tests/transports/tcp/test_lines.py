@@ -236,7 +236,9 @@ async def test_what_hear_raises_is_the_end_and_nothing_more_is_heard() -> None:
         one.say(b"1")
         await other.ended.wait()
         assert other.error is wrong
-        other.line.data_received(framed([b"2"]))  # that was on its way
+        late = framed([b"2"])  # that was on its way
+        other.line.get_buffer(-1)[: len(late)] = late
+        other.line.buffer_updated(len(late))
         assert other.heard == [b"1"]
 
 

@@ -34,12 +34,17 @@ def on_asyncio() -> bool:
         return False
 
 
-class ProtocolLine(asyncio.Protocol, Line):
-    """One connection."""
+class ProtocolLine(asyncio.BufferedProtocol, Line):
+    """One connection.
+
+    It has a buffer of its own to read into. Without one, asyncio allocates 256 KiB for each read,
+    and where memory has no such piece to hand, that is mapped and unmapped each time.
+    """
 
     def __init__(self, max_frame: int, peer: str = "") -> None:
         self.peer = peer
         self._reader = FrameReader(max_frame)
+        self._buffer = memoryview(bytearray(CHUNK))
         self._transport: asyncio.Transport
         self._loop = asyncio.get_running_loop()
         self._context = copy_context()
@@ -65,7 +70,7 @@ class ProtocolLine(asyncio.Protocol, Line):
     async def run(self, hear: Hear, fetch: Fetch) -> None:
         self._hear, self._fetch = hear, fetch
         if self._early:
-            self.data_received(self._early)
+            self._receive(self._early)
         self._transport.resume_reading()
         self.stir()
         try:
@@ -105,6 +110,14 @@ class ProtocolLine(asyncio.Protocol, Line):
         except Exception as exc:
             self._end(exc)
 
+    def _receive(self, data: bytes) -> None:
+        if self._error is None:
+            assert self._hear is not None
+            try:
+                self._hear(self._reader.feed(data))
+            except Exception as exc:
+                self._end(exc)
+
     def _end(self, error: Exception) -> None:
         if self._error is None:
             self._error = error
@@ -119,15 +132,16 @@ class ProtocolLine(asyncio.Protocol, Line):
         if not self.peer:
             self.peer = _peer_of(transport)
 
-    def data_received(self, data: bytes) -> None:
+    def get_buffer(self, sizehint: int) -> memoryview:
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        data = bytes(self._buffer[:nbytes])
         if self._hear is None:
             self._early += data
             self._transport.pause_reading()
-        elif self._error is None:
-            try:
-                self._hear(self._reader.feed(data))
-            except Exception as exc:
-                self._end(exc)
+        else:
+            self._receive(data)
 
     def eof_received(self) -> bool:
         how = "in the middle of a message" if self._reader.is_within_frame else "its side"
