@@ -11,8 +11,7 @@ import logging
 import math
 import time
 from collections import deque
-from collections.abc import Awaitable, Coroutine, Generator
-from contextlib import contextmanager
+from collections.abc import Awaitable, Coroutine
 from functools import partial
 from types import TracebackType
 from typing import Any, Generic, Literal, NamedTuple, Self
@@ -244,7 +243,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         while self._recent and self._recent[0][0] <= now:
             self._recent.popleft()
         for goal_id in self._protocol.expire(now):
-            self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))
+            if self._statuses:
+                self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))
 
     # What clients ask for
 
@@ -274,13 +274,18 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             return self._offer_again(offer)
         if todo is Admission.REPEAT:
             return self._follow(goal_id, feedback=feedback, own=feedback, after=0)
-        with self._deciding(goal_id):
+        try:
             request = self._decode(goal)
             if self._on_goal is not None:
                 asking = self._callbacks.ask("on_goal", self._on_goal, request, GoalRejected)
                 if asking is not None:
                     return self._accept_later(offer, request, asking)
             return self._accept(offer, request)
+        except GoalRejected as exc:
+            raise self._reject(goal_id, exc.reason) from None
+        except BaseException:
+            self._withdraw(goal_id)
+            raise
 
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False
@@ -335,25 +340,26 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     async def _accept_later(
         self, offer: _Offer, request: GoalT, asking: Awaitable[None]
     ) -> LogStream:
-        with self._deciding(offer.goal_id):
+        try:
             await asking
             return self._accept(offer, request)
-
-    @contextmanager
-    def _deciding(self, goal_id: GoalID) -> Generator[None, None, None]:
-        """What comes of it if a goal is not accepted."""
-        try:
-            yield
         except GoalRejected as exc:
-            self._protocol.reject(goal_id, exc.reason, now=current_time())
-            self._decided.wake()
-            logger.info("goal %s of action %r: rejected: %s", goal_id, self.action.name, exc.reason)
-            raise GoalRejected(exc.reason, goal_id=goal_id) from None
+            raise self._reject(offer.goal_id, exc.reason) from None
         except BaseException:
-            # Canceled while deciding: if the goal is sent again, it is decided anew.
-            self._protocol.withdraw(goal_id)
-            self._decided.wake()
+            self._withdraw(offer.goal_id)
             raise
+
+    def _reject(self, goal_id: GoalID, reason: str) -> GoalRejected:
+        """A goal is not accepted. Gives what to raise."""
+        self._protocol.reject(goal_id, reason, now=current_time())
+        self._decided.wake()
+        logger.info("goal %s of action %r: rejected: %s", goal_id, self.action.name, reason)
+        return GoalRejected(reason, goal_id=goal_id)
+
+    def _withdraw(self, goal_id: GoalID) -> None:
+        """Canceled while deciding: if the goal is sent again, it is decided anew."""
+        self._protocol.withdraw(goal_id)
+        self._decided.wake()
 
     def _decode(self, goal: bytes) -> GoalT:
         try:

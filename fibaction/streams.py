@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from itertools import islice
 from typing import TYPE_CHECKING
-from weakref import WeakSet
+from weakref import ref
 
 import anyio
 
@@ -56,7 +56,7 @@ class GoalLog:
         self._window = window
         self._items: deque[FeedbackItem] = _NOTHING
         self._readers: list[LogStream] = []
-        self._others: WeakSet[LogStream] | None = None  # they want to know of the end only
+        self._others: tuple[ref[LogStream], ...] = ()  # they want to know of the end only
         self._full_at: float = math.inf
         self._room = Waking()
         self._ended = Waking()
@@ -106,8 +106,11 @@ class GoalLog:
 
     def finish(self) -> None:
         """The goal has its outcome: wake all who wait for that, or for more feedback."""
-        for stream in (*self._readers, *(self._others or ())):
+        for stream in self._readers:
             stream.news.wake()
+        for other in self._others:
+            if (left := other()) is not None:
+                left.news.wake()
         self._ended.wake()
 
     async def outcome(self) -> Outcome[bytes]:
@@ -138,9 +141,8 @@ class GoalLog:
 
     def _remember(self, stream: LogStream) -> None:
         if self.goal.outcome is None:
-            if self._others is None:
-                self._others = WeakSet()
-            self._others.add(stream)
+            alive = (other for other in self._others if other() is not None)
+            self._others = (*alive, ref(stream))
 
     def make_room(self) -> None:
         """Something was read, or is to be waited for no longer: see how much more has room now."""
@@ -169,24 +171,6 @@ class GoalLog:
 
 class LogStream(GoalStream):
     """One follower's place in a goal's log."""
-
-    __slots__ = (
-        "__weakref__",
-        "_dropped",
-        "_follows",
-        "_log",
-        "_may_hold",
-        "_reads",
-        "_stalled",
-        "_statuses_told",
-        "_wanted",
-        "goal_id",
-        "holding",
-        "latest",
-        "news",
-        "place",
-        "stamp",
-    )
 
     def __init__(self, log: GoalLog, place: int, *, feedback: bool, hold: bool) -> None:
         self.goal_id = log.goal.goal_id

@@ -270,7 +270,7 @@ def test_who_leaves_a_goal_that_has_ended_is_not_remembered() -> None:
     stream = log.follow()
     end(log)
     stream.close()
-    assert log._others is None
+    assert log._others == ()
 
 
 @pytest.mark.asyncio
