@@ -90,8 +90,7 @@ def test_a_second_ctrl_c_ends_at_once_and_quietly(
 
     server.ends()
     assert server.process.returncode == -SIGINT
-    assert "Traceback" not in server.text
-    assert server.text.rstrip("^C").rstrip().endswith(sign)
+    assert not re.search("Traceback|Exception|Interrupt", server.text)
 
 
 # serve, in this process
