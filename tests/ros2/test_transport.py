@@ -74,7 +74,10 @@ def test_a_url_that_cannot_be_used_is_refused_in_one_sentence(url: str, text: st
     [
         ("ros2://1st", "node_name is of letters, digits and _"),
         ("ros2://a%20b", "node_name is of letters, digits and _"),
-        ("ros2://?namespace=a%20b", "namespace is of such names behind /, unlike '/a b'"),
+        (
+            "ros2://?namespace=a%20b",
+            "namespace is of names of letters, digits and _ behind slashes, unlike '/a b'",
+        ),
     ],
 )
 async def test_a_name_that_ros_does_not_allow_is_refused_in_one_sentence(
@@ -85,6 +88,28 @@ async def test_a_name_that_ros_does_not_allow_is_refused_in_one_sentence(
             raise AssertionError("it is served")
     assert text in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("domain", ["233", "-1", "arm"])
+async def test_a_domain_of_the_environment_that_cannot_be_is_refused_in_one_sentence(
+    domain: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    with pytest.raises(TransportError) as caught:
+        async with connect("ros2://"):
+            raise AssertionError("the block must not run")
+    assert str(caught.value) == (
+        f"ROS_DOMAIN_ID in the environment is between 0 and 232, not {domain!r}"
+    )
+
+
+@pytest.mark.parametrize("domain", ["", "232"])
+async def test_a_domain_of_the_environment_that_can_be_is_no_error(
+    domain: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    async with connect("ros2://"):
+        pass
 
 
 async def test_arguments_that_ros_does_not_understand_are_refused() -> None:

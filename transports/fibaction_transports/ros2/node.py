@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import logging
+import os
 import threading
 import uuid
 from collections.abc import AsyncGenerator, Callable, Sequence
@@ -30,6 +31,9 @@ from fibaction_transports.ros2.rcl import (
     validate_namespace,
     validate_node_name,
 )
+
+LAST_DOMAIN = 232
+"""The highest domain ID: those above would have ports above 65535."""
 
 logger = logging.getLogger("fibaction.ros2")
 
@@ -229,11 +233,22 @@ async def own_node(settings: NodeSettings) -> AsyncGenerator[RosNode, None]:
 
 
 def _check(settings: NodeSettings, name: str) -> None:
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if settings.domain_id is None and not (domain.isdecimal() and int(domain) <= LAST_DOMAIN):
+        # For one that is too high, the middleware would end the process.
+        raise TransportError(
+            f"ROS_DOMAIN_ID in the environment is between 0 and {LAST_DOMAIN}, not {domain!r}"
+        )
     # rclpy would say it in several lines, and leave half a node behind.
     namespace = f"/{settings.namespace.removeprefix('/')}"
     for setting, value, rule, check in (
         ("node_name", name, "letters, digits and _, and starts with no digit", validate_node_name),
-        ("namespace", namespace, "such names behind /", validate_namespace),
+        (
+            "namespace",
+            namespace,
+            "names of letters, digits and _ behind slashes",
+            validate_namespace,
+        ),
     ):
         try:
             check(value)

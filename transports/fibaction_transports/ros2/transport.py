@@ -12,7 +12,13 @@ from fibaction.abc import Connection, Endpoint, Transport
 from fibaction.exceptions import TransportError
 from fibaction_transports.ros2.calling import connected
 from fibaction_transports.ros2.names import action_names
-from fibaction_transports.ros2.node import NodeSettings, RosNode, own_node, users_node
+from fibaction_transports.ros2.node import (
+    LAST_DOMAIN,
+    NodeSettings,
+    RosNode,
+    own_node,
+    users_node,
+)
 from fibaction_transports.ros2.serving import Plan, served
 
 
@@ -51,7 +57,7 @@ class Ros2Transport(Transport):
             ValueError: A number is out of range, or there is a node and its description, too.
         """
         for name, value, least, most in (
-            ("domain_id", domain_id or 0, 0, 232),
+            ("domain_id", domain_id or 0, 0, LAST_DOMAIN),
             ("feedback_depth", feedback_depth, 1, 100_000),
             ("discovery_timeout", discovery_timeout, 0, math.inf),
         ):
