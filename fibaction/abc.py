@@ -35,6 +35,8 @@ class FeedbackItem(NamedTuple):
 class _Closing(ABC):
     """Something to close: by hand, or at the end of a `with` block. Closing never waits."""
 
+    __slots__ = ()
+
     @abstractmethod
     def close(self) -> None:
         """Stop listening. Closing twice does nothing."""
@@ -53,6 +55,8 @@ class _Closing(ABC):
 
 class GoalStream(_Closing):
     """One goal, followed: its feedback in order, its status, and in the end its outcome."""
+
+    __slots__ = ()
 
     goal_id: GoalID
     stamp: int

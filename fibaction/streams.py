@@ -172,6 +172,24 @@ class GoalLog:
 class LogStream(GoalStream):
     """One follower's place in a goal's log."""
 
+    __slots__ = (
+        "__weakref__",
+        "_dropped",
+        "_follows",
+        "_log",
+        "_may_hold",
+        "_reads",
+        "_stalled",
+        "_statuses_told",
+        "_wanted",
+        "goal_id",
+        "holding",
+        "latest",
+        "news",
+        "place",
+        "stamp",
+    )
+
     def __init__(self, log: GoalLog, place: int, *, feedback: bool, hold: bool) -> None:
         self.goal_id = log.goal.goal_id
         self.stamp = log.goal.stamp

@@ -13,13 +13,12 @@ import secrets
 import sys
 import time
 import types
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 from unittest.mock import patch
 
 from fibaction import GoalID
-from fibaction.streams import LogStream
 from tests.simulation import loop as virtual
 from tests.simulation.naming import naming
 
@@ -84,8 +83,6 @@ def made_up(loop: virtual.VirtualLoop, seed: int) -> Generator[None, None, None]
     }
     with ExitStack() as stack:
         stack.enter_context(patch.object(GoalID, "random", new_goal_id))
-        # Followers who want the end only are woken in the order of a set.
-        stack.enter_context(patch.object(LogStream, "__hash__", _counted(itertools.count(1))))
         for module in _product():
             for name, value in list(vars(module).items()):
                 if isinstance(value, types.ModuleType) and value in shadows:
@@ -93,18 +90,6 @@ def made_up(loop: virtual.VirtualLoop, seed: int) -> Generator[None, None, None]
                 elif isinstance(value, _FUNCTION) and value in single:
                     stack.enter_context(patch.object(module, name, single[value]))
         yield
-
-
-def _counted(numbers: Iterator[int]) -> Callable[[object], int]:
-    """A hash that is no address of memory."""
-
-    def __hash__(self: object) -> int:
-        if "_simulated_hash" not in self.__dict__:
-            self.__dict__["_simulated_hash"] = next(numbers)
-        number: int = self.__dict__["_simulated_hash"]
-        return number
-
-    return __hash__
 
 
 def _product() -> list[types.ModuleType]:
