@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextvars import copy_context
 from typing import Any
 
+from fibaction.wire.channel import CHUNK
 from fibaction_transports.tcp import lines
 from tests.simulation.streams import SimulatedStream
 
@@ -122,6 +123,6 @@ class Socket(asyncio.Transport):
 
 def line_over(stream: SimulatedStream, max_frame: int, peer: str = "") -> lines.ProtocolLine:
     """One end of a connection, as the transports for TCP and Unix sockets have it."""
-    line = lines.ProtocolLine(max_frame, peer)
+    line = lines.ProtocolLine(max_frame, memoryview(bytearray(CHUNK)), peer)
     Socket(stream, line)
     return line

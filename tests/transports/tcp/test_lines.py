@@ -368,7 +368,7 @@ async def test_a_peer_is_named_by_its_address_if_it_has_one(tmp_path: Path) -> N
 
 
 async def test_a_peer_that_has_left_before_it_was_looked_at_has_no_name() -> None:
-    line = ProtocolLine(LIMIT)
+    line = ProtocolLine(LIMIT, memoryview(bytearray(10)))
     line.connection_made(_NoName())
     assert line.peer == "a peer that has left"
 

@@ -37,14 +37,15 @@ def on_asyncio() -> bool:
 class ProtocolLine(asyncio.BufferedProtocol, Line):
     """One connection.
 
-    It has a buffer of its own to read into. Without one, asyncio allocates 256 KiB for each read,
-    and where memory has no such piece to hand, that is mapped and unmapped each time.
+    It is given a buffer to read into. Without one, asyncio allocates 256 KiB for each read, and
+    where memory has no such piece to hand, that is mapped and unmapped each time. The lines of one
+    event loop may share one: it is filled and read in one go.
     """
 
-    def __init__(self, max_frame: int, peer: str = "") -> None:
+    def __init__(self, max_frame: int, buffer: memoryview, peer: str = "") -> None:
         self.peer = peer
         self._reader = FrameReader(max_frame)
-        self._buffer = memoryview(bytearray(CHUNK))
+        self._buffer = buffer
         self._transport: asyncio.Transport
         self._loop = asyncio.get_running_loop()
         self._context = copy_context()
@@ -176,7 +177,7 @@ async def dial_tcp(host: str, port: int, max_frame: int, where: str) -> Protocol
     if isinstance(loop, asyncio.BaseEventLoop) and loop.get_task_factory() is None:
         settings["happy_eyeballs_delay"] = NEXT_ADDRESS
     made = await loop.create_connection(
-        lambda: ProtocolLine(max_frame, where), host, port, **settings
+        lambda: ProtocolLine(max_frame, _buffer(), where), host, port, **settings
     )
     return made[1]
 
@@ -188,7 +189,7 @@ async def dial_unix(path: os.PathLike[str], max_frame: int, where: str) -> Proto
         OSError: Nobody answers.
     """
     made = await _loop().create_unix_connection(
-        lambda: ProtocolLine(max_frame, where), os.fspath(path)
+        lambda: ProtocolLine(max_frame, _buffer(), where), os.fspath(path)
     )
     return made[1]
 
@@ -206,17 +207,24 @@ async def accept(
     """
     loop = _loop()
     listening = listener.extra(SocketAttribute.raw_socket)
+    buffer = _buffer()
     while True:
         accepted, _ = await loop.sock_accept(listening)
         try:
             if accepted.family != socket.AF_UNIX:
                 # asyncio does it only where the socket names its protocol, which this does not.
                 accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            made = await loop.connect_accepted_socket(lambda: ProtocolLine(max_frame), accepted)
+            made = await loop.connect_accepted_socket(
+                lambda: ProtocolLine(max_frame, buffer), accepted
+            )
         except BaseException:
             accepted.close()
             raise
         tasks.start_soon(serve, made[1])
+
+
+def _buffer() -> memoryview:
+    return memoryview(bytearray(CHUNK))
 
 
 def _loop() -> asyncio.AbstractEventLoop:
