@@ -285,6 +285,24 @@ async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on() -> None:
 # Deciding
 
 
+async def test_a_goal_that_was_not_decided_because_python_ends_is_decided_anew() -> None:
+    asked = []
+
+    def on_goal(goal: Goal) -> None:
+        asked.append(goal)
+        if len(asked) == 1:
+            raise KeyboardInterrupt
+
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
+        goal_id = GoalID.random()
+        with pytest.raises(KeyboardInterrupt):
+            await server.send_goal(goal_id, packed(1))
+        with anyio.fail_after(5):
+            stream = await server.send_goal(goal_id, packed(1))
+            assert (await stream.outcome()).status is GoalStatus.SUCCEEDED
+    assert len(asked) == 2
+
+
 async def test_a_goal_is_decided_once_however_often_it_is_sent() -> None:
     decide = anyio.Event()
     asked = []
