@@ -15,7 +15,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Coroutine
 from contextlib import AbstractAsyncContextManager
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
+
+import msgspec
 
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import UnknownGoal
@@ -24,7 +26,7 @@ from fibaction.states import GoalStatus
 from fibaction.waking import Waking
 
 
-class FeedbackItem(NamedTuple):
+class FeedbackItem(msgspec.Struct, frozen=True, gc=False):
     """One feedback message of a goal."""
 
     number: int

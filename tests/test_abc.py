@@ -316,8 +316,9 @@ def test_a_stream_is_closed_at_the_end_of_its_block_and_lets_errors_pass() -> No
 
 
 def test_feedback_has_a_number_and_a_payload() -> None:
-    assert FeedbackItem(1, b"x") == (1, b"x")
-    assert FeedbackItem(number=1, payload=b"x").payload == b"x"
+    item = FeedbackItem(1, b"x")
+    assert (item.number, item.payload) == (1, b"x")
+    assert item == FeedbackItem(number=1, payload=b"x") != FeedbackItem(2, b"x")
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction.abc import FeedbackItem
 from fibaction.action import ActionInfo
 from fibaction.exceptions import ProtocolError
 from fibaction.goals import ActionPeers
@@ -419,9 +420,9 @@ async def test_unread_feedback_is_bounded_and_what_is_dropped_is_counted() -> No
     stream = goal(3)
     for number in range(5):
         stream.arrive(bytes([number]))
-    assert stream.take(2) == [(3, b"\2"), (4, b"\3")]
+    assert stream.take(2) == [FeedbackItem(3, b"\2"), FeedbackItem(4, b"\3")]
     assert stream.dropped == 2
-    assert stream.take(2) == [(5, b"\4")]
+    assert stream.take(2) == [FeedbackItem(5, b"\4")]
     assert stream.take(2) == []
     stream.end(Outcome(GoalStatus.SUCCEEDED, b""))
     assert stream.take() is None
@@ -437,7 +438,7 @@ async def test_statuses_are_told_before_feedback_and_only_forward() -> None:
     for status in (GoalStatus.EXECUTING, GoalStatus.ACCEPTED, GoalStatus.SUCCEEDED):
         stream.tell(status)
     assert await stream.next_event() is GoalStatus.EXECUTING
-    assert await stream.next_event() == (1, b"x")
+    assert await stream.next_event() == FeedbackItem(1, b"x")
     assert stream.status is GoalStatus.SUCCEEDED
     stream.hold(True)  # has no effect
 
@@ -448,7 +449,7 @@ async def test_what_has_arrived_is_read_before_the_loss_is_told() -> None:
     stream.fail(LOST)
     stream.arrive(b"y")
     stream.end(Outcome(GoalStatus.SUCCEEDED))
-    assert stream.take() == [(1, b"x")]
+    assert stream.take() == [FeedbackItem(1, b"x")]
     for wait in (stream.next_event, stream.outcome):
         with pytest.raises(ConnectionLost, match="it is gone"):
             await wait()

@@ -11,7 +11,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction.abc import Endpoint
+from fibaction.abc import Endpoint, FeedbackItem
 from fibaction.background import Background
 from fibaction.exceptions import (
     ActionError,
@@ -414,7 +414,7 @@ async def test_a_goal_is_sent_followed_and_ends() -> None:
             assert (goal.goal_id, goal.stamp, goal.status) == (GOAL_ID, 7, GoalStatus.EXECUTING)
         await server.say(Feedback(sent.id, 1, b"one"), Ended(sent.id, 4, b"result", "", 1))
         with anyio.fail_after(5):
-            assert await goal.receive() == (1, b"one")
+            assert await goal.receive() == FeedbackItem(1, b"one")
             assert await goal.receive() is None
             assert (await goal.outcome()).result == b"result"
         assert connection._calls == {}

@@ -122,10 +122,10 @@ class RosGoal(GoalStream):
         return items
 
     def _read(self) -> FeedbackItem:
-        number, message = self._items.popleft()
-        self.place = number
+        item = self._items.popleft()
+        self.place = item.number
         self._delivered += 1
-        return FeedbackItem(number, self.reading.feedback(message))
+        return FeedbackItem(item.number, self.reading.feedback(item.payload))
 
     def ended(self) -> Outcome[bytes] | None:
         self._raise_error()
