@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from itertools import pairwise
 from typing import Any
 
 import anyio
@@ -234,7 +235,8 @@ async def test_jobs_that_never_wait_let_others_have_their_turns(
         while len(bench.done) < 10:
             await anyio.lowlevel.checkpoint()
             seen.append(len(bench.done))
-    assert len(set(seen)) >= 4  # after two jobs each
+    # A turn is two jobs; trio, which draws the order of tasks, may let two turns follow each other.
+    assert max(later - earlier for earlier, later in pairwise([0, *seen])) <= 4
 
 
 async def test_closing_ends_the_tasks_that_are_through_later_too() -> None:
