@@ -5,6 +5,7 @@ So a package that nobody here has heard of can bring a transport of its own.
 
 from __future__ import annotations
 
+import re
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -30,7 +31,7 @@ def transport_for(where: str | Transport, **settings: Any) -> Transport:
         return where
     scheme, separator, _ = where.partition("://")
     if not separator:
-        shown = where.partition("?")[0]  # what is behind it may be a token
+        shown = without_settings(where)
         raise TransportError(f"{shown!r} is no URL: write it like tcp://127.0.0.1:7400")
     found = tuple(entry_points(group=GROUP, name=scheme))
     if not found:
@@ -53,3 +54,11 @@ def transport_for(where: str | Transport, **settings: Any) -> Transport:
             f"the transport for {scheme}://, {found[0].value}, cannot be imported: {exc}"
         ) from exc
     return transport.from_url(where, **settings)
+
+
+def without_settings(url: str) -> str:
+    """A URL for people to read, and for logs: without anything that may be secret.
+
+    Its settings may be a token, and what stands before an `@` a password.
+    """
+    return re.sub("://[^/]*@", "://", url.partition("?")[0])

@@ -11,7 +11,7 @@ import pytest
 from fibaction import urls
 from fibaction.abc import Connection, Endpoint, Transport
 from fibaction.exceptions import TransportError
-from fibaction.urls import GROUP, transport_for
+from fibaction.urls import GROUP, transport_for, without_settings
 
 
 class PigeonTransport(Transport):
@@ -187,3 +187,24 @@ def test_settings_go_to_the_transports_constructor(install: Install) -> None:
 def test_a_transport_that_is_made_already_takes_no_settings() -> None:
     with pytest.raises(TypeError, match="speed: these belong into the transport's constructor"):
         transport_for(PigeonTransport(), speed=3)
+
+
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("tcp://robot:7400?token=secret&window=1", "tcp://robot:7400"),
+        ("ros2://", "ros2://"),
+        ("tcp://me:secret@robot:7400?window=1", "tcp://robot:7400"),
+        ("tls://secret@robot", "tls://robot"),
+        ("unix:///run/me@home.sock", "unix:///run/me@home.sock"),
+        ("robot:7400?token=secret", "robot:7400"),
+    ],
+)
+def test_a_url_is_shown_without_anything_secret(url: str, shown: str) -> None:
+    assert without_settings(url) == shown
+
+
+def test_what_is_no_url_is_refused_without_telling_its_secrets() -> None:
+    with pytest.raises(TransportError) as caught:
+        transport_for("robot:7400?token=secret")
+    assert str(caught.value) == "'robot:7400' is no URL: write it like tcp://127.0.0.1:7400"

@@ -71,11 +71,6 @@ def clean(text: str) -> str:
     return "".join(c if c.isprintable() else _escaped(c) for c in text)
 
 
-def without_settings(url: str) -> str:
-    """A URL as it may be shown: its settings are left out, since one of them may be a token."""
-    return url.partition("?")[0]
-
-
 def is_map(value: object) -> TypeGuard[dict[Any, Any]]:
     """Whether it is a map, of whatever."""
     return isinstance(value, dict)

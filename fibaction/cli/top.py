@@ -12,9 +12,9 @@ from fibaction.cli.app import run, url_option
 from fibaction.cli.board import Board
 from fibaction.cli.ending import ExitCode, Failure
 from fibaction.cli.observing import observe, until_interrupted
-from fibaction.cli.output import without_settings
 from fibaction.connection import ClientConnection, connect
 from fibaction.exceptions import ActionError
+from fibaction.urls import without_settings
 
 
 @click.command(

@@ -164,11 +164,6 @@ def test_lines_go_to_stdout_and_remarks_to_stderr(capsys: pytest.CaptureFixture[
     assert capsys.readouterr() == ("line\n\n", "remark\n")
 
 
-def test_a_url_is_shown_without_its_settings() -> None:
-    assert output.without_settings("tcp://robot:7400?token=secret&window=1") == "tcp://robot:7400"
-    assert output.without_settings("ros2://") == "ros2://"
-
-
 def test_text_of_others_is_cleaned() -> None:
     assert output.clean("ok\n\x1b[2J\u2028") == "ok\\x0a\\x1b[2J\\u2028"
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from typing import Any
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from fibaction.exceptions import TransportError
+from fibaction.urls import without_settings
 
 
 def split(url: str) -> tuple[SplitResult, dict[str, str]]:
@@ -21,13 +21,13 @@ def split(url: str) -> tuple[SplitResult, dict[str, str]]:
         parts = urlsplit(url)
     if "#" in url:
         raise TransportError(
-            f"{without_query(url)} has a part behind #, which says nothing here: write %23 if the"
-            f" # belongs to a path or a token"
+            f"{without_settings(url)} has a part behind #, which says nothing here: write %23 if"
+            f" the # belongs to a path or a token"
         )
     pairs = parse_qsl(parts.query, keep_blank_values=True)
     settings = dict(pairs)
     if len(settings) < len(pairs):
-        raise TransportError(f"{without_query(url)} has a setting twice: say it once")
+        raise TransportError(f"{without_settings(url)} has a setting twice: say it once")
     return parts, settings
 
 
@@ -43,7 +43,7 @@ def check_has_host_only(url: str, parts: SplitResult) -> None:
     ):
         if is_there:
             raise TransportError(
-                f"{without_query(url)} has a {what}, and the URL of a server is like"
+                f"{without_settings(url)} has a {what}, and the URL of a server is like"
                 f" {parts.scheme}://host:port, with settings behind ? such as token="
             )
 
@@ -54,7 +54,7 @@ def translated(url: str) -> Generator[None, None, None]:
     try:
         yield
     except ValueError as exc:
-        raise TransportError(f"{without_query(url)}: {exc}") from exc
+        raise TransportError(f"{without_settings(url)}: {exc}") from exc
 
 
 def settings_of(url: str, query: Mapping[str, str], more: set[str]) -> dict[str, Any]:
@@ -75,15 +75,9 @@ def settings_of(url: str, query: Mapping[str, str], more: set[str]) -> dict[str,
             elif name in {"token", "orphans"} | more:
                 settings[name] = text
             else:
-                raise TransportError(f"{without_query(url)} has no setting {name!r}")
+                raise TransportError(f"{without_settings(url)} has no setting {name!r}")
         except (ValueError, KeyError):
             raise TransportError(
-                f"{without_query(url)}: the setting {name!r} cannot be {text!r}"
+                f"{without_settings(url)}: the setting {name!r} cannot be {text!r}"
             ) from None
     return settings
-
-
-def without_query(url: str) -> str:
-    """A URL for people to read, without anything secret."""
-    # What is behind it may be a token, and what stands before an @ a password.
-    return re.sub("://[^/]*@", "://", url.partition("?")[0])

@@ -32,6 +32,7 @@ from fibaction.exceptions import (
     ServerNotFound,
     TransportError,
 )
+from fibaction.urls import without_settings
 from fibaction.wire.access import Access, Authorize
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.connecting import Keeping, connected
@@ -44,7 +45,6 @@ from fibaction_transports.tcp.settings import (
     settings_of,
     split,
     translated,
-    without_query,
 )
 from fibaction_transports.tcp.tls import (
     TlsChannel,
@@ -228,7 +228,7 @@ class TcpTransport(_StreamTransport):
         try:
             host, port = parts.hostname or HOST, PORT if parts.port is None else parts.port
         except ValueError as exc:
-            raise TransportError(f"{without_query(url)} has no good port: {exc}") from exc
+            raise TransportError(f"{without_settings(url)} has no good port: {exc}") from exc
         files_of = {"ca", "cert", "key"} if parts.scheme == "tls" else set[str]()
         found = settings_of(url, query, {"insecure"} | files_of)
         files = {name: found.pop(name, None) for name in ("ca", "cert", "key")}
@@ -299,7 +299,7 @@ class UnixTransport(_StreamTransport):
         parts, query = split(url)
         path = unquote(parts.path)
         if parts.netloc or len(path) < 2 or "\0" in path:
-            where = without_query(url)
+            where = without_settings(url)
             raise TransportError(f"the URL of a socket is like unix:///run/robot.sock, not {where}")
         with translated(url):
             return cls(path, **{**settings_of(url, query, set()), **settings})
