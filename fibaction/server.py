@@ -119,17 +119,13 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             shutdown_timeout: Seconds that executors have for their clean-up when the server stops.
 
         Raises:
-            TypeError: The action has no types of its own, or the executor is a plain coroutine
-                function.
+            TypeError: The action has no types of its own, or the executor is not
+                callable, a coroutine function, or a generator function that is not async.
             ValueError: A number is out of range, or `feedback` is no policy.
         """
         if object in action.feedback.classes:
             raise TypeError(f"{action!r} has no types, and a server needs them; define an Action")
-        if inspect.iscoroutinefunction(executor):
-            raise TypeError(
-                f"the executor {executor.__name__!r} is a coroutine function: yield its feedback,"
-                f" and yield its result last, instead of returning it"
-            )
+        _check_is_executor(executor)
         if feedback not in ("every", "latest"):
             raise ValueError(f"feedback is 'every' or 'latest', not {feedback!r}")
         if feedback_window < 1:
@@ -460,3 +456,26 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
     def __repr__(self) -> str:
         return f"<ActionServer {self.action.name!r} {self._phase} goals={len(self._runs)}>"
+
+
+def _check_is_executor(executor: object) -> None:
+    """See at once, and not at the first goal, that a keyword was forgotten.
+
+    What cannot be known before it is called, such as what a lambda returns, is left to the goal.
+    """
+    while isinstance(executor, partial):
+        executor = executor.func
+    if not callable(executor):
+        raise TypeError(f"the executor is an async generator function, and not {executor!r}")
+    name = getattr(executor, "__name__", type(executor).__name__)
+    for function in (executor, executor.__call__):
+        if inspect.iscoroutinefunction(function):
+            raise TypeError(
+                f"the executor {name!r} is a coroutine function: yield its feedback, and yield its"
+                f" result last, instead of returning it"
+            )
+        if inspect.isgeneratorfunction(function):
+            raise TypeError(
+                f"the executor {name!r} is a generator function that is not async: write"
+                f" `async def`, and await what takes time"
+            )

@@ -5,8 +5,9 @@ from __future__ import annotations
 import gc
 import math
 import tracemalloc
-from collections.abc import AsyncGenerator, Coroutine
-from typing import Any, cast
+from collections.abc import AsyncGenerator, Coroutine, Iterator
+from functools import partial
+from typing import Any
 
 import anyio
 import pytest
@@ -14,6 +15,7 @@ import trio.testing
 
 from fibaction import (
     Action,
+    ActionClient,
     ActionInfo,
     ActionServer,
     CancelCode,
@@ -82,12 +84,96 @@ def test_an_option_out_of_range_is_refused_at_once(options: Any, text: str) -> N
         ActionServer(FIBONACCI, fibonacci, **options)
 
 
-def test_a_coroutine_function_is_refused_with_what_to_do() -> None:
-    async def returns(goal: GoalHandle[Goal]) -> Result:
+async def returns(goal: GoalHandle[Goal]) -> Result:
+    return Result([])
+
+
+def without_async(goal: GoalHandle[Goal]) -> Iterator[Feedback | Result]:
+    yield Result([])
+
+
+class Returns:
+    async def __call__(self, goal: GoalHandle[Goal]) -> Result:
         return Result([])
 
-    with pytest.raises(TypeError, match="'returns' is a coroutine function: yield its feedback"):
-        ActionServer(FIBONACCI, cast("Any", returns))
+    async def method(self, goal: GoalHandle[Goal]) -> Result:
+        return Result([])
+
+
+class WithoutAsync:
+    def __call__(self, goal: GoalHandle[Goal]) -> Iterator[Feedback | Result]:
+        yield Result([])
+
+    def method(self, goal: GoalHandle[Goal]) -> Iterator[Feedback | Result]:
+        yield Result([])
+
+
+@pytest.mark.parametrize(
+    ("executor", "name"),
+    [
+        (returns, "returns"),
+        (partial(returns), "returns"),
+        (Returns(), "Returns"),
+        (partial(partial(Returns())), "Returns"),
+        (Returns().method, "method"),
+    ],
+)
+def test_a_coroutine_function_is_refused_with_what_to_do(executor: Any, name: str) -> None:
+    with pytest.raises(TypeError) as caught:
+        ActionServer(FIBONACCI, executor)
+    assert str(caught.value) == (
+        f"the executor {name!r} is a coroutine function: yield its feedback, and yield its result"
+        f" last, instead of returning it"
+    )
+
+
+@pytest.mark.parametrize(
+    ("executor", "name"),
+    [
+        (without_async, "without_async"),
+        (partial(without_async), "without_async"),
+        (WithoutAsync(), "WithoutAsync"),
+        (partial(partial(WithoutAsync())), "WithoutAsync"),
+        (WithoutAsync().method, "method"),
+    ],
+)
+def test_a_generator_whose_async_was_forgotten_is_refused_with_what_to_do(
+    executor: Any, name: str
+) -> None:
+    with pytest.raises(TypeError) as caught:
+        ActionServer(FIBONACCI, executor)
+    assert str(caught.value) == (
+        f"the executor {name!r} is a generator function that is not async: write `async def`, and"
+        f" await what takes time"
+    )
+
+
+@pytest.mark.parametrize("executor", [None, "fibonacci", Goal(1)])
+def test_what_cannot_be_called_is_no_executor(executor: Any) -> None:
+    with pytest.raises(TypeError) as caught:
+        ActionServer(FIBONACCI, executor)
+    assert str(caught.value) == (
+        f"the executor is an async generator function, and not {executor!r}"
+    )
+
+
+class Calls:
+    def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        return fibonacci(goal)
+
+    async def method(self, more: int, goal: GoalHandle[Goal]) -> Items:
+        yield Result([more])
+
+
+@pytest.mark.parametrize(
+    "executor",
+    [Calls(), partial(Calls().method, 0), partial(Calls()), lambda goal: fibonacci(goal)],
+    ids=["an object", "part of a method", "part of an object", "a lambda"],
+)
+async def test_whatever_gives_an_async_generator_is_an_executor(executor: Any) -> None:
+    async with ActionServer(FIBONACCI, executor) as server:
+        client = ActionClient(server, FIBONACCI)
+        assert await client.call(Goal(0)) == Result([0])
 
 
 def test_an_action_without_types_cannot_be_executed() -> None:
