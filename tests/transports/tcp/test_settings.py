@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,6 +12,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction.wire.limits import Limits
 from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport
 from tests.transports.tcp.servers import SECRET, new_server
 
@@ -67,6 +69,30 @@ async def test_a_bad_url_is_refused_in_one_sentence(url: str, problem: str) -> N
         connect(url)
     assert type(caught.value) is TransportError
     assert str(caught.value) == problem
+
+
+GOOD: dict[str, Any] = {
+    "tokens": {SECRET: "ann"},
+    "authorize": lambda *_: True,
+    "limits": Limits(),
+}
+
+
+@pytest.mark.parametrize("name", GOOD)
+@pytest.mark.parametrize("where", ["tcp://robot", "tls://robot", "unix:///run/x"])
+async def test_a_setting_that_is_given_in_code_only_is_told_apart_from_one_that_is_not_there(
+    where: str, name: str
+) -> None:
+    url = f"{where}?{name}={SECRET}"
+    with pytest.raises(TransportError) as caught:
+        async with serve(new_server(), url):
+            raise AssertionError("the block must not run")
+    assert str(caught.value) == (
+        f"{where} cannot have the setting {name!r}: it is given in code, as in"
+        f" serve(..., {name}=...), and not in a URL, which ends up in logs"
+    )
+    # In code there is such a setting indeed.
+    assert TcpTransport(**{name: GOOD[name]}) is not None
 
 
 @pytest.mark.parametrize(

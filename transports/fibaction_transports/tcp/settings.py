@@ -10,6 +10,9 @@ from urllib.parse import SplitResult, parse_qsl, urlsplit
 from fibaction.exceptions import TransportError
 from fibaction.urls import without_settings
 
+IN_CODE = ("tokens", "authorize", "limits")
+"""Settings that no URL has: a URL ends up in logs, and is only text."""
+
 
 def split(url: str) -> tuple[SplitResult, dict[str, str]]:
     """A URL in its parts, and what stands behind its `?`.
@@ -74,6 +77,11 @@ def settings_of(url: str, query: Mapping[str, str], more: set[str]) -> dict[str,
                 settings[name] = int(text)
             elif name in {"token", "orphans"} | more:
                 settings[name] = text
+            elif name in IN_CODE:
+                raise TransportError(
+                    f"{without_settings(url)} cannot have the setting {name!r}: it is given in"
+                    f" code, as in serve(..., {name}=...), and not in a URL, which ends up in logs"
+                )
             else:
                 raise TransportError(f"{without_settings(url)} has no setting {name!r}")
         except (ValueError, KeyError):
