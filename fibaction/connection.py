@@ -60,12 +60,20 @@ def connect(
 
     Raises:
         TransportError: The URL cannot be used; the text says why.
-        TypeError: The transport has no such setting.
+        TypeError: The transport has no such setting, or `where` is no address, or `action` none.
         ServerNotFound: There is nobody, and the transport can tell at once.
         AuthenticationFailed: There is, but it does not let this client in.
     """
     transport = transport_for(where, **settings)
+    _check_is_action(action)
     return _connected(transport) if action is None else _connected_client(transport, action)
+
+
+def _check_is_action(action: object) -> None:
+    if not isinstance(action, Action | None):
+        raise TypeError(
+            f"connect() takes an address, and then an Action or nothing, and not {action!r}"
+        )
 
 
 @asynccontextmanager

@@ -10,7 +10,7 @@ from anyio import create_task_group
 
 from fibaction.abc import Endpoint, Transport
 from fibaction.server import ActionServer
-from fibaction.urls import transport_for
+from fibaction.urls import transport_for, without_settings
 
 
 @asynccontextmanager
@@ -26,10 +26,10 @@ async def serve(
 
     Raises:
         TransportError: An address cannot be used.
-        TypeError: A transport has no such setting.
+        TypeError: A transport has no such setting, or what is given is no server, or no address.
     """
+    chosen = _chosen(endpoints)
     transports = [transport_for(one, **settings) for one in where]
-    chosen = (endpoints,) if isinstance(endpoints, Endpoint) else tuple(endpoints)
     servers: list[ActionServer[Any, Any, Any]] = [
         one for one in chosen if isinstance(one, ActionServer) and one.is_new
     ]
@@ -39,6 +39,23 @@ async def serve(
         urls = [await stack.enter_async_context(one.serve(*chosen)) for one in transports]
         stack.push_async_callback(_stop, servers)
         yield tuple(urls)
+
+
+def _chosen(endpoints: Endpoint | Iterable[Endpoint]) -> tuple[Endpoint, ...]:
+    given: Iterable[object] = (endpoints,)
+    if isinstance(endpoints, Iterable) and not isinstance(endpoints, Endpoint | str):
+        given = endpoints
+    chosen: list[Endpoint] = []
+    for one in given:
+        if not isinstance(one, Endpoint):
+            # Where the arguments are swapped it is a URL, and that may have a token.
+            shown = without_settings(one) if isinstance(one, str) else one
+            raise TypeError(
+                f"serve() takes servers, such as ActionServer(action, executor), and then where to"
+                f" serve them, and {shown!r} is no server"
+            )
+        chosen.append(one)
+    return tuple(chosen)
 
 
 async def _stop(servers: Iterable[ActionServer[Any, Any, Any]]) -> None:

@@ -23,12 +23,14 @@ def transport_for(where: str | Transport, **settings: Any) -> Transport:
     Raises:
         TransportError: No installed package brings a transport for the URL's scheme, or what that
             transport needs is not installed, or the URL is not one.
-        TypeError: The transport has no such setting, or `where` is a transport, and has its own.
+        TypeError: The transport has no such setting, or `where` is a transport, and has its own,
+            or it is neither.
     """
     if isinstance(where, Transport):
         if settings:
             raise TypeError(f"{', '.join(settings)}: these belong into the transport's constructor")
         return where
+    _check_is_address(where)
     scheme, separator, _ = where.partition("://")
     if not separator:
         shown = without_settings(where)
@@ -54,6 +56,18 @@ def transport_for(where: str | Transport, **settings: Any) -> Transport:
             f"the transport for {scheme}://, {found[0].value}, cannot be imported: {exc}"
         ) from exc
     return transport.from_url(where, **settings)
+
+
+def _check_is_address(where: object) -> None:
+    """See that it is something like an address, and not for instance a server.
+
+    Raises:
+        TypeError: It is not.
+    """
+    if not isinstance(where, str):
+        raise TypeError(
+            f"an address is a URL such as 'tcp://127.0.0.1:7400', or a transport, and not {where!r}"
+        )
 
 
 def without_settings(url: str) -> str:

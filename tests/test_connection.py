@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from typing import Any
 
 import pytest
 
@@ -80,3 +81,21 @@ async def test_settings_go_to_the_transport() -> None:
     with pytest.raises(TypeError, match="reconnect"):
         async with connect("inproc://connection", FIBONACCI, reconnect=False):
             raise AssertionError("the block must not run")
+
+
+SERVER = ActionServer(FIBONACCI, fibonacci)
+
+
+@pytest.mark.parametrize("given", [SERVER, "fibonacci", Goal])
+async def test_what_is_no_action_is_told_in_one_sentence(given: Any) -> None:
+    with pytest.raises(TypeError) as caught:
+        connect("inproc://connection", given)
+    assert str(caught.value) == (
+        f"connect() takes an address, and then an Action or nothing, and not {given!r}"
+    )
+
+
+async def test_what_is_no_address_is_told_in_one_sentence() -> None:
+    swapped: Any = (FIBONACCI, "inproc://connection")
+    with pytest.raises(TypeError, match=f"an address is a URL such as .* not {FIBONACCI!r}"):
+        connect(*swapped)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import anyio
 import pytest
 
@@ -89,3 +91,43 @@ async def test_settings_go_to_the_transports() -> None:
     with pytest.raises(TypeError, match="tokens"):
         async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://a", tokens={"x": "me"}):
             raise AssertionError("the block must not run")
+
+
+SERVER = ActionServer(FIBONACCI, fibonacci)
+
+
+@pytest.mark.parametrize(
+    ("given", "where", "shown"),
+    [
+        ("inproc://a?token=secret", SERVER, "'inproc://a'"),
+        (FIBONACCI, "inproc://a", repr(FIBONACCI)),
+        ([SERVER, FIBONACCI], "inproc://a", repr(FIBONACCI)),
+        (["inproc://b", SERVER], "inproc://a", "'inproc://b'"),
+        (None, "inproc://a", "None"),
+    ],
+    ids=["swapped", "an action", "an action among servers", "a URL among servers", "nothing"],
+)
+async def test_what_is_no_server_is_told_in_one_sentence(
+    given: Any, where: Any, shown: str
+) -> None:
+    with pytest.raises(TypeError) as caught:
+        async with serve(given, where):
+            raise AssertionError("the block must not run")
+    assert str(caught.value) == (
+        f"serve() takes servers, such as ActionServer(action, executor), and then where to serve"
+        f" them, and {shown} is no server"
+    )
+    assert SERVER.is_new
+
+
+async def test_what_is_no_address_is_told_in_one_sentence() -> None:
+    where: Any = SERVER
+    with pytest.raises(TypeError, match=f"an address is a URL such as .* not {SERVER!r}"):
+        async with serve(SERVER, where):
+            raise AssertionError("the block must not run")
+
+
+async def test_servers_may_come_from_anything_that_can_be_iterated_over() -> None:
+    servers = (ActionServer(action, fibonacci) for action in (FIBONACCI, OTHER))
+    async with serve(servers, "inproc://a") as (url,), connect(url) as connection:
+        assert await connection.actions() == [FIBONACCI.info, OTHER.info]

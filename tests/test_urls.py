@@ -12,6 +12,7 @@ from fibaction import urls
 from fibaction.abc import Connection, Endpoint, Transport
 from fibaction.exceptions import TransportError
 from fibaction.urls import GROUP, transport_for, without_settings
+from tests.fibonacci import FIBONACCI
 
 
 class PigeonTransport(Transport):
@@ -187,6 +188,15 @@ def test_settings_go_to_the_transports_constructor(install: Install) -> None:
 def test_a_transport_that_is_made_already_takes_no_settings() -> None:
     with pytest.raises(TypeError, match="speed: these belong into the transport's constructor"):
         transport_for(PigeonTransport(), speed=3)
+
+
+@pytest.mark.parametrize("where", [FIBONACCI, None, Path("robot.sock"), b"tcp://robot"])
+def test_what_is_neither_a_url_nor_a_transport_is_no_address(where: Any) -> None:
+    with pytest.raises(TypeError) as caught:
+        transport_for(where, speed=3)
+    assert str(caught.value) == (
+        f"an address is a URL such as 'tcp://127.0.0.1:7400', or a transport, and not {where!r}"
+    )
 
 
 @pytest.mark.parametrize(
