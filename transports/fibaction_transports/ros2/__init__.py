@@ -12,7 +12,8 @@ from fibaction.exceptions import TransportError
 if find_spec("rclpy") is None:
     raise TransportError(
         "ros2:// needs rclpy, which this Python does not find: source the setup.bash of a ROS 2"
-        " installation, or take it from wheels as docs/howto/ros2.md says"
+        " installation, or, to try it out on Linux, use the wheels of a third party: pip install"
+        " 'ros-rclpy[fastrtps]'"
     )
 
 from fibaction_transports.ros2.transport import Ros2Transport  # after that check
