@@ -289,7 +289,10 @@ class RemoteConnection(Connection):
         elif isinstance(message, Goodbye):
             errors = {Why.FORBIDDEN: AuthenticationFailed, Why.PROTOCOL: ProtocolError}
             error = errors.get(message.why, ConnectionLost)
-            raise error(f"{self._where}: {message.reason}")
+            text = f"{self._where}: {message.reason}"
+            if message.why == Why.FORBIDDEN and not (self._ready or self._keeping.token):
+                text += ": give one as token=, or behind the URL as ?token="
+            raise error(text)
         elif isinstance(message, Welcome):
             self._begin(message)
         elif not self._ready:

@@ -179,7 +179,12 @@ class Session:
             )
         self._peer = self._terms.access.admit(self._link.peer, message.token)
         if self._peer is None:
-            raise AuthenticationFailed("its token is not one of this server's")
+            # For the log, and for the client: so it says whose token it is.
+            raise AuthenticationFailed(
+                "the server refused the client's token"
+                if message.token
+                else "the server wants a token, and the client gave none"
+            )
         if message.session:
             # Or what was under way on the one before could come late, and run a goal once more.
             self._supersede(message.session)
@@ -401,7 +406,7 @@ class _TooLate(ProtocolError):
 
 
 def _goodbye(error: ActionError) -> Goodbye:
-    why = Why.FORBIDDEN if isinstance(error, AuthenticationFailed) else Why.PROTOCOL
-    if isinstance(error, _TooLate):
-        why = Why.LIMIT
+    if isinstance(error, AuthenticationFailed):
+        return Goodbye(str(error), Why.FORBIDDEN)
+    why = Why.LIMIT if isinstance(error, _TooLate) else Why.PROTOCOL
     return Goodbye(f"the server has closed the connection: {error}", why)

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 import anyio
+import msgspec
 import pytest
 
 from fibaction.abc import Endpoint, FeedbackItem
@@ -227,11 +228,25 @@ async def test_nobody_there_is_an_error_at_once_where_no_other_attempt_is_wanted
 
 async def test_a_client_that_is_not_let_in_is_told_so_and_does_not_try_again() -> None:
     network = Network()
-    goodbye = Goodbye("its token is not one of this server's", Why.FORBIDDEN)
+    goodbye = Goodbye("the server wants another token", Why.FORBIDDEN)
+    keeping = msgspec.structs.replace(PATIENT, token="s3cret")
     async with Running(lambda: network.answer(goodbye)):
-        with anyio.fail_after(5), pytest.raises(AuthenticationFailed, match="its token is not"):
+        with anyio.fail_after(5), pytest.raises(AuthenticationFailed) as caught:
+            async with connected(network.dial, WHERE, keeping):
+                raise AssertionError
+    assert str(caught.value) == f"{WHERE}: the server wants another token"
+    assert network.dialed == 1
+
+
+@pytest.mark.parametrize("why", [Why.FORBIDDEN, Why.PROTOCOL])
+async def test_a_client_that_gave_no_token_where_one_is_wanted_is_told_how(why: Why) -> None:
+    network = Network()
+    async with Running(lambda: network.answer(Goodbye("the server wants a token", why))):
+        with anyio.fail_after(5), pytest.raises(TransportError) as caught:
             async with connected(network.dial, WHERE, PATIENT):
                 raise AssertionError
+    hint = ": give one as token=, or behind the URL as ?token=" if why is Why.FORBIDDEN else ""
+    assert str(caught.value) == f"{WHERE}: the server wants a token{hint}"
     assert network.dialed == 1
 
 

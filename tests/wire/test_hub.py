@@ -175,11 +175,16 @@ async def test_a_client_too_many_that_does_not_read_holds_nobody_up() -> None:
         (
             [Hello(VERSION, LONG, "x")],
             logging.WARNING,
-            "the bad one: its token is not one of this server's",
+            "the bad one: the server refused the client's token",
+        ),
+        (
+            [Hello(VERSION, LONG)],
+            logging.WARNING,
+            "the bad one: the server wants a token, and the client gave none",
         ),
         ([Hello(VERSION, LONG, "right"), Goodbye("done")], logging.INFO, "the bad one left: done"),
     ],
-    ids=["a wrong message", "a wrong token", "a goodbye"],
+    ids=["a wrong message", "a wrong token", "no token", "a goodbye"],
 )
 async def test_the_end_of_a_session_is_one_line_that_names_its_peer_once_and_harms_nobody_else(
     messages: list[Any], level: int, text: str

@@ -95,7 +95,8 @@ async def closes(client: Client, goodbye: Goodbye, error: type[ActionError]) -> 
     assert await client.hear(Goodbye) == goodbye
     await client.hear_the_end()
     assert type(client.error) is error
-    assert goodbye.reason == f"the server has closed the connection: {client.error}"
+    prefix = "" if goodbye.why is Why.FORBIDDEN else "the server has closed the connection: "
+    assert goodbye.reason == f"{prefix}{client.error}"
 
 
 def over(text: str) -> Goodbye:
@@ -197,12 +198,19 @@ async def test_a_client_that_said_hello_in_time_is_left_in_peace() -> None:
         assert await client.is_served()
 
 
-@pytest.mark.parametrize("token", ["", "wrong", "rigt", "right "])
-async def test_a_client_without_the_right_token_is_told_so(token: str) -> None:
+@pytest.mark.parametrize(
+    ("token", "reason"),
+    [
+        ("", "the server wants a token, and the client gave none"),
+        ("wrong", "the server refused the client's token"),
+        ("rigt", "the server refused the client's token"),
+        ("right ", "the server refused the client's token"),
+    ],
+)
+async def test_a_client_without_the_right_token_is_told_so(token: str, reason: str) -> None:
     async with serving(held(), access=Access({"right": "ann"})) as bench:
         client = await bench.connect()
         await client.say(Hello(VERSION, LONG, token), ListActions(1))
-        reason = "the server has closed the connection: its token is not one of this server's"
         await closes(client, Goodbye(reason, Why.FORBIDDEN), AuthenticationFailed)
 
 
