@@ -7,6 +7,7 @@ import re
 import socket
 import ssl
 from collections.abc import Awaitable, Callable
+from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,7 @@ async def test_with_mutual_tls_a_client_that_has_a_certificate_is_served() -> No
             ssl.TLSVersion.TLSv1_3,
             "",
             "URL wants a certificate of its clients: say cert=, and key=",
-            "PEER_DID_NOT_RETURN_A_CERTIFICATE",
+            "peer did not return a certificate",
         ),
         (
             ssl.TLSVersion.TLSv1_3,
@@ -119,7 +120,7 @@ async def test_a_server_hears_why_a_client_refuses_it(heard: Hearing) -> None:
         with anyio.fail_after(5), pytest.raises(AuthenticationFailed):
             async with connect(url, tls=TlsFiles(ca=pems("other.test").ca)):
                 raise AssertionError("the block must not run")
-        await heard.until(": no TLS: TLSV1_ALERT_UNKNOWN_CA")
+        await heard.until(": no TLS: it refused our certificate: unknown ca")
 
 
 async def test_a_server_with_a_context_of_its_own_refuses_a_client_without_a_word() -> None:
@@ -201,7 +202,7 @@ async def test_plain_text_at_a_tls_port_is_one_line_in_the_log(heard: Hearing) -
         async with raw(url) as peer:
             await peer.say(b"hello?")
             record = await heard.until(peer.name)
-            assert record.getMessage() == f"{peer.name}: no TLS: WRONG_VERSION_NUMBER"
+            assert record.getMessage() == f"{peer.name}: no TLS: wrong version number"
             assert (record.levelno, record.exc_info) == (logging.WARNING, None)
             assert await works(url, tls=TlsFiles(ca=pems().ca))
         assert heard.warnings == [record.getMessage()]
@@ -211,11 +212,42 @@ async def test_who_does_not_begin_with_tls_is_not_waited_for(heard: Hearing) -> 
     limits = Limits(handshake=0.05)
     transport = TcpTransport(port=0, tls=TlsFiles(cert=pems().cert), limits=limits)
     async with serve(new_server(), transport) as (url,), raw(url) as peer:
-        await heard.until(f"{peer.name}: no TLS: TimeoutError")
+        await heard.until(f"{peer.name}: no TLS: it took too long to shake hands")
+
+
+async def test_who_hangs_up_while_shaking_hands_is_said_to_have_done_so(heard: Hearing) -> None:
+    transport = tls_server(cert=pems().cert)
+    async with serve(new_server(), transport) as (url,):
+        async with raw(url) as peer:
+            await peer.stream.send(b"\x16\x03\x01")  # how TLS begins
+        said = (
+            "no TLS: it hung up while shaking hands, as some do that do not trust our certificate"
+        )
+        await heard.until(f"{peer.name}: {said}")
+        assert len(heard.warnings) == 1
+
+
+@pytest.mark.parametrize(
+    ("exc", "text"),
+    [
+        (ConnectionResetError("reset"), "it hung up while shaking hands"),
+        (anyio.BrokenResourceError(), "it hung up while shaking hands"),
+        (anyio.EndOfStream(), "it hung up while shaking hands"),
+        (ValueError("a bug"), "ValueError: a bug"),
+    ],
+)
+async def test_whatever_ends_a_handshake_is_one_line_of_the_log_in_words(
+    exc: Exception, text: str, heard: Hearing
+) -> None:
+    stream: Any = _Closing(socket.AF_INET, ("127.0.0.1", 5))
+    await TlsListener.handle_handshake_error(exc, stream)
+    assert stream.closed
+    (said,) = heard.warnings
+    assert said.startswith(f"127.0.0.1:5: no TLS: {text}")
 
 
 async def test_a_server_can_stop_while_somebody_begins_with_tls(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, heard: Hearing
 ) -> None:
     begun = anyio.Event()
     wrap: Callable[..., Awaitable[TLSStream]] = TLSStream.wrap
@@ -226,8 +258,11 @@ async def test_a_server_can_stop_while_somebody_begins_with_tls(
 
     monkeypatch.setattr(TLSStream, "wrap", wraps)
     with anyio.fail_after(5):
-        async with serve(new_server(), tls_server(cert=pems().cert)) as (url,), raw(url):
-            await begun.wait()
+        async with AsyncExitStack() as stack:
+            async with serve(new_server(), tls_server(cert=pems().cert)) as (url,):
+                await stack.enter_async_context(raw(url))
+                await begun.wait()
+    assert heard.warnings == []
 
 
 async def test_plain_text_at_a_tls_port_ends_the_connection() -> None:
@@ -272,8 +307,11 @@ class _Closing(Named):
         self.closed = True
 
 
-async def test_what_is_to_end_python_itself_goes_on_from_a_handshake_that_is_closed() -> None:
+async def test_what_is_to_end_python_itself_goes_on_from_a_handshake_that_is_closed(
+    heard: Hearing,
+) -> None:
     stream: Any = _Closing(socket.AF_INET, ("127.0.0.1", 5))
     with pytest.raises(KeyboardInterrupt):
         await TlsListener.handle_handshake_error(KeyboardInterrupt(), stream)
     assert stream.closed
+    assert heard.records == []

@@ -83,6 +83,8 @@ class _Telling(ssl.SSLObject):
             super().do_handshake()
         except (ssl.SSLWantReadError, ssl.SSLWantWriteError):
             raise
+        except ssl.SSLEOFError:
+            raise  # nobody is there to hear it, and who it was is known only until that is noticed
         except ssl.SSLError as exc:
             # The alert that tells it is yet to be written. anyio leaves it where it is if there is
             # an error, so let it write first; then it comes here again.
@@ -95,13 +97,12 @@ class TlsListener(TLSListener):
 
     @staticmethod
     async def handle_handshake_error(exc: BaseException, stream: AnyByteStream) -> None:
-        reason = tls_reason(exc) if isinstance(exc, ssl.SSLError) else type(exc).__name__
-        logger.warning("%s: no TLS: %s", peer_of(stream), reason)
         try:
+            if not isinstance(exc, Exception):
+                raise exc  # the server is to stop, and nothing is wrong with the client
+            logger.warning("%s: no TLS: %s", peer_of(stream), _why(exc))
             if isinstance(exc, ssl.SSLError) and isinstance(stream, ByteStream):
                 await _see_off(stream)
-            if not isinstance(exc, Exception):
-                raise exc
         finally:
             await anyio.aclose_forcefully(stream)
 
@@ -117,6 +118,17 @@ async def _see_off(stream: ByteStream) -> None:
         await stream.send_eof()
         while True:
             await stream.receive()
+
+
+def _why(exc: Exception) -> str:
+    """Why a client has not shaken hands."""
+    if isinstance(exc, ssl.SSLError):
+        return refusal("it", exc) or tls_reason(exc)
+    if isinstance(exc, TimeoutError):
+        return "it took too long to shake hands"
+    if isinstance(exc, OSError | anyio.BrokenResourceError | anyio.EndOfStream):
+        return "it hung up while shaking hands, as some do that do not trust our certificate"
+    return f"{type(exc).__name__}: {exc}"
 
 
 class TlsChannel(StreamChannel):
@@ -147,4 +159,5 @@ def refusal(server: str, exc: ssl.SSLError) -> str:
 
 def tls_reason(exc: ssl.SSLError) -> str:
     """What is wrong, in a few words."""
-    return getattr(exc, "verify_message", "") or exc.reason or str(exc)
+    words = (exc.reason or "").replace("_", " ").lower()
+    return getattr(exc, "verify_message", "") or words or str(exc)
