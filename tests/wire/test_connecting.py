@@ -239,13 +239,13 @@ async def test_a_client_that_is_not_let_in_is_told_so_and_does_not_try_again() -
 
 
 @pytest.mark.parametrize("why", [Why.FORBIDDEN, Why.PROTOCOL])
-async def test_a_client_that_gave_no_token_where_one_is_wanted_is_told_how(why: Why) -> None:
+async def test_a_client_that_gave_no_token_where_one_is_wanted_is_told_how(why: int) -> None:
     network = Network()
     async with Running(lambda: network.answer(Goodbye("the server wants a token", why))):
         with anyio.fail_after(5), pytest.raises(TransportError) as caught:
             async with connected(network.dial, WHERE, PATIENT):
                 raise AssertionError
-    hint = ": give one as token=, or behind the URL as ?token=" if why is Why.FORBIDDEN else ""
+    hint = ": give one as token=, or behind the URL as ?token=" if why == Why.FORBIDDEN else ""
     assert str(caught.value) == f"{WHERE}: the server wants a token{hint}"
     assert network.dialed == 1
 

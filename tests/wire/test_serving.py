@@ -95,7 +95,7 @@ async def closes(client: Client, goodbye: Goodbye, error: type[ActionError]) -> 
     assert await client.hear(Goodbye) == goodbye
     await client.hear_the_end()
     assert type(client.error) is error
-    prefix = "" if goodbye.why is Why.FORBIDDEN else "the server has closed the connection: "
+    prefix = "" if goodbye.why == Why.FORBIDDEN else "the server has closed the connection: "
     assert goodbye.reason == f"{prefix}{client.error}"
 
 

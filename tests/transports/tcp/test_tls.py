@@ -202,10 +202,48 @@ async def test_plain_text_at_a_tls_port_is_one_line_in_the_log(heard: Hearing) -
         async with raw(url) as peer:
             await peer.say(b"hello?")
             record = await heard.until(peer.name)
-            assert record.getMessage() == f"{peer.name}: no TLS: wrong version number"
+            assert record.getMessage() == f"{peer.name}: no TLS: it does not speak TLS"
             assert (record.levelno, record.exc_info) == (logging.WARNING, None)
             assert await works(url, tls=TlsFiles(ca=pems().ca))
         assert heard.warnings == [record.getMessage()]
+
+
+@pytest.mark.parametrize("reconnect", [True, False])
+async def test_a_plain_client_at_a_tls_server_is_told_so_and_gives_up(
+    reconnect: bool, heard: Hearing
+) -> None:
+    async with serve(new_server(), tls_server(cert=pems().cert)) as (url,):
+        plain = url.replace("tls://", "tcp://")
+        with anyio.fail_after(5), pytest.raises(ConnectionLost) as caught:
+            async with connect(plain, reconnect=reconnect):
+                raise AssertionError("the block must not run")
+        assert str(caught.value) == f"{plain}: this server speaks TLS: use tls://"
+        (said,) = heard.warnings
+        assert said.endswith(": no TLS: it does not speak TLS")
+
+
+async def test_a_peer_that_begins_with_tls_and_is_refused_hears_an_alert_and_nothing_else() -> None:
+    async with serve(new_server(), tls_server(cert=pems().cert)) as (url,), raw(url) as peer:
+        hello = b"\x16\x03\x01\x00\x04\x01\x00\x00\x00"  # too short for what it says to be
+        await peer.stream.send(hello)
+        with anyio.fail_after(5):
+            heard = await peer.stream.receive()
+            assert heard[0] == 0x15
+            assert len(heard) == 7
+            with pytest.raises(anyio.EndOfStream):
+                await peer.stream.receive()
+
+
+@pytest.mark.parametrize("reconnect", [True, False])
+async def test_a_tls_client_at_a_plain_server_is_told_so_and_gives_up(reconnect: bool) -> None:
+    async with serve(new_server(), "tcp://127.0.0.1:0") as (url,):
+        secured = url.replace("tcp://", "tls://")
+        with anyio.fail_after(5), pytest.raises(AuthenticationFailed) as caught:
+            async with connect(secured, reconnect=reconnect):
+                raise AssertionError("the block must not run")
+        assert str(caught.value) == (
+            f"{secured} does not speak TLS: if it is not meant to, use tcp://"
+        )
 
 
 async def test_who_does_not_begin_with_tls_is_not_waited_for(heard: Hearing) -> None:

@@ -13,11 +13,15 @@ from anyio.abc import AnyByteStream, ByteStream
 from anyio.streams.tls import TLSListener
 
 from fibaction.exceptions import AuthenticationFailed, ConnectionLost, TransportError
+from fibaction.framing import framed
+from fibaction.messages import Goodbye, Why, encode
 from fibaction.wire.channel import StreamChannel
 from fibaction_transports.tcp.streams import peer_of
 
 LAST_WORDS = 1.0
 """Seconds that a peer has to hear why it was refused."""
+SPEAKS_TLS = framed([encode(Goodbye("this server speaks TLS: use tls://", Why.PROTOCOL))])
+"""What a client hears that does not begin with TLS. OpenSSL has no alert for it."""
 
 logger = logging.getLogger("fibaction.wire")
 
@@ -102,19 +106,23 @@ class TlsListener(TLSListener):
                 raise exc  # the server is to stop, and nothing is wrong with the client
             logger.warning("%s: no TLS: %s", peer_of(stream), _why(exc))
             if isinstance(exc, ssl.SSLError) and isinstance(stream, ByteStream):
-                await _see_off(stream)
+                # Who does not begin with TLS may be a client that has `tcp://` for `tls://`.
+                await _see_off(stream, SPEAKS_TLS if is_other_than_tls(exc) else b"")
         finally:
             await anyio.aclose_forcefully(stream)
 
 
-async def _see_off(stream: ByteStream) -> None:
-    """Let a peer hear why it was refused: if what it has said meanwhile were not read, closing
-    would reset the connection, and what is still on the way to it could be lost.
+async def _see_off(stream: ByteStream, last_words: bytes) -> None:
+    """Let a peer hear why it was refused, by the alert that was sent, or by these words: if what it
+    has said meanwhile were not read, closing would reset the connection, and what is still on the
+    way to it could be lost.
     """
     with (
         anyio.move_on_after(LAST_WORDS),
         suppress(OSError, anyio.EndOfStream, anyio.BrokenResourceError),
     ):
+        if last_words:
+            await stream.send(last_words)
         await stream.send_eof()
         while True:
             await stream.receive()
@@ -123,7 +131,11 @@ async def _see_off(stream: ByteStream) -> None:
 def _why(exc: Exception) -> str:
     """Why a client has not shaken hands."""
     if isinstance(exc, ssl.SSLError):
-        return refusal("it", exc) or tls_reason(exc)
+        return (
+            "it does not speak TLS"
+            if is_other_than_tls(exc)
+            else refusal("it", exc) or tls_reason(exc)
+        )
     if isinstance(exc, TimeoutError):
         return "it took too long to shake hands"
     if isinstance(exc, OSError | anyio.BrokenResourceError | anyio.EndOfStream):
@@ -155,6 +167,18 @@ def refusal(server: str, exc: ssl.SSLError) -> str:
     if said == "CERTIFICATE_REQUIRED":
         return f"{server} wants a certificate of its clients: say cert=, and key="
     return f"{server} refused our certificate: {said.replace('_', ' ').lower()}"
+
+
+def no_tls(server: str, exc: ssl.SSLError) -> str:
+    """Why a client has not shaken hands with a server."""
+    if is_other_than_tls(exc):
+        return f"{server} does not speak TLS: if it is not meant to, use tcp://"
+    return refusal(server, exc) or f"no TLS with {server}: {tls_reason(exc)}"
+
+
+def is_other_than_tls(exc: ssl.SSLError) -> bool:
+    """Whether what the peer has sent first is something else than TLS."""
+    return exc.reason == "WRONG_VERSION_NUMBER"  # of the bytes where TLS has its version
 
 
 def tls_reason(exc: ssl.SSLError) -> str:

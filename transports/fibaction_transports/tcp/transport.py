@@ -50,8 +50,7 @@ from fibaction_transports.tcp.tls import (
     TlsChannel,
     TlsFiles,
     TlsListener,
-    refusal,
-    tls_reason,
+    no_tls,
 )
 
 HOST, PORT = "127.0.0.1", 7400
@@ -165,8 +164,7 @@ class _StreamTransport(Transport):
         try:
             return await self._open()
         except ssl.SSLError as exc:
-            text = refusal(self._where, exc) or f"no TLS with {self._where}: {tls_reason(exc)}"
-            raise AuthenticationFailed(text) from exc
+            raise AuthenticationFailed(no_tls(self._where, exc)) from exc
         except OSError as exc:
             raise ServerNotFound(
                 f"nobody listens at {self._where} ({exc.strerror or exc}): start the server, or"
