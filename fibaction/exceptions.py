@@ -4,14 +4,14 @@
     ├── GoalRejected          the server did not accept the goal
     ├── GoalAborted           the server ended the goal by itself
     ├── GoalCanceled          the goal ended because its cancel was accepted
-    ├── CancelRejected        the server refused a cancel
+    ├── CancelRejected        the server refuses a cancel
     ├── UnknownGoal           no such goal, or its result has expired
     ├── InvalidTransition     an event that a status does not allow: a bug in fibaction
-    ├── ProtocolError         the other side sent what it may not send
+    ├── ProtocolError         a message that may not be sent like that
     └── TransportError        the server could not be reached as asked
-        ├── ServerNotFound
-        ├── ConnectionLost
-        └── AuthenticationFailed
+        ├── ServerNotFound        there is none, or not for this action
+        ├── ConnectionLost        it was reached, and is not any more
+        └── AuthenticationFailed  it does not let this client in, or do that
 
 Data is in attributes (`reason`, `result`, `goal_id`), the text is one sentence.
 Nothing here knows of goals in progress, of transports or of tasks.
@@ -27,7 +27,11 @@ if TYPE_CHECKING:
 
 
 class ActionError(Exception):
-    """The root: `except ActionError` catches all that fibaction raises on purpose."""
+    """The root: `except ActionError` catches all that fibaction raises on purpose.
+
+    Only what is wrong in the code that calls is not among it: `TypeError`, `ValueError`, and
+    `RuntimeError` for a server that is started twice.
+    """
 
 
 class _Refusal(ActionError):
@@ -85,7 +89,10 @@ class GoalCanceled(_Refusal):
 
 
 class CancelRejected(_Refusal):
-    """The server refuses a cancel; raise it in `on_cancel`. The goal goes on."""
+    """The server refuses a cancel; raise it in `on_cancel`. The goal goes on.
+
+    No client gets it: `cancel` gives a `CancelAnswer` with `CancelCode.REJECTED` and the reason.
+    """
 
     what = "cannot be canceled"
 
@@ -114,20 +121,40 @@ class InvalidTransition(ActionError):
 
 
 class ProtocolError(ActionError):
-    """The other side sent something that it may not send, or that is not of the agreed type."""
+    """The other side sent something that it may not send, or that is not of the agreed type.
+
+    A goal that is too large for the server is one, too: it is not sent. Where the fault ends the
+    connection, those who wait are told of it as `ConnectionLost`.
+    """
 
 
 class TransportError(ActionError):
-    """The server could not be reached as asked."""
+    """The server could not be reached as asked.
+
+    If it is none of those below: a URL, an address or the types of an action cannot be used,
+    something that the transport needs is not installed, or the server cannot answer this request,
+    since a limit is reached or the answer is larger than the client takes.
+    """
 
 
 class ServerNotFound(TransportError):
-    """There is no such server, or it does not serve this action."""
+    """There is no such server, or it does not serve this action.
+
+    Also if it did not come, or did not answer, in time, has stopped, or failed itself while
+    answering.
+    """
 
 
 class ConnectionLost(TransportError):
-    """The connection ended while something was waited for; goals may run on at the server."""
+    """The connection ended while something was waited for; goals may run on at the server.
+
+    Also if it ended before it was of use: the server is full, or the two do not speak the same.
+    """
 
 
 class AuthenticationFailed(TransportError):
-    """The server did not accept the credentials, or the client not the server's."""
+    """The server did not accept the credentials, or the client not the server's.
+
+    Also for a single request, where the server lets the client in and does not allow it that.
+    fibaction does not try again by itself.
+    """
