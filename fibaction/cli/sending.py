@@ -23,6 +23,7 @@ from fibaction.cli.completing import ACTION, TYPE
 from fibaction.cli.ending import ExitCode, Failure
 from fibaction.cli.goal_text import read_goal
 from fibaction.cli.output import clean, note, say
+from fibaction.cli.running import SAME_SIGNAL
 from fibaction.cli.telling import Teller, follow, teller
 from fibaction.connection import ClientConnection, connect
 from fibaction.exceptions import ActionError, GoalRejected
@@ -230,12 +231,17 @@ class _Sending:
     async def _obey(self, signals: AsyncIterator[Signals]) -> None:
         """The first Ctrl-C cancels, the second leaves."""
         await anext(signals)
-        if self._phase == "accepted":
-            note("Canceling goal... (Ctrl-C again leaves it as it is)")
-            await self._cancel()
-        else:
-            self._all.cancel()
-        await anext(signals)
+        first = latest = anyio.current_time()
+        async with anyio.create_task_group() as meanwhile:
+            if self._phase == "accepted":
+                note("Canceling goal... (Ctrl-C again leaves it as it is)")
+                meanwhile.start_soon(self._cancel)  # while the line is broken, it gets no answer
+            else:
+                self._all.cancel()
+            while latest - first <= SAME_SIGNAL:
+                await anext(signals)
+                latest = anyio.current_time()
+            meanwhile.cancel_scope.cancel()
         self._withdrawal.cancel()
         self._all.cancel()
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import socket
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import anyio
 import pytest
@@ -15,6 +18,7 @@ from fibaction import CancelAnswer, ConnectionLost, GoalID, GoalStatus, connect,
 from fibaction.action import Action
 from fibaction.cli import sending
 from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.running import SAME_SIGNAL
 from fibaction.cli.sending import Options, send
 from fibaction.testing import ScriptedServer
 from tests.cli.conftest import Invoke, Open, Robot, Run, Start, interrupt
@@ -102,6 +106,32 @@ def test_a_server_that_dies_is_a_lost_connection(
     assert "Traceback" not in err
 
 
+def not_within_a_moment(process: subprocess.Popen[Any]) -> None:
+    """Let pass the time in which a second Ctrl-C would count as the first again."""
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(SAME_SIGNAL)
+
+
+def test_a_second_ctrl_c_leaves_at_once_when_the_server_was_killed(
+    started: Start, start_robot: Callable[[], Robot]
+) -> None:
+    robot = start_robot()
+    process = started("send_goal", "wait", "--json", url=f"{robot.tcp}?reconnect_timeout=3600")
+    lines_until("EXECUTING", process)
+    robot.process.kill()
+    assert process.stderr is not None
+    assert "closed its side" in process.stderr.readline()
+    interrupt(process)
+    assert process.stderr.readline().startswith("Canceling goal...")
+    not_within_a_moment(process)
+    interrupt(process)
+    code, _, err = ended(process)
+
+    assert code == ExitCode.INTERRUPTED
+    assert err.endswith("was left, and may go on.\n")
+    assert err.count("\n") == 1
+
+
 def test_who_reads_no_more_cancels_the_goal(started: Start, tcp: str) -> None:
     process = started("send_goal", "wait", "{seconds: 60, steps: 600}", "-f", "--json", url=tcp)
     accepted = json.loads(lines_until("accepted", process)[0])
@@ -174,6 +204,7 @@ def test_a_second_ctrl_c_leaves_a_goal_that_is_not_canceled(terminal: Open, tcp:
     shown.until("step: step 0")
     shown.press("\x03")
     shown.until("The server does not cancel it: it is never canceled")
+    not_within_a_moment(shown.process)
     shown.press("\x03")
 
     assert shown.ends() == ExitCode.INTERRUPTED
@@ -379,6 +410,7 @@ async def send_here(*, timeout: float | None = None) -> int:
 async def test_ctrl_c_before_the_answer_withdraws_the_goal(
     presses: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(sending, "SAME_SIGNAL", 0)
     server, asked, decide = deciding()
     codes: list[int] = []
 
@@ -411,8 +443,9 @@ async def test_ctrl_c_before_the_answer_withdraws_the_goal(
 
 @pytest.mark.asyncio
 async def test_ctrl_c_twice_leaves_a_goal_that_is_not_canceled(
-    capsys: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(sending, "SAME_SIGNAL", 0)
     server = servers()[3]
     server._interrupt_on_cancel = False  # so that it goes on
     server._shutdown_timeout = 0.0
@@ -436,6 +469,69 @@ async def test_ctrl_c_twice_leaves_a_goal_that_is_not_canceled(
 
     assert codes == [ExitCode.INTERRUPTED]
     assert "Canceling goal..." in capsys.readouterr().err
+
+
+@pytest.mark.asyncio
+async def test_ctrl_c_twice_leaves_a_goal_whose_cancel_is_not_answered(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sending, "SAME_SIGNAL", 0)
+    server = servers()[3]
+    asked = anyio.Event()
+    codes: list[int] = []
+
+    async def silent(*_: object) -> None:
+        asked.set()
+        await anyio.sleep_forever()
+
+    async def run() -> None:
+        codes.append(await send_here())
+
+    async with serve(server, "inproc://keys"), connect("inproc://keys", WAIT) as client:
+        monkeypatch.setattr(server, "cancel_goals", silent)
+        with await client.endpoint.status() as statuses:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(run)
+                while (info := await statuses.receive()) and info.status is GoalStatus.ACCEPTED:
+                    pass
+                signal.raise_signal(signal.SIGINT)
+                await asked.wait()
+                signal.raise_signal(signal.SIGINT)
+
+    assert codes == [ExitCode.INTERRUPTED]
+    asking, left = capsys.readouterr().err.splitlines()
+    assert asking.startswith("Canceling goal...")
+    assert left.endswith("was left, and may go on.")
+
+
+@pytest.mark.asyncio
+async def test_ctrl_c_twice_within_a_moment_is_once_and_cancels(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sending, "SAME_SIGNAL", math.inf)
+    server = servers()[3]
+    cancel_goals = server.cancel_goals
+    codes: list[int] = []
+
+    async def cancel(goal_id: GoalID | None = None, stamp: int | None = None) -> CancelAnswer:
+        await anyio.wait_all_tasks_blocked()  # so that the second signal comes first
+        return await cancel_goals(goal_id, stamp)
+
+    async def run() -> None:
+        codes.append(await send_here())
+
+    async with serve(server, "inproc://keys"), connect("inproc://keys", WAIT) as client:
+        monkeypatch.setattr(server, "cancel_goals", cancel)
+        with await client.endpoint.status() as statuses:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(run)
+                while (info := await statuses.receive()) and info.status is GoalStatus.ACCEPTED:
+                    pass
+                for number in (signal.SIGTERM, signal.SIGINT):
+                    signal.raise_signal(number)
+
+    assert codes == [ExitCode.CANCELED]
+    assert "was left" not in capsys.readouterr().err
 
 
 @pytest.mark.asyncio
