@@ -30,8 +30,8 @@ from fibaction.exceptions import ActionError, GoalRejected
 from fibaction.goals import CancelCode, GoalID
 
 PATIENCE = 5.0
-"""Seconds that a goal whose time is up has to end after it was canceled, and that a cancel of a
-goal waits which was not yet accepted."""
+"""Seconds that a goal whose time is up has to be canceled and to end, and that a cancel may take
+whose answer nobody waits for."""
 
 _TYPE_NAME = re.compile(r"\w+/action/\w+", re.ASCII)
 
@@ -209,7 +209,8 @@ class _Sending:
             live = self._options.feedback and not self._options.full
             return await follow(stream, action, self._told, live=live)
         except OSError:
-            await self._cancel()  # whoever wanted to know of the goal reads no more
+            with anyio.move_on_after(PATIENCE):
+                await self._cancel()  # whoever wanted to know of the goal reads no more
             raise
 
     async def _deliver(self, payload: bytes) -> GoalStream:
@@ -250,8 +251,9 @@ class _Sending:
         self._late = True
         if self._phase == "accepted":
             note(f"The goal has not ended within {seconds:g} s. Canceling goal...")
-            if await self._cancel():
-                await anyio.sleep(PATIENCE)
+            with anyio.move_on_after(PATIENCE):
+                if await self._cancel():
+                    await anyio.sleep_forever()
         self._all.cancel()
 
     async def _cancel(self) -> bool:

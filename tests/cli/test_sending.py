@@ -589,6 +589,25 @@ async def test_a_goal_that_does_not_end_after_its_cancel_is_left(
     assert "was left, and may go on." in capsys.readouterr().err
 
 
+async def silent(*_: object) -> None:
+    await anyio.sleep_forever()
+
+
+@pytest.mark.asyncio
+async def test_a_goal_whose_cancel_is_not_answered_is_left_as_soon_as_others(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sending, "PATIENCE", 0.05)
+    server = servers()[3]
+
+    async with serve(server, "inproc://keys"):
+        monkeypatch.setattr(server, "cancel_goals", silent)
+        code = await send_here(timeout=0.1)
+
+    assert code == ExitCode.TIMED_OUT
+    assert "was left, and may go on." in capsys.readouterr().err
+
+
 @pytest.mark.asyncio
 async def test_a_cancel_that_cannot_be_sent_is_told_of(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -607,15 +626,15 @@ async def lost(*_: object) -> None:
     raise ConnectionLost("the line is dead")
 
 
+async def closed(*_: object, **__: object) -> None:
+    raise BrokenPipeError
+
+
 @pytest.mark.asyncio
 async def test_an_output_that_is_closed_cancels_the_goal(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     server = servers()[3]
-
-    async def closed(*_: object, **__: object) -> None:
-        raise BrokenPipeError
-
     monkeypatch.setattr(sending, "follow", closed)
     async with serve(server, "inproc://keys"), connect("inproc://keys", WAIT) as client:
         with pytest.raises(BrokenPipeError):
@@ -626,6 +645,20 @@ async def test_an_output_that_is_closed_cancels_the_goal(
 
     assert info is not None
     assert info.status is GoalStatus.CANCELED
+
+
+@pytest.mark.asyncio
+async def test_an_output_that_is_closed_does_not_wait_for_a_server_that_is_silent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sending, "PATIENCE", 0.05)
+    monkeypatch.setattr(sending, "follow", closed)
+    server = servers()[3]
+
+    async with serve(server, "inproc://keys"):
+        monkeypatch.setattr(server, "cancel_goals", silent)
+        with pytest.raises(BrokenPipeError):
+            await send_here()
 
 
 def test_a_goal_for_an_action_without_schemas_is_sent_as_it_is() -> None:
