@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import traceback
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
@@ -55,6 +56,10 @@ _CODES: tuple[tuple[type[ActionError], ExitCode], ...] = (
 )
 
 
+_FOR_PROGRAMS = re.compile(r", or wait for (it|one) with wait_for_server\(\)")
+"""What transports advise if nobody is there."""
+
+
 class Failure(click.ClickException):
     """One sentence for the user on stderr, and the exit code."""
 
@@ -78,8 +83,14 @@ def failure_of(
 ) -> Failure:
     """What the user is told of an error, with `advice` on what else to do if nobody listens."""
     code = next((code for kind, code in _CODES if isinstance(error, kind)), ExitCode.ABORTED)
-    # What the error itself advises is for programs; who types a command can do something else.
-    return Failure(str(error).replace("or wait for it with wait_for_server()", advice), code)
+    return Failure(sentence_of(error, advice), code)
+
+
+def sentence_of(error: ActionError, advice: str = "") -> str:
+    """What an error says, without what it advises to programs: who types a command can do something
+    else, which is the `advice`.
+    """
+    return _FOR_PROGRAMS.sub(f", {advice}" if advice else "", str(error))
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import msgspec
 
 from fibaction.action import Action, ActionInfo
 from fibaction.cli.app import find_action, shown
-from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.ending import ExitCode, Failure, sentence_of
 from fibaction.cli.output import clean, note
 from fibaction.client import ActionClient
 from fibaction.connection import ClientConnection
@@ -118,7 +118,7 @@ class Clients:
         try:
             return self._connection.client(Action.untyped(info))
         except ActionError as exc:
-            note(f"{clean(shown(info.name))} is left out: {clean(str(exc))}")
+            note(f"{clean(shown(info.name))} is left out: {clean(sentence_of(exc))}")
             return None
 
 

@@ -13,6 +13,7 @@ import anyio
 
 from fibaction.action import Action, ActionInfo
 from fibaction.background import Background
+from fibaction.cli.ending import sentence_of
 from fibaction.cli.goal_list import AnyClient
 from fibaction.connection import ClientConnection
 from fibaction.exceptions import ActionError
@@ -70,7 +71,7 @@ async def observe(connection: ClientConnection, observer: Observer, *, feedback:
                 try:
                     actions, why = await connection.actions(), ""
                 except ActionError as exc:
-                    why = str(exc)
+                    why = sentence_of(exc)
 
 
 async def _follow_one(
@@ -79,7 +80,7 @@ async def _follow_one(
     try:
         client = connection.client(Action.untyped(info))
     except ActionError as exc:  # its ROS type is not installed here
-        observer.gone(info.name, str(exc))
+        observer.gone(info.name, sentence_of(exc))
         return
     await follow_action(client, info, observer, feedback=feedback)
 
@@ -100,7 +101,7 @@ async def follow_action(
                 async for event in events:
                     observer.told(info.name, event)
         except ActionError as exc:
-            why = str(exc)
+            why = sentence_of(exc)
         observer.gone(info.name, why)
         await anyio.sleep(LOOK)  # whatever it is, it is not to happen all the time
         await client.wait_for_server()

@@ -10,7 +10,7 @@ import click
 
 from fibaction.cli.app import json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION
-from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.ending import ExitCode, Failure, sentence_of
 from fibaction.cli.goal_list import AnyClient, Clients, Row, goal_digits, goals_of, pick
 from fibaction.cli.observing import until_interrupted
 from fibaction.cli.output import clean, note, say, say_json
@@ -124,7 +124,7 @@ async def cancel_many(url: str, name: str | None, before: int | None, *, as_json
         try:
             answer = await client.cancel_goals(before=before)
         except ActionError as exc:
-            note(f"The goals of {clean(shown(action))} are not canceled: {clean(str(exc))}")
+            note(f"The goals of {clean(shown(action))} are not canceled: {clean(sentence_of(exc))}")
             codes.add(ExitCode.UNREACHABLE)
             return
         found += len({*meant, *(info.goal_id for info in answer.goals_canceling)})

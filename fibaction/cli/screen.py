@@ -13,6 +13,7 @@ from textual.widgets import DataTable, Footer, Static
 
 from fibaction.cli.app import shown
 from fibaction.cli.board import Board, GoalKey, GoalLine
+from fibaction.cli.ending import sentence_of
 from fibaction.cli.goal_list import unambiguous
 from fibaction.cli.output import clean
 from fibaction.cli.reaching import reason_of
@@ -213,7 +214,7 @@ class Screen(App[None]):
         try:
             answer = await self._board.cancel(key)
         except ActionError as exc:
-            self.notify(clean(str(exc)), severity="error", markup=False)
+            self.notify(clean(sentence_of(exc)), severity="error", markup=False)
             return
         if answer.accepted:
             self.notify(f"Canceling the goal {goal}", markup=False)

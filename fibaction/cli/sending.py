@@ -20,7 +20,7 @@ from fibaction.action import Action, ActionInfo
 from fibaction.background import Background
 from fibaction.cli.app import find_action, json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION, TYPE
-from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.ending import ExitCode, Failure, sentence_of
 from fibaction.cli.goal_text import read_goal
 from fibaction.cli.output import clean, note, say
 from fibaction.cli.running import SAME_SIGNAL
@@ -261,7 +261,7 @@ class _Sending:
         try:
             answer = await self._endpoint.cancel_goals(self._goal_id)
         except ActionError as exc:
-            note(f"It could not be canceled: {clean(str(exc))}")
+            note(f"It could not be canceled: {clean(sentence_of(exc))}")
             return False
         if answer.return_code is CancelCode.REJECTED:
             note(f"The server does not cancel it: {clean(answer.reason) or 'it does not say why'}")

@@ -12,7 +12,7 @@ import click
 from fibaction.action import Action, ActionInfo
 from fibaction.cli.app import find_action, json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION
-from fibaction.cli.ending import ExitCode
+from fibaction.cli.ending import ExitCode, sentence_of
 from fibaction.cli.goal_list import AnyClient, Clients, Row, goals_of, in_columns
 from fibaction.cli.observing import (
     LOOK,
@@ -139,7 +139,7 @@ async def _watch_screen(connection: ClientConnection, name: str | None) -> None:
                     clients = await actions.now()
                     rows, away = await goals_of(clients), ""
                 except ActionError as exc:
-                    away = str(exc)
+                    away = sentence_of(exc)
             if away:
                 await still_possible(clients.values())
 

@@ -22,10 +22,12 @@ from fibaction import (
     ServerNotFound,
     TransportError,
     UnknownGoal,
+    connect,
 )
 from fibaction.cli import app
-from fibaction.cli.ending import ExitCode, Failure, telling_errors
+from fibaction.cli.ending import ExitCode, Failure, failure_of, sentence_of, telling_errors
 from tests.cli.conftest import Invoke
+from tests.cli.robot import WAIT
 
 
 def run(verb: Callable[[], Awaitable[int]]) -> None:
@@ -63,6 +65,23 @@ def test_every_error_has_its_exit_code_alone_and_in_a_group(error: ActionError, 
             run(verb)
         assert failure.value.exit_code == code
         assert failure.value.message == str(error)
+
+
+@pytest.mark.asyncio
+async def test_what_an_error_advises_to_programs_is_not_said_to_people(nobody: str) -> None:
+    for url, told in (
+        (nobody, f"nobody listens at {nobody} (Connect call failed"),
+        (
+            "inproc://empty",
+            "nobody serves the action 'wait' at inproc://empty: start its server in",
+        ),
+    ):
+        async with connect(url, WAIT) as client:
+            with pytest.raises(ServerNotFound, match=r"wait_for_server\(\)$") as caught:
+                await client.goals()
+        assert sentence_of(caught.value).startswith(told)
+        assert sentence_of(caught.value).endswith(("start the server", "in this process"))
+        assert failure_of(caught.value, "or else").message.endswith(", or else")
 
 
 def test_ctrl_c_where_nothing_is_to_be_canceled_ends_as_shells_expect() -> None:

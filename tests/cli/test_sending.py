@@ -14,7 +14,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import CancelAnswer, ConnectionLost, GoalID, GoalStatus, connect, serve
+from fibaction import CancelAnswer, GoalID, GoalStatus, ServerNotFound, connect, serve
 from fibaction.action import Action
 from fibaction.cli import sending
 from fibaction.cli.ending import ExitCode, Failure
@@ -619,11 +619,11 @@ async def test_a_cancel_that_cannot_be_sent_is_told_of(
         code = await send_here(timeout=0.1)
 
     assert code == ExitCode.TIMED_OUT
-    assert "It could not be canceled: the line is dead" in capsys.readouterr().err
+    assert "It could not be canceled: nobody listens: start the server\n" in capsys.readouterr().err
 
 
 async def lost(*_: object) -> None:
-    raise ConnectionLost("the line is dead")
+    raise ServerNotFound("nobody listens: start the server, or wait for it with wait_for_server()")
 
 
 async def closed(*_: object, **__: object) -> None:
