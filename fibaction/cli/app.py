@@ -21,6 +21,7 @@ import click
 
 from fibaction.action import ActionInfo
 from fibaction.cli.ending import ExitCode, Failure, debugging, telling_errors
+from fibaction.cli.output import LogHandler
 from fibaction.connection import ClientConnection
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
@@ -193,7 +194,9 @@ def cli(url: str) -> None:
 
 def main() -> None:
     """Run the command line, and exit with its code. An error is one sentence on stderr."""
-    logging.basicConfig(level=logging.WARNING, format="fibaction: %(message)s")
+    logging.basicConfig(
+        level=logging.WARNING, format="fibaction: %(message)s", handlers=[LogHandler()]
+    )
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             # What cannot be shown, because of the terminal's encoding, is shown as a number.

@@ -8,11 +8,12 @@ from __future__ import annotations
 import base64
 import datetime
 import json
+import logging
 import math
 import re
 import sys
 from collections.abc import Collection, Iterator
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any, TextIO, TypeGuard
 
 import click
 import msgspec
@@ -45,6 +46,14 @@ def note(text: str) -> None:
     # Not by click, which would find its way past what rich puts here to protect a live line.
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
+
+
+class LogHandler(logging.StreamHandler[TextIO]):
+    """Writes the log where `note` writes."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.stream = sys.stderr  # what is there now: rich may have come since, or gone
+        super().emit(record)
 
 
 def say_json(value: Any) -> None:

@@ -4,6 +4,7 @@ number that says how far the goal has come.
 
 from __future__ import annotations
 
+import sys
 from types import TracebackType
 from typing import Any, Self
 
@@ -72,7 +73,11 @@ class LiveLine:
         self._done: float | None = None
         # It draws from a thread of its own, ten times a second, whatever is then the latest.
         self._live = Live(
-            console=console, transient=True, refresh_per_second=10, get_renderable=self._line
+            console=console,
+            transient=True,
+            refresh_per_second=10,
+            get_renderable=self._line,
+            redirect_stderr=sys.stderr.isatty(),  # what goes to a file is in nobody's way
         )
 
     def __enter__(self) -> Self:

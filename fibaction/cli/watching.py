@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -129,7 +130,8 @@ async def _watch_screen(connection: ClientConnection, name: str | None) -> None:
     actions = Clients(connection, name)
     clients = await actions.now()
     rows, away = await goals_of(clients), ""
-    with Live(console=screen, auto_refresh=False) as live:
+    to_terminal = sys.stderr.isatty()  # what goes to a file is in nobody's way
+    with Live(console=screen, auto_refresh=False, redirect_stderr=to_terminal) as live:
         while True:
             live.update(picture(screen, rows, away, actions=name is None), refresh=True)
             await anyio.sleep(PAUSE)

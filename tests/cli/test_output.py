@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import datetime
+import io
 import json
+import logging
 import math
 import sys
 from typing import Any
@@ -162,6 +164,16 @@ def test_lines_go_to_stdout_and_remarks_to_stderr(capsys: pytest.CaptureFixture[
     output.note("remark")
 
     assert capsys.readouterr() == ("line\n\n", "remark\n")
+
+
+def test_the_log_goes_where_stderr_is_by_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    handler = output.LogHandler()
+    handler.setFormatter(logging.Formatter("log: %(message)s"))
+    later = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", later)
+    handler.handle(logging.makeLogRecord({"msg": "the line is dead"}))
+
+    assert later.getvalue() == "log: the line is dead\n"
 
 
 def test_text_of_others_is_cleaned() -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+import sys
 from typing import Any
 
 import pytest
 from rich.console import Console
 
+from fibaction.cli.output import note
 from fibaction.cli.progress import LiveLine, Meter, on_one_line
 
 
@@ -77,6 +79,25 @@ def test_the_line_counts_where_it_does_not() -> None:
 
 def test_before_the_first_feedback_it_says_so() -> None:
     assert "waiting for feedback" in drawn(None)
+
+
+class Tty(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("errors", [Tty(), io.StringIO()], ids=["terminal", "file"])
+def test_a_remark_is_above_the_line_unless_it_goes_to_a_file(
+    monkeypatch: pytest.MonkeyPatch, errors: io.StringIO
+) -> None:
+    screen = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", errors)
+    with LiveLine(Console(file=screen, width=80, force_terminal=True, color_system=None)):
+        note("a remark")
+
+    above, other = (screen, errors) if errors.isatty() else (errors, screen)
+    assert "a remark\n" in above.getvalue()
+    assert "a remark" not in other.getvalue()
 
 
 def test_the_line_is_gone_in_the_end() -> None:

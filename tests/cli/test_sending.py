@@ -211,6 +211,24 @@ def test_a_second_ctrl_c_leaves_a_goal_that_is_not_canceled(terminal: Open, tcp:
     assert "was left, and may go on." in shown.text
 
 
+def test_the_log_is_above_the_line_that_changes(
+    terminal: Open, start_robot: Callable[[], Robot]
+) -> None:
+    robot = start_robot()
+    shown = terminal("send_goal", "wait", "{steps: 4}", "-f", url=robot.tcp)
+    shown.until("step: step 0")
+    robot.process.kill()
+    shown.until(r"closed its side\n.* 0%  step: step 0")
+    shown.press("\x03")
+    shown.until("Canceling goal")
+    not_within_a_moment(shown.process)
+    shown.press("\x03")
+
+    assert shown.ends() == ExitCode.INTERRUPTED
+    assert f"\nfibaction: {robot.tcp} closed its side\nCanceling goal..." in shown.text
+    assert "step 0" not in shown.text
+
+
 def test_no_color_means_none(terminal: Open, tcp: str) -> None:
     shown = terminal(
         *("send_goal", "wait", "{seconds: 1, steps: 4}", "-f"), url=tcp, env={"NO_COLOR": "1"}

@@ -6,6 +6,7 @@ import io
 import json
 import signal
 import subprocess
+import sys
 from collections.abc import Callable
 from functools import partial
 
@@ -26,6 +27,7 @@ from fibaction import (
 from fibaction.cli import observing, watching
 from fibaction.cli.ending import ExitCode
 from fibaction.cli.goal_list import Row
+from fibaction.cli.output import note
 from fibaction.cli.watching import echo, goals, picture
 from fibaction.observing import GoalFeedback
 from tests.cli.conftest import Invoke, Open, Robot, Run, Start, detached, interrupt
@@ -329,6 +331,31 @@ async def test_a_watched_list_lives_through_silence_and_errors(
         served.error = None
         await pictures.until(lambda all: "1 active, 0 ended" in all[-1])
         tasks.cancel_scope.cancel()
+
+
+@pytest.mark.asyncio
+async def test_remarks_that_go_to_a_file_are_not_on_the_screen(
+    screen: Console, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    errors, scope, told = io.StringIO(), anyio.CancelScope(), Heard()
+    monkeypatch.setattr(sys, "stderr", errors)
+
+    def remark(*arguments: object, **settings: object) -> object:
+        note("a remark")
+        if told:
+            scope.cancel()
+        told("a remark")
+        return picture(*arguments, **settings)  # type: ignore[arg-type]  # as they came
+
+    monkeypatch.setattr(watching, "picture", remark)
+    server = counter("one")
+    async with server:
+        with scope:
+            await watching._watch_screen(Served(server).connection, None)
+
+    assert "a remark\n" in errors.getvalue()
+    assert "0 active" in drawn(screen)
+    assert "a remark" not in drawn(screen)
 
 
 @pytest.mark.asyncio
