@@ -21,7 +21,7 @@ import click
 
 from fibaction.action import ActionInfo
 from fibaction.cli.ending import ExitCode, Failure, debugging, telling_errors
-from fibaction.cli.output import LogHandler
+from fibaction.cli.output import LogHandler, without_settings
 from fibaction.connection import ClientConnection
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
@@ -112,8 +112,24 @@ def url_of(context: click.Context) -> str:
     return context.params.get("url") or context.find_root().params.get("url") or URL
 
 
-def _url_of_group(context: click.Context, _: click.Parameter, value: str | None) -> str:
-    return value or url_of(context)
+def refuse_inproc(*urls: str) -> None:
+    """Refuse to use these URLs if no other process can be reached by any of them.
+
+    Raises:
+        Failure: So it is.
+    """
+    if all(url.startswith("inproc://") for url in urls):
+        raise Failure(
+            f"{without_settings(urls[0])} is for clients in the process of the server:"
+            f" between processes, use tcp:// or unix://",
+            ExitCode.USAGE,
+        )
+
+
+def _url_to_reach(context: click.Context, _: click.Parameter, value: str | None) -> str:
+    url = value or url_of(context)
+    refuse_inproc(url)
+    return url
 
 
 def url_option(function: FunctionT) -> FunctionT:
@@ -122,7 +138,7 @@ def url_option(function: FunctionT) -> FunctionT:
         "-u",
         "--url",
         metavar="URL",
-        callback=_url_of_group,
+        callback=_url_to_reach,
         help="Where the server is.  [as in fibaction --help]",
     )(function)
 

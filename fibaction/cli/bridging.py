@@ -10,7 +10,7 @@ import click
 
 from fibaction.abc import Connection, Endpoint
 from fibaction.action import ActionInfo
-from fibaction.cli.app import no_action, run, shown
+from fibaction.cli.app import no_action, refuse_inproc, run, shown
 from fibaction.cli.ending import ExitCode, Failure, failure_of, sentence_of
 from fibaction.cli.output import note, say
 from fibaction.cli.running import logging_to_stderr, names_of, stop_signals
@@ -43,6 +43,8 @@ def bridge_command(from_url: str, to_url: str, names: tuple[str, ...]) -> None:
     """
     if from_url == to_url:
         raise Failure("a bridge from a URL to itself would lead nowhere", ExitCode.USAGE)
+    refuse_inproc(from_url)
+    refuse_inproc(to_url)
     with logging_to_stderr():
         run(bridge, from_url, to_url, names, uvloop=True)
 

@@ -10,7 +10,7 @@ import anyio
 import click
 
 from fibaction.abc import StatusStream
-from fibaction.cli.app import run, url_of
+from fibaction.cli.app import refuse_inproc, run, url_of
 from fibaction.cli.ending import ExitCode
 from fibaction.cli.loading import AnyServer, load
 from fibaction.cli.output import say
@@ -42,6 +42,7 @@ def serve_command(context: click.Context, target: str, urls: tuple[str, ...], re
     Ctrl-C or SIGTERM ends all goals, tells their clients and stops. A second one ends at once.
     """
     where = urls or (url_of(context),)
+    refuse_inproc(*where)  # beside another it is of use: to the servers themselves
     with logging_to_stderr():
         if reload:
             from fibaction.cli.reloading import serve_reloading

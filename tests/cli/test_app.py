@@ -123,6 +123,29 @@ def test_a_wrong_url_is_one_sentence(invoke: Invoke, url: str, text: str) -> Non
     assert result.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    "verb",
+    [
+        *(["list"], ["info", "x"], ["type", "x"], ["find", "x"], ["send_goal", "x"], ["goals"]),
+        *(["cancel", "--all"], ["attach", "5f"], ["echo", "x"], ["top"]),
+    ],
+    ids=lambda verb: verb[0],
+)
+def test_a_url_of_one_process_is_refused_by_all_that_would_reach_another(
+    invoke: Invoke, verb: list[str]
+) -> None:
+    for result in (
+        invoke("-u", "inproc://robot", *verb),
+        invoke(*verb, "--url", "inproc://robot"),
+        invoke(*verb, url="inproc://robot"),
+    ):
+        assert result.exit_code == ExitCode.USAGE
+        assert result.output == (
+            "Error: inproc://robot is for clients in the process of the server:"
+            " between processes, use tcp:// or unix://\n"
+        )
+
+
 # Errors
 
 

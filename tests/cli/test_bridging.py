@@ -110,6 +110,11 @@ def test_a_bridge_that_leads_nowhere_is_one_sentence(invoke: Invoke, nobody: str
     assert result.exit_code == ExitCode.USAGE
     assert result.stderr.startswith("Error: no transport for morse://")
 
+    for urls in ((nobody, "inproc://robot"), ("inproc://robot", nobody, "wait")):
+        result = invoke("bridge", *urls)
+        assert result.exit_code == ExitCode.USAGE
+        assert result.stderr.startswith("Error: inproc://robot is for clients in the process")
+
 
 @pytest.mark.asyncio
 async def test_a_signal_ends_a_bridge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -131,6 +131,22 @@ def test_a_url_that_cannot_be_served_at_is_one_sentence(folder: Path, invoke: In
     assert "can be reached from other machines" in result.stderr.splitlines()[-1]
 
 
+def test_nobody_could_reach_what_is_served_in_this_process_alone(
+    folder: Path, started: Start, invoke: Invoke
+) -> None:
+    for result in (
+        invoke("serve", "robot:server", "inproc://robot"),
+        invoke("serve", "robot:server", "inproc://one", "inproc://two", "--reload"),
+        invoke("serve", "robot:server", url="inproc://robot"),
+    ):
+        assert result.exit_code == ExitCode.USAGE
+        assert "is for clients in the process of the server" in result.stderr
+    both = started("serve", "robot:server", f"unix://{folder}/socket", "inproc://robot")
+    assert lines_until("", both) == [
+        f"serving /count at unix://{folder}/socket, inproc://robot, Ctrl-C stops it\n"
+    ]
+
+
 def test_a_signal_ends_it_with_code_0_and_the_log_is_as_before(
     folder: Path, invoke: Invoke
 ) -> None:
