@@ -95,8 +95,14 @@ async def soak(seconds: float) -> int:
 def main() -> int:
     # One goal in five goes wrong on purpose, and its traceback is not what is looked for here.
     logging.getLogger("fibaction.server").setLevel(logging.CRITICAL)
-    parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
-    parser.add_argument("--seconds", type=float, default=600.0)
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.soak",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=600.0, help="how long it takes; %(default)g if not given"
+    )
     seconds = parser.parse_args().seconds
     if not 0 < seconds < math.inf:
         parser.error("--seconds is more than 0")

@@ -13,10 +13,10 @@ import logging
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from importlib.util import find_spec
 from typing import Any
 
 import anyio
-import atheris
 
 from fibaction import ActionServer
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
@@ -98,6 +98,10 @@ def one_input(data: bytes) -> None:
 
 
 def main() -> Any:
+    if find_spec("atheris") is None:
+        sys.exit("atheris is not installed: `make fuzz` installs it, and fuzzes")
+    import atheris
+
     logging.disable()
     atheris.instrument_all()
     atheris.Setup(sys.argv, one_input)
