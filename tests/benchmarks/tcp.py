@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import AsyncGenerator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import Callable
+from contextlib import AsyncExitStack
 from importlib.metadata import PackageNotFoundError, version
 from statistics import median
 from typing import Any
 
-import anyio
-from anyio.streams.text import TextReceiveStream
-
 from tests.benchmarks import over_fibaction, over_grpc, over_sockets
 from tests.benchmarks.contender import AT_ONCE, Contender
+from tests.benchmarks.program import program
 from tests.benchmarks.timing import Work, in_turn
 
 CONTENDERS = {"fibaction": over_fibaction, "grpc": over_grpc, "bare": over_sockets}
-
-START_TIMEOUT, STOP_TIMEOUT = 30.0, 5.0
-"""Seconds that a server has for its imports, and for the calls that are under way at its end."""
 
 
 async def measure(scale: float) -> dict[str, Any]:
@@ -29,8 +24,15 @@ async def measure(scale: float) -> dict[str, Any]:
         raise SystemExit("grpcio is not installed: `make bench` installs it") from None
     async with AsyncExitStack() as stack:
         contenders: list[Contender] = []
-        for name, module in CONTENDERS.items():
-            address = await stack.enter_async_context(serving(name))
+        for module in CONTENDERS.values():
+            child = (
+                "-m",
+                "tests.benchmarks.child",
+                "server",
+                module.__name__.partition("over_")[2],
+            )
+            server = await stack.enter_async_context(program(sys.executable, *child))
+            address = await server.line()
             contenders.append(await stack.enter_async_context(module.connect(address)))
 
         async def compare(
@@ -58,30 +60,3 @@ async def measure(scale: float) -> dict[str, Any]:
                 lambda contender: contender.feedback, 20_000, target_to_grpc=15
             ),
         }
-
-
-@asynccontextmanager
-async def serving(contender: str) -> AsyncGenerator[str, None]:
-    """A server in a process of its own, and its address."""
-    # Ctrl-C is for this process alone, which then stops the server.
-    process = await anyio.open_process(
-        [sys.executable, "-m", "tests.benchmarks.tcp_server", contender],
-        stderr=None,
-        start_new_session=True,
-    )
-    assert process.stdin is not None
-    assert process.stdout is not None
-    try:
-        with anyio.fail_after(START_TIMEOUT):
-            address = ""
-            async for text in TextReceiveStream(process.stdout):
-                address += text
-                if address.endswith("\n"):
-                    break
-        if not address:
-            raise RuntimeError(f"the server of {contender} did not start")
-        yield address.strip()
-    finally:
-        # Its input ends, which stops it; it is killed if that wait is cut short.
-        with anyio.move_on_after(STOP_TIMEOUT, shield=True):
-            await process.aclose()
