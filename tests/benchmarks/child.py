@@ -33,15 +33,13 @@ async def goals(contender: Contender, times: int) -> list[float]:
 
 async def batches(contender: Contender, times: int) -> list[float]:
     start = perf_counter()
-    done = 0
-    for _ in range(times):
-        done += await contender.batch()
+    done = await contender.batches(times)
     return [done / AT_ONCE, perf_counter() - start]
 
 
 async def feedback(contender: Contender, times: int) -> list[float]:
     start = perf_counter()
-    return [await contender.stream(times), perf_counter() - start]
+    return [await contender.feedback(times), perf_counter() - start]
 
 
 async def goal_times(contender: Contender, times: int) -> list[tuple[float | None, float]]:

@@ -37,22 +37,16 @@ class Contender(ABC):
         """Goals without feedback, one after another."""
 
     @abstractmethod
-    async def batches(self, times: int) -> None:
-        """Batches of goals without feedback, one batch after another."""
+    async def batches(self, times: int) -> int:
+        """Batches of goals without feedback, one batch after another; gives how many of the goals
+        were done.
+        """
 
     @abstractmethod
-    async def feedback(self, times: int) -> None:
-        """One goal with so many feedback messages, all of them read and decoded."""
-
-    async def batch(self) -> int:
-        """One batch. How many of its goals were done: all, unless it says something else."""
-        await self.batches(1)
-        return AT_ONCE
-
-    async def stream(self, times: int) -> int:
-        """As `feedback`. How much of it arrived: all, unless it says something else."""
-        await self.feedback(times)
-        return times
+    async def feedback(self, times: int) -> int:
+        """One goal with so many feedback messages, all of them read and decoded; gives how many of
+        them arrived.
+        """
 
     async def goal_times(self, times: int) -> list[GoalTimes]:
         """Goals as in `goals`, each of them timed."""

@@ -75,14 +75,16 @@ class OverGrpc(Contender):
         for _ in range(times):
             await self._call(0)
 
-    async def batches(self, times: int) -> None:
+    async def batches(self, times: int) -> int:
         for _ in range(times):
             async with create_task_group() as tasks:
                 for _ in range(AT_ONCE):
                     tasks.start_soon(self._call, 0)
+        return times * AT_ONCE
 
-    async def feedback(self, times: int) -> None:
+    async def feedback(self, times: int) -> int:
         await self._call(times)
+        return times
 
     async def feedback_times(self, times: int) -> list[float]:
         taken: list[float] = []

@@ -106,11 +106,10 @@ class OverRclpy(Contender):
         for _ in range(times):
             self._call(0)
 
-    async def batches(self, times: int) -> None:
-        for _ in range(times):
-            await self.batch()
+    async def batches(self, times: int) -> int:
+        return sum(self._batch() for _ in range(times))
 
-    async def batch(self) -> int:
+    def _batch(self) -> int:
         done = 0
         all_done = Future()
 
@@ -128,10 +127,7 @@ class OverRclpy(Contender):
         self._wait(all_done, PATIENCE)
         return done
 
-    async def feedback(self, times: int) -> None:
-        await self.stream(times)
-
-    async def stream(self, times: int) -> int:
+    async def feedback(self, times: int) -> int:
         arrived: list[Any] = []
         self._call(times, arrived.append)
         return len(arrived)

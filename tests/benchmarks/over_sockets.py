@@ -123,10 +123,11 @@ class OverSockets(Contender):
     async def goals(self, times: int) -> None:
         await self._exchange(times, 1)
 
-    async def batches(self, times: int) -> None:
+    async def batches(self, times: int) -> int:
         await self._exchange(times, AT_ONCE)
+        return times * AT_ONCE
 
-    async def feedback(self, times: int) -> None:
+    async def feedback(self, times: int) -> int:
         reader = FrameReader(MAX_FRAME)
         await self._feedback.send(times.to_bytes(NUMBER, "big"))
         seen = 0
@@ -134,6 +135,7 @@ class OverSockets(Contender):
             for frame in reader.feed(await self._feedback.receive(CHUNK)):
                 decoded(frame)
                 seen += 1
+        return seen
 
     async def feedback_times(self, times: int) -> list[float]:
         reader = FrameReader(MAX_FRAME)

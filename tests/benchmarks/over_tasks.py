@@ -24,11 +24,12 @@ class OverTasks(Contender):
         for _ in range(times):
             await self._tasks(1)
 
-    async def batches(self, times: int) -> None:
+    async def batches(self, times: int) -> int:
         for _ in range(times):
             await self._tasks(AT_ONCE)
+        return times * AT_ONCE
 
-    async def feedback(self, times: int) -> None:
+    async def feedback(self, times: int) -> int:
         send, receive = anyio.create_memory_object_stream[Feedback](WINDOW)
 
         async def produce() -> None:
@@ -40,7 +41,7 @@ class OverTasks(Contender):
         async with anyio.create_task_group() as tasks, receive:
             tasks.start_soon(produce)
             seen = [None async for _ in receive]
-        assert len(seen) == times, "feedback was lost"
+        return len(seen)
 
     async def feedback_times(self, times: int) -> list[float]:
         send, receive = anyio.create_memory_object_stream[Feedback](WINDOW)

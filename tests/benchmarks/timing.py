@@ -7,7 +7,7 @@ from statistics import median
 from time import perf_counter
 from typing import TypeAlias
 
-Work: TypeAlias = Callable[[int], Awaitable[None]]
+Work: TypeAlias = Callable[[int], Awaitable[object]]
 """Does something so many times."""
 
 ROUNDS = 5
