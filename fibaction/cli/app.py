@@ -21,8 +21,9 @@ import click
 
 from fibaction.action import ActionInfo
 from fibaction.cli.ending import ExitCode, Failure, debugging, telling_errors
-from fibaction.cli.output import LogHandler, without_settings
+from fibaction.cli.output import LogHandler
 from fibaction.connection import ClientConnection
+from fibaction.urls import without_settings
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
