@@ -1,4 +1,4 @@
-"""What a client follows: one goal, or the statuses of all.
+"""What a client follows of one goal.
 
 It is told what has arrived, and keeps it until it is read. It knows nothing of ROS.
 """
