@@ -51,14 +51,15 @@ class GoalLog:
         self.goal = goal
         self.latest = latest
         """Whether a reader who is late wants the newest only."""
-        self.statuses: list[GoalStatus] = []
+        # Tuples, because most of them have one item or none, and a list is twice as large.
+        self.statuses: tuple[GoalStatus, ...] = ()
         """The statuses that the goal has had since its acceptance."""
         self._window = window
         self._items: deque[FeedbackItem] = _NOTHING
-        self._readers: list[LogStream] = []
+        self._readers: tuple[LogStream, ...] = ()
         self._others: tuple[ref[LogStream], ...] = ()  # they want to know of the end only
         self._full_at: float = math.inf
-        self._room = Waking()
+        self._room: Waking | None = None
         self._ended = Waking()
 
     @property
@@ -82,7 +83,7 @@ class GoalLog:
 
     def tell_status(self) -> None:
         """The goal has another status."""
-        self.statuses.append(self.goal.status)
+        self.statuses += (self.goal.status,)
         for stream in self._readers:
             stream.news.wake()
 
@@ -96,6 +97,8 @@ class GoalLog:
 
         A stream that was not read by then no longer holds the executor up, until it has caught up.
         """
+        if self._room is None:
+            self._room = Waking()
         with anyio.move_on_after(seconds):
             while self.is_full:
                 await self._room.wait()
@@ -126,7 +129,7 @@ class GoalLog:
         place = self.count if after is None else min(max(after, 0), self.count)
         stream = LogStream(self, place, feedback=feedback, hold=hold and not self.latest)
         if feedback:
-            self._readers.append(stream)
+            self._readers += (stream,)
             self.make_room()
         else:
             self._remember(stream)
@@ -135,7 +138,7 @@ class GoalLog:
     def leave(self, stream: LogStream) -> None:
         """The stream reads no more."""
         if stream in self._readers:
-            self._readers.remove(stream)
+            self._readers = tuple(one for one in self._readers if one is not stream)
             self._remember(stream)
             self.make_room()
 
@@ -149,7 +152,8 @@ class GoalLog:
         # Here, because it is looked at after each feedback, and changes more rarely.
         places = [stream.place for stream in self._readers if stream.holding]
         self._full_at = min(places) + self._window if places else math.inf
-        self._room.wake()
+        if self._room is not None:
+            self._room.wake()
 
     def has_after(self, place: int) -> bool:
         """Whether there still is feedback to read from that place on."""

@@ -792,6 +792,16 @@ async def test_the_wait_for_room_ends_when_its_client_reads_or_lets_go(
 
 
 @pytest.mark.asyncio
+async def test_each_feedback_waits_until_the_one_before_was_read() -> None:
+    log = new_log(window=1)
+    stream = log.follow(hold=True)
+    for number in range(1, 4):
+        append(log, 1)
+        await while_waiting(lambda: log.wait_for_room(math.inf), lambda: read_one(log, stream))
+        assert stream.place == number
+
+
+@pytest.mark.asyncio
 async def test_the_wait_for_room_goes_on_when_an_observer_reads_or_leaves() -> None:
     log = new_log(window=1)
     client, observer = log.follow(hold=True), log.follow()
