@@ -1,9 +1,12 @@
-"""How hypothesis runs here: a found example is printed so that it can be replayed."""
+"""What all tests have: how hypothesis runs, and a log that each test leaves as it was."""
 
 from __future__ import annotations
 
+import logging
 import os
+from collections.abc import Iterator
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 settings.register_profile(
@@ -15,6 +18,21 @@ settings.register_profile(
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],
     derandomize=False,
-    print_blob=True,
+    print_blob=True,  # so that an example that is found can be replayed
 )
 settings.load_profile("fibaction")
+
+
+def _levels() -> dict[str, int]:
+    """What is left out of the log, and where."""
+    loggers = {"": logging.getLogger(), **logging.root.manager.loggerDict}
+    levels = {name: log.level for name, log in loggers.items() if isinstance(log, logging.Logger)}
+    return {"all": logging.root.manager.disable, **{k: v for k, v in levels.items() if v}}
+
+
+@pytest.fixture(autouse=True)
+def log_is_left_as_it_was() -> Iterator[None]:
+    """A test that silences the log silences those behind it, which may look for a line of it."""
+    before = _levels()
+    yield
+    assert _levels() == before

@@ -93,8 +93,6 @@ async def soak(seconds: float) -> int:
 
 
 def main() -> int:
-    # One goal in five goes wrong on purpose, and its traceback is not what is looked for here.
-    logging.getLogger("fibaction.server").setLevel(logging.CRITICAL)
     parser = argparse.ArgumentParser(
         prog="python -m tests.soak",
         description=__doc__,
@@ -106,6 +104,8 @@ def main() -> int:
     seconds = parser.parse_args().seconds
     if not 0 < seconds < math.inf:
         parser.error("--seconds is more than 0")
+    # One goal in five goes wrong on purpose, and its traceback is not what is looked for here.
+    logging.getLogger("fibaction.server").setLevel(logging.CRITICAL)
     return anyio.run(soak, seconds)
 
 
