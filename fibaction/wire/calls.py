@@ -287,7 +287,9 @@ class RemoteGoal(Call, GoalStream):
             self.place = self._start = self._last = message.place
 
     def _take_status(self, status: GoalStatus) -> None:
-        if status is not self._status:
+        # Statuses only ever grow. On a new connection the server says first what it is by now, and
+        # may then tell what the last connection has not.
+        if status > self._status:
             self._status = status
             if self._reads and status.is_active:
                 self._statuses.append(status)

@@ -908,6 +908,16 @@ def test_a_status_that_changed_between_two_connections_is_told() -> None:
     assert bench.next() is GoalStatus.EXECUTING
 
 
+def test_a_status_from_before_the_one_on_another_connection_is_not_told_any_more() -> None:
+    bench = Bench()
+    bench.goal.opening()
+    bench.goal.hear(Following(ID, STAMP, GoalStatus.CANCELED, False, 0))
+    bench.goal.hear(StatusChanged(ID, GoalStatus.CANCELING))
+    bench.feed(1)
+    assert bench.next() == FeedbackItem(1, b"1")
+    assert bench.goal.status is GoalStatus.CANCELED
+
+
 def test_a_status_that_is_the_same_on_another_connection_is_not_told_again() -> None:
     bench = Bench()
     bench.goal.opening()
