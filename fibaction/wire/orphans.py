@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from hmac import compare_digest
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from anyio import sleep
 from anyio.abc import TaskGroup
@@ -15,6 +15,19 @@ from fibaction.goals import GoalID
 from fibaction.protocol import ID_IN_USE
 
 logger = logging.getLogger("fibaction.wire")
+
+
+class _Owned(NamedTuple):
+    """A goal that one client follows as its own."""
+
+    stream: GoalStream
+    session: bytes
+    goal: int | None
+    """Enough to tell that another goal is sent; None if it was sent before this server knew it."""
+
+    def is_of(self, session: bytes) -> bool:
+        """Whether it is the goal of a client of that session."""
+        return bool(self.session) and compare_digest(self.session, session)
 
 
 class Orphans:
@@ -31,15 +44,12 @@ class Orphans:
         self._tasks = tasks
         self._grace = grace
         self._then = then
-        self._streams: dict[GoalID, GoalStream] = {}
-        self._sessions: dict[GoalID, bytes] = {}
-        self._goals: dict[GoalID, int] = {}  # enough to tell that another goal is sent
-        self._losses: dict[GoalStream, object] = {}
+        self._owned: dict[GoalID, _Owned] = {}
 
     def is_own(self, goal_id: GoalID, session: bytes) -> bool:
         """Whether it was a client of this session that sent the goal."""
-        known = self._sessions.get(goal_id, b"")
-        return bool(known) and compare_digest(known, session)
+        owned = self._owned.get(goal_id)
+        return owned is not None and owned.is_of(session)
 
     def own(self, stream: GoalStream, session: bytes, goal: bytes | None = None) -> bool:
         """A client follows its goal with this stream: the one before, if any, is of no use more,
@@ -48,16 +58,15 @@ class Orphans:
 
         False, and nothing else, if the goal is that of a client of another session.
         """
-        before = self._streams.get(stream.goal_id)
-        if before is not None and not self.is_own(stream.goal_id, session):
-            return False
-        self._streams[stream.goal_id] = stream
-        self._sessions[stream.goal_id] = session
-        if goal is not None:
-            self._goals[stream.goal_id] = hash(goal)
-        self._losses.pop(before or stream, None)
-        if before is not None and before is not stream:
-            before.close()
+        before = self._owned.get(stream.goal_id)
+        sent = None if goal is None else hash(goal)
+        if before is not None:
+            if not before.is_of(session):
+                return False
+            if before.stream is not stream:
+                before.stream.close()
+            sent = before.goal if sent is None else sent
+        self._owned[stream.goal_id] = _Owned(stream, session, sent)
         return True
 
     def ended(
@@ -69,40 +78,37 @@ class Orphans:
         Raises:
             GoalRejected: That is another goal.
         """
-        stream = self._streams.get(goal_id)
-        if stream is None or not stream.status.is_terminal or not self.is_own(goal_id, session):
+        owned = self._owned.get(goal_id)
+        if owned is None or not owned.stream.status.is_terminal or not owned.is_of(session):
             return None
-        if goal is not None and self._goals.get(goal_id) != hash(goal):
+        if goal is not None and owned.goal != hash(goal):
             raise GoalRejected(ID_IN_USE, goal_id=goal_id)
-        return stream
+        return owned.stream
 
     def close(self) -> None:
         """The server closes: no goal waits for its client any longer."""
-        for stream in tuple(self._streams.values()):
-            self.end(stream)
+        for owned in tuple(self._owned.values()):
+            self.end(owned.stream)
 
     def end(self, stream: GoalStream) -> None:
         """The client has been told how the goal ended, or follows it elsewhere."""
         stream.close()
-        self._losses.pop(stream, None)
-        if self._streams.get(stream.goal_id) is stream:
-            del self._streams[stream.goal_id], self._sessions[stream.goal_id]
-            self._goals.pop(stream.goal_id, None)
+        owned = self._owned.get(stream.goal_id)
+        if owned is not None and owned.stream is stream:
+            del self._owned[stream.goal_id]
 
     def adopt(self, endpoint: Endpoint, stream: GoalStream, *, left: bool) -> None:
         """The stream's connection is lost; `left` says that the client said goodbye."""
-        owned = self._streams.get(stream.goal_id) is stream
-        if not owned or (left and self._then == "keep"):
+        owned = self._owned.get(stream.goal_id)
+        if owned is None or owned.stream is not stream or (left and self._then == "keep"):
             self.end(stream)
         else:
-            loss = self._losses[stream] = object()
-            self._tasks.start_soon(self._wait, endpoint, stream, loss, 0 if left else self._grace)
+            self._tasks.start_soon(self._wait, endpoint, owned, 0 if left else self._grace)
 
-    async def _wait(
-        self, endpoint: Endpoint, stream: GoalStream, loss: object, grace: float
-    ) -> None:
+    async def _wait(self, endpoint: Endpoint, owned: _Owned, grace: float) -> None:
         await sleep(grace)
-        if self._losses.get(stream) is not loss:
+        stream = owned.stream
+        if self._owned.get(stream.goal_id) is not owned:
             return  # the client came back, and may have been lost again
         self.end(stream)
         if self._then == "cancel" and not stream.status.is_terminal:

@@ -283,9 +283,7 @@ class World:
     def _left_by_goals(self) -> list[str]:
         left: list[str] = []
         if self.hub is not None:
-            orphans = self.hub._orphans
-            for what in (orphans._streams, orphans._sessions, orphans._losses):
-                left += (f"an orphan: {one!r}" for one in what)
+            left += (f"an orphan: {one!r}" for one in self.hub._orphans._owned)
             for session in self.hub._sessions:
                 peer = session._link.peer
                 left += (f"a goal of {peer}: {one}" for one in session._goals)
