@@ -102,6 +102,7 @@ class Crew:
                 life.run_by(self._tasks.start_soon(self._work, life, name=self._name))
 
     async def _work(self, life: Life) -> None:
+        news = Waking()
         with life.rest:
             while True:
                 self._is_coming = False
@@ -113,7 +114,6 @@ class Crew:
                         slice_end = perf_counter() + SLICE
                 if life.is_spent or self._closed or len(self._idle) >= MOST_IDLE:
                     break
-                news = Waking()
                 self._idle.append(news)
                 await news.wait()
         self._call()

@@ -158,9 +158,9 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
 
     def _start(self) -> AsyncGenerator[FeedbackT | ResultT, None]:
         items: Any = self._executor(self.handle)
-        if isinstance(items, Coroutine):
-            items.close()  # or Python warns that nobody awaited it
         if not isinstance(items, AsyncGenerator):
+            if isinstance(items, Coroutine):
+                items.close()  # or Python warns that nobody awaited it
             raise _Misuse(f"it is no async generator: it returned {_a(cast('object', items))}")
         return cast("AsyncGenerator[FeedbackT | ResultT, None]", items)
 

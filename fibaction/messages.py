@@ -9,7 +9,7 @@ Sans-I/O, and no rule on who may say what when: that is in `fibaction.wire`.
 
 from __future__ import annotations
 
-from typing import Annotated, TypeAlias
+from typing import Annotated, TypeAlias, final
 
 import msgspec
 
@@ -17,6 +17,7 @@ from fibaction.action import ActionInfo
 from fibaction.exceptions import ProtocolError
 from fibaction.framing import MAX_FRAME
 from fibaction.goals import GoalID
+from fibaction.states import GoalStatus
 
 VERSION = 1
 """Of the protocol. Peers of different versions do not talk."""
@@ -25,7 +26,6 @@ ID: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 """Names a request, and all that follows from it. The client chooses it, and uses it once."""
 GoalBytes: TypeAlias = Annotated[bytes, msgspec.Meta(min_length=16, max_length=16)]
 Stamp: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
-Status: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=6)]
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
 FrameSize: TypeAlias = Annotated[int, msgspec.Meta(ge=1, lt=2**32)]
 Seconds: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=3600)]
@@ -38,10 +38,12 @@ class _Message(msgspec.Struct, array_like=True, gc=False):
 # Either side
 
 
+@final
 class Ping(_Message, tag=0):
     """A sign of life, where there was nothing else to say."""
 
 
+@final
 class Goodbye(_Message, tag=1):
     """The last message of a side: why it closes the connection, in a sentence."""
 
@@ -53,6 +55,7 @@ class Goodbye(_Message, tag=1):
 # From the client
 
 
+@final
 class Hello(_Message, tag=16):
     """The client's first message."""
 
@@ -72,6 +75,7 @@ class Hello(_Message, tag=16):
         return f"Hello(version={self.version})"  # a token has no place in a log
 
 
+@final
 class SendGoal(_Message, tag=17):
     """Send a goal, and follow it. Answered by `Following`, `Rejected` or `Failed`."""
 
@@ -83,6 +87,7 @@ class SendGoal(_Message, tag=17):
     """How many feedback messages may come before more credit; nil: only the outcome is wanted."""
 
 
+@final
 class Follow(_Message, tag=18):
     """Follow a goal that was sent before. Answered by `Following` or `Failed`."""
 
@@ -96,6 +101,7 @@ class Follow(_Message, tag=18):
     """As for `SendGoal`."""
 
 
+@final
 class CancelGoals(_Message, tag=19):
     """Ask to cancel. Answered by `CancelAnswered` or `Failed`."""
 
@@ -105,6 +111,7 @@ class CancelGoals(_Message, tag=19):
     stamp: Stamp | None
 
 
+@final
 class WatchStatus(_Message, tag=20):
     """Follow the statuses of all goals. Answered by `Watching`, then `GoalChanged`, or `Failed`."""
 
@@ -113,6 +120,7 @@ class WatchStatus(_Message, tag=20):
     credit: Count
 
 
+@final
 class AwaitServer(_Message, tag=21):
     """Wait until somebody serves the action. Answered by `Done` or `Failed`."""
 
@@ -120,12 +128,14 @@ class AwaitServer(_Message, tag=21):
     action: str
 
 
+@final
 class ListActions(_Message, tag=22):
     """Ask what is served here. Answered by `Actions`."""
 
     id: ID
 
 
+@final
 class Credit(_Message, tag=23):
     """So many more messages may come."""
 
@@ -133,18 +143,21 @@ class Credit(_Message, tag=23):
     count: Count
 
 
+@final
 class Close(_Message, tag=24):
     """No more feedback or status changes are wanted; the outcome still is."""
 
     id: ID
 
 
+@final
 class Received(_Message, tag=25):
     """`Ended` has arrived. Until then the server keeps what it has of a goal for its client."""
 
     id: ID
 
 
+@final
 class AskPeers(_Message, tag=26):
     """Ask who else uses an action. Answered by `Peers` or `Failed`."""
 
@@ -155,6 +168,7 @@ class AskPeers(_Message, tag=26):
 # From the server
 
 
+@final
 class Welcome(_Message, tag=32):
     """The server's first message."""
 
@@ -164,17 +178,19 @@ class Welcome(_Message, tag=32):
     """Bytes of the largest message that the server takes."""
 
 
+@final
 class Following(_Message, tag=33):
     """The goal is accepted, or known; its feedback, status changes and outcome follow."""
 
     id: ID
     stamp: Stamp
-    status: Status
+    status: GoalStatus
     latest: bool
     place: Stamp
     """The number of the feedback after which the stream begins."""
 
 
+@final
 class Rejected(_Message, tag=34):
     """The goal was not accepted."""
 
@@ -182,6 +198,7 @@ class Rejected(_Message, tag=34):
     reason: str
 
 
+@final
 class Failed(_Message, tag=35):
     """The request could not be answered."""
 
@@ -202,6 +219,7 @@ class Why:
     PROTOCOL = 6
 
 
+@final
 class Feedback(_Message, tag=36):
     """One feedback message; it uses up one credit."""
 
@@ -210,40 +228,44 @@ class Feedback(_Message, tag=36):
     payload: bytes
 
 
+@final
 class StatusChanged(_Message, tag=37):
     """The goal has another status, and has not ended."""
 
     id: ID
-    status: Status
+    status: GoalStatus
 
 
+@final
 class Ended(_Message, tag=38):
     """The goal has ended. The last message of that ID; the client answers with `Received`."""
 
     id: ID
-    status: Status
+    status: GoalStatus
     result: bytes | None
     reason: str
     place: Stamp
     """The number of the last feedback: what has not come by now is lost."""
 
 
+@final
 class CancelAnswered(_Message, tag=39):
     """The answer to a cancel, as `action_msgs/srv/CancelGoal` has it, with a reason."""
 
     id: ID
     return_code: Annotated[int, msgspec.Meta(ge=0, le=3)]
-    goals: list[tuple[GoalBytes, Stamp, Status]]
+    goals: list[tuple[GoalBytes, Stamp, GoalStatus]]
     reason: str
 
 
+@final
 class GoalChanged(_Message, tag=40):
     """A goal and its status; it uses up one credit."""
 
     id: ID
     goal_id: GoalBytes
     stamp: Stamp
-    status: Status
+    status: GoalStatus
     dropped: Stamp
     """How many of these were left out so far, because they were not taken in time."""
     feedback_count: Stamp = 0
@@ -252,18 +274,21 @@ class GoalChanged(_Message, tag=40):
     """Who sent the goal, as far as the server knows."""
 
 
+@final
 class Done(_Message, tag=41):
     """What was waited for is there."""
 
     id: ID
 
 
+@final
 class Finished(_Message, tag=42):
     """There will be no more `GoalChanged`. The last message of that ID."""
 
     id: ID
 
 
+@final
 class Actions(_Message, tag=43):
     """What is served here."""
 
@@ -271,6 +296,7 @@ class Actions(_Message, tag=43):
     actions: list[ActionInfo]
 
 
+@final
 class Watching(_Message, tag=44):
     """The statuses follow: first those of the goals that there are, then each change."""
 
@@ -279,6 +305,7 @@ class Watching(_Message, tag=44):
     """How many goals there are."""
 
 
+@final
 class Peers(_Message, tag=45):
     """Who uses the action."""
 

@@ -39,6 +39,7 @@ from fibaction.messages import (
     Welcome,
     Why,
 )
+from fibaction.states import GoalStatus
 
 GOAL_ID = GoalID(bytes(range(16)))
 STAMP = 1_700_000_000_000_000_000
@@ -114,7 +115,7 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "942001cb3ff0000000000000ce00010000",
     ),
     (
-        Following(1, STAMP, 1, False, 0),
+        Following(1, STAMP, GoalStatus.ACCEPTED, False, 0),
         "962101cf17979cfe362a000001c200",
     ),
     (
@@ -130,19 +131,19 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "94240101c41681b07061727469616c5f73657175656e636593000101",
     ),
     (
-        StatusChanged(1, 2),
+        StatusChanged(1, GoalStatus.EXECUTING),
         "93250102",
     ),
     (
-        Ended(1, 4, RESULT, "", 9),
+        Ended(1, GoalStatus.SUCCEEDED, RESULT, "", 9),
         "96260104c40f81a873657175656e63659400010102a009",
     ),
     (
-        CancelAnswered(3, 0, [(GOAL_ID, STAMP, 3)], ""),
+        CancelAnswered(3, 0, [(GOAL_ID, STAMP, GoalStatus.CANCELING)], ""),
         "952703009193c410000102030405060708090a0b0c0d0e0fcf17979cfe362a000003a0",
     ),
     (
-        GoalChanged(4, GOAL_ID, STAMP, 2, 0, 1, "arm"),
+        GoalChanged(4, GOAL_ID, STAMP, GoalStatus.EXECUTING, 0, 1, "arm"),
         "982804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000020001a361726d",
     ),
     (

@@ -404,7 +404,9 @@ def test_a_goal_in_the_answer_to_a_cancel_has_limits_too(
 ) -> None:
     answer = packed(39, 3, 0, [goal], "")
     if is_taken:
-        assert decode_from_server(answer) == CancelAnswered(3, 0, [goal], "")
+        assert decode_from_server(answer) == CancelAnswered(
+            3, 0, [(*goal[:2], GoalStatus(goal[2]))], ""
+        )
     else:
         with pytest.raises(ProtocolError):
             decode_from_server(answer)

@@ -26,6 +26,7 @@ from fibaction.messages import (
     Watching,
     WatchStatus,
 )
+from fibaction.states import GoalStatus
 from fibaction.wire.access import Verb
 from fibaction.wire.flows import WaitingFlow, text_of
 
@@ -70,7 +71,7 @@ class Answers:
         endpoint = await self._find(message.action, Verb.CANCEL)
         goal_id = None if message.goal_id is None else GoalID(message.goal_id)
         answer = await endpoint.cancel_goals(goal_id, message.stamp)
-        goals: list[tuple[bytes, int, int]] = [
+        goals: list[tuple[bytes, int, GoalStatus]] = [
             (info.goal_id, info.stamp, info.status) for info in answer.goals_canceling
         ]
         await self._say(

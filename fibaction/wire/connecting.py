@@ -12,8 +12,7 @@ import secrets
 from collections import deque
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import anyio
 import msgspec
@@ -57,13 +56,11 @@ from fibaction.messages import (
     decode_from_server,
     encode,
 )
-from fibaction.states import GoalStatus
 from fibaction.waking import Waking
 from fibaction.wire.calls import Call, Question, RemoteGoal, RemoteStatuses
 from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.link import Link, naming
 
-T = TypeVar("T")
 logger = logging.getLogger("fibaction.wire")
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.02, 2.0
@@ -115,6 +112,8 @@ class RemoteConnection(Connection):
         self._calls: dict[int, Call] = {}
         self._unopened: deque[Call] = deque()  # on this connection; by turns, for they may be large
         self._ids = itertools.count(1)
+        # Of two, one can be let go of for the next; behind one, unread, the end would never come.
+        self._window = max(keeping.window, 2)
         self._changed = Waking()
 
     # For users
@@ -136,21 +135,22 @@ class RemoteConnection(Connection):
         """Ask a question, on this connection or the next, and give its answer."""
         call_id = next(self._ids)
         question = Question(call_id, request(call_id))
-        return await self._open(question, partial(question.answer, kind))
+        await self._open(question)
+        return question.answer(kind)
 
-    async def follow(self, request: Callable[[int, int], SendGoal | Follow]) -> RemoteGoal:
-        """Send or follow a goal; `request` gets the ID and the credit."""
-        # Of two, one can be let go of for the next; behind one, unread, the end would never come.
-        call_id, window = next(self._ids), max(self._keeping.window, 2)
-        opening = request(call_id, window)
-        goal = RemoteGoal(call_id, opening, window, self._post)
-        await self._open(goal, goal.accepted)
+    async def follow(
+        self, goal_id: GoalID, request: Callable[[int, int], SendGoal | Follow]
+    ) -> RemoteGoal:
+        """Send or follow a goal; `request` gets the ID of the call, and the credit."""
+        opening = request(next(self._ids), self._window)
+        goal = RemoteGoal(goal_id, opening, self._window, self._post)
+        await self._open(goal)
         return goal
 
     async def watch(self, action: str) -> RemoteStatuses:
         """Follow the statuses of an action."""
         statuses = RemoteStatuses(next(self._ids), action, self._keeping.window, self._post)
-        await self._open(statuses, statuses.begun)
+        await self._open(statuses)
         return statuses
 
     async def changed(self) -> None:
@@ -164,8 +164,8 @@ class RemoteConnection(Connection):
         if self._final and self._absent is not None:
             raise _anew(self._absent)
 
-    async def _open(self, call: Call, answer: Callable[[], Awaitable[T]]) -> T:
-        """Open a call, and wait for what the server says to it, or give it up."""
+    async def _open(self, call: Call) -> None:
+        """Open a call, and wait until the server has granted it, or give it up."""
         if self._absent is not None:
             raise _anew(self._absent)
         self._calls[call.id] = call
@@ -173,7 +173,7 @@ class RemoteConnection(Connection):
             self._unopened.append(call)
             self._link.stir()
         try:
-            return await answer()
+            await call.answered()
         except BaseException:
             if self._calls.pop(call.id, None) is not None:
                 self._post(Close(call.id))
@@ -328,16 +328,18 @@ class RemoteEndpoint(Endpoint):
 
     async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> RemoteGoal:
         return await self._connection.follow(
+            goal_id,
             lambda call_id, credit: SendGoal(
                 call_id, self._info.name, goal_id, goal, credit if feedback else None
-            )
+            ),
         )
 
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False
     ) -> RemoteGoal:
         return await self._connection.follow(
-            lambda call_id, credit: Follow(call_id, self._info.name, goal_id, after, own, credit)
+            goal_id,
+            lambda call_id, credit: Follow(call_id, self._info.name, goal_id, after, own, credit),
         )
 
     async def cancel_goals(
@@ -347,8 +349,7 @@ class RemoteEndpoint(Endpoint):
             lambda call_id: CancelGoals(call_id, self._info.name, goal_id, stamp), CancelAnswered
         )
         goals = tuple(
-            GoalInfo(GoalID(goal), accepted, GoalStatus(status))
-            for goal, accepted, status in answer.goals
+            GoalInfo(GoalID(goal), accepted, status) for goal, accepted, status in answer.goals
         )
         return CancelAnswer(CancelCode(answer.return_code), goals, answer.reason)
 

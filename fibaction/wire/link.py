@@ -141,9 +141,11 @@ class Link:
             self._room.wake()
         frames: list[bytes] = []
         if self._error is None:  # what is cut off by the end would cut off the last word, too
-            queue, self._queue = self._queue, []
-            self._writing = sum(map(len, queue))
-            frames = queue + self._source()
+            self._writing = 0
+            if self._queue:
+                frames, self._queue = self._queue, frames
+                self._writing = sum(map(len, frames))
+            frames += self._source()
         self._is_writing = bool(frames)
         return frames
 

@@ -114,12 +114,12 @@ def some_calls() -> list[tuple[Call, Callable[[], Coroutine[Any, Any, Any]]]]:
     unanswered, accepted, silent = (Bench(accepted=yes).goal for yes in (False, True, True))
     begun, begins = StatusBench().statuses, StatusBench(begun=False).statuses
     return [
-        (question, lambda: question.answer(Done)),
-        (unanswered, unanswered.accepted),
+        (question, question.answered),
+        (unanswered, unanswered.answered),
         (accepted, accepted.next_event),
         (silent, silent.outcome),
         (begun, begun.receive),
-        (begins, begins.begun),
+        (begins, begins.answered),
     ]
 
 
@@ -232,30 +232,30 @@ def test_a_question_is_asked_alike_on_each_connection() -> None:
 
 async def test_a_question_waits_for_its_answer_which_is_the_last_of_it() -> None:
     question = a_question()
-    answer = await while_waiting(
-        lambda: question.answer(Actions), lambda: question.hear(Actions(ID, []))
-    )
-    assert answer == Actions(ID, [])
+    await while_waiting(question.answered, lambda: question.hear(Actions(ID, [])))
+    assert question.answer(Actions) == Actions(ID, [])
     assert a_question().hear(Actions(ID, []))
 
 
 async def test_a_question_that_fails_has_had_its_answer() -> None:
     question = a_question()
     error = await while_waiting(
-        lambda: question.answer(Done),
+        question.answered,
         lambda: question.hear(Failed(ID, Why.SERVER_NOT_FOUND, "nobody")),
     )
     assert isinstance(error, ServerNotFound)
     assert a_question().hear(Failed(ID, Why.SERVER_NOT_FOUND, "nobody"))
 
 
-@pytest.mark.parametrize("answer", [Done(ID), Rejected(ID, "no"), Following(ID, 1, 1, False, 0)])
+@pytest.mark.parametrize(
+    "answer", [Done(ID), Rejected(ID, "no"), Following(ID, 1, GoalStatus.ACCEPTED, False, 0)]
+)
 def test_an_answer_to_another_question_is_the_peers_error(answer: Any) -> None:
     question = a_question()
     assert question.hear(answer)
     name = type(answer).__name__
     with pytest.raises(ProtocolError, match=rf"^a {name} does not answer what was asked$"):
-        at_once(question.answer(Actions))
+        question.answer(Actions)
 
 
 # A goal
@@ -276,7 +276,7 @@ class Bench:
         self.posted: list[FromClient] = []
         if opening is None:
             opening = SendGoal(ID, "fibonacci", GOAL_ID, b"goal", window or None)
-        self.goal = RemoteGoal(ID, opening, window, self.posted.append)
+        self.goal = RemoteGoal(GOAL_ID, opening, window, self.posted.append)
         if accepted:
             self.follow(latest=latest, place=place)
 
@@ -340,7 +340,7 @@ async def test_a_goal_is_accepted_when_the_server_knows_it() -> None:
     )
     assert isinstance(goal.goal_id, GoalID)
     await while_waiting(
-        goal.accepted, lambda: bench.follow(GoalStatus.EXECUTING, latest=True, place=3)
+        goal.answered, lambda: bench.follow(GoalStatus.EXECUTING, latest=True, place=3)
     )
     assert (goal.status, goal.stamp, goal.latest) == (GoalStatus.EXECUTING, STAMP, True)
     assert isinstance(goal.status, GoalStatus)
@@ -360,7 +360,7 @@ async def test_a_goal_that_is_refused_was_not_accepted(
     refusal: Rejected | Failed, kind: type[ActionError]
 ) -> None:
     bench = Bench(accepted=False)
-    error = await while_waiting(bench.goal.accepted, lambda: bench.goal.hear(refusal))
+    error = await while_waiting(bench.goal.answered, lambda: bench.goal.hear(refusal))
     assert type(error) is kind
     assert Bench(accepted=False).goal.hear(refusal)
 
@@ -963,7 +963,7 @@ class StatusBench:
 async def test_statuses_begin_when_the_server_says_so() -> None:
     bench = StatusBench(begun=False)
     assert bench.statuses.opening() == WatchStatus(ID, "fibonacci", 4)
-    await while_waiting(bench.statuses.begun, lambda: bench.statuses.hear(Watching(ID, 0)))
+    await while_waiting(bench.statuses.answered, lambda: bench.statuses.hear(Watching(ID, 0)))
 
 
 def test_on_another_connection_the_known_goals_come_anew_behind_those_that_have_come() -> None:
@@ -1020,7 +1020,7 @@ async def test_a_list_ends_with_the_server_and_fails_with_the_connection() -> No
 async def test_statuses_that_the_server_refuses_do_not_begin() -> None:
     bench = StatusBench(begun=False)
     refusal = Failed(ID, Why.FORBIDDEN, "no")
-    error = await while_waiting(bench.statuses.begun, lambda: bench.statuses.hear(refusal))
+    error = await while_waiting(bench.statuses.answered, lambda: bench.statuses.hear(refusal))
     assert isinstance(error, AuthenticationFailed)
     assert StatusBench().statuses.hear(refusal)
 
@@ -1086,7 +1086,9 @@ def test_statuses_beyond_the_credit_are_the_peers_error(window: int) -> None:
         bench.change(window, window + 1)  # one too many may be from a connection before
 
 
-@pytest.mark.parametrize("message", [ENDED, Following(ID, 1, 1, False, 0), Ping()], ids=type)
+@pytest.mark.parametrize(
+    "message", [ENDED, Following(ID, 1, GoalStatus.ACCEPTED, False, 0), Ping()], ids=type
+)
 def test_what_is_about_no_statuses_is_the_peers_error(message: object) -> None:
     with pytest.raises(ProtocolError, match=f"a {type(message).__name__} does not answer"):
         StatusBench().statuses.hear(message)

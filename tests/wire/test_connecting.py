@@ -304,7 +304,7 @@ async def test_what_is_no_message_ends_the_connection_for_good() -> None:
 async def test_an_end_is_answered_with_received() -> None:
     async with reached(Network()) as (connection, server):
         async with goal_of(connection, server) as (_, call_id):
-            await server.say(Ended(call_id, 4, b"result", "", 0))
+            await server.say(Ended(call_id, GoalStatus.SUCCEEDED, b"result", "", 0))
             assert await server.hear(Received) == Received(call_id)
             assert connection._calls == {}
 
@@ -314,13 +314,13 @@ async def test_the_end_of_a_goal_that_was_given_up_before_its_answer_is_answered
         async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, b"goal")):
             sent = await server.hear(SendGoal)
         assert await server.hear_all() == [Close(sent.id)]
-        await server.say(following(sent), Ended(sent.id, 4, b"result", "", 0))
+        await server.say(following(sent), Ended(sent.id, GoalStatus.SUCCEEDED, b"result", "", 0))
         assert await server.hear_all() == [Received(sent.id)]
 
 
 async def test_signs_of_life_and_answers_that_nobody_waits_for_are_ignored() -> None:
     async with reached(Network()) as (connection, server):
-        await server.say(Ping(), Done(77), Ended(78, 4, None, "", 0))
+        await server.say(Ping(), Done(77), Ended(78, GoalStatus.SUCCEEDED, None, "", 0))
         assert await server.hear_all() == [Received(78)]  # so that nothing is kept for it
         async with Running(connection.actions) as asking:
             question = await server.hear(ListActions)
@@ -414,7 +414,7 @@ async def test_a_cancel_is_asked_and_answered() -> None:
         async with Running(lambda: endpoint.cancel_goals(GOAL_ID, 5)) as asking:
             asked = await server.hear(CancelGoals)
             assert asked == CancelGoals(asked.id, "fibonacci", GOAL_ID, 5)
-            await server.say(CancelAnswered(asked.id, 0, [(GOAL_ID, 4, 3)], "x"))
+            await server.say(CancelAnswered(asked.id, 0, [(GOAL_ID, 4, GoalStatus.CANCELING)], "x"))
             goal = GoalInfo(GOAL_ID, 4, GoalStatus.CANCELING)
             assert await asking.answer() == CancelAnswer(CancelCode.NONE, (goal,), "x")
 
@@ -427,7 +427,9 @@ async def test_a_goal_is_sent_followed_and_ends() -> None:
             await server.say(following(sent))
             goal = await sending.answer()
             assert (goal.goal_id, goal.stamp, goal.status) == (GOAL_ID, 7, GoalStatus.EXECUTING)
-        await server.say(Feedback(sent.id, 1, b"one"), Ended(sent.id, 4, b"result", "", 1))
+        await server.say(
+            Feedback(sent.id, 1, b"one"), Ended(sent.id, GoalStatus.SUCCEEDED, b"result", "", 1)
+        )
         with anyio.fail_after(5):
             assert await goal.receive() == FeedbackItem(1, b"one")
             assert await goal.receive() is None
@@ -495,7 +497,9 @@ async def test_statuses_are_watched() -> None:
         async with Running(endpoint_of(connection).status) as asking:
             asked = await server.hear(WatchStatus)
             assert asked == WatchStatus(asked.id, "fibonacci", WINDOW)
-            await server.say(Watching(asked.id, 1), GoalChanged(asked.id, GOAL_ID, 5, 2, 0))
+            await server.say(
+                Watching(asked.id, 1), GoalChanged(asked.id, GOAL_ID, 5, GoalStatus.EXECUTING, 0)
+            )
             statuses = await asking.answer()
         with anyio.fail_after(5):
             assert await statuses.receive() == GoalInfo(GOAL_ID, 5, GoalStatus.EXECUTING)
@@ -592,7 +596,11 @@ async def test_a_goal_that_is_given_up_before_its_answer_is_ignored_from_then_on
         async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, b"goal")):
             sent = await server.hear(SendGoal)
         await server.hear(Close)
-        await server.say(following(sent), Feedback(sent.id, 1, b""), Ended(sent.id, 4, None, "", 1))
+        await server.say(
+            following(sent),
+            Feedback(sent.id, 1, b""),
+            Ended(sent.id, GoalStatus.SUCCEEDED, None, "", 1),
+        )
         await settled()
         assert not server.channel.is_cut
 
@@ -694,7 +702,7 @@ async def test_a_goal_is_resumed_behind_the_last_feedback_and_loses_none() -> No
             await server.say(
                 following(asked, place=2),
                 Feedback(call_id, 3, b"3"),
-                Ended(call_id, 4, b"result", "", 3),
+                Ended(call_id, GoalStatus.SUCCEEDED, b"result", "", 3),
             )
             with anyio.fail_after(5):
                 assert [(await goal.receive()).number for _ in range(2)] == [2, 3]
@@ -728,7 +736,9 @@ async def test_a_goal_that_is_not_read_any_more_is_resumed_for_its_end() -> None
             server = await network.accept()
             asked = await server.hear(Follow)
             assert (asked.own, asked.credit) == (True, None)
-            await server.say(following(asked), Ended(call_id, 4, b"result", "", 9))
+            await server.say(
+                following(asked), Ended(call_id, GoalStatus.SUCCEEDED, b"result", "", 9)
+            )
             with anyio.fail_after(5):
                 assert (await goal.outcome()).result == b"result"
 
@@ -815,7 +825,9 @@ async def test_statuses_are_watched_again() -> None:
             server.channel.cut()
             server = await network.accept()
             assert await server.hear(WatchStatus) == asked
-            await server.say(Watching(asked.id, 1), GoalChanged(asked.id, GOAL_ID, 5, 2, 0))
+            await server.say(
+                Watching(asked.id, 1), GoalChanged(asked.id, GOAL_ID, 5, GoalStatus.EXECUTING, 0)
+            )
             with anyio.fail_after(5):
                 assert (await statuses.receive()).goal_id == GOAL_ID
 
