@@ -43,8 +43,11 @@ class Line(ABC):
         return 0
 
     @abstractmethod
-    def stir(self) -> None:
-        """There is something to fetch."""
+    def stir(self, *, at_once: bool = False) -> None:
+        """There is something to fetch. Most often there soon is more, and all of it goes into one
+        write; `at_once` says that there is not, and that whoever stirs has other things to do that
+        can be done while the other end has it. Who cannot write at once need not.
+        """
 
     @abstractmethod
     async def run(self, hear: Hear, fetch: Fetch) -> None:
@@ -92,7 +95,7 @@ class Channel(Line):
             ProtocolError: What came is no frame.
         """
 
-    def stir(self) -> None:
+    def stir(self, *, at_once: bool = False) -> None:
         if self._wanted is not None:
             self._wanted.wake()
 

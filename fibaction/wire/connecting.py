@@ -171,7 +171,8 @@ class RemoteConnection(Connection):
         self._calls[call.id] = call
         if self._link is not None and self._ready:
             self._unopened.append(call)
-            self._link.stir()
+            # Several calls, made in the same turn of the event loop, go together.
+            self._link.stir(at_once=len(self._calls) == 1)
         try:
             await call.answered()
         except BaseException:

@@ -52,9 +52,9 @@ class Link:
         """Whether messages can still be sent."""
         return self._error is None
 
-    def stir(self) -> None:
-        """There is something to fetch from the source."""
-        self._line.stir()
+    def stir(self, *, at_once: bool = False) -> None:
+        """There is something to fetch from the source. See `Line.stir`."""
+        self._line.stir(at_once=at_once)
 
     def post(self, frame: bytes) -> None:
         """Queue a message. For small ones, of which there are few; after the end it is lost."""

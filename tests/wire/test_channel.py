@@ -415,7 +415,7 @@ async def test_a_line_of_somebody_elses_need_not_know_of_progress() -> None:
     class Still(Line):
         peer = "nobody"
 
-        def stir(self) -> None:
+        def stir(self, *, at_once: bool = False) -> None:
             raise NotImplementedError
 
         async def run(self, hear: Hear, fetch: Fetch) -> None:

@@ -437,6 +437,20 @@ async def test_a_goal_is_sent_followed_and_ends() -> None:
         assert connection._calls == {}
 
 
+async def test_a_call_that_is_alone_is_sent_at_once_and_those_beside_it_together(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with reached(Network()) as (connection, _):
+        assert connection._link is not None
+        told: list[bool] = []
+        monkeypatch.setattr(connection._link, "stir", lambda *, at_once: told.append(at_once))
+        async with Background() as tasks:
+            for _ in range(3):
+                tasks.start_soon(connection.actions)
+            await settled()
+        assert told == [True, False, False]
+
+
 async def test_a_goal_without_feedback_asks_for_none() -> None:
     async with reached(Network()) as (connection, server):
         sending = Running(

@@ -231,6 +231,17 @@ async def test_what_there_is_to_fetch_is_fetched_until_there_is_no_more() -> Non
         assert spring.asked == asked
 
 
+@pytest.mark.parametrize("at_once", [False, True])
+async def test_the_line_is_told_whether_there_is_more_to_come(
+    at_once: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench()
+    told: list[bool] = []
+    monkeypatch.setattr(bench.channel, "stir", lambda *, at_once: told.append(at_once))
+    bench.link.stir(at_once=at_once)
+    assert told == [at_once]
+
+
 async def test_what_was_there_before_it_ran_is_fetched() -> None:
     bench = Bench()
     Spring(bench).left = [[b"one"]]

@@ -171,6 +171,34 @@ async def test_it_asks_again_when_all_is_written_and_then_waits_to_be_stirred() 
         assert one.fetched == asked
 
 
+async def test_what_is_stirred_at_once_is_written_in_the_same_turn() -> None:
+    async with pair() as (one, other):
+        one.say(b"1")
+        one.say(b"2")
+        assert len(one.to_say) == 2
+        one.line.stir(at_once=True)
+        assert one.to_say == []
+        await until(lambda: len(other.heard) == 2)
+        assert other.heard == [b"1", b"2"]
+
+
+async def test_who_stirs_at_once_while_it_is_fetched_from_has_to_wait() -> None:
+    async with pair() as (one, other):
+        fetch = one.fetch
+
+        def stirring() -> list[bytes]:
+            frames = fetch()
+            if frames:
+                one.line.stir(at_once=True)
+            return frames
+
+        one.line._fetch = stirring
+        one.to_say = [[b"1"], [b"2"], [b"3"]]
+        one.line.stir(at_once=True)
+        await until(lambda: len(other.heard) == 3)
+        assert other.heard == [b"1", b"2", b"3"]
+
+
 async def test_after_a_large_write_others_have_their_turn() -> None:
     async with pair() as (one, other):
         turns: list[int] = []

@@ -55,6 +55,7 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         self._written = 0
         self._error: Exception | None = None
         self._is_due = False
+        self._is_fetching = False
         self._is_full = False
         self._changed = Waking()
 
@@ -63,8 +64,12 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         """The bytes that the socket has taken."""
         return self._written - self._transport.get_write_buffer_size()
 
-    def stir(self) -> None:
-        if not (self._is_due or self._is_full) and self._hear is not None:
+    def stir(self, *, at_once: bool = False) -> None:
+        if self._is_full or self._hear is None:
+            pass  # it will be fetched when there is room, or when this line runs
+        elif at_once and not self._is_fetching:
+            self._write()
+        elif not self._is_due:
             self._is_due = True
             self._loop.call_soon(self._write, context=self._context)
 
@@ -99,7 +104,9 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         self._is_due = False
         try:
             while self._error is None and not self._is_full:
+                self._is_fetching = True
                 frames = self._fetch()
+                self._is_fetching = False
                 if not frames:
                     break
                 data = framed(frames)
