@@ -15,18 +15,23 @@ MAX_FRAME = 16 * 2**20
 """Larger than any sensible message, smaller than memory."""
 
 _LENGTH = Struct(">I")
+_pack, _unpack = _LENGTH.pack, _LENGTH.unpack_from
+
+
+_OTHERS = {b"\x16\x03": "TLS", b"GET ": "HTTP", b"POST": "HTTP", b"HEAD": "HTTP"}
+"""How those begin who take this for something else."""
 
 
 def header(length: int) -> bytes:
     """What comes before a frame of that length."""
-    return _LENGTH.pack(length)
+    return _pack(length)
 
 
 def framed(frames: Iterable[bytes]) -> bytes:
     """The frames as they are sent, one behind the other."""
     parts: list[bytes] = []
     for frame in frames:
-        parts += (_LENGTH.pack(len(frame)), frame)
+        parts += (_pack(len(frame)), frame)
     return b"".join(parts)
 
 
@@ -46,24 +51,24 @@ class FrameReader:
         Raises:
             ProtocolError: A frame is longer than the limit. The stream is of no use any more.
         """
-        buffer = self._buffer
+        buffer, limit = self._buffer, self._limit
         pending: bytes | bytearray = data
         if buffer:
             buffer += data
             pending = buffer
         frames: list[bytes] = []
         start, end = 0, len(pending)
-        while end - start >= HEADER:
-            length: int = _LENGTH.unpack_from(pending, start)[0]
-            if length > self._limit:
+        while (body := start + HEADER) <= end:
+            length: int = _unpack(pending, start)[0]
+            if length > limit:
                 raise ProtocolError(
-                    f"a frame of {length} bytes was announced, and {self._limit} are the limit"
+                    f"a frame of {length} bytes was announced, and {limit} are the limit"
+                    f"{_looks_like(_pack(length))}"
                 )
-            if end - start < HEADER + length:
+            if body + length > end:
                 break
-            start += HEADER
-            frames.append(bytes(pending[start : start + length]))
-            start += length
+            start = body + length
+            frames.append(bytes(pending[body:start]))
         if pending is buffer:
             del buffer[:start]
         else:  # most often all of it is used, and never copied
@@ -74,3 +79,10 @@ class FrameReader:
     def is_within_frame(self) -> bool:
         """Whether part of a frame has arrived, and the rest has not."""
         return bool(self._buffer)
+
+
+def _looks_like(first: bytes) -> str:
+    for start, name in _OTHERS.items():
+        if first.startswith(start):
+            return f": it looks like {name}"
+    return ""

@@ -111,8 +111,23 @@ def test_a_frame_over_the_limit_is_refused_with_its_header(frames: list[bytes], 
     reader = FrameReader(LIMIT)
     assert reader.feed(framed(frames)) == frames
     assert reader.feed(header(size)[:-1]) == []
-    with pytest.raises(ProtocolError, match=f"^a frame of {size} bytes .* {LIMIT} are the limit$"):
+    text = rf"^a frame of {size} bytes .* {LIMIT} are the limit(: it looks like (TLS|HTTP))?$"
+    with pytest.raises(ProtocolError, match=text):
         reader.feed(header(size)[-1:])
+
+
+@pytest.mark.parametrize(
+    ("data", "name"),
+    [
+        (b"\x16\x03\x01\x02\x00", "TLS"),
+        (b"GET / HTTP/1.1", "HTTP"),
+        (b"POST /goals HTTP/1.1", "HTTP"),
+        (b"HEAD / HTTP/1.1", "HTTP"),
+    ],
+)
+def test_whoever_speaks_something_else_is_recognized(data: bytes, name: str) -> None:
+    with pytest.raises(ProtocolError, match=f"are the limit: it looks like {name}$"):
+        FrameReader().feed(data)
 
 
 def test_a_frame_over_the_limit_is_refused_wherever_it_comes() -> None:

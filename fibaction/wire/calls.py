@@ -250,10 +250,10 @@ class RemoteGoal(Call, GoalStream):
     def hear(self, message: Any) -> bool:
         # Where most messages pass: for a class of msgspec's, `isinstance` takes ten times as long.
         kind = message.__class__
-        if kind is Following:
-            self._take_following(message)
-        elif kind is Feedback and self._is_answered:
+        if kind is Feedback and self._is_answered:
             self._take_feedback(message)
+        elif kind is Following:
+            self._take_following(message)
         elif kind is StatusChanged and self._is_answered:
             self._take_status(message.status)
         elif kind is Ended and self._is_answered:

@@ -110,17 +110,18 @@ async def scene(
                 yield Scene(url, heard, client)
 
 
-def too_long(length: int) -> str:
-    return f"a frame of {length} bytes was announced, and {MAX_FRAME} are the limit"
+def too_long(length: int, looks_like: str = "") -> str:
+    text = f"a frame of {length} bytes was announced, and {MAX_FRAME} are the limit"
+    return f"{text}: it looks like {looks_like}" if looks_like else text
 
 
 @pytest.mark.parametrize(
     ("data", "problem"),
     [
-        (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", too_long(0x47455420)),
+        (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", too_long(0x47455420, "HTTP")),
         (b"\xff\xff\xff\xff", too_long(2**32 - 1)),
         (struct.pack(">I", MAX_FRAME + 1), too_long(MAX_FRAME + 1)),
-        (b"\x16\x03\x01\x02\x00\x01\x00", too_long(0x16030102)),
+        (b"\x16\x03\x01\x02\x00\x01\x00", too_long(0x16030102, "TLS")),
     ],
     ids=["HTTP", "4 GiB", "one byte more than the limit", "TLS"],
 )
