@@ -12,7 +12,7 @@ from typing import Any, TypeAlias, TypeVar
 
 from anyio import CancelScope
 
-from fibaction.exceptions import CancelRejected, GoalRejected
+from fibaction.exceptions import CancelRejected, GoalRejected, text_of
 
 T = TypeVar("T")
 Callback: TypeAlias = Callable[[T], Awaitable[None] | None]
@@ -89,7 +89,7 @@ class Callbacks:
         except refusal:
             raise
         except Exception as exc:
-            reason = f"{name} failed: {type(exc).__name__}: {exc}"
+            reason = f"{name} failed: {text_of(exc)}"
             logger.error("action %r: %s", self._action, reason, exc_info=exc)
             raise refusal(reason) from exc
 

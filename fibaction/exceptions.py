@@ -41,7 +41,8 @@ class _Refusal(ActionError):
 
     def __init__(self, reason: str, *, goal_id: GoalID | None = None) -> None:
         super().__init__(reason)
-        self.reason = reason
+        # `GoalRejected(exc)` is easily written, and what is no text would stop on its way.
+        self.reason = str(reason)
         self.goal_id = goal_id
 
     def __str__(self) -> str:
@@ -158,3 +159,14 @@ class AuthenticationFailed(TransportError):
     Also for a single request, where the server lets the client in and does not allow it that.
     fibaction does not try again by itself.
     """
+
+
+def text_of(exc: BaseException) -> str:
+    """What somebody else's code has raised, in words: `ValueError: too far`.
+
+    An error that cannot say what it is has a name at least: it must not become another one.
+    """
+    try:
+        return f"{type(exc).__name__}: {exc}"
+    except Exception:
+        return type(exc).__name__

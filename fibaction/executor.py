@@ -20,7 +20,7 @@ from anyio.lowlevel import checkpoint
 
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.crew import SLICE, Life
-from fibaction.exceptions import GoalAborted, GoalCanceled
+from fibaction.exceptions import GoalAborted, GoalCanceled, text_of
 from fibaction.protocol import Ending, EndKind
 from fibaction.states import GoalStatus
 
@@ -212,7 +212,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             return self._failed(bad)
 
     def _failed(self, exc: BaseException) -> Ending:
-        reason = f"{type(exc).__name__}: {exc}"
+        reason = text_of(exc)
         if isinstance(exc, _Misuse):
             reason = f"the executor is wrong: {exc}"
         logger.error(

@@ -61,6 +61,23 @@ async def raises_twice_in_a_task_group(goal: GoalHandle[Goal]) -> Items:
     yield Result([])
 
 
+class Mute(Exception):
+    """An error that goes wrong itself when it is to be shown."""
+
+    def __str__(self) -> str:
+        raise LookupError("no words")
+
+
+async def raises_what_cannot_say_what_it_is(goal: GoalHandle[Goal]) -> Items:
+    raise Mute
+    yield Result([])
+
+
+async def aborts_with_an_error_as_its_reason(goal: GoalHandle[Goal]) -> Items:
+    raise GoalAborted(cast("str", ValueError("too heavy")), result=Result([1]))
+    yield Result([])
+
+
 async def raises_while_it_is_closed(goal: GoalHandle[Goal]) -> Items:
     try:
         yield cast("Feedback", None)
@@ -137,6 +154,8 @@ ABORTED: list[tuple[Callable[[GoalHandle[Goal]], Items], str, list[int] | None]]
     (yields_what_cannot_be_encoded, f"TypeError: {UNENCODABLE}", None),
     (raises_before_the_first_yield, "ValueError: no such arm", None),
     (raises_after_feedback, "ValueError: the arm is stuck", None),
+    (raises_what_cannot_say_what_it_is, "Mute", None),
+    (aborts_with_an_error_as_its_reason, "too heavy", [1]),
     (raises_after_the_result, "ValueError: the gripper does not open", [1]),
     (raises_in_a_task_group, "ValueError: inside", None),
     (raises_twice_in_a_task_group, "ExceptionGroup: two things (2 sub-exceptions)", None),

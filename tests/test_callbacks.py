@@ -167,6 +167,23 @@ async def test_a_callback_that_fails_refuses_and_leaves_its_traceback_in_the_log
     assert record.exc_info[1] is caught.value.__cause__
 
 
+@each_refusal
+@each_colour
+async def test_a_callback_whose_error_cannot_say_what_it_is_refuses_all_the_same(
+    colour: Colour, refusal: Refusal
+) -> None:
+    class Mute(Exception):
+        def __str__(self) -> str:
+            raise LookupError("no words")
+
+    def fail(argument: Any) -> None:
+        raise Mute
+
+    with pytest.raises(refusal) as caught:
+        await ask(colour(fail), refusal)
+    assert caught.value.reason == "on_goal failed: Mute"
+
+
 @each_colour
 async def test_the_other_refusal_is_a_failure(colour: Colour) -> None:
     def refuse(argument: Any) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import inspect
 import pickle
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -20,6 +21,7 @@ from fibaction.exceptions import (
     ServerNotFound,
     TransportError,
     UnknownGoal,
+    text_of,
 )
 from fibaction.goals import GoalID
 from fibaction.states import GoalEvent, GoalStatus
@@ -108,6 +110,24 @@ def test_data_is_in_attributes() -> None:
     assert UnknownGoal(GOAL_ID).goal_id == GOAL_ID
     invalid = InvalidTransition(GoalStatus.ACCEPTED, GoalEvent.SUCCEED)
     assert (invalid.status, invalid.event) == (GoalStatus.ACCEPTED, GoalEvent.SUCCEED)
+
+
+@pytest.mark.parametrize("error", [GoalRejected, GoalAborted, GoalCanceled, CancelRejected])
+def test_a_reason_is_text_whatever_was_given(error: type[Any]) -> None:
+    refusal = error(ValueError("too far"))
+    assert refusal.reason == str(refusal) == "too far"
+
+
+class Mute(Exception):
+    """An error that goes wrong itself when it is to be shown."""
+
+    def __str__(self) -> str:
+        raise LookupError("no words")
+
+
+def test_an_error_of_others_is_its_name_and_what_it_says_if_it_can() -> None:
+    assert text_of(ValueError("too far")) == "ValueError: too far"
+    assert text_of(Mute("too far")) == "Mute"
 
 
 def test_what_is_not_said_is_none_or_empty() -> None:
