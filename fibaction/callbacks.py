@@ -6,11 +6,12 @@ It knows nothing of goals; what yes and no mean is its caller's affair.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Awaitable, Callable, Coroutine, Generator
 from contextlib import contextmanager
 from typing import Any, TypeAlias, TypeVar
 
-from anyio import CancelScope
+from anyio import CancelScope, current_effective_deadline, get_cancelled_exc_class
 
 from fibaction.exceptions import CancelRejected, GoalRejected, text_of
 
@@ -19,6 +20,7 @@ Callback: TypeAlias = Callable[[T], Awaitable[None] | None]
 """Sync or async; returns None to agree, raises the refusal to refuse."""
 
 SERVER_STOPPING = "the server is stopping"
+CANCELED_ELSEWHERE = "what it waits for was canceled by somebody else"
 
 logger = logging.getLogger("fibaction.server")
 
@@ -51,7 +53,7 @@ class Callbacks:
                 meanwhile.
         """
         with self._refusing(name, refusal):
-            answer: object = callback(argument)
+            answer: object = _called(callback, argument)
             if isinstance(answer, Awaitable):
                 # From now on, and not only when the coroutine begins, `stop` is to reach it.
                 scope = CancelScope()
@@ -74,7 +76,7 @@ class Callbacks:
                         awaitable.close()
                     raise refusal(SERVER_STOPPING)
                 with scope:
-                    _check(name, await awaitable, refusal)
+                    _check(name, await _awaited(awaitable), refusal)
                 if scope.cancelled_caught:
                     raise refusal(SERVER_STOPPING)
         finally:
@@ -100,3 +102,27 @@ def _check(name: str, answer: object, refusal: type[GoalRejected] | type[CancelR
             f"{name} returned {answer!r}: return None to agree,"
             f" raise {refusal.__name__}(reason) to refuse"
         )
+
+
+def _called(callback: Callback[T], argument: T) -> Awaitable[None] | None:
+    try:
+        return callback(argument)
+    except get_cancelled_exc_class() as exc:  # nothing has been awaited, so it is of its own making
+        raise RuntimeError(CANCELED_ELSEWHERE) from exc
+
+
+async def _awaited(awaitable: Awaitable[object]) -> object:
+    try:
+        return await awaitable
+    except get_cancelled_exc_class() as exc:
+        if current_effective_deadline() == -math.inf or _is_canceled():
+            raise
+        raise RuntimeError(CANCELED_ELSEWHERE) from exc
+
+
+def _is_canceled() -> bool:
+    """Whether somebody has canceled this task itself, which of the backends only asyncio can do."""
+    import asyncio  # noqa: TID251  # anyio does not tell
+
+    task = asyncio.current_task()
+    return task is not None and task.cancelling() > 0

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio  # noqa: TID251  # it alone can cancel a task from outside
 import logging
 from collections.abc import Awaitable, Callable, Coroutine, Generator
 from typing import Any
@@ -184,6 +185,21 @@ async def test_a_callback_whose_error_cannot_say_what_it_is_refuses_all_the_same
     assert caught.value.reason == "on_goal failed: Mute"
 
 
+@each_refusal
+@each_colour
+async def test_a_callback_that_awaits_what_somebody_has_canceled_refuses(
+    colour: Colour, refusal: Refusal, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(argument: Any) -> None:
+        raise anyio.get_cancelled_exc_class()
+
+    with pytest.raises(refusal) as caught:
+        await ask(colour(fail), refusal)
+    text = "on_goal failed: RuntimeError: what it waits for was canceled by somebody else"
+    assert caught.value.reason == text
+    assert text in caplog.text
+
+
 @each_colour
 async def test_the_other_refusal_is_a_failure(colour: Colour) -> None:
     def refuse(argument: Any) -> None:
@@ -326,3 +342,18 @@ async def test_a_caller_who_is_canceled_is_not_told_that_the_server_stops() -> N
         # Nothing is left behind that a later stop would reach.
         callbacks.stop()
         await anyio.lowlevel.checkpoint()
+
+
+async def test_a_caller_whose_own_task_is_canceled_is_not_refused() -> None:
+    callbacks = Callbacks("arm")
+
+    async def wait_for_ever(argument: None) -> None:
+        await anyio.sleep_forever()
+
+    asking = asyncio.create_task(
+        waited_for(callbacks.ask("on_goal", wait_for_ever, None, GoalRejected))
+    )
+    await anyio.wait_all_tasks_blocked()
+    asking.cancel()
+    with anyio.fail_after(5), pytest.raises(asyncio.CancelledError):
+        await asking
