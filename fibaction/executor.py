@@ -137,24 +137,29 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             finally:
                 await items.aclose()
         except BaseException as exc:
-            cause = _cause(exc)
-            if cause is None:
-                assert self._life is not None
-                self._life.is_spent = True  # somebody may have canceled the task itself
-                return Ending(EndKind.CANCELED, self._result)
-            if isinstance(cause, GoalCanceled):
-                return self._part(EndKind.CANCELED, cause)
-            if isinstance(cause, GoalAborted):
-                return self._part(EndKind.FAILED, cause)
-            if isinstance(cause, (KeyboardInterrupt, SystemExit)):
-                raise
-            return self._failed(cause)
+            return self._ended_by(exc)
         finally:
             self._life = None
             del self._steps  # it and this object hold each other
         if self._result is None:
             return self._failed(_Misuse("it ended without yielding a result"))
         return Ending(EndKind.RESULT, self._result)
+
+    def _ended_by(self, exc: BaseException) -> Ending:
+        # In a frame of its own: what goes wrong holds the frames that it came through, and one of
+        # them that held it, too, would keep the whole goal until Python looks for such circles.
+        cause = _cause(exc)
+        if cause is None:
+            assert self._life is not None
+            self._life.is_spent = True  # somebody may have canceled the task itself
+            return Ending(EndKind.CANCELED, self._result)
+        if isinstance(cause, GoalCanceled):
+            return self._part(EndKind.CANCELED, cause)
+        if isinstance(cause, GoalAborted):
+            return self._part(EndKind.FAILED, cause)
+        if isinstance(cause, (KeyboardInterrupt, SystemExit)):
+            raise exc
+        return self._failed(cause)
 
     def _start(self) -> AsyncGenerator[FeedbackT | ResultT, None]:
         items: Any = self._executor(self.handle)
@@ -173,6 +178,9 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
                 item = await step
             except StopAsyncIteration:
                 return
+            except BaseException:
+                del step  # it may hold what it has raised, and that holds this frame
+                raise
             if self._result is not None:
                 raise _Misuse(f"it yielded {_a(item)} after its result")
             if feedback.holds(item):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import gc
+import logging
 import math
 from collections.abc import Awaitable, Callable, Generator
 from contextvars import copy_context
 from typing import Any
+from weakref import ref
 
 import anyio
 import pytest
@@ -117,6 +120,38 @@ async def test_a_goal_can_be_canceled_without_a_part() -> None:
         yield Result([])
 
     assert await Bench(says_so).run() == Ending(EndKind.CANCELED, None, "nothing was done")
+
+
+async def is_stuck(goal: GoalHandle[Goal]) -> Items:
+    yield Feedback([1])
+    raise ValueError("the arm is stuck")
+
+
+async def never_awaits(goal: GoalHandle[Goal]) -> Items:
+    while True:
+        yield Feedback([1])
+
+
+@pytest.mark.parametrize("executor", [is_stuck, never_awaits])
+async def test_what_went_wrong_keeps_nothing_of_its_goal(
+    executor: Executor[Goal, Feedback, Result], caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.CRITICAL, logger="fibaction.server")  # what is logged is kept here
+
+    async def log_of_one() -> ref[GoalLog]:
+        bench = Bench(executor)
+        await bench.run_and_cancel()
+        bench.stream.close()
+        del bench.execution  # its handle and the bench hold each other
+        return ref(bench.log)
+
+    gc.disable()  # so that only what nobody holds goes
+    try:
+        log = await log_of_one()
+        await anyio.lowlevel.checkpoint()
+        assert log() is None
+    finally:
+        gc.enable()
 
 
 async def test_what_is_to_end_python_itself_is_not_kept_back() -> None:
