@@ -98,8 +98,24 @@ async def test_numbers_that_make_no_sense_are_refused() -> None:
         UnixTransport("/run/x", window=0)
     with pytest.raises(ValueError, match="grace is between 0 and inf, not nan"):
         TcpTransport(grace=float("nan"))
+    for port in (-1, 65536):
+        with pytest.raises(ValueError, match=f"port is between 0 and 65535, not {port}"):
+            TcpTransport(port=port)
     with pytest.raises(TransportError, match="orphans is 'keep' or 'cancel', not 'eat'"):
         TcpTransport.from_url("tcp://robot?orphans=eat")
+
+
+@pytest.mark.parametrize("host", ["a" * 64, ".robot"])
+async def test_nobody_is_at_a_host_whose_name_cannot_be(host: str) -> None:
+    with pytest.raises(ServerNotFound, match=f"^nobody can be at tcp://{host}:81: .*label"):
+        async with connect(f"tcp://{host}:81", reconnect=False):
+            raise AssertionError("the block must not run")
+
+
+async def test_a_host_whose_name_cannot_be_is_no_place_to_listen_at() -> None:
+    with pytest.raises(TransportError, match=r"^cannot listen at tcp://☃:81: Codepoint"):
+        async with serve(new_server(), TcpTransport("☃", 81, insecure=True)):
+            raise AssertionError("the block must not run")
 
 
 async def test_a_setting_that_there_is_not_is_a_type_error() -> None:
@@ -295,6 +311,38 @@ async def test_a_unix_socket_that_is_in_use_is_refused_and_stays(tmp_path: Path)
                 raise AssertionError("the block must not run")
         assert str(caught.value) == f"cannot listen at {url}: somebody does already"
         assert await works(url)
+
+
+async def test_a_server_that_stops_leaves_the_socket_of_its_successor_alone(tmp_path: Path) -> None:
+    path = tmp_path / "socket"
+    has_begun, is_to_stop, has_stopped = anyio.Event(), anyio.Event(), anyio.Event()
+
+    async def serve_before() -> None:
+        async with serve(new_server(), UnixTransport(path)):
+            has_begun.set()
+            await is_to_stop.wait()
+        has_stopped.set()
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(serve_before)
+        with anyio.fail_after(5):
+            await has_begun.wait()
+        path.unlink()  # as a script does that begins with `rm -f`
+        async with serve(new_server(), UnixTransport(path)) as (url,):
+            is_to_stop.set()
+            with anyio.fail_after(5):
+                await has_stopped.wait()
+            assert await works(url)
+    assert not path.exists()
+
+
+async def test_a_server_whose_socket_was_removed_stops_as_any_other(tmp_path: Path) -> None:
+    path = tmp_path / "socket"
+    async with serve(new_server(), UnixTransport(path)) as (url,):
+        async with connect(url, FIBONACCI) as client:
+            path.unlink()
+            await client.call(Goal(1))
+    assert not path.exists()
 
 
 async def test_another_file_in_the_way_of_a_unix_socket_is_left_alone(tmp_path: Path) -> None:

@@ -55,6 +55,8 @@ from fibaction_transports.tcp.tls import (
 
 HOST, PORT = "127.0.0.1", 7400
 """Where a server is if nothing else is said: on this machine only."""
+MOST_PORT = 65535
+"""A port is a number of 16 bits."""
 ACCEPT_PAUSE = 0.1
 """Seconds without new connections after one could not be accepted: a lack of files passes."""
 
@@ -134,9 +136,9 @@ class _StreamTransport(Transport):
                         accepting.start_soon(self._accept, one, connections, tasks)
                     yield url
             finally:
+                self._forget()
                 with anyio.CancelScope(shield=True):
                     await listener.aclose()
-                self._forget()
 
     @asynccontextmanager
     async def connect(self) -> AsyncGenerator[Connection, None]:
@@ -158,7 +160,7 @@ class _StreamTransport(Transport):
         """Begin to listen; gives the URL, too."""
 
     def _forget(self) -> None:
-        """Nobody listens any more."""
+        """Nobody is to connect any more, though somebody still listens."""
 
     async def _dial(self) -> Line:
         try:
@@ -170,6 +172,8 @@ class _StreamTransport(Transport):
                 f"nobody listens at {self._where} ({exc.strerror or exc}): start the server, or"
                 f" wait for it with wait_for_server()"
             ) from exc
+        except UnicodeError as exc:
+            raise ServerNotFound(f"nobody can be at {self._where}: {exc}") from exc
         except (anyio.BrokenResourceError, anyio.EndOfStream) as exc:
             raise ConnectionLost(f"{self._where} closed the connection at once") from exc
 
@@ -202,8 +206,13 @@ class TcpTransport(_StreamTransport):
         `tls` is a context of one's own, for the half that is used, or says which files to make it
         from. A server at an address that others than this machine can reach must have TLS, or
         `insecure`.
+
+        Raises:
+            ValueError: A number is out of range, or `orphans` is neither of its words.
         """
         super().__init__(**settings)
+        if not 0 <= port <= MOST_PORT:
+            raise ValueError(f"port is between 0 and {MOST_PORT}, not {port}")
         self._host = host
         self._port = port
         self._tls = tls
@@ -271,6 +280,8 @@ class TcpTransport(_StreamTransport):
             listener = await anyio.create_tcp_listener(local_host=self._host, local_port=self._port)
         except OSError as exc:
             raise TransportError(f"cannot listen at {self._where}: {exc.strerror or exc}") from exc
+        except UnicodeError as exc:
+            raise TransportError(f"cannot listen at {self._where}: {exc}") from exc
         port = listener.extra(SocketAttribute.local_port)
         if context is None:
             return listener, self._url(port)
@@ -285,6 +296,7 @@ class UnixTransport(_StreamTransport):
         """Take the socket's path, and the settings that all transports over streams have."""
         super().__init__(**settings)
         self._path = Path(path)
+        self._socket: tuple[int, int] | None = None  # the file that we listen at
 
     @classmethod
     def from_url(cls, url: str, **settings: Any) -> UnixTransport:
@@ -316,9 +328,11 @@ class UnixTransport(_StreamTransport):
         if await self._is_served():
             raise TransportError(f"cannot listen at {self._where}: somebody does already")
         try:
-            return await anyio.create_unix_listener(self._path, mode=0o600), self._where
+            listener = await anyio.create_unix_listener(self._path, mode=0o600)
         except (OSError, ValueError) as exc:
             raise TransportError(f"cannot listen at {self._where}: {exc}") from exc
+        self._socket = _identity(self._path)
+        return listener, self._where
 
     async def _is_served(self) -> bool:
         """Whether a server has the socket: a file that one has left behind is only in the way."""
@@ -331,7 +345,19 @@ class UnixTransport(_StreamTransport):
         return True
 
     def _forget(self) -> None:
-        self._path.unlink(missing_ok=True)
+        # It may have been removed, and be another server's by now. As long as we listen, no other
+        # file is given the number of ours.
+        if _identity(self._path) == self._socket:
+            self._path.unlink(missing_ok=True)
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Which file that is, whatever it is called; None if there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _is_loopback(host: str) -> bool:
