@@ -16,7 +16,8 @@ from typing import Any
 
 import anyio
 import msgspec
-from anyio import current_time
+from anyio import CancelScope, create_task_group, current_time
+from anyio.abc import TaskGroup
 
 from fibaction.abc import Connection, Endpoint
 from fibaction.action import Action, ActionInfo
@@ -109,6 +110,8 @@ class RemoteConnection(Connection):
         self._max_frame = MAX_FRAME
         self._session = secrets.token_bytes(16)
         self._patience_ends: float | None = None
+        self._patience: CancelScope | None = None
+        self._failure: ActionError  # of the attempt before this one
         self._calls: dict[int, Call] = {}
         self._unopened: deque[Call] = deque()  # on this connection; by turns, for they may be large
         self._ids = itertools.count(1)
@@ -217,12 +220,19 @@ class RemoteConnection(Connection):
 
     async def run(self) -> None:
         """Connect, and connect again, until it is of no use."""
+        async with create_task_group() as tasks:
+            await self._keep_connecting(tasks)
+            tasks.cancel_scope.cancel()
+
+    async def _keep_connecting(self, tasks: TaskGroup) -> None:
         pause = FIRST_PAUSE
         while True:
-            error = await self._attempt()
+            error = self._failure = await self._attempt()
             if self._ready:
                 self._ready, pause = False, FIRST_PAUSE
                 self._patience_ends = current_time() + self._keeping.reconnect_timeout
+                self._patience = CancelScope()
+                tasks.start_soon(self._lose_patience, self._patience, self._patience_ends)
                 logger.info("%s", naming(self._where, error))
             useless = isinstance(error, AuthenticationFailed | ProtocolError)
             self._final = useless or not self._keeping.reconnect
@@ -233,6 +243,13 @@ class RemoteConnection(Connection):
                 return
             await anyio.sleep(pause * random.uniform(0.5, 1))  # no secret
             pause = min(2 * pause, LONGEST_PAUSE)
+
+    async def _lose_patience(self, patience: CancelScope, ends: float) -> None:
+        # Beside the attempts to connect, which may take longer than anybody is to wait.
+        with patience:
+            await anyio.sleep_until(ends)
+            if self._patience is patience:  # else there is a connection, since this moment
+                self._give_up(self._failure)
 
     async def leave(self) -> None:
         """Say goodbye, and let nobody wait any longer."""
@@ -310,6 +327,9 @@ class RemoteConnection(Connection):
         self._ready = True
         self._absent = None
         self._patience_ends = None
+        if self._patience is not None:
+            self._patience.cancel()
+            self._patience = None
         self._calls = {call.id: call for call in self._calls.values() if not call.is_over}
         self._unopened.extend(self._calls.values())
         self._link.stir()

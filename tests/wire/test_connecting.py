@@ -919,6 +919,53 @@ async def test_a_call_waits_for_the_next_connection_so_long_and_no_longer(
 
 
 @in_virtual_time()
+@pytest.mark.parametrize("hangs", ["dial", "welcome"])
+async def test_a_call_waits_no_longer_for_an_attempt_that_hangs(hangs: str) -> None:
+    network = Network()
+    keeping = msgspec.structs.replace(PATIENT, reconnect_timeout=DIAL_TIMEOUT + 1)
+    async with reached(network, keeping) as (connection, server):
+        network.hangs = hangs == "dial"
+        server.channel.cut()
+        await settled()
+        async with Running(connection.actions) as asking:
+            await anyio.sleep(DIAL_TIMEOUT + 0.9)
+            assert not asking.is_done
+            await anyio.sleep(0.2)
+            assert asking.is_done
+            with pytest.raises(ConnectionLost):
+                await asking.answer()
+        network.hangs = False
+        server = await network.accept()
+        await settled()
+        async with Running(connection.actions) as asking:
+            await server.say(Actions((await server.hear(ListActions)).id, []))
+            assert await asking.answer() == []
+
+
+@in_virtual_time()
+async def test_a_connection_that_came_back_in_time_is_not_given_up() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        server.channel.cut()
+        server = await network.accept()
+        async with Running(connection.actions) as asking:
+            asked = await server.hear(ListActions)
+            await anyio.sleep(60)
+            await server.say(Actions(asked.id, []))
+            assert await asking.answer() == []
+
+
+@in_virtual_time()
+async def test_a_connection_that_comes_back_in_the_last_moment_is_not_given_up() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        await connection._lose_patience(anyio.CancelScope(), 0)
+        async with Running(connection.actions) as asking:
+            await server.say(Actions((await server.hear(ListActions)).id, []))
+            assert await asking.answer() == []
+
+
+@in_virtual_time()
 async def test_each_loss_has_the_whole_time_again() -> None:
     network = Network()
     async with reached(network) as (connection, server):
