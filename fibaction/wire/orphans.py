@@ -6,7 +6,7 @@ import logging
 from hmac import compare_digest
 from typing import Literal, NamedTuple
 
-from anyio import sleep
+from anyio import CancelScope, sleep
 from anyio.abc import TaskGroup
 
 from fibaction.abc import Endpoint, GoalStream
@@ -45,6 +45,7 @@ class Orphans:
         self._grace = grace
         self._then = then
         self._owned: dict[GoalID, _Owned] = {}
+        self._losses: dict[GoalID, CancelScope] = {}  # of those whose client is waited for
 
     def is_own(self, goal_id: GoalID, session: bytes) -> bool:
         """Whether it was a client of this session that sent the goal."""
@@ -66,6 +67,7 @@ class Orphans:
             if before.stream is not stream:
                 before.stream.close()
             sent = before.goal if sent is None else sent
+            self._wait_no_more(stream.goal_id)
         self._owned[stream.goal_id] = _Owned(stream, session, sent)
         return True
 
@@ -96,6 +98,7 @@ class Orphans:
         owned = self._owned.get(stream.goal_id)
         if owned is not None and owned.stream is stream:
             del self._owned[stream.goal_id]
+            self._wait_no_more(stream.goal_id)
 
     def adopt(self, endpoint: Endpoint, stream: GoalStream, *, left: bool) -> None:
         """The stream's connection is lost; `left` says that the client said goodbye."""
@@ -103,12 +106,20 @@ class Orphans:
         if owned is None or owned.stream is not stream or (left and self._then == "keep"):
             self.end(stream)
         else:
-            self._tasks.start_soon(self._wait, endpoint, owned, 0 if left else self._grace)
+            loss = self._losses[stream.goal_id] = CancelScope()
+            self._tasks.start_soon(self._wait, endpoint, stream, loss, 0 if left else self._grace)
 
-    async def _wait(self, endpoint: Endpoint, owned: _Owned, grace: float) -> None:
-        await sleep(grace)
-        stream = owned.stream
-        if self._owned.get(stream.goal_id) is not owned:
+    def _wait_no_more(self, goal_id: GoalID) -> None:
+        loss = self._losses.pop(goal_id, None)
+        if loss is not None:
+            loss.cancel()  # or it would wait on, and keep the stream: for ever, if so long is given
+
+    async def _wait(
+        self, endpoint: Endpoint, stream: GoalStream, loss: CancelScope, grace: float
+    ) -> None:
+        with loss:
+            await sleep(grace)
+        if self._losses.get(stream.goal_id) is not loss:
             return  # the client came back, and may have been lost again
         self.end(stream)
         if self._then == "cancel" and not stream.status.is_terminal:

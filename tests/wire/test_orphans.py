@@ -152,6 +152,21 @@ async def test_a_goal_whose_client_is_here_again_is_left_to_it() -> None:
 
 
 @in_virtual_time()
+async def test_nobody_waits_for_a_client_that_is_here_again() -> None:
+    async with nursery("cancel") as (orphans, server):
+        stream = await server.goal()
+        await settled()
+        tasks_before = len(anyio.get_running_tasks())
+        for _ in range(3):
+            lose(orphans, server, stream, left=False)
+            await settled()
+            assert len(anyio.get_running_tasks()) == tasks_before + 1
+            orphans.own(stream, ANN)
+            await settled()
+            assert len(anyio.get_running_tasks()) == tasks_before
+
+
+@in_virtual_time()
 async def test_a_loss_that_is_noticed_when_the_client_is_here_again_does_nothing() -> None:
     async with nursery("cancel") as (orphans, server):
         stream = await server.goal()
