@@ -152,7 +152,10 @@ class Close(_Message, tag=24):
 
 @final
 class Received(_Message, tag=25):
-    """`Ended` has arrived. Until then the server keeps what it has of a goal for its client."""
+    """`Ended` has arrived. Until then the server keeps what it has of a goal for its client.
+
+    Of a goal that is not the client's own it may come sooner: the client does not wait for the end.
+    """
 
     id: ID
 

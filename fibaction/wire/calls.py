@@ -199,6 +199,16 @@ class RemoteGoal(Call, GoalStream):
     def dropped(self) -> int:
         return self.place - self._start - self._delivered
 
+    @property
+    def is_own(self) -> bool:
+        """Whether this client has sent the goal."""
+        return self._own
+
+    def __del__(self) -> None:
+        # Nobody can ask for the end any more, and the server need not keep it in mind until then.
+        if self._is_answered and not self._own and self._outcome is None and self.error is None:
+            self._post(Received(self.id))
+
     def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
         if not self._reads:
             return None

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any
+from weakref import WeakValueDictionary
 
 import anyio
 import msgspec
@@ -113,6 +114,8 @@ class RemoteConnection(Connection):
         self._patience: CancelScope | None = None
         self._failure: ActionError  # of the attempt before this one
         self._calls: dict[int, Call] = {}
+        # Those of whoever only looks on, for as long as somebody does: one goal may have many.
+        self._observed: WeakValueDictionary[int, RemoteGoal] = WeakValueDictionary()
         self._unopened: deque[Call] = deque()  # on this connection; by turns, for they may be large
         self._ids = itertools.count(1)
         # Of two, one can be let go of for the next; behind one, unread, the end would never come.
@@ -148,6 +151,8 @@ class RemoteConnection(Connection):
         opening = request(next(self._ids), self._window)
         goal = RemoteGoal(goal_id, opening, self._window, self._post)
         await self._open(goal)
+        if not goal.is_own and self._calls.pop(goal.id, None) is not None:
+            self._observed[goal.id] = goal
         return goal
 
     async def watch(self, action: str) -> RemoteStatuses:
@@ -189,17 +194,21 @@ class RemoteConnection(Connection):
         size = 0
         while self._unopened and size < CHUNK:
             call = self._unopened.popleft()
-            if self._calls.get(call.id) is not call:
+            if call is not (self._calls.get(call.id) or self._observed.get(call.id)):
                 continue  # given up since
             frame = encode(call.opening())
             if len(frame) <= self._max_frame:
                 frames.append(frame)
                 size += len(frame)
             else:
-                del self._calls[call.id]
+                self._drop(call)
                 limit = f"{self._max_frame} are the server's limit"
                 call.fail(ProtocolError(f"the message has {len(frame)} bytes, and {limit}"))
         return frames
+
+    def _drop(self, call: Call) -> None:
+        if self._calls.pop(call.id, None) is None:
+            self._observed.pop(call.id, None)
 
     def _post(self, message: FromClient) -> None:
         if self._link is not None and self._ready:
@@ -285,8 +294,10 @@ class RemoteConnection(Connection):
         self._absent = error if isinstance(error, TransportError) else ConnectionLost(str(error))
         # For what was under way, there was a server, whatever the last attempt has found.
         lost = self._absent if self._patience_ends is None else ConnectionLost(str(error))
-        calls, self._calls = self._calls, {}
-        for call in calls.values():
+        calls = (*self._calls.values(), *self._observed.values())
+        self._calls = {}
+        self._observed.clear()
+        for call in calls:
             call.fail(lost)
         self._patience_ends = None
         self._changed.wake()
@@ -294,10 +305,11 @@ class RemoteConnection(Connection):
     def _handle(self, frame: bytes) -> None:
         message = decode_from_server(frame)
         # Most belong to a call, so that is looked for first.
-        call = self._calls.get(getattr(message, "id", -1))
+        call_id = getattr(message, "id", -1)
+        call = self._calls.get(call_id) or self._observed.get(call_id)
         if call is not None and self._ready:
             if call.hear(message):
-                del self._calls[call.id]
+                self._drop(call)
         else:
             self._handle_other(message)
 
@@ -332,6 +344,7 @@ class RemoteConnection(Connection):
             self._patience = None
         self._calls = {call.id: call for call in self._calls.values() if not call.is_over}
         self._unopened.extend(self._calls.values())
+        self._unopened.extend(self._observed.values())
         self._link.stir()
         self._changed.wake()
 

@@ -132,6 +132,11 @@ class GoalFlow(Flow):
         self._tell()
 
     @property
+    def is_observed(self) -> bool:
+        """Whether it follows a goal of somebody else's."""
+        return self.stream is not None and not self.own
+
+    @property
     def has_end_to_tell(self) -> bool:
         """Whether the goal has ended, and the client has not been told."""
         return not self.told and self.stream is not None and self.stream.status.is_terminal

@@ -152,7 +152,9 @@ class Session:
         elif type(message) is SendGoal or type(message) is Follow:
             self._begin_goal(message)
         elif type(message) is Received:
-            if (goal := self._goals.get(message.id)) is not None and goal.told:
+            # Of what it only observes, it may want nothing more at any time.
+            goal = self._goals.get(message.id)
+            if goal is not None and (goal.told or goal.is_observed):
                 self._end(goal)
         elif isinstance(message, Credit):
             if (flow := self._flow(message.id)) is not None:

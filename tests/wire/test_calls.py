@@ -600,6 +600,25 @@ def test_no_credit_is_given_after_the_end() -> None:
     assert bench.posted == [Received(ID)]
 
 
+@pytest.mark.parametrize("own", [True, False])
+@pytest.mark.parametrize("ended", [True, False])
+def test_who_only_looks_on_and_goes_before_the_end_says_so(own: bool, ended: bool) -> None:
+    bench = Bench(opening=Follow(ID, "fibonacci", GOAL_ID, None, own, 4))
+    assert bench.goal.is_own == own
+    if ended:
+        bench.end()
+    before = list(bench.posted)
+    del bench.goal
+    assert bench.posted == before + [Received(ID)] * (not own and not ended)
+
+
+def test_who_was_not_let_look_on_says_nothing_when_it_goes() -> None:
+    bench = Bench(opening=Follow(ID, "fibonacci", GOAL_ID, None, False, 4), accepted=False)
+    bench.goal.hear(Failed(ID, Why.UNKNOWN_GOAL, "unknown"))
+    del bench.goal
+    assert bench.posted == []
+
+
 class Peer:
     """A server that keeps to the credit it has."""
 

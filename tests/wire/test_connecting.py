@@ -738,6 +738,44 @@ async def test_a_goal_that_is_only_observed_is_resumed_as_such() -> None:
             )
 
 
+async def observed(connection: RemoteConnection, server: Peer) -> Any:
+    """The goal of somebody else, followed."""
+    async with Running(lambda: endpoint_of(connection).feedback(GOAL_ID)) as asking:
+        await server.say(following(await server.hear(Follow)))
+        return await asking.answer()
+
+
+async def test_who_only_looks_on_is_remembered_for_as_long_as_somebody_does() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        kept, left = [await observed(connection, server) for _ in range(2)]
+        await server.say(Feedback(kept.id, 1, b"1"))
+        left_id = left.id
+        left.close()
+        assert await server.hear(Close) == Close(left_id)
+        del left
+        assert await server.hear(Received) == Received(left_id)
+        server.channel.cut()
+        server = await network.accept()
+        (again,) = await server.hear_all()
+        assert again == Follow(kept.id, "fibonacci", GOAL_ID, 1, False, WINDOW - 1)
+        await server.say(
+            following(again, place=1), Ended(kept.id, GoalStatus.SUCCEEDED, b"result", "", 1)
+        )
+        assert (await kept.outcome()).result == b"result"
+        assert await server.hear_all() == [Received(kept.id)]
+        assert list(connection._observed) == []
+
+
+async def test_who_only_looks_on_is_told_that_the_connection_is_lost() -> None:
+    network = Network()
+    async with reached(network, ONCE) as (connection, server):
+        goal = await observed(connection, server)
+        server.channel.cut()
+        with anyio.fail_after(5), pytest.raises(ConnectionLost):
+            await goal.outcome()
+
+
 async def test_a_goal_that_is_not_read_any_more_is_resumed_for_its_end() -> None:
     network = Network()
     async with reached(network) as (connection, server):

@@ -220,6 +220,7 @@ def test_before_it_begins_there_is_nothing_to_tell_and_nobody_is_told_so() -> No
     bench.flow.leave()
     assert bench.said == 0
     assert not bench.flow.has_end_to_tell
+    assert not bench.flow.is_observed
     assert bench.flow.credit == ANY + 3
 
 
@@ -229,6 +230,7 @@ def test_it_begins_with_what_the_goal_is_at_that_time(own: bool) -> None:
     bench.stream = Stream(latest=True, place=5)
     bench.begin(own=own)
     assert bench.said == 1
+    assert bench.flow.is_observed != own
     bench.stream.put(GoalStatus.EXECUTING)
     bench.stream.now = GoalStatus.EXECUTING
     # The status that it has by now comes behind, as a change.

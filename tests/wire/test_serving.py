@@ -488,6 +488,18 @@ async def test_a_goal_that_is_observed_is_kept_for_nobody() -> None:
         assert list(client.session._goals) == [1]
 
 
+async def test_who_only_looks_on_may_go_before_the_end() -> None:
+    async with serving(scripted(anyio.Event(), fib.Result([]))) as bench:
+        client, other = await bench.greet(ANN), await bench.greet(BOB)
+        await client.send(1)
+        for request in (5, 6):
+            await other.ask(follow(0, own=False, request=request), Following)
+        await other.say(Close(5), Received(5))
+        assert await other.is_served()
+        assert list(other.session._goals) == [6]
+        await other.ask(follow(0, own=False, request=5), Following)  # the ID can be used again
+
+
 async def test_what_is_received_before_the_end_or_of_nothing_is_ignored() -> None:
     go = anyio.Event()
     async with serving(scripted(go, fib.Result([]))) as bench:
