@@ -7,14 +7,15 @@ import math
 import signal
 import socket
 import subprocess
-from collections.abc import Callable
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
 import anyio
 import pytest
 
-from fibaction import CancelAnswer, GoalID, GoalStatus, ServerNotFound, connect, serve
+from fibaction import ActionServer, CancelAnswer, GoalID, GoalStatus, ServerNotFound, connect, serve
 from fibaction.action import Action
 from fibaction.cli import sending
 from fibaction.cli.ending import ExitCode, Failure
@@ -423,6 +424,36 @@ async def send_here(*, timeout: float | None = None) -> int:
         return await send("inproc://keys", "wait", "", "", Options(timeout=timeout))
 
 
+@asynccontextmanager
+async def sent_here() -> AsyncGenerator[list[int], None]:
+    """Sends a goal to the server of a test, and at the end of the block waits until the command has
+    ended; its exit code is then in the list.
+    """
+    codes: list[int] = []
+
+    async def run() -> None:
+        codes.append(await send_here())
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(run)
+        yield codes
+
+
+@asynccontextmanager
+async def executing(server: ActionServer[Any, Any, Any]) -> AsyncGenerator[list[int], None]:
+    """As `sent_here`, with the server as well; the block begins when it executes the goal."""
+    async with serve(server, "inproc://keys"), sent_here() as codes:
+        await until(server, GoalStatus.EXECUTING)
+        yield codes
+
+
+async def until(server: ActionServer[Any, Any, Any], status: GoalStatus) -> None:
+    """Wait until a goal of the server has this status."""
+    with await server.status() as statuses:
+        while (info := await statuses.receive()) and info.status is not status:
+            pass
+
+
 @pytest.mark.asyncio
 @pytest.mark.parametrize("presses", [1, 2])
 async def test_ctrl_c_before_the_answer_withdraws_the_goal(
@@ -430,11 +461,6 @@ async def test_ctrl_c_before_the_answer_withdraws_the_goal(
 ) -> None:
     monkeypatch.setattr(sending, "SAME_SIGNAL", 0)
     server, asked, decide = deciding()
-    codes: list[int] = []
-
-    async def run() -> None:
-        codes.append(await send_here())
-
     withdrawn = anyio.Event()
     cancel_goals = server.cancel_goals
 
@@ -444,8 +470,7 @@ async def test_ctrl_c_before_the_answer_withdraws_the_goal(
 
     monkeypatch.setattr(server, "cancel_goals", cancel)
     async with serve(server, "inproc://keys"):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(run)
+        async with sent_here() as codes:
             await asked.wait()
             signal.raise_signal(signal.SIGINT)
             await withdrawn.wait()
@@ -467,23 +492,11 @@ async def test_ctrl_c_twice_leaves_a_goal_that_is_not_canceled(
     server = servers()[3]
     server._interrupt_on_cancel = False  # so that it goes on
     server._shutdown_timeout = 0.0
-    codes: list[int] = []
 
-    async def run() -> None:
-        codes.append(await send_here())
-
-    async def until(status: GoalStatus) -> None:
-        with await client.endpoint.status() as statuses:
-            while (info := await statuses.receive()) and info.status is not status:
-                pass
-
-    async with serve(server, "inproc://keys"), connect("inproc://keys", WAIT) as client:
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(run)
-            await until(GoalStatus.EXECUTING)
-            signal.raise_signal(signal.SIGINT)
-            await until(GoalStatus.CANCELING)
-            signal.raise_signal(signal.SIGINT)
+    async with executing(server) as codes:
+        signal.raise_signal(signal.SIGINT)
+        await until(server, GoalStatus.CANCELING)
+        signal.raise_signal(signal.SIGINT)
 
     assert codes == [ExitCode.INTERRUPTED]
     assert "Canceling goal..." in capsys.readouterr().err
@@ -496,25 +509,16 @@ async def test_ctrl_c_twice_leaves_a_goal_whose_cancel_is_not_answered(
     monkeypatch.setattr(sending, "SAME_SIGNAL", 0)
     server = servers()[3]
     asked = anyio.Event()
-    codes: list[int] = []
 
-    async def silent(*_: object) -> None:
+    async def ask(*_: object) -> None:
         asked.set()
         await anyio.sleep_forever()
 
-    async def run() -> None:
-        codes.append(await send_here())
-
-    async with serve(server, "inproc://keys"), connect("inproc://keys", WAIT) as client:
-        monkeypatch.setattr(server, "cancel_goals", silent)
-        with await client.endpoint.status() as statuses:
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(run)
-                while (info := await statuses.receive()) and info.status is GoalStatus.ACCEPTED:
-                    pass
-                signal.raise_signal(signal.SIGINT)
-                await asked.wait()
-                signal.raise_signal(signal.SIGINT)
+    monkeypatch.setattr(server, "cancel_goals", ask)
+    async with executing(server) as codes:
+        signal.raise_signal(signal.SIGINT)
+        await asked.wait()
+        signal.raise_signal(signal.SIGINT)
 
     assert codes == [ExitCode.INTERRUPTED]
     asking, left = capsys.readouterr().err.splitlines()
@@ -529,24 +533,15 @@ async def test_ctrl_c_twice_within_a_moment_is_once_and_cancels(
     monkeypatch.setattr(sending, "SAME_SIGNAL", math.inf)
     server = servers()[3]
     cancel_goals = server.cancel_goals
-    codes: list[int] = []
 
     async def cancel(goal_id: GoalID | None = None, stamp: int | None = None) -> CancelAnswer:
         await anyio.wait_all_tasks_blocked()  # so that the second signal comes first
         return await cancel_goals(goal_id, stamp)
 
-    async def run() -> None:
-        codes.append(await send_here())
-
-    async with serve(server, "inproc://keys"), connect("inproc://keys", WAIT) as client:
-        monkeypatch.setattr(server, "cancel_goals", cancel)
-        with await client.endpoint.status() as statuses:
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(run)
-                while (info := await statuses.receive()) and info.status is GoalStatus.ACCEPTED:
-                    pass
-                for number in (signal.SIGTERM, signal.SIGINT):
-                    signal.raise_signal(number)
+    monkeypatch.setattr(server, "cancel_goals", cancel)
+    async with executing(server) as codes:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.raise_signal(number)
 
     assert codes == [ExitCode.CANCELED]
     assert "was left" not in capsys.readouterr().err
@@ -578,13 +573,8 @@ async def test_ctrl_c_before_anything_was_sent_ends_as_shells_expect(
         await anyio.sleep_forever()
 
     monkeypatch.setattr(sending, "find_action", never)
-    codes: list[int] = []
 
-    async def run() -> None:
-        codes.append(await send_here())
-
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(run)
+    async with sent_here() as codes:
         await asked.wait()
         signal.raise_signal(signal.SIGTERM)
 
@@ -654,10 +644,10 @@ async def test_an_output_that_is_closed_cancels_the_goal(
 ) -> None:
     server = servers()[3]
     monkeypatch.setattr(sending, "follow", closed)
-    async with serve(server, "inproc://keys"), connect("inproc://keys", WAIT) as client:
+    async with serve(server, "inproc://keys"):
         with pytest.raises(BrokenPipeError):
             await send_here()
-        with await client.endpoint.status() as statuses:
+        with await server.status() as statuses:
             while (info := await statuses.receive()) and info.status.is_active:
                 pass
 
