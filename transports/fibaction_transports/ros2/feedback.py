@@ -26,9 +26,10 @@ FIRST_PACE = 0.5
 """As `PACE`, when there is a new reader: what is sent to it first is often sent again, and that
 takes its time."""
 PIECES = 10
-"""In so many pieces half a queue is sent, each in its share of the time. A middleware drops what
-comes in one go, and sends it again: with Fast DDS and three busy processes beside it, in a third of
-the bursts, so that feedback came behind the result; with pieces, in none of 45."""
+"""In so many pieces half a queue is sent, each in its share of the time. Of what comes in one go, a
+middleware on a busy machine drops a part, and sends it again: feedback then comes behind the
+result, and is lost. A tenth was small enough with Fast DDS, and is still many messages for each
+wait."""
 
 
 class FeedbackTopic:
