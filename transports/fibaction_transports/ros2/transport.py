@@ -10,6 +10,7 @@ from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from fibaction.abc import Connection, Endpoint, Transport
 from fibaction.exceptions import TransportError
+from fibaction.urls import without_settings
 from fibaction_transports.ros2.calling import connected
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import (
@@ -85,13 +86,13 @@ class Ros2Transport(Transport):
             if parts.path.strip("/") or "#" in url:
                 what = "part behind #" if "#" in url else "path"
                 raise TransportError(
-                    f"{url} has a {what}, and the URL of ROS is like"
+                    f"{without_settings(url)} has a {what}, and the URL of ROS is like"
                     f" ros2://node_name?namespace=/robot1&domain_id=7"
                 )
             found = _settings(url, parse_qsl(parts.query, keep_blank_values=True))
             return cls(parts.netloc or None, **{**found, **settings})
         except ValueError as exc:
-            raise TransportError(f"{url}: {exc}") from exc
+            raise TransportError(f"{without_settings(url)}: {exc}") from exc
 
     @property
     def url(self) -> str:
@@ -157,11 +158,15 @@ def _settings(url: str, query: list[tuple[str, str]]) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     for name, text in query:
         if name not in kinds:
-            raise TransportError(f"{url} has no setting {name!r}; there is {', '.join(kinds)}")
+            raise TransportError(
+                f"{without_settings(url)} has no setting {name!r}; there is {', '.join(kinds)}"
+            )
         if name in settings:
-            raise TransportError(f"{url} has a setting twice: say it once")
+            raise TransportError(f"{without_settings(url)} has a setting twice: say it once")
         try:
             settings[name] = kinds[name](text)
         except ValueError:
-            raise TransportError(f"{url}: the setting {name!r} cannot be {text!r}") from None
+            raise TransportError(
+                f"{without_settings(url)}: the setting {name!r} cannot be {text!r}"
+            ) from None
     return settings
