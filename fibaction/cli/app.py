@@ -21,6 +21,7 @@ import click
 
 from fibaction.action import ActionInfo
 from fibaction.cli.ending import ExitCode, Failure, debugging, telling_errors
+from fibaction.cli.escaping import CleanFormatter, clean
 from fibaction.cli.output import LogHandler
 from fibaction.connection import ClientConnection
 from fibaction.urls import without_settings
@@ -211,9 +212,9 @@ def cli(url: str) -> None:
 
 def main() -> None:
     """Run the command line, and exit with its code. An error is one sentence on stderr."""
-    logging.basicConfig(
-        level=logging.WARNING, format="fibaction: %(message)s", handlers=[LogHandler()]
-    )
+    handler = LogHandler()
+    handler.setFormatter(CleanFormatter("fibaction: %(message)s"))
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             # What cannot be shown, because of the terminal's encoding, is shown as a number.
@@ -223,7 +224,6 @@ def main() -> None:
     except Exception as exc:
         if debugging():
             raise
-        sys.stderr.write(
-            f"Error: {type(exc).__name__}: {exc} (this is a bug; FIBACTION_DEBUG=1 shows where)\n"
-        )
+        text = clean(f"{type(exc).__name__}: {exc}")
+        sys.stderr.write(f"Error: {text} (this is a bug; FIBACTION_DEBUG=1 shows where)\n")
         sys.exit(ExitCode.BUG)

@@ -54,11 +54,12 @@ TYPE = _TypeName()
 
 
 def reachable(url: str) -> list[ActionInfo]:
-    """The actions at a URL; none if it cannot be said soon."""
+    """The actions at a URL that can be typed; none if it cannot be said soon."""
     try:
-        return anyio.run(actions_at, url)
+        infos = anyio.run(actions_at, url)
     except ActionError:
         return []
+    return [info for info in infos if f"{info.name}{info.type_name}".isprintable()]
 
 
 async def actions_at(url: str) -> list[ActionInfo]:

@@ -12,6 +12,7 @@ from typing import IO, Any, cast
 
 import click
 
+from fibaction.cli.escaping import clean
 from fibaction.exceptions import (
     ActionError,
     AuthenticationFailed,
@@ -61,10 +62,12 @@ _FOR_PROGRAMS = re.compile(r", or wait for (it|one) with wait_for_server\(\)")
 
 
 class Failure(click.ClickException):
-    """One sentence for the user on stderr, and the exit code."""
+    """One sentence for the user on stderr, and the exit code. It is on one line, and what a server
+    has said in it cannot control the terminal.
+    """
 
     def __init__(self, message: str, code: ExitCode) -> None:
-        super().__init__(message)
+        super().__init__(clean(" ".join(line.strip() for line in message.splitlines())))
         self.exit_code = code  # type: ignore[misc]  # click, too, looks at the instance
 
     def show(self, file: IO[str] | None = None) -> None:

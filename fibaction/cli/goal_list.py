@@ -13,7 +13,8 @@ import msgspec
 from fibaction.action import Action, ActionInfo
 from fibaction.cli.app import find_action, shown
 from fibaction.cli.ending import ExitCode, Failure, sentence_of
-from fibaction.cli.output import clean, note
+from fibaction.cli.escaping import clean
+from fibaction.cli.output import note
 from fibaction.client import ActionClient
 from fibaction.connection import ClientConnection
 from fibaction.exceptions import ActionError

@@ -24,7 +24,7 @@ from jsonschema.exceptions import ValidationError
 
 from fibaction.cli.ending import ExitCode, Failure
 from fibaction.cli.goal_errors import place_of, quoted, told
-from fibaction.cli.output import clean, is_list, is_map
+from fibaction.cli.output import is_list, is_map
 
 Schema = dict[str, Any]
 
@@ -97,7 +97,7 @@ def _parsed(text: str) -> Any:
 
 
 def _unusable(text: str) -> Failure:
-    return Failure(clean(text), ExitCode.USAGE)
+    return Failure(text, ExitCode.USAGE)
 
 
 # The schema

@@ -1,7 +1,4 @@
-"""What is printed: values as YAML text, as `ros2 action` shows them, or JSON, one value a line.
-
-Text that came from elsewhere cannot control the terminal: what is not printable is escaped.
-"""
+"""What is printed: values as YAML text, as `ros2 action` shows them, or JSON, one value a line."""
 
 from __future__ import annotations
 
@@ -19,6 +16,7 @@ import click
 import msgspec
 
 from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.escaping import clean
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -73,11 +71,6 @@ def on_terminal() -> bool:
     """Whether stdout is a terminal on which a line can be drawn anew."""
     found = console()
     return found.is_terminal and not found.is_dumb_terminal
-
-
-def clean(text: str) -> str:
-    """The text on one line, with everything that is not printable escaped."""
-    return "".join(c if c.isprintable() else _escaped(c) for c in text)
 
 
 def is_map(value: object) -> TypeGuard[dict[Any, Any]]:
@@ -208,12 +201,4 @@ def _binary(value: bytes, most: _Most) -> str:
 
 
 def _quoted(value: str) -> str:
-    quoted = json.dumps(value, ensure_ascii=False)
-    return "".join(c if c.isprintable() else _escaped(c) for c in quoted)
-
-
-def _escaped(character: str) -> str:
-    number = ord(character)
-    if number <= 0xFF:
-        return f"\\x{number:02x}"
-    return f"\\u{number:04x}" if number <= 0xFFFF else f"\\U{number:08x}"
+    return clean(json.dumps(value, ensure_ascii=False))

@@ -11,9 +11,10 @@ import click
 from fibaction.cli.app import json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION
 from fibaction.cli.ending import ExitCode, Failure, sentence_of
+from fibaction.cli.escaping import clean
 from fibaction.cli.goal_list import AnyClient, Clients, Row, goal_digits, goals_of, pick
 from fibaction.cli.observing import until_interrupted
-from fibaction.cli.output import clean, note, say, say_json
+from fibaction.cli.output import note, say, say_json
 from fibaction.cli.telling import follow, teller
 from fibaction.connection import connect
 from fibaction.exceptions import ActionError, UnknownGoal

@@ -15,6 +15,7 @@ import anyio
 from fibaction.abc import Endpoint
 from fibaction.background import Background
 from fibaction.cli.app import shown
+from fibaction.cli.escaping import CleanFormatter, clean
 
 SAME_SIGNAL = 0.1
 """Seconds within which a second signal is the first again: some, such as `timeout`, signal a
@@ -23,7 +24,7 @@ process and then its group. Nobody types Ctrl-C twice as fast as that."""
 
 def names_of(endpoints: Iterable[Endpoint]) -> str:
     """The names of actions, as one text."""
-    return ", ".join(shown(endpoint.info.name) for endpoint in endpoints)
+    return ", ".join(clean(shown(endpoint.info.name)) for endpoint in endpoints)
 
 
 @asynccontextmanager
@@ -76,7 +77,7 @@ def logging_to_stderr() -> Generator[None, None, None]:
     root, files = logging.getLogger(), logging.getLogger("watchfiles")
     before = root.handlers[:], root.level, files.level
     handler = logging.StreamHandler()
-    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
+    handler.setFormatter(CleanFormatter("%(asctime)s %(message)s"))
     root.handlers[:] = [handler]
     root.setLevel(logging.INFO)
     files.setLevel(logging.WARNING)  # it would tell of changes that are told of already

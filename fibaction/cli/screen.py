@@ -14,8 +14,8 @@ from textual.widgets import DataTable, Footer, Static
 from fibaction.cli.app import shown
 from fibaction.cli.board import Board, GoalKey, GoalLine
 from fibaction.cli.ending import sentence_of
+from fibaction.cli.escaping import clean
 from fibaction.cli.goal_list import unambiguous
-from fibaction.cli.output import clean
 from fibaction.cli.reaching import reason_of
 from fibaction.cli.watching import STYLES
 from fibaction.exceptions import ActionError

@@ -21,8 +21,9 @@ from fibaction.background import Background
 from fibaction.cli.app import find_action, json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION, TYPE
 from fibaction.cli.ending import ExitCode, Failure, sentence_of
+from fibaction.cli.escaping import clean
 from fibaction.cli.goal_text import read_goal
-from fibaction.cli.output import clean, note, say
+from fibaction.cli.output import note, say
 from fibaction.cli.running import SAME_SIGNAL
 from fibaction.cli.telling import Teller, follow, teller
 from fibaction.connection import ClientConnection, connect
@@ -145,7 +146,7 @@ def goal_for(info: ActionInfo, type_name: str, text: str) -> Any:
         Failure: The text is no such goal, or the action is of another type.
     """
     if type_name and not info.type_name:
-        note(f"the server of {shown(info.name)} does not say its type, so it is not checked")
+        note(f"the server of {clean(shown(info.name))} does not say its type, so it is not checked")
     elif type_name and type_name != info.type_name:
         raise Failure(
             f"the action {shown(info.name)} is of the type {info.type_name}, not {type_name}",

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from fibaction.abc import GoalStream
 from fibaction.action import Action
 from fibaction.cli.ending import ExitCode
-from fibaction.cli.output import as_yaml, clean, console, note, on_terminal, say, say_json
+from fibaction.cli.escaping import clean
+from fibaction.cli.output import as_yaml, console, note, on_terminal, say, say_json
 from fibaction.goals import GoalID, Outcome
 from fibaction.states import GoalStatus
 

@@ -14,6 +14,7 @@ from fibaction.action import Action, ActionInfo
 from fibaction.cli.app import find_action, json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION
 from fibaction.cli.ending import ExitCode, sentence_of
+from fibaction.cli.escaping import clean
 from fibaction.cli.goal_list import AnyClient, Clients, Row, goals_of, in_columns
 from fibaction.cli.observing import (
     LOOK,
@@ -23,7 +24,7 @@ from fibaction.cli.observing import (
     still_possible,
     until_interrupted,
 )
-from fibaction.cli.output import as_yaml, clean, console, note, on_terminal, say, say_json
+from fibaction.cli.output import as_yaml, console, note, on_terminal, say, say_json
 from fibaction.cli.telling import INDENT, log_connection
 from fibaction.connection import ClientConnection, connect
 from fibaction.exceptions import ActionError

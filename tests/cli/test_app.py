@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
@@ -184,7 +185,7 @@ def test_a_bug_is_one_line_too(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def broken(**_: object) -> None:
-        raise ZeroDivisionError("oh")
+        raise ZeroDivisionError("oh\n\x1b")
 
     monkeypatch.setattr(app, "cli", broken)
     monkeypatch.setattr(broken, "main", broken, raising=False)
@@ -195,7 +196,7 @@ def test_a_bug_is_one_line_too(
 
     assert exit.value.code == ExitCode.BUG
     assert capsys.readouterr().err == (
-        "Error: ZeroDivisionError: oh (this is a bug; FIBACTION_DEBUG=1 shows where)\n"
+        "Error: ZeroDivisionError: oh\\x0a\\x1b (this is a bug; FIBACTION_DEBUG=1 shows where)\n"
     )
 
 
@@ -297,7 +298,7 @@ def test_no_verb_is_imported_before_it_is_used() -> None:
 def test_the_log_of_the_command_is_on_stderr_from_warnings_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    told: dict[str, object] = {}
+    told: dict[str, Any] = {}
     monkeypatch.setattr(logging, "basicConfig", lambda **settings: told.update(settings))
     monkeypatch.setattr(sys, "argv", ["fibaction", "--version"])
 
@@ -305,3 +306,6 @@ def test_the_log_of_the_command_is_on_stderr_from_warnings_on(
         app.main()
 
     assert told["level"] == logging.WARNING
+    (handler,) = told["handlers"]
+    record = logging.makeLogRecord({"name": "fibaction.wire", "msg": "gone\x1b"})
+    assert handler.format(record) == "fibaction: gone\\x1b"

@@ -216,10 +216,10 @@ async def test_what_is_named_is_waited_for_and_the_near_name_suggested(
 def test_what_has_no_type_here_is_left_out_unless_it_was_named(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    house, infos = House(lost="b"), [ActionInfo("a"), ActionInfo("b")]
+    house, infos = House(lost="b\x1b"), [ActionInfo("a"), ActionInfo("b\x1b")]
 
     assert list(bridging._endpoints(house, infos, choose=True)) == [house.server]
-    assert capsys.readouterr().err == "/b is left out: its type is not known\n"
+    assert capsys.readouterr().err == "/b\\x1b is left out: its type is not known\n"
     with pytest.raises(TransportError, match="its type is not known"):
         list(bridging._endpoints(house, infos, choose=False))
 

@@ -6,6 +6,7 @@ import anyio
 import pytest
 from click.shell_completion import BashComplete
 
+from fibaction import ActionInfo
 from fibaction.cli import completing
 from fibaction.cli.app import cli
 from tests.cli.conftest import Run
@@ -90,6 +91,15 @@ def test_names_are_completed_as_they_are_begun(
     assert offered(["find"], "arm/action/W") == ["arm/action/Wait"]
     assert offered(["send_goal", "arm/pick"], "") == ["arm/action/Pick"]
     assert offered(["send_goal", "many"], "") == []
+
+
+def test_what_cannot_be_typed_is_not_offered(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def hostile(_: str) -> list[ActionInfo]:
+        return [ActionInfo("a\nplain,b"), ActionInfo("c", "a/action/B\x1b"), ActionInfo("d")]
+
+    monkeypatch.setattr(completing, "actions_at", hostile)
+
+    assert completing.reachable("tcp://robot") == [ActionInfo("d")]
 
 
 def test_what_is_reachable_is_listed(tcp: str) -> None:

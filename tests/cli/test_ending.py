@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import socket
 from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import anyio
 import click
@@ -26,6 +28,8 @@ from fibaction import (
 )
 from fibaction.cli import app
 from fibaction.cli.ending import ExitCode, Failure, failure_of, sentence_of, telling_errors
+from fibaction.framing import framed
+from fibaction.messages import Goodbye, encode
 from tests.cli.conftest import Invoke
 from tests.cli.robot import WAIT
 
@@ -65,6 +69,37 @@ def test_every_error_has_its_exit_code_alone_and_in_a_group(error: ActionError, 
             run(verb)
         assert failure.value.exit_code == code
         assert failure.value.message == str(error)
+
+
+SAID = "no\x1b[2J\nGoal finished with status: SUCCEEDED"
+CLEANED = "no\\x1b[2J Goal finished with status: SUCCEEDED"
+
+
+def test_what_a_server_says_in_an_error_cannot_control_the_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for error in (GoalRejected(SAID), ConnectionLost(SAID)):
+        failure = failure_of(error)
+        failure.show()
+        assert failure.message == str(error).replace(SAID, CLEANED)
+        assert capsys.readouterr().err == f"Error: {failure.message}\n"
+
+
+def test_the_last_words_of_a_server_are_one_clean_line(invoke: Invoke) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor() as threads:
+
+        def say_goodbye() -> None:
+            with listener.accept()[0] as connection:
+                connection.recv(1)  # it is closed with what has not been read, which is no matter
+                connection.sendall(framed([encode(Goodbye(SAID))]))
+
+        said = threads.submit(say_goodbye)
+        result = invoke("list", url=f"tcp://127.0.0.1:{listener.getsockname()[1]}")
+        said.result()
+
+    assert result.exit_code == ExitCode.UNREACHABLE
+    assert CLEANED in result.stderr
+    assert result.stderr.count("\n") == 1
 
 
 @pytest.mark.asyncio

@@ -50,6 +50,7 @@ NO_MODULE = "is not written as module:server"
             "needs:server: needs.py, line 1: ModuleNotFoundError: No module named 'no_such_thing'",
         ),
         ("stops:server", "stops:server: stops.py, line 1: AssertionError"),
+        ("asks:server", "asks:server: asks.py, line 1: SystemError: no arm: plug it in"),
     ],
 )
 def test_what_cannot_be_served_is_one_sentence(
@@ -58,6 +59,7 @@ def test_what_cannot_be_served_is_one_sentence(
     (folder / "wrong.py").write_text("\nprint(\n")
     (folder / "needs.py").write_text("import no_such_thing\n")
     (folder / "stops.py").write_text("assert False\n")
+    (folder / "asks.py").write_text("raise SystemError('no arm:\\n  plug it in')\n")
     (folder / "package").mkdir()
     (folder / "package" / "__init__.py").touch()
     (folder / "package" / "server.py").write_text("x = []")

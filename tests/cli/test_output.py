@@ -176,10 +176,6 @@ def test_the_log_goes_where_stderr_is_by_then(monkeypatch: pytest.MonkeyPatch) -
     assert later.getvalue() == "log: the line is dead\n"
 
 
-def test_text_of_others_is_cleaned() -> None:
-    assert output.clean("ok\n\x1b[2J\u2028") == "ok\\x0a\\x1b[2J\\u2028"
-
-
 def test_nothing_but_a_terminal_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("FORCE_COLOR", "TTY_COMPATIBLE", "NO_COLOR"):
         monkeypatch.delenv(name, raising=False)

@@ -7,10 +7,13 @@ import os
 import re
 import signal
 from signal import SIGINT, SIGTERM
+from types import SimpleNamespace
+from typing import Any
 
 import anyio
 import pytest
 
+from fibaction import ActionInfo
 from fibaction.cli import running
 from tests.cli.served import counter
 from tests.processes import PATIENCE
@@ -78,6 +81,12 @@ def test_names_are_shown_as_those_of_ros() -> None:
     assert running.names_of([counter("arm/pick"), counter("/count")]) == "/arm/pick, /count"
 
 
+def test_names_from_elsewhere_are_cleaned() -> None:
+    far: Any = SimpleNamespace(info=ActionInfo("a\x1b"))
+
+    assert running.names_of([far]) == "/a\\x1b"
+
+
 def test_what_happens_is_logged_with_its_time_and_afterwards_as_before(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,9 +94,9 @@ def test_what_happens_is_logged_with_its_time_and_afterwards_as_before(
     monkeypatch.setattr(files, "level", logging.NOTSET)
     before = (root.level, root.handlers[:])
     with running.logging_to_stderr():
-        logging.getLogger("fibaction.any").info("it is heard of")
+        logging.getLogger("fibaction.any").info("it is heard of\x1b")
         files.info("1 change detected")
         (line,) = capsys.readouterr().err.splitlines()
 
     assert (root.level, root.handlers, files.level) == (*before, logging.NOTSET)
-    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} it is heard of", line)
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} it is heard of\\x1b", line)

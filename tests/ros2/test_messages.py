@@ -80,7 +80,7 @@ def mismatches(**types: Any) -> list[str]:
     assert first == (
         "action 'everything' does not match its ROS type fibaction_test_msgs/action/Everything:"
     )
-    return [line.removeprefix("  ") for line in lines]
+    return [line.removeprefix("  ").removesuffix(";") for line in lines]
 
 
 def codec_of(found: RosCodecs, name: str) -> RosCodec:
@@ -975,9 +975,9 @@ def test_a_message_is_no_plain_value() -> None:
         NOTHING.codecs(plain_values.info)
     assert str(caught.value) == (
         "action 'a' does not match its ROS type fibaction_test_msgs/action/Nothing:\n"
-        f"  goal: {ROS_HAS} the struct fibaction_test_msgs/Nothing_Goal, the action has an int\n"
+        f"  goal: {ROS_HAS} the struct fibaction_test_msgs/Nothing_Goal, the action has an int;\n"
         f"  feedback: {ROS_HAS} the struct fibaction_test_msgs/Nothing_Feedback,"
-        " the action has a string\n"
+        " the action has a string;\n"
         f"  result: {ROS_HAS} the struct fibaction_test_msgs/Nothing_Result,"
         " the action has a bool"
     )

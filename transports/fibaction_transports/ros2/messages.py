@@ -129,7 +129,7 @@ class RosAction:
         ]
         codecs = [RosCodec(part) for part in parts if isinstance(part, MessagePart)]
         if problems:
-            lines = "\n  ".join(problems)
+            lines = ";\n  ".join(problems)
             raise TransportError(
                 f"action {info.name!r} does not match its ROS type {self.type_name}:\n  {lines}"
             )

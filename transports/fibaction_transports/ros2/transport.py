@@ -143,7 +143,7 @@ def _plans(endpoints: Sequence[Endpoint]) -> list[Plan]:
         except TransportError as exc:
             errors.append(str(exc))
     if errors:
-        raise TransportError("\n".join(errors))
+        raise TransportError(";\n".join(errors))
     return plans
 
 
