@@ -12,6 +12,7 @@ import json
 import sys
 from collections.abc import Awaitable, Callable
 from importlib import import_module
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -61,6 +62,10 @@ ORDERS: dict[str, Callable[[Contender, int], Awaitable[Any]]] = {
 }
 
 
+NAMES = sorted(path.stem.removeprefix("over_") for path in Path(__file__).parent.glob("over_*.py"))
+"""Of the contenders."""
+
+
 async def server(module: Any) -> None:
     async with module.serve() as address:
         say(address)
@@ -81,6 +86,8 @@ if __name__ == "__main__":
     parser.add_argument("name", help="of a module: what follows over_")
     parser.add_argument("address", nargs="?", default="", help="for a client: what a server gave")
     arguments = parser.parse_args()
+    if arguments.name not in NAMES:
+        parser.error(f"there is no contender {arguments.name!r}; there is {', '.join(NAMES)}")
     module = import_module(f"tests.benchmarks.over_{arguments.name}")
     if arguments.end == "server":
         anyio.run(server, module)
