@@ -10,6 +10,8 @@ from importlib.util import find_spec
 
 NEEDED = ("click", "rich", "yaml", "jsonschema")
 """The modules that the extra brings."""
+INTERRUPTED = 130
+"""`ExitCode.INTERRUPTED`, whose module needs the extra."""
 
 
 def main() -> None:
@@ -20,6 +22,9 @@ def main() -> None:
             f"The command fibaction needs {', '.join(missing)}: pip install 'fibaction[cli]'\n"
         )
         sys.exit(2)
-    from fibaction.cli import app
+    try:
+        from fibaction.cli import app
 
-    app.main()
+        app.main()
+    except KeyboardInterrupt:  # while modules are imported; the verbs handle their own
+        sys.exit(INTERRUPTED)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 
 import fibaction.cli
+from fibaction.cli import INTERRUPTED, app
+from fibaction.cli.ending import ExitCode
 from tests.cli.conftest import Run
 
 
@@ -46,6 +50,27 @@ def test_without_the_extra_one_line_says_how_to_get_it(
     assert capsys.readouterr().err == (
         "The command fibaction needs nosuchmodule: pip install 'fibaction[cli]'\n"
     )
+
+
+def test_ctrl_c_before_there_is_a_verb_ends_as_shells_expect(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(app, "main", interrupted)
+
+    with pytest.raises(SystemExit) as exit:
+        fibaction_main()
+
+    assert exit.value.code == INTERRUPTED == ExitCode.INTERRUPTED
+
+
+def test_ctrl_c_while_modules_are_imported_is_no_traceback(fibaction: Run, tmp_path: Path) -> None:
+    (tmp_path / "click.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
+    path = os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))
+
+    assert fibaction("list", env={"PYTHONPATH": path}) == (130, "", "")
 
 
 def test_what_is_needed_is_what_the_extra_brings_and_help_imports_little_of_it() -> None:
