@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import sys
+from collections import deque
+from collections.abc import Generator
+from contextlib import contextmanager
 from importlib.util import find_spec
 
 import click
@@ -15,6 +19,9 @@ from fibaction.cli.observing import observe, until_interrupted
 from fibaction.connection import ClientConnection, connect
 from fibaction.exceptions import ActionError
 from fibaction.urls import without_settings
+
+MOST_LINES = 100
+"""Of the log that are kept while a screen is shown: more would scroll away in the end."""
 
 
 @click.command(
@@ -69,9 +76,37 @@ async def show(connection: ClientConnection, url: str) -> None:
             lost.append(errors)
             screen.exit()
 
-    async with Background() as tasks:
-        tasks.start_soon(feed)
-        tasks.start_soon(board.keep)
-        await until_interrupted(screen.run_async)
+    with log_held_back():
+        async with Background() as tasks:
+            tasks.start_soon(feed)
+            tasks.start_soon(board.keep)
+            await until_interrupted(screen.run_async)
     if lost:
         raise lost[0]
+
+
+@contextmanager
+def log_held_back() -> Generator[None, None, None]:
+    """Keep what is logged until the block ends, and write it then: while there is a screen, textual
+    takes what is written to stderr, and shows it to nobody.
+    """
+    root, kept = logging.getLogger(), _Kept()
+    before = root.handlers[:]
+    root.handlers[:] = [kept]
+    try:
+        yield
+    finally:
+        root.handlers[:] = before
+        for record in kept.records:
+            root.callHandlers(record)
+
+
+class _Kept(logging.Handler):
+    """What was logged last."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.records: deque[logging.LogRecord] = deque(maxlen=MOST_LINES)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.records.append(record)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 from collections.abc import Callable
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 from fibaction import ConnectionLost, serve
 from fibaction.cli import observing, top
 from fibaction.cli.ending import ExitCode
+from fibaction.cli.output import LogHandler
 from fibaction.cli.screen import Screen
 from tests.cli.conftest import Invoke, Open, Robot, Run
 from tests.cli.served import Served, counter
@@ -150,6 +152,31 @@ async def test_a_signal_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
                 tasks.start_soon(top.top, "inproc://top")
                 await drawn.wait()
                 signal.raise_signal(signal.SIGTERM)
+
+
+@pytest.mark.asyncio
+@pytest.mark.usefixtures("without_terminal")
+async def test_what_is_logged_meanwhile_is_written_when_the_screen_is_gone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root, handler = logging.getLogger(), LogHandler()
+    monkeypatch.setattr(root, "handlers", [handler])
+    before: list[str] = []
+
+    def on_mount(screen: Screen) -> None:
+        for number in range(top.MOST_LINES + 1):
+            logging.getLogger("fibaction.wire").warning("line %d is bad", number)
+        before.append(capsys.readouterr().err)
+        screen.exit()
+
+    monkeypatch.setattr(Screen, "on_mount", on_mount)
+    with anyio.fail_after(20):
+        await top.show(Served(counter("one")).connection, "inproc://top")
+
+    assert before == [""]
+    said = capsys.readouterr().err.splitlines()
+    assert said == [f"line {number} is bad" for number in range(1, top.MOST_LINES + 1)]
+    assert root.handlers == [handler]
 
 
 @pytest.mark.asyncio
