@@ -38,9 +38,11 @@ def top_command(url: str) -> None:
     """Watch all actions and goals on a live screen: rates, and the latest feedback."""
     if find_spec("textual") is None:
         raise Failure("fibaction top needs textual: pip install 'fibaction[tui]'", ExitCode.USAGE)
-    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+    # It is stderr that textual draws on.
+    if not all(stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr)):
         raise Failure(
-            "fibaction top needs a terminal; fibaction goals --watch does not", ExitCode.USAGE
+            "fibaction top needs a terminal, on stderr as well; fibaction goals --watch does not",
+            ExitCode.USAGE,
         )
     run(top, url)
 

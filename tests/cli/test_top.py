@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import signal
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -17,6 +18,10 @@ from fibaction.cli.output import LogHandler
 from fibaction.cli.screen import Screen
 from tests.cli.conftest import Invoke, Open, Robot, Run
 from tests.cli.served import Served, counter
+
+NEEDS_TERMINAL = (
+    "Error: fibaction top needs a terminal, on stderr as well; fibaction goals --watch does not\n"
+)
 
 
 @pytest.mark.parametrize("columns", [80, 160])
@@ -89,9 +94,24 @@ def test_without_a_terminal_it_names_what_needs_none(invoke: Invoke, tcp: str) -
     result = invoke("top", url=tcp)
 
     assert result.exit_code == ExitCode.USAGE
-    assert result.stderr == (
-        "Error: fibaction top needs a terminal; fibaction goals --watch does not\n"
+    assert result.stderr == NEEDS_TERMINAL
+
+
+@pytest.mark.parametrize("missing", ["stdin", "stdout", "stderr"])
+def test_each_stream_is_needed_for_the_screen(
+    missing: str, invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal, file = (
+        type("Stream", (), {"isatty": lambda _, answer=answer: answer})()
+        for answer in (True, False)
     )
+    streams = {"stdin": terminal, "stdout": terminal, "stderr": terminal, missing: file}
+    monkeypatch.setattr(top, "sys", SimpleNamespace(**streams))
+    monkeypatch.setattr(top, "show", None)
+
+    result = invoke("top", url=tcp)
+
+    assert (result.exit_code, result.stderr) == (ExitCode.USAGE, NEEDS_TERMINAL)
 
 
 def test_without_textual_it_says_how_to_get_it(
@@ -121,7 +141,7 @@ def test_the_command_runs_the_screen(
         pass
 
     class Terminal:
-        stdin = stdout = type("Stream", (), {"isatty": lambda self: True})()
+        stdin = stdout = stderr = type("Stream", (), {"isatty": lambda self: True})()
 
     monkeypatch.setattr(top, "show", show)
     monkeypatch.setattr(top, "sys", Terminal)
