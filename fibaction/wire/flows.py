@@ -237,7 +237,7 @@ def _refused(request: int, exc: ActionError, text: str) -> Rejected | Failed:
     return Failed(request, why, text)
 
 
-def failure(exc: Exception) -> ServerNotFound:
+def failure(exc: BaseException) -> ServerNotFound:
     """What a client is told of an error that is none of its business."""
     return ServerNotFound(f"the server failed: {type(exc).__name__}")
 

@@ -6,11 +6,13 @@ It decides nothing about goals. What a client may do is asked of `Access`, befor
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable, Mapping
+import math
+from collections.abc import Awaitable, Callable, Generator, Mapping
+from contextlib import contextmanager
 from typing import Literal
 
 import msgspec
-from anyio import sleep
+from anyio import current_effective_deadline, get_cancelled_exc_class, sleep
 from anyio.abc import TaskGroup
 
 from fibaction.abc import Endpoint, GoalStream
@@ -233,10 +235,8 @@ class Session:
             self._tasks.start_soon(self._send_goal, message, flow)
 
     async def _send_goal(self, message: SendGoal, flow: GoalFlow) -> None:
-        try:
+        with self._answering(message):
             self._offer(message, flow, await self._endpoint(message.action, Verb.SEND))
-        except Exception as exc:
-            self._refuse(message, exc)
 
     def _offer(self, message: SendGoal, flow: GoalFlow, endpoint: Endpoint) -> None:
         size = len(message.goal)
@@ -260,17 +260,15 @@ class Session:
     async def _await_answer(
         self, message: SendGoal, flow: GoalFlow, endpoint: Endpoint, offered: Awaitable[GoalStream]
     ) -> None:
-        try:
+        with self._answering(message):
             try:
                 stream = await offered
             finally:
                 self._held -= len(message.goal)
             self._begin_stream(flow, endpoint, stream, own=True, goal=message.goal)
-        except Exception as exc:
-            self._refuse(message, exc)
 
     async def _follow(self, message: Follow, flow: GoalFlow) -> None:
-        try:
+        with self._answering(message):
             goal_id = GoalID(message.goal_id)
             own = message.own and self._orphans.is_own(goal_id, self.session)
             endpoint = await self._endpoint(message.action, Verb.SEND if own else Verb.OBSERVE)
@@ -288,8 +286,6 @@ class Session:
                     while (missing := message.after - stream.place) > 0 and stream.take(missing):
                         pass
             self._begin_stream(flow, endpoint, stream, own=own)
-        except Exception as exc:
-            self._refuse(message, exc)
 
     def _ended(self, goal_id: GoalID, goal: bytes | None = None) -> GoalStream | None:
         """The stream of this client's goal that has ended on a connection before this one."""
@@ -360,14 +356,23 @@ class Session:
 
     async def _answer(self, message: Question, flow: WaitingFlow) -> None:
         try:
-            await self._answers.give(message, flow)
-        except Exception as exc:
-            self._refuse(message, exc)
+            with self._answering(message):
+                await self._answers.give(message, flow)
         finally:
             del self._waiting[message.id]
 
-    def _refuse(self, message: SendGoal | Follow | Question, exc: Exception) -> None:
-        """Whatever goes wrong is an answer, too."""
+    @contextmanager
+    def _answering(self, message: SendGoal | Follow | Question) -> Generator[None, None, None]:
+        """Of what a task does for the client, whatever goes wrong is an answer, too."""
+        try:
+            yield
+        except (Exception, get_cancelled_exc_class()) as exc:
+            # On asyncio, who awaits what somebody has canceled raises that, too.
+            if not isinstance(exc, Exception) and current_effective_deadline() == -math.inf:
+                raise
+            self._refuse(message, exc)
+
+    def _refuse(self, message: SendGoal | Follow | Question, exc: BaseException) -> None:
         if not isinstance(exc, ActionError):
             # An endpoint or a callback of somebody else's: that is its fault, and one client's.
             what = type(message).__name__

@@ -955,6 +955,25 @@ async def test_an_endpoint_that_raises_what_it_may_not_fails_that_request_only()
         await client.send(1)
 
 
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])  # trio's cannot be raised by hand
+async def test_a_permission_that_awaits_what_somebody_has_canceled_is_a_refusal_only() -> None:
+    async def authorize(peer: Peer, action: str, verb: Verb) -> bool:
+        await anyio.lowlevel.checkpoint()
+        if verb is Verb.OBSERVE:
+            raise anyio.get_cancelled_exc_class()
+        return True
+
+    async with serving(held(), access=Access(authorize=authorize)) as bench:
+        client = await bench.greet()
+        with logged() as lines:
+            failed = await client.ask(WatchStatus(1, "fibonacci", ANY), Failed)
+        assert failed == Failed(1, Why.SERVER_NOT_FOUND, "the server failed: CancelledError")
+        (line,) = lines
+        assert line.levelno == logging.ERROR
+        assert line.getMessage().startswith("the client: its WatchStatus failed")
+        await client.send(1)  # and the connection is as good as before
+
+
 async def test_an_error_of_the_way_behind_is_told_as_a_lost_connection() -> None:
     class Away(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
         async def status(self) -> Any:
