@@ -148,6 +148,8 @@ def _wire(described: types.Type) -> str:
             return f"{length} bytes"
         case types.IntType():
             return "integer" + _range(described)
+        case types.EnumType(cls=cls):
+            return f"integer, {min(cls)} to {max(cls)}"
         case types.FloatType():
             return "number" + _range(described)
         case types.UnionType():
