@@ -149,7 +149,8 @@ def _wire(described: types.Type) -> str:
         case types.IntType():
             return "integer" + _range(described)
         case types.EnumType(cls=cls):
-            return f"integer, {min(cls)} to {max(cls)}"
+            numbers = [int(one.value) for one in cls]
+            return f"integer, {min(numbers)} to {max(numbers)}"
         case types.FloatType():
             return "number" + _range(described)
         case types.UnionType():
