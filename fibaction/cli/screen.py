@@ -22,6 +22,9 @@ from fibaction.exceptions import ActionError
 
 PERIOD = 0.5
 """Seconds between two pictures."""
+SETTLING = 2
+"""Pictures with goals in which a cursor that was not moved stays at the top: those that there are
+come one after another, and nobody has chosen one of them yet."""
 MOST = 200
 """Goals that are shown. Nobody scrolls further, and each costs time at every picture."""
 WIDE = 110
@@ -61,6 +64,7 @@ class Screen(App[None]):
         self._where = where
         self._keys: list[GoalKey] = []
         self._followed: GoalLine | None = None
+        self._settling = SETTLING
 
     def compose(self) -> ComposeResult:
         yield Static(id="state", markup=False)
@@ -144,8 +148,11 @@ class Screen(App[None]):
         ]
         selected = self._selected()
         self._keys = [line.key for line in lines]
+        is_at_top = self._table("goals").cursor_row == 0
         self._fill("goals", heads, rows)
-        if selected is not None and selected in self._keys:
+        if is_at_top and self._settling:
+            self._settling -= bool(lines)
+        elif selected is not None and selected in self._keys:
             # The cursor stays at its goal, wherever that is now.
             self._table("goals").move_cursor(row=self._keys.index(selected), scroll=False)
 

@@ -124,6 +124,26 @@ async def test_the_cursor_stays_at_its_goal() -> None:
 
 
 @pytest.mark.asyncio
+async def test_the_cursor_is_at_the_top_when_the_goals_that_there_are_have_come() -> None:
+    server = counter("arm/pick")
+    board = Board()
+    board.found(server.info, Served(server).connection.client(server.action))
+    async with shown(board) as pilot:
+        screen = pilot.app
+        assert isinstance(screen, Screen)
+        board.told("arm/pick", GoalInfo(FIRST, 1, GoalStatus.CANCELED))
+        screen.draw()
+        board.told("arm/pick", GoalInfo(SECOND, 2, GoalStatus.EXECUTING))
+        screen.draw()
+        await pilot.pause()
+        assert screen._selected() == GoalKey("arm/pick", SECOND)
+        third = GoalID(b"\x33" * 16)
+        board.told("arm/pick", GoalInfo(third, 3, GoalStatus.EXECUTING))
+        screen.draw()
+        assert screen._selected() == GoalKey("arm/pick", SECOND), "somebody may have chosen it"
+
+
+@pytest.mark.asyncio
 async def test_the_goal_under_the_cursor_is_canceled(monkeypatch: pytest.MonkeyPatch) -> None:
     server = counter("arm/pick")
     board = Board()
