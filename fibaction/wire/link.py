@@ -152,10 +152,10 @@ class Link:
     async def _watch(self) -> None:
         # It counts its own rounds, and reads no clock: what happens at each message stays cheap,
         # and a peer is not blamed for the time in which this process has not run.
-        step = self._heartbeat / 2
-        silent = stuck = 0.0
+        silent = stuck = unsaid = 0.0
         progress = self._progress
         while True:
+            step = min(self._heartbeat, self.peer_heartbeat) / 2
             await sleep(step)
             silent = 0.0 if self._has_heard else silent + step
             if silent > MISSED * self.peer_heartbeat:
@@ -164,8 +164,10 @@ class Link:
             stuck = stuck + step if is_stuck else 0.0
             if stuck > MISSED * self._heartbeat:
                 raise ConnectionLost(f"{self.peer} has read nothing for {stuck:.1f} s")
-            if not self._has_said:
+            unsaid = 0.0 if self._has_said else unsaid + step
+            if unsaid >= self._heartbeat / 2:
                 self.post(PING)
+                unsaid = 0.0
             self._has_said = self._has_heard = False
             progress = self._progress
 
