@@ -68,6 +68,10 @@ class Call(ABC):
     def opening(self) -> FromClient:
         """What to send on a new connection, so that it goes on."""
 
+    def giving_up(self) -> FromClient:
+        """What to send when nobody waits for the answer any more."""
+        return Close(self.id)
+
     @abstractmethod
     def hear(self, message: Any) -> bool:
         """Take a message of its ID, and say whether that was the last one.
@@ -204,10 +208,13 @@ class RemoteGoal(Call, GoalStream):
         """Whether this client has sent the goal."""
         return self._own
 
+    def giving_up(self) -> FromClient:
+        return Close(self.id) if self._own else Received(self.id)
+
     def __del__(self) -> None:
         # Nobody can ask for the end any more, and the server need not keep it in mind until then.
         if self._is_answered and not self._own and self._outcome is None and self.error is None:
-            self._post(Received(self.id))
+            self._post(self.giving_up())
 
     def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
         if not self._reads:

@@ -40,7 +40,6 @@ from fibaction.messages import (
     AwaitServer,
     CancelAnswered,
     CancelGoals,
-    Close,
     Done,
     Ended,
     Follow,
@@ -185,7 +184,7 @@ class RemoteConnection(Connection):
             await call.answered()
         except BaseException:
             if self._calls.pop(call.id, None) is not None:
-                self._post(Close(call.id))
+                self._post(call.giving_up())
             raise
 
     def _openings(self) -> list[bytes]:
@@ -196,6 +195,9 @@ class RemoteConnection(Connection):
             call = self._unopened.popleft()
             if call is not (self._calls.get(call.id) or self._observed.get(call.id)):
                 continue  # given up since
+            if call.is_over:
+                self._drop(call)
+                continue
             frame = encode(call.opening())
             if len(frame) <= self._max_frame:
                 frames.append(frame)
@@ -342,9 +344,7 @@ class RemoteConnection(Connection):
         if self._patience is not None:
             self._patience.cancel()
             self._patience = None
-        self._calls = {call.id: call for call in self._calls.values() if not call.is_over}
-        self._unopened.extend(self._calls.values())
-        self._unopened.extend(self._observed.values())
+        self._unopened.extend((*self._calls.values(), *self._observed.values()))
         self._link.stir()
         self._changed.wake()
 

@@ -93,7 +93,16 @@ class WaitingFlow(Flow):
 class GoalFlow(Flow):
     """One goal that the client follows: no task, but `take` whenever `ready` was called."""
 
-    __slots__ = ("_max_frame", "_opening", "_ready", "endpoint", "own", "stream", "told")
+    __slots__ = (
+        "_max_frame",
+        "_opening",
+        "_ready",
+        "endpoint",
+        "is_wanted",
+        "own",
+        "stream",
+        "told",
+    )
 
     def __init__(
         self, request: int, credit: int | None, ready: Callable[[GoalFlow], None], max_frame: int
@@ -105,6 +114,8 @@ class GoalFlow(Flow):
         """Whether the client has sent this goal, and it is kept for it until it has the end."""
         self.told = False
         """Whether it has been told the end, or that there is none."""
+        self.is_wanted = True
+        """Whether the client has yet to say that it has heard, or does not wait for, the end."""
         self._ready = ready
         self._max_frame = max_frame
         self._opening = b""

@@ -156,8 +156,10 @@ class Session:
         elif type(message) is Received:
             # Of what it only observes, it may want nothing more at any time.
             goal = self._goals.get(message.id)
-            if goal is not None and (goal.told or goal.is_observed):
-                self._end(goal)
+            if goal is not None:
+                goal.is_wanted = False
+                if goal.told or goal.is_observed:
+                    self._end(goal)
         elif isinstance(message, Credit):
             if (flow := self._flow(message.id)) is not None:
                 flow.add(message.count)
@@ -305,6 +307,8 @@ class Session:
     ) -> None:
         own = own and self._orphans.own(stream, self.session, goal)
         flow.begin(endpoint, stream, own=own)
+        if not (own or flow.is_wanted):
+            self._end(flow)
 
     def _tell(self, flow: GoalFlow) -> None:
         self._ready[flow] = None

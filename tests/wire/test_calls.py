@@ -166,6 +166,14 @@ def test_a_call_that_has_not_failed_raises_nothing() -> None:
         assert call.id == ID
 
 
+def test_what_is_given_up_is_closed_and_who_only_looked_on_wants_no_end_either() -> None:
+    for call, _ in some_calls():
+        assert call.giving_up() == Close(ID)
+    for own, message in ((True, Close(ID)), (False, Received(ID))):
+        goal = Bench(opening=Follow(ID, "fibonacci", GOAL_ID, None, own, 4), accepted=False).goal
+        assert goal.giving_up() == message
+
+
 # What a refusal says
 
 

@@ -601,7 +601,8 @@ async def test_a_call_that_is_given_up_is_closed(call: Callable[..., Awaitable[A
     async with reached(Network()) as (connection, server):
         async with Running(lambda: call(connection)):
             (asked,) = await server.hear_all()
-        assert await server.hear_all() == [Close(asked.id)]
+        closing = Received if isinstance(asked, Follow) else Close
+        assert await server.hear_all() == [closing(asked.id)]
         assert connection._calls == {}
 
 
@@ -895,6 +896,28 @@ async def test_statuses_that_nobody_reads_any_more_are_not_watched_again() -> No
             server.channel.cut()
             server = await network.accept()
             assert await server.hear_all() == []
+
+
+async def test_statuses_that_were_closed_before_they_could_be_watched_again_are_not() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        endpoint = endpoint_of(connection)
+        async with (
+            Running(lambda: endpoint.send_goal(GOAL_ID, bytes(HIGH_WATER))),
+            Running(endpoint.status) as asking,
+        ):
+            await server.hear(SendGoal)
+            asked = await server.hear(WatchStatus)
+            await server.say(Watching(asked.id, 0))
+            statuses = await asking.answer()
+            server.channel.cut()
+            server = await network.accept()
+            server.channel.stop_reading()
+            await settled()
+            statuses.close()
+            server.channel.go_on_reading()
+            assert [type(one) for one in await server.hear_all()] == [SendGoal, Close]
+            assert asked.id not in connection._calls
 
 
 # For how long

@@ -500,6 +500,25 @@ async def test_who_only_looks_on_may_go_before_the_end() -> None:
         await other.ask(follow(0, own=False, request=5), Following)  # the ID can be used again
 
 
+async def test_who_only_looks_on_may_go_before_the_answer() -> None:
+    decided = anyio.Event()
+
+    async def authorize(_peer: Peer, _action: str, verb: Verb) -> bool:
+        if verb is Verb.OBSERVE:
+            await decided.wait()
+        return True
+
+    access = Access(authorize=authorize)
+    async with serving(held(), access=access) as bench:
+        client, other = await bench.greet(ANN), await bench.greet(BOB)
+        await client.send(1)
+        await other.say(follow(0, own=False, request=5), Received(5))
+        assert await other.is_served()
+        decided.set()
+        assert await other.hear_all() == []
+        assert other.session._goals == {}
+
+
 async def test_what_is_received_before_the_end_or_of_nothing_is_ignored() -> None:
     go = anyio.Event()
     async with serving(scripted(go, fib.Result([]))) as bench:
