@@ -34,7 +34,7 @@ from fibaction_transports.ros2.messages import RosAction
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import NodeSettings, own_node
 from fibaction_transports.ros2.rcl import qos, raw, uuid_of
-from fibaction_transports.ros2.serving import Served
+from fibaction_transports.ros2.serving import Plan, Served
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
@@ -404,6 +404,24 @@ async def test_more_requests_than_can_be_under_way_are_lost_and_that_is_logged(
                 while "one is lost" not in caplog.text:  # noqa: ASYNC110  # as above
                     await anyio.sleep(0.01)
                 tasks.cancel_scope.cancel()
+
+
+async def test_a_request_that_comes_when_the_tasks_have_ended_is_let_go(
+    url: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    place = url.partition("=")[2]
+    with anyio.fail_after(10):
+        async with (
+            ActionServer(FIBONACCI, forever) as server,
+            own_node(NodeSettings(namespace=place)) as ros,
+            anyio.create_task_group() as tasks,
+        ):
+            served = Served(ros, Plan(server), 10, tasks)
+            tasks.cancel_scope.cancel()  # as if trio had raised a Ctrl-C in one of them
+            served._begin(None, served._answer_goal, None)((None, None))
+            await served.drain()
+    assert [one.levelno for one in caplog.records if "one is lost" in one.message] == [logging.INFO]
 
 
 async def test_the_statuses_of_an_endpoint_that_comes_back_are_followed_again(

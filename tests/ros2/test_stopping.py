@@ -26,6 +26,9 @@ ABORTED = r"\[WARN\] \[\w+\]: stopped: goal \w+ ABORTED: server stopped\n"
 CUT_SHORT = r"Failed to publish log message to rosout: publisher's context is invalid, at \S+\n"
 """What rcl says of a line of the log that is under way when rclpy's own handler of signals shuts
 ROS down: no check before the line can come in between."""
+TORN = r"\S+: RuntimeWarning: coroutine '\S+' was never awaited\n(  .*\n|RuntimeWarning: .*\n)+"
+"""On trio, Ctrl-C raises KeyboardInterrupt wherever the program is: also where a coroutine has been
+made and no task has it yet (https://trio.readthedocs.io/en/stable/reference-lowlevel.html)."""
 DEATHS = re.compile("terminate called|core dumped|Fatal|Segmentation")
 """What C++ and Python say when they end badly."""
 
@@ -35,12 +38,15 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
-async def ends(process: Peer, number: signal.Signals, code: int) -> None:
+async def ends(process: Peer, number: signal.Signals, code: int, backend: str = "asyncio") -> None:
     """It ends by a signal, and complains of nothing: `ours` catches KeyboardInterrupt."""
     process.signal(number)
     assert await process.ended(END) == code, process.complaints()
-    rest = re.sub(f"{ABORTED}|{CUT_SHORT}", "", process.complaints())
-    assert rest == ""
+    excused = f"{ABORTED}|{CUT_SHORT}"
+    if (backend, number) == ("trio", SIGINT):
+        excused = f"{excused}|{TORN}"
+    rest = re.sub(excused, "", process.complaints())
+    assert rest == "", rest
 
 
 @pytest.mark.parametrize(("number", "code"), [(SIGINT, INTERRUPTED), (SIGTERM, 0)])
@@ -53,7 +59,7 @@ async def test_a_server_with_a_goal_that_runs_ends_by_a_signal(
             await client.wait_for_server(20)
             goal = await client.send_goal(Goal(orders.WAITS))
 
-            await ends(server, number, code)
+            await ends(server, number, code, anyio_backend)
 
             with pytest.raises((GoalAborted, ConnectionLost)):
                 await goal.result()

@@ -126,6 +126,8 @@ class Served:
 
     async def drain(self) -> None:
         """Wait until all has been answered that can be answered."""
+        if self._has_ended:
+            return
         with anyio.move_on_after(DRAIN_TIMEOUT, shield=True):
             with anyio.move_on_after(ASKING_TIME):
                 await self._all_told()
@@ -134,6 +136,13 @@ class Served:
             await self._all_told()
             self._board.flush()
         self._is_drained = True
+
+    @property
+    def _has_ended(self) -> bool:
+        """Whether nothing can be done any more. On trio, a Ctrl-C is raised in whatever task runs:
+        if that is one of these, all of them have ended.
+        """
+        return self._is_drained or self._tasks.cancel_scope.cancel_called
 
     async def _all_told(self) -> None:
         while self._quick or self._sending or any(pump.is_owed for pump in self._pumps.values()):
@@ -150,9 +159,9 @@ class Served:
 
         def begin(item: Any) -> None:
             header, request = item
-            if self._is_drained or self._underway >= UNDERWAY:
+            if self._has_ended or self._underway >= UNDERWAY:
                 # Nobody can answer any more, which the client will notice; or nobody can keep up.
-                level = logging.INFO if self._is_drained else logging.ERROR
+                level = logging.INFO if self._has_ended else logging.ERROR
                 logger.log(level, "%s: more requests than can be answered: one is lost", self._name)
                 return
             self._underway += 1
