@@ -26,8 +26,12 @@ class Background:
     async def __aenter__(self) -> TaskGroup:
         await self._host.__aenter__()
         self._host.start_soon(self._hold)
-        with CancelScope(shield=True):  # it takes no time, and there is no good way half-way in
-            await self._ready.wait()
+        try:
+            with CancelScope(shield=True):  # it takes no time
+                await self._ready.wait()
+        except BaseException:  # asyncio can cancel the task itself, which no scope shields
+            await self.__aexit__(None, None, None)
+            raise
         return self._tasks
 
     async def __aexit__(

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio  # noqa: TID251  # whose tasks can be canceled without a scope
 from collections.abc import Coroutine
 from typing import Any
 
@@ -182,3 +183,23 @@ async def test_a_task_that_is_started_just_before_an_error_can_clean_up_what_it_
                 tasks.start_soon(wait_for, answer())
                 raise LookupError
     assert given == ["cleaned up"]
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+@pytest.mark.parametrize("turns", range(5))
+async def test_a_task_that_is_itself_canceled_on_its_way_in_leaves_nothing_behind(
+    turns: int,
+) -> None:
+    async def enters() -> None:
+        async with Background():
+            await anyio.sleep_forever()
+
+    before = asyncio.all_tasks()
+    task = asyncio.create_task(enters())
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    task.cancel()
+    with anyio.fail_after(5):
+        await asyncio.wait([task])
+    assert task.cancelled()
+    assert asyncio.all_tasks() == before
