@@ -192,14 +192,17 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         traceback: TracebackType | None,
     ) -> None:
         """Stop, as `stop()` does. An exception of the block goes on as itself."""
-        await self.stop()
-        await self._background.__aexit__(exc_type, exc, traceback)
+        try:
+            await self.stop()
+        finally:
+            await self._background.__aexit__(exc_type, exc, traceback)
 
     async def stop(self) -> None:
         """Accept no more goals, end all that there are, and answer everybody who waits.
 
         Executors are interrupted, and have `shutdown_timeout` seconds for their clean-up. Their
-        goals end ABORTED, `server stopped`. It cannot be cut short, and doing it twice is harmless.
+        goals end ABORTED, `server stopped`. No scope can cut it short; if asyncio cancels the task
+        itself while it stops, that time is over at once. Doing it twice is harmless.
         """
         if self._phase != "running":
             return
@@ -207,12 +210,18 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._callbacks.stop()
         for run in self._runs.values():
             run.execution.interrupt()
-        with anyio.move_on_after(self._shutdown_timeout, shield=True):
-            while self._runs:
-                await self._ended.wait()
+        try:
+            with anyio.move_on_after(self._shutdown_timeout, shield=True):
+                while self._runs:
+                    await self._ended.wait()
+        finally:
+            self._end_all()
+
+    def _end_all(self) -> None:
+        """The time to stop is over: nothing is left to run, and nobody to wait."""
         for run in tuple(self._runs.values()):
             logger.warning(
-                "goal %s of action %r did not stop within %g s, and is killed",
+                "goal %s of action %r did not stop in time (%g s), and is killed",
                 run.goal.goal_id,
                 self.action.name,
                 self._shutdown_timeout,
