@@ -69,6 +69,8 @@ FIRST_PAUSE, LONGEST_PAUSE = 0.02, 2.0
 rare enough later for a server that is away for hours."""
 DIAL_TIMEOUT = 5.0
 """Seconds that one attempt to connect may take."""
+LARGEST = 2**63 - 1
+"""The largest number that a message has room for; as a stamp, a time that nobody will see."""
 LEAVE_TIMEOUT = 1.0
 """Seconds that leaving a connection waits for what was said last to be written."""
 
@@ -198,15 +200,23 @@ class RemoteConnection(Connection):
             if call.is_over:
                 self._drop(call)
                 continue
-            frame = encode(call.opening())
+            try:
+                frame = encode(call.opening())
+            except (TypeError, ValueError, OverflowError) as exc:
+                # The fault of whoever calls: no other call may suffer.
+                self._refuse(call, f"the message cannot be sent: {exc}")
+                continue
             if len(frame) <= self._max_frame:
                 frames.append(frame)
                 size += len(frame)
             else:
-                self._drop(call)
                 limit = f"{self._max_frame} are the server's limit"
-                call.fail(ProtocolError(f"the message has {len(frame)} bytes, and {limit}"))
+                self._refuse(call, f"the message has {len(frame)} bytes, and {limit}")
         return frames
+
+    def _refuse(self, call: Call, text: str) -> None:
+        self._drop(call)
+        call.fail(ProtocolError(text))
 
     def _drop(self, call: Call) -> None:
         if self._calls.pop(call.id, None) is None:
@@ -371,6 +381,8 @@ class RemoteEndpoint(Endpoint):
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False
     ) -> RemoteGoal:
+        if after is not None:
+            after = min(max(after, 0), LARGEST)  # the server would do so
         return await self._connection.follow(
             goal_id,
             lambda call_id, credit: Follow(call_id, self._info.name, goal_id, after, own, credit),
@@ -379,6 +391,8 @@ class RemoteEndpoint(Endpoint):
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None
     ) -> CancelAnswer:
+        if stamp:  # 0 is no stamp, and any other goes on meaning what it means
+            stamp = min(max(stamp, 1), LARGEST)
         answer: CancelAnswered = await self._connection.ask(
             lambda call_id: CancelGoals(call_id, self._info.name, goal_id, stamp), CancelAnswered
         )

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import msgspec
@@ -1233,7 +1233,47 @@ async def test_the_result_of_a_goal_with_much_feedback_can_be_fetched_meanwhile(
 async def test_what_no_server_can_read_is_not_asked_for_ever() -> None:
     async with real(anyio.Event()) as endpoint:
         with anyio.fail_after(2), pytest.raises(ConnectionLost):
-            await endpoint.cancel_goals(stamp=-1)
+            await endpoint.cancel_goals(cast("GoalID", b"short"))
+
+
+@pytest.mark.parametrize("stamp", [-(2**70), -1, 1, 2**63, 2**70])
+async def test_a_cancel_by_any_time_cancels_the_goals_before_it_and_no_others(stamp: int) -> None:
+    async with real(anyio.Event()) as endpoint:
+        goal = await endpoint.send_goal(GOAL_ID, FIBONACCI.goal.encode(fib.Goal(1)))
+        with anyio.fail_after(5):
+            answer = await endpoint.cancel_goals(stamp=stamp)
+            assert answer.return_code is CancelCode.NONE
+            assert answer.accepted == (stamp > goal.stamp)
+
+
+@pytest.mark.parametrize(("after", "place"), [(-(2**70), 0), (-1, 0), (2**70, 2)])
+async def test_a_goal_can_be_followed_behind_any_number(after: int, place: int) -> None:
+    async with real(fib.Feedback([1]), fib.Feedback([2]), anyio.Event()) as endpoint:
+        goal = await endpoint.send_goal(GOAL_ID, FIBONACCI.goal.encode(fib.Goal(1)))
+        with anyio.fail_after(5):
+            for _ in range(2):
+                await goal.receive()
+            assert (await endpoint.feedback(GOAL_ID, after=after)).place == place
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda connection: connection.peers("no text \udcff"),
+        lambda connection: endpoint_of(connection).get_result(cast("GoalID", object())),
+        lambda connection: endpoint_of(connection).send_goal(cast("GoalID", 2**70), b"goal"),
+    ],
+)
+async def test_what_cannot_be_sent_is_an_error_of_that_call_only(
+    call: Callable[[RemoteConnection], Awaitable[Any]],
+) -> None:
+    async with reached(Network()) as (connection, server):
+        with anyio.fail_after(5), pytest.raises(ProtocolError, match="the message cannot be sent"):
+            await call(connection)
+        assert connection._calls == {}
+        async with Running(connection.actions) as asking:
+            await server.say(Actions((await server.hear(ListActions)).id, []))
+            assert await asking.answer() == []
 
 
 # What is on its way when the line dies
