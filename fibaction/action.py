@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeGuard, TypeVar, cast, get_origin
 import msgspec
 from msgspec import inspect
 
-from fibaction.exceptions import ProtocolError, TransportError
+from fibaction.exceptions import ProtocolError, TransportError, text_of
 
 GoalT = TypeVar("GoalT")
 FeedbackT = TypeVar("FeedbackT")
@@ -78,6 +78,8 @@ class Codec(Generic[T]):
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError) as exc:
             # A TypeError is msgspec's for a set of what cannot be in one.
             raise ProtocolError(str(exc)) from exc
+        except Exception as exc:  # of the type's own, for instance in its `__post_init__`
+            raise ProtocolError(text_of(exc)) from exc
 
     def schema(self) -> dict[str, Any]:
         """The type's JSON Schema; empty, which allows anything, where msgspec can make none."""

@@ -448,6 +448,29 @@ def damaged(draw: strategies.DrawFn) -> bytes:
     return payload[:start] + draw(strategies.binary(max_size=4)) + payload[end:]
 
 
+class Unfinished(msgspec.Struct):
+    """A type whose own check has a fault."""
+
+    name: str
+
+    def __post_init__(self) -> None:
+        raise KeyError(self.name)
+
+
+@dataclasses.dataclass
+class UnfinishedToo:
+    name: str
+
+    def __post_init__(self) -> None:
+        raise KeyError(self.name)
+
+
+@pytest.mark.parametrize("message_type", [Unfinished, UnfinishedToo])
+def test_whatever_a_type_itself_raises_is_an_error_of_what_was_sent(message_type: Any) -> None:
+    with pytest.raises(ProtocolError, match=r"^KeyError: 'arm'$"):
+        Codec(message_type).decode(msgspec.msgpack.encode({"name": "arm"}))
+
+
 def check_that_it_is_decoded_or_refused(payload: bytes) -> None:
     for codec in CODECS:
         try:
