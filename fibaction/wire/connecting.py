@@ -122,6 +122,8 @@ class RemoteConnection(Connection):
         # Of two, one can be let go of for the next; behind one, unread, the end would never come.
         self._window = max(keeping.window, 2)
         self._changed = Waking()
+        self.changes = 0
+        """How often a connection was opened, or given up: see `changed`."""
 
     # For users
 
@@ -162,13 +164,13 @@ class RemoteConnection(Connection):
         await self._open(statuses)
         return statuses
 
-    async def changed(self) -> None:
-        """Wait until there is another connection than now.
+    async def changed(self, since: int) -> None:
+        """Wait until there is another connection than when `changes` was that.
 
         Raises:
             TransportError: There will be none.
         """
-        if not self._final:
+        while self.changes == since and not self._final:
             await self._changed.wait()
         if self._final and self._absent is not None:
             raise _anew(self._absent)
@@ -256,7 +258,8 @@ class RemoteConnection(Connection):
                 tasks.start_soon(self._lose_patience, self._patience, self._patience_ends)
                 logger.info("%s", naming(self._where, error))
             useless = isinstance(error, AuthenticationFailed | ProtocolError)
-            self._final = useless or not self._keeping.reconnect
+            if useless or not self._keeping.reconnect:
+                self._final = True  # and if the connection was left meanwhile, it is so already
             waited = self._patience_ends is None or current_time() >= self._patience_ends
             if self._final or waited:
                 self._give_up(error)
@@ -312,6 +315,7 @@ class RemoteConnection(Connection):
         for call in calls:
             call.fail(lost)
         self._patience_ends = None
+        self.changes += 1
         self._changed.wake()
 
     def _handle(self, frame: bytes) -> None:
@@ -356,6 +360,7 @@ class RemoteConnection(Connection):
             self._patience = None
         self._unopened.extend((*self._calls.values(), *self._observed.values()))
         self._link.stir()
+        self.changes += 1
         self._changed.wake()
 
 
@@ -406,13 +411,14 @@ class RemoteEndpoint(Endpoint):
 
     async def wait_for_server(self) -> None:
         while True:
+            changes = self._connection.changes
             try:
                 await self._connection.ask(
                     lambda call_id: AwaitServer(call_id, self._info.name), Done
                 )
                 return
             except (ServerNotFound, ConnectionLost):
-                await self._connection.changed()
+                await self._connection.changed(changes)
 
 
 @asynccontextmanager

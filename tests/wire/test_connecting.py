@@ -1083,6 +1083,20 @@ async def test_whoever_waits_for_an_action_that_is_not_served_asks_the_next_serv
             await waiting.answer()
 
 
+async def test_whoever_waits_for_the_server_sees_one_that_comes_when_it_was_just_given_up() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with Running(endpoint_of(connection).wait_for_server) as waiting:
+            await server.hear(AwaitServer)
+            server.channel.cut()
+            server = await network.answer()
+            # In one turn of the event loop: before whoever waits can look, there is a connection.
+            connection._give_up(impatient())
+            connection._handle(encode(Welcome(VERSION, LONG)))
+            await server.say(Done((await server.hear(AwaitServer)).id))
+            await waiting.answer(within=1)
+
+
 async def test_without_reconnecting_nobody_waits_for_a_server_that_is_gone() -> None:
     async with reached(Network(), ONCE) as (connection, server):
         async with Running(endpoint_of(connection).wait_for_server) as waiting:
@@ -1137,6 +1151,34 @@ async def test_nobody_waits_for_a_server_once_the_connection_was_left() -> None:
             with pytest.raises(ConnectionLost, match="was closed here"):
                 await waiting.answer(within=1)
     with anyio.fail_after(1), pytest.raises(ConnectionLost, match="was closed here"):
+        await endpoint_of(connection).wait_for_server()
+
+
+async def test_nobody_waits_for_a_server_once_a_connection_was_left_that_was_being_lost() -> None:
+    network, go = Network(), anyio.Event()
+
+    async def dial() -> memory.MemoryChannel:
+        channel = await network.dial()
+        monkeypatch.setattr(channel, "aclose", close_slowly)
+        return channel
+
+    async def close_slowly() -> None:
+        with anyio.CancelScope(shield=True):
+            await go.wait()
+
+    async def let_go() -> None:
+        await settled()
+        go.set()
+
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        async with anyio.create_task_group() as tasks:
+            async with Running(network.accept) as accepting:
+                async with connected(dial, WHERE, PATIENT) as connection:
+                    server = await accepting.answer()
+                    server.channel.cut()
+                    await settled()
+                    tasks.start_soon(let_go)
+    with anyio.fail_after(1), pytest.raises(ConnectionLost):
         await endpoint_of(connection).wait_for_server()
 
 
