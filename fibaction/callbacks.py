@@ -124,5 +124,8 @@ def _is_canceled() -> bool:
     """Whether somebody has canceled this task itself, which of the backends only asyncio can do."""
     import asyncio  # noqa: TID251  # anyio does not tell
 
-    task = asyncio.current_task()
+    try:
+        task = asyncio.current_task()
+    except RuntimeError:  # there is no loop of asyncio's: it is trio, and not as a guest
+        return False
     return task is not None and task.cancelling() > 0

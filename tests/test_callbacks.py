@@ -3,12 +3,13 @@ from __future__ import annotations
 import asyncio  # noqa: TID251  # it alone can cancel a task from outside
 import logging
 from collections.abc import Awaitable, Callable, Coroutine, Generator
+from functools import partial
 from typing import Any
 
 import anyio
 import pytest
 
-from fibaction.callbacks import SERVER_STOPPING, Callbacks
+from fibaction.callbacks import CANCELED_ELSEWHERE, SERVER_STOPPING, Callbacks
 from fibaction.exceptions import CancelRejected, GoalRejected
 
 pytestmark = pytest.mark.asyncio
@@ -357,3 +358,23 @@ async def test_a_caller_whose_own_task_is_canceled_is_not_refused() -> None:
     asking.cancel()
     with anyio.fail_after(5), pytest.raises(asyncio.CancelledError):
         await asking
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+async def test_a_cancellation_of_somebody_elses_is_a_failure_on_each_backend(backend: str) -> None:
+    async def raise_an_old_one(argument: None) -> None:
+        with anyio.CancelScope() as scope:
+            scope.cancel()
+            try:
+                await anyio.sleep_forever()
+            except anyio.get_cancelled_exc_class() as exc:
+                old = exc
+        raise old
+
+    async def main() -> None:
+        with pytest.raises(GoalRejected) as caught:
+            await ask(raise_an_old_one)
+        assert caught.value.reason == f"on_goal failed: RuntimeError: {CANCELED_ELSEWHERE}"
+
+    # In a thread, as this one has a loop of asyncio's.
+    await anyio.to_thread.run_sync(partial(anyio.run, main, backend=backend))
