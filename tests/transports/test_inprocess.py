@@ -17,6 +17,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction.abc import Endpoint
 from fibaction_transports import inprocess
 from fibaction_transports.inprocess import InProcessTransport
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -109,6 +110,34 @@ async def test_a_client_waits_for_its_own_action_only() -> None:
             async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://wait"):
                 with anyio.fail_after(5):
                     await found.wait()
+
+
+@pytest.mark.parametrize("stops", ["before", "meanwhile"])
+async def test_who_waits_for_a_server_is_not_put_off_by_one_that_has_stopped(stops: str) -> None:
+    place, found = InProcessTransport(), anyio.Event()
+    old = ActionServer(FIBONACCI, fibonacci)
+
+    async def wait(endpoint: Endpoint) -> None:
+        await endpoint.wait_for_server()
+        found.set()
+
+    async def stop() -> None:
+        async with old:
+            pass
+
+    with anyio.fail_after(5):
+        async with place.connect() as connection, anyio.create_task_group() as tasks:
+            async with place.serve(old):
+                if stops == "before":
+                    await stop()
+                tasks.start_soon(wait, connection.endpoint(FIBONACCI))
+                await anyio.wait_all_tasks_blocked()
+                if stops == "before":
+                    assert not found.is_set()
+            async with serve(ActionServer(FIBONACCI, fibonacci), place):
+                if stops == "meanwhile":
+                    await stop()
+                await found.wait()
 
 
 async def test_an_endpoint_hands_everything_on() -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import uuid
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -134,9 +134,14 @@ class _NamedEndpoint(Endpoint):
         return await self._server.status()
 
     async def wait_for_server(self) -> None:
-        while self._info.name not in self._place.endpoints:
-            await self._place.changed.wait()
-        await self._server.wait_for_server()
+        name, place = self._info.name, self._place
+        while True:
+            served = place.endpoints.get(name)
+            if served is not None:
+                with suppress(ServerNotFound):  # it has stopped, and another one may come
+                    return await served.wait_for_server()
+            if place.endpoints.get(name) is served:
+                await place.changed.wait()
 
     @property
     def _server(self) -> Endpoint:
