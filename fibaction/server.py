@@ -237,7 +237,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         while True:
             while (next_expiry := self._next_expiry()) == math.inf:
                 await self._ended.wait()
-            await anyio.sleep_until(max(next_expiry, current_time() + EXPIRY_STEP))
+            now = current_time()
+            # What ends from now on may have to go before what has ended: its feedback.
+            sooner = min(next_expiry, now + RECENT_TIME)
+            await anyio.sleep_until(max(sooner, now + EXPIRY_STEP))
             self._expire(current_time())
 
     def _next_expiry(self) -> float:

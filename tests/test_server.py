@@ -947,7 +947,10 @@ async def test_an_outcome_is_kept_for_its_time_to_the_moment() -> None:
     [("trio", {"clock": trio.testing.MockClock(autojump_threshold=0)})],
     ids=["virtual time"],
 )
-async def test_feedback_outlives_its_goal_for_a_moment_while_somebody_watches_the_goals() -> None:
+@pytest.mark.parametrize("result_timeout", [3600, math.inf])
+async def test_feedback_outlives_its_goal_for_a_moment_while_somebody_watches_the_goals(
+    result_timeout: float,
+) -> None:
     async def feedback_of(goal_id: GoalID) -> int:
         with await server.feedback(goal_id, after=0) as stream:
             items = stream.take(10)
@@ -960,7 +963,7 @@ async def test_feedback_outlives_its_goal_for_a_moment_while_somebody_watches_th
             await stream.outcome()
         return goal_id
 
-    async with ActionServer(FIBONACCI, fibonacci, result_timeout=math.inf) as server:
+    async with ActionServer(FIBONACCI, fibonacci, result_timeout=result_timeout) as server:
         unwatched = await one_that_ends()
         with await server.status():
             watched = await one_that_ends()
