@@ -277,12 +277,14 @@ class RemoteConnection(Connection):
 
     async def leave(self) -> None:
         """Say goodbye, and let nobody wait any longer."""
-        with anyio.move_on_after(LEAVE_TIMEOUT, shield=True):
-            if self._link is not None:
-                self._link.post(encode(Goodbye("the client has what it wanted")))
-                await self._link.flush()
-        self._final = True
-        self._give_up(ConnectionLost(f"the connection to {self._where} was closed here"))
+        try:
+            with anyio.move_on_after(LEAVE_TIMEOUT, shield=True):
+                if self._link is not None:
+                    self._link.post(encode(Goodbye("the client has what it wanted")))
+                    await self._link.flush()
+        finally:  # asyncio can cancel the task itself, which no scope shields
+            self._final = True
+            self._give_up(ConnectionLost(f"the connection to {self._where} was closed here"))
 
     async def _attempt(self) -> ActionError:
         try:

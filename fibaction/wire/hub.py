@@ -74,11 +74,13 @@ class Hub:
 
     async def drain(self) -> None:
         """Let every client know how its goals have ended, and say goodbye."""
-        with anyio.move_on_after(LEAVE_TIMEOUT, shield=True):
-            async with anyio.create_task_group() as tasks:
-                for session in tuple(self._sessions):
-                    tasks.start_soon(session.drain)
-        self._orphans.close()
+        try:
+            with anyio.move_on_after(LEAVE_TIMEOUT, shield=True):
+                async with anyio.create_task_group() as tasks:
+                    for session in tuple(self._sessions):
+                        tasks.start_soon(session.drain)
+        finally:  # asyncio can cancel the task itself, which no scope shields
+            self._orphans.close()
 
 
 @asynccontextmanager

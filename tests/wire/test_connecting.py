@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio  # noqa: TID251  # it alone can cancel a task without a scope
 from collections import deque
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -1197,6 +1198,30 @@ async def test_leaving_a_server_that_does_not_read_does_not_take_long() -> None:
         start = anyio.current_time()
     assert anyio.current_time() - start == pytest.approx(LEAVE_TIMEOUT)
     assert server.channel.is_cut
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_nobody_waits_on_where_the_task_that_leaves_is_itself_canceled() -> None:
+    network, leaving, opened = Network(), anyio.Event(), list[RemoteConnection]()
+
+    async def connects() -> None:
+        async with connected(network.dial, WHERE, PATIENT) as connection:
+            opened.append(connection)
+            await leaving.wait()
+
+    task = asyncio.create_task(connects())
+    server = await network.accept()
+    await settled()
+    async with Running(opened[0].actions) as asking:
+        server.channel.stop_reading()
+        leaving.set()
+        await settled()
+        task.cancel()
+        with anyio.fail_after(0.5):
+            await asyncio.wait([task])
+        assert task.cancelled()
+        with pytest.raises(ConnectionLost, match="was closed here"):
+            await asking.answer(within=0.5)
 
 
 async def test_an_exception_of_the_block_goes_on_as_itself() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio  # noqa: TID251  # it alone can cancel a task without a scope
 import logging
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
@@ -82,7 +83,10 @@ class Bench:
 
 @asynccontextmanager
 async def serving(
-    server: Server | None = None, *, access: Access | None = None, limits: Limits | None = None
+    server: ScriptedServer[Any, Any, Any] | None = None,
+    *,
+    access: Access | None = None,
+    limits: Limits | None = None,
 ) -> AsyncGenerator[Bench, None]:
     terms = Terms(LONG, access or Access(), limits or Limits(), "keep", LONG)
     async with hub({"fibonacci": server or Server()}, terms) as (connections, tasks):
@@ -317,6 +321,35 @@ async def test_a_hub_that_has_closed_holds_no_executor_up() -> None:
         async with hub({"fibonacci": server}, terms) as (connections, tasks):
             client = await Bench(connections, tasks).greet()
             await send(client, A, credit=1)
+        observer = await server.feedback(GoalID(A), after=0)
+        await settled()
+        assert observer.status is GoalStatus.SUCCEEDED
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_a_hub_whose_task_is_itself_canceled_while_it_closes_holds_no_executor_up() -> None:
+    server = ScriptedServer(
+        FIBONACCI, [*(fib.Feedback([number]) for number in range(100)), fib.Result([])]
+    )
+    leaving, benches = anyio.Event(), list[Bench]()
+
+    async def serves() -> None:
+        async with serving(server) as bench:
+            benches.append(bench)
+            await leaving.wait()
+
+    async with server:
+        task = asyncio.create_task(serves())
+        await settled()
+        client = await benches[0].greet()
+        await send(client, A, credit=1)
+        client.channel.stop_reading()
+        leaving.set()
+        await settled()
+        task.cancel()
+        with anyio.fail_after(0.5):
+            await asyncio.wait([task])
+        assert task.cancelled()
         observer = await server.feedback(GoalID(A), after=0)
         await settled()
         assert observer.status is GoalStatus.SUCCEEDED
