@@ -31,6 +31,18 @@ Authorize: TypeAlias = Callable[[Peer, str, Verb], bool | Awaitable[bool]]
 """Given the client, the action's name and the verb, says whether that is allowed."""
 
 
+def check_can_be_sent(token: str) -> None:
+    """See that it is text. What an operating system hands over as text may be none.
+
+    Raises:
+        ValueError: It is not. The token itself is not shown.
+    """
+    try:
+        token.encode()
+    except UnicodeEncodeError:
+        raise ValueError("a token is text, and this one has bytes in it that are none") from None
+
+
 class Access:
     """The rules of one server. Without any, everybody may do everything."""
 
@@ -40,10 +52,12 @@ class Access:
         """`tokens` maps each token to the name of whom it belongs to; None asks for no token.
 
         Raises:
-            ValueError: A token is empty, or there are none in the mapping.
+            ValueError: A token is empty or no text, or there are none in the mapping.
         """
         if tokens is not None and not all(tokens or [""]):
             raise ValueError("a server that asks for tokens needs at least one, and none empty")
+        for token in tokens or ():
+            check_can_be_sent(token)
         self._tokens = tokens
         self._authorize = authorize
 

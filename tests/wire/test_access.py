@@ -61,6 +61,15 @@ def test_tokens_that_would_let_nobody_or_everybody_in_are_refused(
         Access(tokens)
 
 
+def test_a_token_that_no_client_could_send_is_refused_and_not_shown() -> None:
+    with pytest.raises(
+        ValueError, match=r"^a token is text, and this one has bytes in it"
+    ) as caught:
+        Access({"sesame": "ali", "secret \udcff": "bob"})
+    assert "secret" not in str(caught.value)
+    assert caught.value.__suppress_context__
+
+
 def test_a_token_may_belong_to_somebody_without_a_name() -> None:
     assert Access({"sesame": ""}).admit(ADDRESS, "sesame") == Peer(ADDRESS)
 

@@ -403,6 +403,14 @@ async def test_a_server_with_an_empty_token_is_refused() -> None:
             TcpTransport(tokens=tokens)
 
 
+async def test_a_token_that_cannot_be_sent_is_refused_before_anything_is() -> None:
+    with pytest.raises(TransportError, match=r"^tcp://robot: a token is text") as caught:
+        connect("tcp://robot", FIBONACCI, token="secret \udcff")
+    assert "secret" not in str(caught.value)
+    with pytest.raises(ValueError, match="a token is text"):
+        UnixTransport("/run/x", token="secret \udcff")
+
+
 async def do(client: ActionClient[Goal, Feedback, Result], verb: Verb) -> None:
     if verb is Verb.SEND:
         await client.call(Goal(1))

@@ -33,7 +33,7 @@ from fibaction.exceptions import (
     TransportError,
 )
 from fibaction.urls import without_settings
-from fibaction.wire.access import Access, Authorize
+from fibaction.wire.access import Access, Authorize, check_can_be_sent
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.connecting import Keeping, connected
 from fibaction.wire.hub import Hub, hub
@@ -96,8 +96,9 @@ class _StreamTransport(Transport):
             limits: For a server: what one client may use.
 
         Raises:
-            ValueError: A number is out of range, or `orphans` is neither.
+            ValueError: A number is out of range, `orphans` is neither, or a token is no text.
         """
+        check_can_be_sent(token)
         for name, value, least, most in (
             ("heartbeat", heartbeat, 0.001, 3600),
             ("window", window, 1, 2**31 - 1),
