@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Awaitable, Callable, Coroutine, Generator
 from contextlib import AbstractAsyncContextManager, suppress
+from operator import index
 from types import TracebackType
 from typing import Any, Generic
 
@@ -232,8 +233,12 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             AuthenticationFailed: This client may not do that.
             ProtocolError: The goal is too large to be sent.
             TypeError, OverflowError: The goal holds what cannot be encoded: see `Codec.encode`.
+            TypeError: `goal_id` is no `GoalID`.
         """
-        return SendingGoal(self._send(goal, goal_id or GoalID.random()))
+        if goal_id is None:
+            goal_id = GoalID.random()
+        _check_is_id(goal_id)
+        return SendingGoal(self._send(goal, goal_id))
 
     async def call(
         self,
@@ -269,7 +274,10 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             UnknownGoal: The server has no such goal.
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
             TransportError: As for `ClientGoal.cancel`.
+            TypeError: `goal_id` is no `GoalID`, or `after` no whole number.
         """
+        _check_is_id(goal_id)
+        after = None if after is None else index(after)
         stream = await self.endpoint.feedback(goal_id, after=after)
         return ClientGoal(self.endpoint, self.action, stream)
 
@@ -282,7 +290,11 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         Raises:
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
             TransportError: As for `ClientGoal.cancel`.
+            TypeError: `goal_id` is no `GoalID`, or `before` no whole number.
         """
+        if goal_id is not None:
+            _check_is_id(goal_id)
+        before = None if before is None else index(before)
         return await self.endpoint.cancel_goals(goal_id, before)
 
     async def goals(self) -> list[GoalInfo]:
@@ -333,3 +345,9 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
     def __repr__(self) -> str:
         return f"<ActionClient of {self.action!r}>"
+
+
+def _check_is_id(goal_id: object) -> None:
+    """See it here: a server takes what sends it something else for broken, and hangs up."""
+    if not isinstance(goal_id, GoalID):
+        raise TypeError(f"a goal is named by a GoalID, as of GoalID.parse(), and not {goal_id!r}")

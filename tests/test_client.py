@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from typing import Any
 
 import anyio
@@ -219,6 +220,30 @@ async def test_a_goal_that_nobody_awaits_is_warned_about() -> None:
         with pytest.warns(RuntimeWarning, match="was never awaited"):
             client_of(server).send_goal(Goal(1))
         assert server.received == []
+
+
+@pytest.mark.parametrize("wrong", ["0" * 32, bytes(16), uuid.UUID(int=1), b"", 7])
+async def test_what_is_no_goal_id_goes_nowhere(wrong: Any) -> None:
+    broken = Broken(BrokenStream())
+    client = client_of(broken)
+    with pytest.raises(TypeError, match="a goal is named by a GoalID"):
+        client.send_goal(Goal(1), goal_id=wrong)
+    with pytest.raises(TypeError, match="a goal is named by a GoalID"):
+        await client.attach(wrong)
+    with pytest.raises(TypeError, match="a goal is named by a GoalID"):
+        await client.cancel_goals(wrong)
+    assert broken.cancels == []
+
+
+@pytest.mark.parametrize("wrong", [1.5, "7"])
+async def test_what_is_no_whole_number_goes_nowhere(wrong: Any) -> None:
+    broken = Broken(BrokenStream())
+    client = client_of(broken)
+    with pytest.raises(TypeError):
+        await client.attach(GoalID.random(), after=wrong)
+    with pytest.raises(TypeError):
+        await client.cancel_goals(before=wrong)
+    assert broken.cancels == []
 
 
 async def test_another_goal_is_attached_to_by_its_id() -> None:
