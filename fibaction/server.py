@@ -169,6 +169,11 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         """Whether the server has yet to be entered."""
         return self._phase == "new"
 
+    @property
+    def is_running(self) -> bool:
+        """Whether it takes goals: it was entered, and has not begun to stop."""
+        return self._phase == "running"
+
     async def __aenter__(self) -> Self:
         """Start.
 
@@ -404,7 +409,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             self._finish(run, ending)
 
     def _stops(self) -> bool:
-        return self._phase != "running"
+        return not self.is_running
 
     def _execute(self, run: _Run[GoalT, FeedbackT, ResultT]) -> None:
         self._protocol.execute(run.goal)

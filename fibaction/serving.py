@@ -27,11 +27,12 @@ async def serve(
     Raises:
         TransportError: An address cannot be used.
         TypeError: A transport has no such setting, or what is given is no server, or no address.
+        RuntimeError: A server has been stopped; each runs once.
     """
     chosen = _chosen(endpoints)
     transports = [transport_for(one, **settings) for one in where]
     servers: list[ActionServer[Any, Any, Any]] = [
-        one for one in chosen if isinstance(one, ActionServer) and one.is_new
+        one for one in chosen if isinstance(one, ActionServer) and not one.is_running
     ]
     async with AsyncExitStack() as stack:
         for server in servers:

@@ -195,6 +195,7 @@ async def test_a_server_that_is_not_running_is_not_found() -> None:
         await server.send_goal(goal_id, packed(1))
     async with server:
         assert not server.is_new
+        assert server.is_running
         assert server.info is FIBONACCI.info
         await server.wait_for_server()
     for call in (

@@ -50,6 +50,15 @@ async def test_a_server_that_runs_already_is_neither_started_nor_stopped() -> No
                 assert await client.call(Goal(1)) == Result([0, 1])
 
 
+async def test_a_server_that_was_stopped_is_not_served_again_in_silence() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    async with serve(server, "inproc://once"):
+        pass
+    with pytest.raises(RuntimeError, match="was started before; make another one"):
+        async with serve(server, "inproc://once"):
+            raise AssertionError("the block must not run")
+
+
 async def test_clients_are_answered_before_the_address_is_closed() -> None:
     async def waits(goal: GoalHandle[Goal]) -> Items:
         yield Feedback([1])
