@@ -198,7 +198,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     ) -> None:
         """Stop, as `stop()` does. An exception of the block goes on as itself."""
         try:
-            await self.stop()
+            # In a task of its own: asyncio can cancel this one itself, which no scope shields.
+            with anyio.CancelScope(shield=True):
+                async with create_task_group() as tasks:
+                    tasks.start_soon(self.stop)
         finally:
             await self._background.__aexit__(exc_type, exc, traceback)
 

@@ -265,42 +265,70 @@ async def test_a_server_whose_block_is_canceled_stops_as_any_other() -> None:
     assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
 
 
-@pytest.mark.parametrize("anyio_backend", ["asyncio"])
-async def test_a_task_that_is_itself_canceled_while_it_stops_its_server_leaves_nothing_behind(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    begun, cleaning = anyio.Event(), anyio.Event()
+class Tidying:
+    """An executor whose clean-up waits until it is let go."""
 
-    async def hangs(goal: GoalHandle[Goal]) -> Items:
+    def __init__(self) -> None:
+        self.begun, self.cleaning, self.go = anyio.Event(), anyio.Event(), anyio.Event()
+        self.is_clean = False
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
         try:
-            begun.set()
+            self.begun.set()
             await anyio.sleep_forever()
         finally:
-            cleaning.set()
-            await anyio.sleep_forever()
+            self.cleaning.set()
+            await self.go.wait()
+            self.is_clean = True
         yield Result([])
+
+
+@pytest.mark.promise("STOP-10")
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_a_server_whose_task_is_itself_canceled_again_and_again_stops_as_any_other() -> None:
+    executor = Tidying()
+    server = ActionServer(FIBONACCI, executor, shutdown_timeout=math.inf)
 
     async def serves() -> None:
         async with server:
             await anyio.sleep_forever()
 
-    server = ActionServer(FIBONACCI, hangs, shutdown_timeout=math.inf)
     before = asyncio.all_tasks()
     with anyio.fail_after(5):
         task = asyncio.create_task(serves())
         await server.wait_for_server()
         stream = await server.send_goal(GoalID.random(), packed(1))
-        await begun.wait()
-        task.cancel()
-        await cleaning.wait()
-        task.cancel()
+        await executor.begun.wait()
+        for _ in range(3):
+            task.cancel()
+            await executor.cleaning.wait()
+            await anyio.wait_all_tasks_blocked()
+        assert not task.done()
+        executor.go.set()
         await asyncio.wait([task])
         assert task.cancelled()
         assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
+    assert executor.is_clean
     assert asyncio.all_tasks() == before
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_who_stops_a_server_and_is_itself_canceled_leaves_nobody_waiting(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    executor = Tidying()
+    async with ActionServer(FIBONACCI, executor, shutdown_timeout=math.inf) as server:
+        with anyio.fail_after(5):
+            stream = await server.send_goal(GoalID.random(), packed(1))
+            await executor.begun.wait()
+            task = asyncio.create_task(server.stop())
+            await executor.cleaning.wait()
+            task.cancel()
+            await asyncio.wait([task])
+            assert task.cancelled()
+            assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
+    assert not executor.is_clean
     assert "did not stop in time" in caplog.text
-    with pytest.raises(ServerNotFound):
-        await server.status()
 
 
 async def test_a_goal_that_the_server_had_no_time_to_start_is_aborted_all_the_same() -> None:
