@@ -8,7 +8,8 @@ import subprocess
 import sys
 import threading
 import uuid
-from collections.abc import Generator
+from collections.abc import AsyncGenerator, Generator
+from contextlib import suppress
 from typing import Any
 
 import anyio
@@ -18,6 +19,8 @@ import fibaction_transports.ros2
 from fibaction import (
     Action,
     ActionServer,
+    ConnectionLost,
+    GoalHandle,
     ServerNotFound,
     TransportError,
     connect,
@@ -26,7 +29,12 @@ from fibaction import (
 from fibaction.action import ActionInfo
 from fibaction.urls import transport_for
 from fibaction_transports.ros2 import Ros2Transport
-from fibaction_transports.ros2.rcl import Context, SingleThreadedExecutor, rclpy
+from fibaction_transports.ros2.rcl import (
+    Context,
+    ExternalShutdownException,
+    SingleThreadedExecutor,
+    rclpy,
+)
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
@@ -244,7 +252,12 @@ def node() -> Generator[Any, None, None]:
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(mine)
     stop = rclpy.task.Future()
-    thread = threading.Thread(target=executor.spin_until_future_complete, args=[stop])
+
+    def spin() -> None:
+        with suppress(ExternalShutdownException):
+            executor.spin_until_future_complete(stop)
+
+    thread = threading.Thread(target=spin)
     thread.start()
     try:
         yield mine
@@ -266,6 +279,34 @@ async def test_a_node_of_ones_own_is_used_and_left_as_it_was(node: Any) -> None:
             async with connect(url, FIBONACCI) as other:
                 assert await other.call(Goal(2)) == Result([0, 1, 1])
     assert list(node.waitables) == before
+
+
+@pytest.mark.promise("GOAL-4")
+@pytest.mark.parametrize("end", ["destroyed", "shut down"])
+async def test_a_node_of_ones_own_that_ends_too_early_leaves_nobody_waiting(
+    node: Any, end: str
+) -> None:
+    async def wait(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        await anyio.sleep_forever()
+        yield Result([])
+
+    mine, url = Ros2Transport(node=node), f"ros2://?namespace={node.get_namespace()}"
+    with anyio.fail_after(20):
+        async with (
+            serve(ActionServer(named("here"), wait), mine),
+            serve(ActionServer(named("there"), wait), url),
+            connect(url, named("here")) as there,
+            connect(mine, named("there")) as here,
+        ):
+            goals = [await client.send_goal(Goal(1)) for client in (there, here)]
+            if end == "destroyed":
+                node.executor.remove_node(node)
+                node.destroy_node()
+            else:
+                node.context.try_shutdown()
+            for goal, why in zip(goals, ("has gone away", f"was {end}"), strict=True):
+                with pytest.raises(ConnectionLost, match=why):
+                    await goal.result()
 
 
 def test_a_node_of_ones_own_cannot_be_described_too() -> None:

@@ -24,6 +24,7 @@ from fibaction_transports.ros2.rcl import (
     Context,
     ExternalShutdownException,
     Future,
+    InvalidHandle,
     SignalHandlerOptions,
     SingleThreadedExecutor,
     check_for_type_support,
@@ -65,10 +66,22 @@ class RosNode:
 
     @property
     def is_up(self) -> bool:
-        """Whether ROS can still be used. Nobody announces that a signal has shut it down."""
-        if self.error is None and not self.node.context.ok():
-            self.lose("rclpy was shut down")
+        """Whether ROS can still be used. Nobody announces that a signal has shut it down, or that
+        the user has destroyed his node.
+        """
+        if self.error is None:
+            if not self.node.context.ok():
+                self.lose("rclpy was shut down")
+            elif not self._has_node():
+                self.lose("the node was destroyed")
         return self.error is None
+
+    def _has_node(self) -> bool:
+        try:
+            with self.node.handle:
+                return True
+        except InvalidHandle:
+            return False
 
     def attempt(self, call: Callable[..., Any], *arguments: Any, otherwise: Any = None) -> Any:
         """What a call of rclpy gives; `otherwise` if ROS has been shut down, which may happen at
@@ -132,12 +145,13 @@ class RosNode:
             executor.wake()
 
     def lose(self, reason: str) -> None:
-        """Nothing more will arrive."""
+        """Nothing more will arrive, and others are to see that nobody is here any more."""
         if self.error is None:
             logger.info("nothing more arrives over ROS: %s", reason)
             self.error = ConnectionLost(reason)
             for call in self._lost:
                 call(self.error)
+            self._destroy()
 
     def lose_later(self, reason: str) -> None:
         """As `lose`, but from any thread."""
@@ -155,12 +169,15 @@ class RosNode:
         """Destroy what was made. What an executor is just waiting for, it destroys when woken."""
         with suppress(ValueError):
             self.node.remove_waitable(self._intake)
+        self._destroy()
+        self._mailbox.close()
+
+    def _destroy(self) -> None:
         self._intake.clear()
         for handle in reversed(self._handles):
             handle.destroy_when_not_in_use()
         self._handles.clear()
         self.wake()
-        self._mailbox.close()
 
 
 class Spinner:

@@ -343,7 +343,7 @@ class Served:
 
     async def _watch_rivals(self) -> None:
         warned = False
-        while True:
+        while self._ros.is_up:  # which is how it is noticed that it is not
             await anyio.sleep(RIVALS_PAUSE)
             count = self._ros.attempt(
                 self._ros.node.count_publishers, self._names.status, otherwise=0
