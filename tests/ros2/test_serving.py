@@ -424,13 +424,14 @@ async def test_a_request_that_comes_when_the_tasks_have_ended_is_let_go(
     assert [one.levelno for one in caplog.records if "one is lost" in one.message] == [logging.INFO]
 
 
+@pytest.mark.parametrize("error", [ConnectionLost("it is gone"), KeyError("a bug")], ids=type)
 async def test_the_statuses_of_an_endpoint_that_comes_back_are_followed_again(
-    url: str, monkeypatch: pytest.MonkeyPatch
+    url: str, error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serving, "RETRY_PAUSE", 0.01)
     server = ActionServer(FIBONACCI, forever)
     follow: Callable[[], Any] = server.status
-    fails = iter([ConnectionLost("it is gone")])
+    fails = iter([error])
 
     async def status() -> Any:
         for error in fails:
@@ -488,12 +489,38 @@ async def test_a_goal_that_a_gateway_has_lost_is_unknown(
             assert (await ask_result(reached, goal_id)).status == GoalStatus.UNKNOWN
 
 
-async def test_a_goal_of_another_transport_that_cannot_be_followed_disturbs_nobody(
+async def test_a_goal_whose_stream_fails_is_unknown_and_the_others_go_on(
     url: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Failing(RosGoal):
+        def take(self, limit: int = 1) -> Any:
+            raise KeyError("a bug")
+
+    async def send_goal(goal_id: GoalID, *_: object, **__: object) -> RosGoal:
+        return Failing(goal_id, Raw(), 10, reads=True)
+
+    server = ActionServer(FIBONACCI, fibonacci)
+    goal_id = GoalID.random()
+    with anyio.fail_after(10):
+        async with serve(server, url), bare(url) as reached:
+            with monkeypatch.context() as broken:
+                broken.setattr(server, "send_goal", send_goal)
+                assert (await send(reached, goal_id, 1)).accepted
+            assert (await ask_result(reached, goal_id)).status == GoalStatus.UNKNOWN
+            other = GoalID.random()
+            assert (await send(reached, other, 1)).accepted
+            assert (await ask_result(reached, other)).status == GoalStatus.SUCCEEDED
+    assert f"goal {goal_id} is lost: 'a bug'" in caplog.text
+    assert "Traceback" in caplog.text
+
+
+@pytest.mark.parametrize("error", [ConnectionLost("it is gone"), KeyError("a bug")], ids=type)
+async def test_a_goal_of_another_transport_that_cannot_be_followed_disturbs_nobody(
+    url: str, error: Exception, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "fibaction.ros2")
     server = ActionServer(FIBONACCI, fibonacci)
-    monkeypatch.setattr(server, "feedback", Broken(ConnectionLost("it is gone")))
+    monkeypatch.setattr(server, "feedback", Broken(error))
     with anyio.fail_after(10):
         async with (
             serve(server, InProcessTransport(), url) as (here, _),

@@ -287,7 +287,11 @@ class Served:
             # Who cannot be told of the goal cannot be told of its feedback either.
             while goal_id in self._deciding:
                 await self._progress.wait()
-            outcome = await pump.outcome()
+            try:
+                outcome = await pump.outcome()
+            except Exception as exc:
+                self._log_failure(f"goal {goal_id} is lost", exc)
+                outcome = UNKNOWN_OUTCOME
             if outcome.reason:
                 self._ros.warn(
                     f"{self._name}: goal {goal_id} {outcome.status.name}: {outcome.reason}"
@@ -317,8 +321,8 @@ class Served:
                 with await self._endpoint.status() as statuses:
                     while (info := await statuses.receive()) is not None:
                         self._take_status(info)
-            except ActionError as exc:
-                logger.info("%s: no statuses: %s", self._name, exc)
+            except Exception as exc:
+                self._log_failure("no statuses", exc)
                 self._board.clear()
             await anyio.sleep(RETRY_PAUSE)
 
@@ -336,10 +340,19 @@ class Served:
         """Publish the feedback of a goal that did not come through ROS."""
         try:
             stream = await self._endpoint.feedback(goal_id)
-        except ActionError as exc:
-            logger.info("%s: no feedback of goal %s: %s", self._name, goal_id, exc)
+        except Exception as exc:
+            self._log_failure(f"no feedback of goal {goal_id}", exc)
         else:
             self._pump(goal_id, Pump(stream, self._feedback.of(goal_id), self._board.tell))
+
+    def _log_failure(self, what: str, exc: Exception) -> None:
+        """Log what a task of an endpoint could not do; if that is no `ActionError`, it is a bug in
+        the endpoint, which is not to end the others.
+        """
+        if isinstance(exc, ActionError):
+            logger.info("%s: %s: %s", self._name, what, exc)
+        else:
+            logger.error("%s: %s: %s", self._name, what, exc, exc_info=exc)
 
     async def _watch_rivals(self) -> None:
         warned = False
