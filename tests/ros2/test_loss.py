@@ -18,6 +18,7 @@ from fibaction import (
     GoalAborted,
     GoalRejected,
     ServerNotFound,
+    UnknownGoal,
     connect,
 )
 from tests.fibonacci import Feedback, Goal, Result
@@ -176,3 +177,32 @@ async def test_a_server_that_comes_back_is_used_again() -> None:
         async with peer("ours", "serve_it", "loss_again", "asyncio"):
             await client.wait_for_server(20)
             assert await client.call(Goal(2)) == Result([0, 1, 1])
+
+
+@pytest.mark.promise("GOAL-4", "LOSS-2")
+async def test_a_stock_server_that_was_killed_is_missed_although_another_has_taken_its_place(
+    tmp_path: Path,
+) -> None:
+    profile = tmp_path / "profile.xml"
+    profile.write_text(PROFILE)
+    async with peer("server", FASTDDS_DEFAULT_PROFILES_FILE=str(profile)) as first:
+        async with waiting_for(first, "stock") as (client, goal):
+            with await client.endpoint.status() as statuses:
+                async with peer("server"):  # it is there before the graph misses the other
+                    node = client.endpoint._server._ros.node  # type: ignore[attr-defined]  # ours
+                    with anyio.fail_after(20):
+                        while node.count_publishers("/stock/_action/status") < 2:  # noqa: ASYNC110  # nothing to wait on
+                            await anyio.sleep(0.01)
+
+                    with anyio.fail_after(3 * LEASE):
+                        await lost_after(first.process.kill, goal)
+                    with anyio.fail_after(SOON):
+                        with pytest.raises(ConnectionLost, match="has gone away"):
+                            while await statuses.receive() is not None:
+                                pass
+                        with pytest.raises(UnknownGoal):
+                            await client.attach(goal.goal_id)
+                    assert await client.goals() == []
+                    other = await client.send_goal(Goal(orders.WAITS))
+                    assert [one.goal_id for one in await client.goals()] == [other.goal_id]
+                    assert (await other.cancel()).accepted

@@ -47,6 +47,8 @@ class RosGoal(GoalStream):
         self._reads = reads
         self._items: deque[FeedbackItem] = deque(maxlen=depth)
         self._statuses: deque[GoalStatus] = deque()
+        self.servers: frozenset[bytes] = frozenset()
+        """Who served when it was accepted: one of them has the goal."""
         self._status = GoalStatus.UNKNOWN
         self._received = 0
         self._delivered = 0

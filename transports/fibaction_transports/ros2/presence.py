@@ -50,6 +50,8 @@ class Presence:
         self._alive: int = 0
         self._dead: bool = False
         self._silent_since = self._looked = current_time()
+        self._servers: frozenset[bytes] = frozenset()
+        self._counted: tuple[int, float] = 0, -math.inf
         subscription = ros.make(raw.Subscription, status_type, full.status, names.liveliness())
         with subscription:
             self._event = ros.keep(raw.EventHandle(subscription, LIVELINESS_CHANGED))
@@ -76,6 +78,21 @@ class Presence:
             self._silent_since = now
         self._looked = now
         return now - self._silent_since > FIRST_SIGN
+
+    def servers(self) -> frozenset[bytes]:
+        """Who serves, as ROS names the ends of the status topic: a server that is started anew is
+        another one. It is looked up anew when others have come, or after a while.
+        """
+        now = current_time()
+        count: int = self._ros.attempt(self._subscriptions[-1].get_publisher_count, otherwise=0)
+        before, then = self._counted
+        if count != before or now - then >= WATCH_PAUSE:
+            self._counted = count, now
+            known = self._ros.attempt(
+                self._ros.node.get_publishers_info_by_topic, self._names.status, otherwise=()
+            )
+            self._servers = frozenset(bytes(one.endpoint_gid) for one in known)
+        return self._servers
 
     async def needed(self) -> None:
         """There must be a server. For a while after the beginning it may still be discovered.

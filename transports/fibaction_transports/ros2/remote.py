@@ -86,6 +86,8 @@ class RemoteServer:
         self._watchers: list[FeedStream] = []
         self._overdue: dict[GoalID, float] = {}
         self._pending = Waking()
+        self._told_by: frozenset[bytes] = frozenset()
+        """Who served when the last status list came: one of them has sent it."""
         self._listed = Waking()
         self.presence = Presence(
             ros,
@@ -122,6 +124,7 @@ class RemoteServer:
             info = await self._accepted(stream.goal_id, request)
             stream.begin(GoalInfo(info.goal_id, info.stamp, GoalStatus.ACCEPTED))
             if (now := self.known.get(stream.goal_id)) is not None:
+            stream.servers = self.presence.servers()
                 stream.tell(now.status)
             self._ask_result(stream)
         except BaseException:
@@ -162,12 +165,14 @@ class RemoteServer:
         await self.presence.needed()
         self._follow(stream)
         try:
+        self._forget_gone()
             self._ask_result(stream)
             info = self.known.get(stream.goal_id)
             if info is not None and info.status.is_active:
                 stream.begin(info)
-                return
-            await self._decided(stream)
+            else:
+                await self._decided(stream)
+            stream.servers = self.presence.servers()
         except BaseException:
             self._unfollow(stream)
             raise
@@ -203,6 +208,7 @@ class RemoteServer:
         await self.presence.needed()
         with anyio.move_on_after(FIRST_LIST):
             while not self.known.has_come:
+        self._forget_gone()
                 await self._listed.wait()
         statuses = FeedStream(self.known, self._leave)
         self._watchers.append(statuses)
@@ -245,6 +251,7 @@ class RemoteServer:
     def _take_statuses(self, message: bytes) -> None:
         for info in self.known.update(message):
             for statuses in self._watchers:
+        self._told_by = self.presence.servers()
                 statuses.put(info)
             streams = self._streams.get(info.goal_id, ())
             for stream in streams:
@@ -281,10 +288,13 @@ class RemoteServer:
             while not self._is_pending():
                 await self._pending.wait()
             await anyio.sleep(WATCH_PAUSE)
-            if self._is_pending() and not self.presence.is_there():
-                await anyio.sleep(LAST_WORDS)
-                self._fail(ConnectionLost(f"the server of {self._action!r} has gone away"))
-                self.known.clear()
+            if self._is_pending():
+                if not self.presence.is_there():
+                    await anyio.sleep(LAST_WORDS)
+                    self._fail(self._gone())
+                    self.known.clear()
+                else:
+                    await self._leave_gone()
             self._ask_again()
 
     def _is_pending(self) -> bool:
@@ -302,6 +312,37 @@ class RemoteServer:
                     )
                     self._overdue[goal_id] = now + LATE
                     self._ask_result(stream)
+    def _gone(self) -> ConnectionLost:
+        return ConnectionLost(f"the server of {self._action!r} has gone away")
+
+    async def _leave_gone(self) -> None:
+        """Wait no longer for servers that have gone, although others have taken their place."""
+        self._forget_gone()
+        left = [
+            stream
+            for followers in self._streams.values()
+            for stream in followers
+            if self._has_gone(stream.servers)
+        ]
+        if left:
+            await anyio.sleep(LAST_WORDS)
+            for stream in left:
+                stream.fail(self._gone())
+                self._unfollow(stream)
+
+    def _forget_gone(self) -> None:
+        """A status list that is left of a server which has gone says nothing any more. The server
+        that serves now may never send one: those of others begin with their first goal.
+        """
+        if self._has_gone(self._told_by):
+            self._told_by = frozenset()
+            self.known.clear()
+            self._fail_watchers(self._gone())
+
+    def _has_gone(self, servers: frozenset[bytes]) -> bool:
+        now = self.presence.servers()
+        return bool(servers and now and servers.isdisjoint(now))
+
 
     def _fail(self, error: ConnectionLost) -> None:
         for asker in (self._goals, self._cancels):
@@ -313,9 +354,12 @@ class RemoteServer:
         for statuses in self._watchers:
             statuses.fail(error)
         self._watchers.clear()
-        self._asked.clear()
-        self._overdue.clear()
 
     def close(self) -> None:
         """Let nobody wait any longer."""
         self._fail(ConnectionLost("the connection was closed here"))
+        self._fail_watchers(error)
+        self._asked.clear()
+        self._overdue.clear()
+
+    def _fail_watchers(self, error: ConnectionLost) -> None:
