@@ -37,6 +37,9 @@ SETTLED = 0.2
 LIST_PAUSE = 0.05
 """Seconds between two looks at the graph."""
 
+FIRST_STAMP, LAST_STAMP = -(2**31) * 10**9, 2**31 * 10**9 - 1
+"""The stamps that a message of ROS can hold."""
+
 FoundT = TypeVar("FoundT")
 
 _FEEDBACK = "/_action/feedback"
@@ -80,7 +83,9 @@ class RosEndpoint(Endpoint):
         request = self._server.impl.CancelGoalService.Request()
         info = request.goal_info
         info.goal_id.uuid = uuid_of(goal_id or bytes(16))
-        info.stamp.sec, info.stamp.nanosec = divmod(stamp or 0, 10**9)
+        # What is beyond them would silently become another time, or none, which means all goals.
+        within = min(max(stamp or 0, FIRST_STAMP), LAST_STAMP)
+        info.stamp.sec, info.stamp.nanosec = divmod(within, 10**9)
         response = await self._server.cancel(request)
         canceling = tuple(
             GoalInfo(
