@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from array import array
 from collections.abc import AsyncGenerator, Callable
 from contextlib import suppress
 from typing import Any
@@ -33,6 +34,7 @@ from fibaction.streams import FeedStream
 from fibaction_transports.ros2 import asking, calling, presence, remote, serving
 from fibaction_transports.ros2.asking import Asker, Question
 from fibaction_transports.ros2.following import Reading, RosGoal
+from fibaction_transports.ros2.intake import Responses
 from fibaction_transports.ros2.serving import Served
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -325,6 +327,78 @@ async def test_the_result_of_a_running_goal_is_asked_for_again_if_somebody_does_
             server._take_result((number, server.impl.GetResultService.Response()))
             assert (await goal.cancel()).accepted
             assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
+@pytest.mark.parametrize("status", [GoalStatus.EXECUTING, 77])
+async def test_an_answer_that_is_no_end_of_a_goal_is_a_protocol_error(
+    url: str, status: int
+) -> None:
+    with anyio.fail_after(10):
+        async with (
+            serve(ActionServer(FIBONACCI, forever), url),
+            connect(url, FIBONACCI) as client,
+        ):
+            goal = await client.send_goal(Goal(1))
+            server = client.endpoint._server  # type: ignore[attr-defined]  # it is ours
+            (number,) = server._asked
+            server._take_result((number, server.impl.GetResultService.Response(status=status)))
+            with pytest.raises(ProtocolError, match=f"has the status {int(status)}"):
+                await goal.result()
+
+
+@pytest.mark.promise("GOAL-4")
+async def test_a_result_that_cannot_be_read_ends_the_wait_for_it_and_for_no_other(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a text of a server in C++ that is no Unicode."""
+    take: Callable[[Responses], Any] = Responses.take
+
+    def fails(self: Responses) -> Any:
+        item = take(self)
+        if item is not None and getattr(getattr(item[1], "result", None), "sequence", ()) == BAD:
+            raise ValueError("it is no text")
+        return item
+
+    monkeypatch.setattr(Responses, "take", fails)
+
+    async def execute(goal: GoalHandle[Goal]) -> Items:
+        if goal.request.order == 2:
+            await ended.wait()
+        yield Result([goal.request.order])
+
+    ended = anyio.Event()
+    with anyio.fail_after(10):
+        async with (
+            serve(ActionServer(FIBONACCI, execute), url),
+            connect(url, FIBONACCI) as client,
+        ):
+            running = await client.send_goal(Goal(2))
+            with pytest.raises(ProtocolError, match="result cannot be read: it is no text"):
+                await client.call(Goal(1))
+            ended.set()
+            assert await running.result() == Result([2])
+
+
+BAD = array("i", [1])
+
+
+@pytest.mark.promise("CANCEL-14")
+@pytest.mark.parametrize(
+    ("stamp", "canceled"),
+    [(2**31 * 10**9, True), (10**30, True), (-(2**31 + 1) * 10**9, False), (-(10**30), False)],
+)
+async def test_a_stamp_that_ros_cannot_say_is_before_or_behind_all_goals(
+    url: str, stamp: int, canceled: bool
+) -> None:
+    with anyio.fail_after(10):
+        async with (
+            serve(ActionServer(FIBONACCI, forever), url),
+            connect(url, FIBONACCI) as client,
+        ):
+            await client.send_goal(Goal(1))
+            answer = await client.cancel_goals(before=stamp)
+            assert answer.return_code is CancelCode.NONE
+            assert bool(answer.goals_canceling) is canceled
 
 
 async def test_whoever_asks_is_told_that_ros_was_shut_down(url: str) -> None:

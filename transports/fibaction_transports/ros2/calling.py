@@ -42,6 +42,7 @@ FIRST_STAMP, LAST_STAMP = -(2**31) * 10**9, 2**31 * 10**9 - 1
 
 FoundT = TypeVar("FoundT")
 
+_ENDS = frozenset(status for status in GoalStatus if status.is_terminal)
 _FEEDBACK = "/_action/feedback"
 _SUFFIX = "_FeedbackMessage"
 _UNNAMED = "_NODE_NAME_UNKNOWN_"
@@ -126,9 +127,11 @@ class _Reading(Reading):
         return self._codecs.feedback.from_ros(found.feedback)
 
     def outcome(self, response: Any) -> Outcome[bytes]:
-        status = GoalStatus(response.status)
-        if status is GoalStatus.UNKNOWN:
+        if response.status == GoalStatus.UNKNOWN:
             return UNKNOWN_OUTCOME
+        if response.status not in _ENDS:
+            raise ProtocolError(f"the answer with the result has the status {response.status}")
+        status = GoalStatus(response.status)
         result: bytes | None = self._codecs.result.from_ros(response.result)
         if status is not GoalStatus.SUCCEEDED and result == self._empty:
             result = None  # ROS has no way to say that there is none

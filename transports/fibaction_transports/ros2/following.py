@@ -10,7 +10,7 @@ from collections import deque
 from typing import Any
 
 from fibaction.abc import FeedbackItem, GoalStream
-from fibaction.exceptions import ConnectionLost
+from fibaction.exceptions import ConnectionLost, ProtocolError
 from fibaction.goals import GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
 from fibaction.waking import Waking
@@ -25,7 +25,11 @@ class Reading(ABC):
 
     @abstractmethod
     def outcome(self, response: Any) -> Outcome[bytes]:
-        """What the answer to a request for a result says."""
+        """What the answer to a request for a result says.
+
+        Raises:
+            ProtocolError: It is no end of a goal.
+        """
 
 
 class RosGoal(GoalStream):
@@ -43,17 +47,17 @@ class RosGoal(GoalStream):
         self.reading = reading
         self.asked: list[int] = []
         """The numbers of the requests for its result."""
+        self.servers: frozenset[bytes] = frozenset()
+        """Who served when it was accepted: one of them has the goal."""
         self.news = Waking()
         self._reads = reads
         self._items: deque[FeedbackItem] = deque(maxlen=depth)
         self._statuses: deque[GoalStatus] = deque()
-        self.servers: frozenset[bytes] = frozenset()
-        """Who served when it was accepted: one of them has the goal."""
         self._status = GoalStatus.UNKNOWN
         self._received = 0
         self._delivered = 0
         self._outcome: Outcome[bytes] | None = None
-        self._error: ConnectionLost | None = None
+        self._error: ConnectionLost | ProtocolError | None = None
 
     @property
     def status(self) -> GoalStatus:
@@ -102,8 +106,8 @@ class RosGoal(GoalStream):
             self._status = outcome.status
             self.news.wake()
 
-    def fail(self, error: ConnectionLost) -> None:
-        """Nothing more will arrive."""
+    def fail(self, error: ConnectionLost | ProtocolError) -> None:
+        """Nothing more will arrive, or nothing that could be read."""
         if not self.is_over:
             self._error = error
             self.news.wake()
@@ -144,4 +148,4 @@ class RosGoal(GoalStream):
 
     def _raise_error(self) -> None:
         if self._error is not None:
-            raise ConnectionLost(str(self._error))
+            raise type(self._error)(str(self._error))

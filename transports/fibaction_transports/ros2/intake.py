@@ -101,10 +101,12 @@ class Source(ABC):
     kind: str
     """What the wait set calls it."""
 
-    def __init__(self, handle: Any, sink: Sink) -> None:
+    def __init__(self, handle: Any, sink: Sink, unread: Sink | None = None) -> None:
+        """`unread` is handed the error if something cannot be taken."""
         self.handle = handle
         self.index: int | None = None
         self._sink = sink
+        self._unread = unread
 
     @abstractmethod
     def take(self) -> Any:
@@ -123,6 +125,8 @@ class Source(ABC):
                 # For instance text that is no Unicode. It has been taken all the same.
                 failures += 1
                 logger.error("a message could not be taken: %s", exc)
+                if self._unread is not None:
+                    items.append((self._unread, exc))
             else:
                 if item is None:
                     break
@@ -149,8 +153,10 @@ class Responses(Source):
 
     kind = "client"
 
-    def __init__(self, handle: Any, service_type: Any, sink: Sink) -> None:
-        super().__init__(handle, sink)
+    def __init__(
+        self, handle: Any, service_type: Any, sink: Sink, unread: Sink | None = None
+    ) -> None:
+        super().__init__(handle, sink, unread)
         self._type = service_type.Response
 
     def take(self) -> Any:

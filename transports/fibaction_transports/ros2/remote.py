@@ -12,7 +12,7 @@ from typing import Any
 import anyio
 from anyio import current_time
 
-from fibaction.exceptions import ConnectionLost, GoalRejected, UnknownGoal
+from fibaction.exceptions import ConnectionLost, GoalRejected, ProtocolError, UnknownGoal
 from fibaction.goals import GoalID, GoalInfo
 from fibaction.states import GoalStatus
 from fibaction.streams import FeedStream
@@ -33,6 +33,8 @@ that of all goals, until the thread that takes it gets its turn, which may come 
 machine; most of the time it is empty."""
 LATE = 0.5
 """Seconds after which a result that should be there is asked for again."""
+IN_VAIN = 2
+"""How often a result is asked for in vain before one that came and cannot be read may be it."""
 FIRST_LIST = 1.0
 """Seconds that the first status list may take to come, if there is one: a server of others that
 has never had a goal has published none."""
@@ -84,10 +86,10 @@ class RemoteServer:
         self._streams: dict[bytes, list[RosGoal]] = {}
         self._attaching: list[RosGoal] = []
         self._watchers: list[FeedStream] = []
-        self._overdue: dict[GoalID, float] = {}
-        self._pending = Waking()
         self._told_by: frozenset[bytes] = frozenset()
         """Who served when the last status list came: one of them has sent it."""
+        self._overdue: dict[GoalID, float] = {}
+        self._pending = Waking()
         self._listed = Waking()
         self.presence = Presence(
             ros,
@@ -104,7 +106,7 @@ class RemoteServer:
             Messages(status, impl.GoalStatusMessage, self._take_statuses),
             self._goals.source,
             self._cancels.source,
-            Responses(self._results, impl.GetResultService, self._take_result),
+            Responses(self._results, impl.GetResultService, self._take_result, self._miss_result),
         )
 
     # What is asked
@@ -122,9 +124,9 @@ class RemoteServer:
         self._follow(stream)
         try:
             info = await self._accepted(stream.goal_id, request)
+            stream.servers = self.presence.servers()
             stream.begin(GoalInfo(info.goal_id, info.stamp, GoalStatus.ACCEPTED))
             if (now := self.known.get(stream.goal_id)) is not None:
-            stream.servers = self.presence.servers()
                 stream.tell(now.status)
             self._ask_result(stream)
         except BaseException:
@@ -163,9 +165,9 @@ class RemoteServer:
             UnknownGoal, ServerNotFound, ConnectionLost: See `Endpoint.feedback`.
         """
         await self.presence.needed()
+        self._forget_gone()
         self._follow(stream)
         try:
-        self._forget_gone()
             self._ask_result(stream)
             info = self.known.get(stream.goal_id)
             if info is not None and info.status.is_active:
@@ -206,9 +208,9 @@ class RemoteServer:
             ServerNotFound, ConnectionLost: See `Endpoint.status`.
         """
         await self.presence.needed()
+        self._forget_gone()
         with anyio.move_on_after(FIRST_LIST):
             while not self.known.has_come:
-        self._forget_gone()
                 await self._listed.wait()
         statuses = FeedStream(self.known, self._leave)
         self._watchers.append(statuses)
@@ -249,9 +251,9 @@ class RemoteServer:
             stream.arrive(message)
 
     def _take_statuses(self, message: bytes) -> None:
+        self._told_by = self.presence.servers()
         for info in self.known.update(message):
             for statuses in self._watchers:
-        self._told_by = self.presence.servers()
                 statuses.put(info)
             streams = self._streams.get(info.goal_id, ())
             for stream in streams:
@@ -277,8 +279,21 @@ class RemoteServer:
                 return
             followers = [stream]
         for follower in followers:
-            follower.end(follower.reading.outcome(response))
+            try:
+                follower.end(follower.reading.outcome(response))
+            except ProtocolError as exc:
+                follower.fail(exc)
             self._unfollow(follower)
+
+    def _miss_result(self, error: Exception) -> None:
+        """A result has come that cannot be read. Nobody can say whose it is; but those that can be
+        read come when they are asked for, so it is one of those that were asked for in vain.
+        """
+        for followers in tuple(self._streams.values()):
+            for stream in tuple(followers):
+                if len(stream.asked) > IN_VAIN:
+                    stream.fail(ProtocolError(f"the goal's result cannot be read: {error}"))
+                    self._unfollow(stream)
 
     # Whether there is anybody
 
@@ -297,21 +312,6 @@ class RemoteServer:
                     await self._leave_gone()
             self._ask_again()
 
-    def _is_pending(self) -> bool:
-        asking = self._goals.questions or self._cancels.questions
-        return bool(asking or self._streams or self._watchers)
-
-    def _ask_again(self) -> None:
-        now = current_time()
-        for goal_id, when in tuple(self._overdue.items()):
-            if when <= now:
-                del self._overdue[goal_id]
-                for stream in self._streams.get(goal_id, ()):
-                    logger.info(
-                        "%s: the result of goal %s is asked for again", self._action, goal_id
-                    )
-                    self._overdue[goal_id] = now + LATE
-                    self._ask_result(stream)
     def _gone(self) -> ConnectionLost:
         return ConnectionLost(f"the server of {self._action!r} has gone away")
 
@@ -343,6 +343,21 @@ class RemoteServer:
         now = self.presence.servers()
         return bool(servers and now and servers.isdisjoint(now))
 
+    def _is_pending(self) -> bool:
+        asking = self._goals.questions or self._cancels.questions
+        return bool(asking or self._streams or self._watchers)
+
+    def _ask_again(self) -> None:
+        now = current_time()
+        for goal_id, when in tuple(self._overdue.items()):
+            if when <= now:
+                del self._overdue[goal_id]
+                for stream in self._streams.get(goal_id, ()):
+                    logger.info(
+                        "%s: the result of goal %s is asked for again", self._action, goal_id
+                    )
+                    self._overdue[goal_id] = now + LATE
+                    self._ask_result(stream)
 
     def _fail(self, error: ConnectionLost) -> None:
         for asker in (self._goals, self._cancels):
@@ -351,6 +366,11 @@ class RemoteServer:
         for followers in streams.values():
             for stream in followers:
                 stream.fail(error)
+        self._fail_watchers(error)
+        self._asked.clear()
+        self._overdue.clear()
+
+    def _fail_watchers(self, error: ConnectionLost) -> None:
         for statuses in self._watchers:
             statuses.fail(error)
         self._watchers.clear()
@@ -358,8 +378,3 @@ class RemoteServer:
     def close(self) -> None:
         """Let nobody wait any longer."""
         self._fail(ConnectionLost("the connection was closed here"))
-        self._fail_watchers(error)
-        self._asked.clear()
-        self._overdue.clear()
-
-    def _fail_watchers(self, error: ConnectionLost) -> None:
