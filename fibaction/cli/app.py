@@ -7,6 +7,7 @@ at once.
 from __future__ import annotations
 
 import difflib
+import errno
 import logging
 import sys
 from collections.abc import Awaitable, Callable, Iterable
@@ -51,6 +52,9 @@ VERBS = {
     "gen": ("fibaction.cli.gen", "gen_command", "Write Python types for an .action file."),
 }
 """Each verb: its module, the name of its command in there, and what it is for."""
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+"""What writing ends with where there is no more room."""
 
 
 # For the modules of the verbs
@@ -224,6 +228,9 @@ def main() -> None:
     except Exception as exc:
         if debugging():
             raise
+        if isinstance(exc, OSError) and exc.errno in _FULL:
+            sys.stderr.write(f"Error: the output cannot be written: {exc.strerror}\n")
+            sys.exit(ExitCode.ABORTED)  # as click does if the output is a pipe that was closed
         text = clean(f"{type(exc).__name__}: {exc}")
         sys.stderr.write(f"Error: {text} (this is a bug; FIBACTION_DEBUG=1 shows where)\n")
         sys.exit(ExitCode.BUG)

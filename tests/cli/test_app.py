@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import errno
 import inspect
 import logging
 import subprocess
@@ -197,6 +198,25 @@ def test_a_bug_is_one_line_too(
     assert exit.value.code == ExitCode.BUG
     assert capsys.readouterr().err == (
         "Error: ZeroDivisionError: oh\\x0a\\x1b (this is a bug; FIBACTION_DEBUG=1 shows where)\n"
+    )
+
+
+def test_output_that_has_no_room_is_no_bug(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(**_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(app, "cli", full)
+    monkeypatch.setattr(full, "main", full, raising=False)
+    monkeypatch.delenv("FIBACTION_DEBUG", raising=False)
+
+    with pytest.raises(SystemExit) as exit:
+        app.main()
+
+    assert exit.value.code == ExitCode.ABORTED
+    assert capsys.readouterr().err == (
+        "Error: the output cannot be written: No space left on device\n"
     )
 
 
