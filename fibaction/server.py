@@ -398,16 +398,16 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         return log.follow(feedback=offer.feedback, hold=offer.feedback)
 
     async def _run_goal(self, run: _Run[GoalT, FeedbackT, ResultT], life: Life) -> None:
-        if run.execution.handle.cancel_requested:
-            ending = Ending(EndKind.CANCELED)
-        else:
-            self._execute(run)
-            try:
+        try:
+            if run.execution.handle.cancel_requested:
+                ending = Ending(EndKind.CANCELED)
+            else:
+                self._execute(run)
                 ending = await run.execution.run(life)
-            except BaseException as exc:
-                # Python itself is to end: KeyboardInterrupt, SystemExit.
-                self._finish(run, Ending(EndKind.FAILED, reason=type(exc).__name__))
-                raise
+        except BaseException as exc:
+            # Python itself is to end: KeyboardInterrupt, SystemExit.
+            self._finish(run, Ending(EndKind.FAILED, reason=type(exc).__name__))
+            raise
         if run.goal.outcome is None:  # or it was given up as killed
             self._finish(run, ending)
 

@@ -26,9 +26,11 @@ ABORTED = r"\[WARN\] \[\w+\]: stopped: goal \w+ ABORTED: server stopped\n"
 CUT_SHORT = r"Failed to publish log message to rosout: publisher's context is invalid, at \S+\n"
 """What rcl says of a line of the log that is under way when rclpy's own handler of signals shuts
 ROS down: no check before the line can come in between."""
+KILLED = r"goal \w+ of action '\w+' did not stop in time \(5 s\), and is killed\n"
 TORN = r"\S+: RuntimeWarning: coroutine '\S+' was never awaited\n(  .*\n|RuntimeWarning: .*\n)+"
-"""On trio, Ctrl-C raises KeyboardInterrupt wherever the program is: also where a coroutine has been
-made and no task has it yet (https://trio.readthedocs.io/en/stable/reference-lowlevel.html)."""
+"""On trio, Ctrl-C raises KeyboardInterrupt wherever the program is: also where a goal has ended and
+nobody knows it yet, or a coroutine has been made and no task has it
+(https://trio.readthedocs.io/en/stable/reference-lowlevel.html)."""
 DEATHS = re.compile("terminate called|core dumped|Fatal|Segmentation")
 """What C++ and Python say when they end badly."""
 
@@ -44,7 +46,7 @@ async def ends(process: Peer, number: signal.Signals, code: int, backend: str = 
     assert await process.ended(END) == code, process.complaints()
     excused = f"{ABORTED}|{CUT_SHORT}"
     if (backend, number) == ("trio", SIGINT):
-        excused = f"{excused}|{TORN}"
+        excused = f"{excused}|{KILLED}|{TORN}"
     rest = re.sub(excused, "", process.complaints())
     assert rest == "", rest
 
