@@ -33,6 +33,8 @@ def test_goals_can_be_watched_followed_and_canceled(
     ).out.strip()
     shown = terminal("top", url=url, columns=columns)
     shown.until(rf"{goal_id[:8]} +/wait +EXECUTING .*progress: ")
+    # Goals of tests before this one may have come before it, and the cursor is at one of them.
+    shown.press("\x1b[A" * 10)
     shown.press("f")
     shown.until(f"/wait {goal_id} EXECUTING")
     shown.until("^ step: step")
