@@ -317,6 +317,18 @@ class Peers(_Message, tag=45):
     """Each as the server's log names it."""
 
 
+def check_can_be_sent(token: str) -> None:
+    """See that it is text. What an operating system hands over as text may be none.
+
+    Raises:
+        ValueError: It is not. The token itself is not shown.
+    """
+    try:
+        token.encode()
+    except UnicodeEncodeError:
+        raise ValueError("a token is text, and this one has bytes in it that are none") from None
+
+
 FromClient: TypeAlias = (
     Hello
     | SendGoal

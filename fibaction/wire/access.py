@@ -9,6 +9,8 @@ from typing import TypeAlias
 
 import msgspec
 
+from fibaction.messages import check_can_be_sent
+
 
 class Verb(Enum):
     """What a client may want to do with an action."""
@@ -29,18 +31,6 @@ class Peer(msgspec.Struct, frozen=True):
 
 Authorize: TypeAlias = Callable[[Peer, str, Verb], bool | Awaitable[bool]]
 """Given the client, the action's name and the verb, says whether that is allowed."""
-
-
-def check_can_be_sent(token: str) -> None:
-    """See that it is text. What an operating system hands over as text may be none.
-
-    Raises:
-        ValueError: It is not. The token itself is not shown.
-    """
-    try:
-        token.encode()
-    except UnicodeEncodeError:
-        raise ValueError("a token is text, and this one has bytes in it that are none") from None
 
 
 class Access:

@@ -32,8 +32,9 @@ from fibaction.exceptions import (
     ServerNotFound,
     TransportError,
 )
+from fibaction.messages import check_can_be_sent
 from fibaction.urls import without_settings
-from fibaction.wire.access import Access, Authorize, check_can_be_sent
+from fibaction.wire.access import Access, Authorize
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.connecting import Keeping, connected
 from fibaction.wire.hub import Hub, hub
