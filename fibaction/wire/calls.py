@@ -274,6 +274,8 @@ class RemoteGoal(Call, GoalStream):
         elif kind is StatusChanged and self._is_answered:
             self._take_status(message.status)
         elif kind is Ended and self._is_answered:
+            if message.status.is_active:
+                raise ProtocolError(f"a goal has ended as {message.status.name}")
             self._end(Outcome(message.status, message.result, message.reason), message.place)
             self._post(Received(self.id))
         elif kind is Failed and self._is_answered and message.why == Why.UNKNOWN_GOAL:
