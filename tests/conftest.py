@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 from collections.abc import Iterator
 
 import pytest
@@ -21,6 +22,11 @@ settings.register_profile(
     print_blob=True,  # so that an example that is found can be replayed
 )
 settings.load_profile("fibaction")
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # Shells hand that on to what they start in the background; what the tests start would ignore a
+    # Ctrl-C, too.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _levels() -> dict[str, int]:
