@@ -135,6 +135,10 @@ def is_no_generator(goal: GoalHandle[Goal]) -> Items:
     return cast("Items", forgot_to_yield())
 
 
+def returns_its_feedback(goal: GoalHandle[Goal]) -> Items:
+    return cast("Items", [Feedback([goal.request.order])])
+
+
 def raises_instead_of_making_one(goal: GoalHandle[Goal]) -> Items:
     raise ValueError("at once")
 
@@ -181,6 +185,7 @@ ABORTED: list[tuple[Callable[[GoalHandle[Goal]], Items], str, list[int] | None]]
     (says_canceled_with_a_reason, "no light", None),
     (raises_what_only_python_does, "GeneratorExit: by hand", None),
     (is_no_generator, WRONG + "it is no async generator: it returned a coroutine", None),
+    (returns_its_feedback, WRONG + "it is no async generator: it returned a list", None),
     (raises_instead_of_making_one, "ValueError: at once", None),
 ]
 """(executor, reason, partial result)"""

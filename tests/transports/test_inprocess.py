@@ -113,30 +113,32 @@ async def test_a_client_waits_for_its_own_action_only() -> None:
 
 
 @pytest.mark.parametrize("stops", ["before", "meanwhile"])
-async def test_who_waits_for_a_server_is_not_put_off_by_one_that_has_stopped(stops: str) -> None:
-    place, found = InProcessTransport(), anyio.Event()
+async def test_who_waits_for_a_server_is_not_put_off_by_one_that_has_stopped(
+    stops: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place, found, stopped = InProcessTransport(), anyio.Event(), anyio.Event()
     old = ActionServer(FIBONACCI, fibonacci)
 
     async def wait(endpoint: Endpoint) -> None:
         await endpoint.wait_for_server()
         found.set()
 
-    async def stop() -> None:
-        async with old:
-            pass
+    async def until_stopped() -> None:
+        await stopped.wait()
+        raise ServerNotFound("it has stopped")
 
+    monkeypatch.setattr(old, "wait_for_server", until_stopped)
     with anyio.fail_after(5):
         async with place.connect() as connection, anyio.create_task_group() as tasks:
             async with place.serve(old):
                 if stops == "before":
-                    await stop()
+                    stopped.set()
                 tasks.start_soon(wait, connection.endpoint(FIBONACCI))
                 await anyio.wait_all_tasks_blocked()
-                if stops == "before":
-                    assert not found.is_set()
+                assert not found.is_set()
             async with serve(ActionServer(FIBONACCI, fibonacci), place):
-                if stops == "meanwhile":
-                    await stop()
+                await anyio.wait_all_tasks_blocked()
+                stopped.set()
                 await found.wait()
 
 
