@@ -288,7 +288,10 @@ class _Steps(Generator[Any, Any, Ending]):
             self._by_outcome = True
             self._look_at(getattr(value, "error", None))
         self.slice_end = perf_counter() + SLICE
-        return self._suspend(self._context.run(self._coroutine.send, value))
+        try:
+            return self._suspend(self._context.run(self._coroutine.send, value))
+        finally:
+            del value  # see `throw`
 
     def throw(
         self,
@@ -302,7 +305,11 @@ class _Steps(Generator[Any, Any, Ending]):
         self.slice_end = perf_counter() + SLICE
         # A bare cancellation, as of the task itself: a scope inside would take anyio's for its own.
         error = type(typ)() if self._arrived else typ
-        return self._suspend(self._context.run(self._coroutine.throw, error))
+        try:
+            return self._suspend(self._context.run(self._coroutine.throw, error))
+        finally:
+            # It holds the frames that it comes through, and they this one, since Python 3.12.
+            del typ, error
 
     def close(self) -> None:
         self._coroutine.close()
