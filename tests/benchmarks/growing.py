@@ -6,7 +6,6 @@ libraries, and what the memory's manager holds back.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import AsyncExitStack
 from statistics import median
 from typing import Any
@@ -42,8 +41,10 @@ def labels() -> dict[str, str]:
     return named
 
 
-async def growth(without: Mapping[str, str], scale: float) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What `memory` says, and what `growth` says: both come from the same goals."""
+async def growth(without: dict[str, str], scale: float) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What `memory` says, and what `growth` says: both come from the same goals. A peer that does
+    not bear so many is left out from then on.
+    """
     counts = sorted({max(10, round(count * scale)) for count in COUNTS})
     keys = [key for key in MEASURED if key not in without]
     resident: dict[str, dict[int, int]] = {}
@@ -54,9 +55,17 @@ async def growth(without: Mapping[str, str], scale: float) -> tuple[dict[str, An
             await pair.client.ask("goals", GOALS_EACH)
         held = 0
         for count in counts:
-            for key, pair in pairs.items():
-                await pair.client.ask("hold", count - held)
-                await pair.client.ask("goals", 1)  # comes behind them, so they have begun
+            for key, pair in tuple(pairs.items()):
+                try:
+                    await pair.client.ask("hold", count - held)
+                    await pair.client.ask("goals", 1)  # comes behind them, so they have begun
+                except RuntimeError:
+                    if WAYS[key].is_ours:
+                        raise
+                    without[key] = f"it failed with {count:,} active goals"
+                    del pairs[key], seconds[key]
+                    resident = {n: s for n, s in resident.items() if n.partition("_")[0] != key}
+                    continue
                 for name, size in processes(key, pair).items():
                     resident.setdefault(name, {})[count] = size
             held = count

@@ -50,6 +50,7 @@ async def measure(scale: float) -> AsyncGenerator[dict[str, Any], None]:
                 values |= {"label": way.label, "group": way.group, "ours": way.is_ours}
             yield {"comparison": name, **about, **found}
     memory, growth = await growing.growth(without, scale)
+    about["left_out"] = {WAYS[key].label: reason for key, reason in without.items()}
     yield {"comparison": "memory", **about, **memory}
     yield {"comparison": "growth", **about, **growth}
     yield {"comparison": "start", **about, **starting.start(without, scale)}
