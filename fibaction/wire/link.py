@@ -41,7 +41,8 @@ class Link:
         self._source: Callable[[], list[bytes]] = list
         self._room = Waking()
         self._is_writing = False
-        self._writing = 0  # bytes of the queue
+        self._posted = 0  # bytes of the queue that have not waited for room
+        self._writing = self._writing_posted = 0  # of those
         self._writes = 0
         self._has_said = self._has_heard = True  # since `_watch` looked last
         self._error: ActionError | None = None
@@ -58,11 +59,16 @@ class Link:
 
     def post(self, frame: bytes) -> None:
         """Queue a message. For small ones, of which there are few; after the end it is lost."""
+        self._put(frame)
+        # What has waited for room, and may be large, is not held against the peer.
+        self._posted += len(frame)
+        if self._posted > OVERFULL * self._high_water + len(frame):
+            self.end(ProtocolError(f"{self.peer} asks for more than it reads"))
+
+    def _put(self, frame: bytes) -> None:
         self._queue.append(frame)
         self._queued += len(frame)
         self._line.stir()
-        if self._queued > OVERFULL * self._high_water + len(frame):
-            self.end(ProtocolError(f"{self.peer} asks for more than it reads"))
 
     async def send(self, frame: bytes) -> None:
         """Queue a message as soon as there is room in the queue.
@@ -74,7 +80,7 @@ class Link:
             await self._room.wait()
         if self._error is not None:
             raise ConnectionLost(str(self._error)) from self._error
-        self.post(frame)
+        self._put(frame)
 
     async def flush(self) -> None:
         """Wait until everything that is queued has been written, or the connection has ended."""
@@ -138,13 +144,14 @@ class Link:
             self._writes += 1
             self._has_said = True
             self._queued -= self._writing
+            self._posted -= self._writing_posted
             self._room.wake()
         frames: list[bytes] = []
         if self._error is None:  # what is cut off by the end would cut off the last word, too
-            self._writing = 0
+            self._writing = self._writing_posted = 0
             if self._queue:
                 frames, self._queue = self._queue, frames
-                self._writing = sum(map(len, frames))
+                self._writing, self._writing_posted = self._queued, self._posted
             frames += self._source()
         self._is_writing = bool(frames)
         return frames

@@ -21,7 +21,7 @@ from fibaction.framing import header
 from fibaction.messages import Ping, decode_from_client, decode_from_server
 from fibaction.waking import Waking
 from fibaction.wire.channel import Channel, StreamChannel
-from fibaction.wire.link import HIGH_WATER, MISSED, PING, Link, naming
+from fibaction.wire.link import HIGH_WATER, MISSED, OVERFULL, PING, Link, naming
 
 pytestmark = pytest.mark.anyio
 
@@ -196,6 +196,17 @@ async def test_what_was_posted_before_it_ran_is_sent_first() -> None:
     bench.link.post(b"hello")
     async with bench.running():
         assert bench.channel.sent == [[b"hello"]]
+
+
+async def test_a_large_answer_that_waited_for_room_is_not_held_against_the_peer() -> None:
+    bench = Bench(high_water=10)
+    await bench.link.send(bytes(10 * OVERFULL + 1))
+    bench.link.post(b"small")
+    bench.link.post(b"small")
+    assert bench.link.is_open
+    async with bench.running():
+        assert [len(frame) for frame in bench.channel.sent[0]] == [10 * OVERFULL + 1, 5, 5]
+        assert (bench.link._queued, bench.link._posted) == (0, 0)
 
 
 # What is fetched
