@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import msgspec
-from anyio import sleep
+from anyio import current_time, sleep
 
 from fibaction.goals import GoalID, GoalInfo
 from fibaction.messages import CancelAnswered, Ended, Follow, Received, decode_from_client
@@ -337,6 +337,16 @@ def giving_up_forgets_a_waiter(real: Any) -> Any:
         real(self, error)
 
     return _give_up
+
+
+@mistake(RemoteConnection, "_lose_patience", 2, 4)
+def patience_ends_too_early(real: Any) -> Any:
+    """A client gives a lost connection up in half of the time that its calls are to wait."""
+
+    async def _lose_patience(self: RemoteConnection, patience: Any, ends: float) -> None:
+        await real(self, patience, (ends + current_time()) / 2)
+
+    return _lose_patience
 
 
 @mistake(_Observer, "_follow", 400, 291)

@@ -39,6 +39,7 @@ def recorded(record: Record, on_hub: Callable[[Hub], None]) -> Generator[None, N
         observe(Cancellation, "accept", lambda real: _canceling(real, record))
         observe(RemoteConnection, "_attempt", lambda real: _attempting(real, record))
         observe(RemoteConnection, "_begin", lambda real: _beginning(real, record))
+        observe(RemoteConnection, "_give_up", lambda real: _giving_up(real, record))
         observe(Session, "run", lambda real: _session_running(real, record))
         observe(Orphans, "adopt", lambda real: _adopting(real, record))
         observe(Orphans, "own", lambda real: _owning(real, record))
@@ -102,8 +103,6 @@ def _attempting(real: Any, record: Record) -> Any:
         if isinstance(error, ProtocolError) and not _is_lines_fault(error, record):
             record.fail("error", f"{state.plan.name}'s connection ended: {error}")
         state.is_final = isinstance(error, ProtocolError) or not state.plan.reconnect
-        if state.is_absent(record.now()):
-            state.absent_at = record.now()
         return error
 
     return _attempt
@@ -125,6 +124,16 @@ def _beginning(real: Any, record: Record) -> Any:
         real(self, welcome)
 
     return _begin
+
+
+def _giving_up(real: Any, record: Record) -> Any:
+    def _give_up(self: RemoteConnection, error: ActionError) -> None:
+        state = record.clients[_name_in(self._where)]
+        if state.is_absent(record.now()):  # else it is too early, and no excuse
+            state.absent_at = record.now()
+        real(self, error)
+
+    return _give_up
 
 
 def _session_running(real: Any, record: Record) -> Any:
