@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio  # noqa: TID251  # it alone can cancel a task without a scope
 import logging
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractAsyncContextManager, contextmanager
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import anyio
 import pytest
@@ -191,6 +192,38 @@ class Running:
         if self._error is not None:
             raise self._error
         return self._answer
+
+
+class Apart(Generic[T]):
+    """A block that a task of its own enters and leaves. A test can cancel that task itself, without
+    a scope, which asyncio alone can.
+    """
+
+    def __init__(self, block: AbstractAsyncContextManager[T]) -> None:
+        self._block = block
+        self._entered: asyncio.Future[T] = asyncio.Future()
+        self._leaving = anyio.Event()
+        self._task = asyncio.create_task(self._run())
+
+    async def _run(self) -> None:
+        async with self._block as value:
+            self._entered.set_result(value)
+            await self._leaving.wait()
+
+    async def entered(self) -> T:
+        """What the block is of, once it has begun."""
+        with anyio.fail_after(5):
+            return await self._entered
+
+    async def canceled_while_it_leaves(self) -> None:
+        """Leave the block, cancel the task when that has come to wait, and see it end at once."""
+        self._leaving.set()
+        await settled()
+        assert not self._task.done()
+        self._task.cancel()
+        with anyio.fail_after(0.5):
+            await asyncio.wait([self._task])
+        assert self._task.cancelled()
 
 
 class _Lines(logging.Handler):

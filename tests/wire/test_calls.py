@@ -564,15 +564,15 @@ def test_an_end_before_the_acceptance_is_the_peers_error() -> None:
         bench.goal.hear(ENDED)
 
 
-# Feedback and credit
-
-
 @pytest.mark.parametrize("status", [one for one in GoalStatus if one.is_active])
 def test_an_end_that_is_none_is_the_peers_error(status: GoalStatus) -> None:
     bench = Bench()
     with pytest.raises(ProtocolError, match=f"^a goal has ended as {status.name}$"):
         bench.goal.hear(Ended(ID, status, None, "", 0))
     assert bench.goal.ended() is None
+
+
+# Feedback and credit
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio  # noqa: TID251  # it alone can cancel a task without a scope
 from collections import deque
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -77,7 +76,7 @@ from fibaction.wire.serving import Terms
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.wire import memory
-from tests.wire.memory import LONG, Peer, Running, in_virtual_time, logged, settled
+from tests.wire.memory import LONG, Apart, Peer, Running, in_virtual_time, logged, settled
 
 pytestmark = pytest.mark.anyio
 
@@ -173,6 +172,13 @@ async def fails_at_once(connection: RemoteConnection, error: type[ActionError]) 
     return text
 
 
+async def is_used(connection: RemoteConnection, server: Peer) -> None:
+    """A call goes to the server, and its answer comes back."""
+    async with Running(connection.actions) as asking:
+        await server.say(Actions((await server.hear(ListActions)).id, []))
+        assert await asking.answer() == []
+
+
 def following(message: SendGoal | Follow, **changes: Any) -> Following:
     values: dict[str, Any] = {"stamp": 7, "status": 2, "latest": False, "place": 0, **changes}
     return Following(message.id, **values)
@@ -189,6 +195,20 @@ async def goal_of(
         sent = await server.hear(SendGoal)
         await server.say(following(sent))
         yield await sending.answer(), sent.id
+
+
+async def observed(connection: RemoteConnection, server: Peer, *, place: int = 0) -> Any:
+    """The goal of somebody else, followed from a place on."""
+    async with Running(lambda: endpoint_of(connection).feedback(GOAL_ID)) as asking:
+        await server.say(following(await server.hear(Follow), place=place))
+        return await asking.answer()
+
+
+async def watched(connection: RemoteConnection, server: Peer) -> Any:
+    """The statuses of the goals, of which there is none yet."""
+    async with Running(endpoint_of(connection).status) as asking:
+        await server.say(Watching((await server.hear(WatchStatus)).id, 0))
+        return await asking.answer()
 
 
 # The handshake
@@ -729,22 +749,10 @@ async def test_a_goal_is_resumed_behind_the_last_feedback_and_loses_none() -> No
 async def test_a_goal_that_is_only_observed_is_resumed_as_such() -> None:
     network = Network()
     async with reached(network) as (connection, server):
-        async with Running(lambda: endpoint_of(connection).feedback(GOAL_ID)) as asking:
-            asked = await server.hear(Follow)
-            await server.say(following(asked, place=5))
-            await asking.answer()
-            server.channel.cut()
-            server = await network.accept()
-            assert await server.hear(Follow) == Follow(
-                asked.id, "fibonacci", GOAL_ID, 5, False, WINDOW
-            )
-
-
-async def observed(connection: RemoteConnection, server: Peer) -> Any:
-    """The goal of somebody else, followed."""
-    async with Running(lambda: endpoint_of(connection).feedback(GOAL_ID)) as asking:
-        await server.say(following(await server.hear(Follow)))
-        return await asking.answer()
+        goal = await observed(connection, server, place=5)
+        server.channel.cut()
+        server = await network.accept()
+        assert await server.hear(Follow) == Follow(goal.id, "fibonacci", GOAL_ID, 5, False, WINDOW)
 
 
 async def test_who_only_looks_on_is_remembered_for_as_long_as_somebody_does() -> None:
@@ -872,45 +880,35 @@ async def test_a_goal_that_waits_for_room_is_sent_once_on_the_next_connection() 
 async def test_statuses_are_watched_again() -> None:
     network = Network()
     async with reached(network) as (connection, server):
-        async with Running(endpoint_of(connection).status) as asking:
-            asked = await server.hear(WatchStatus)
-            await server.say(Watching(asked.id, 0))
-            statuses = await asking.answer()
-            server.channel.cut()
-            server = await network.accept()
-            assert await server.hear(WatchStatus) == asked
-            await server.say(
-                Watching(asked.id, 1), GoalChanged(asked.id, GOAL_ID, 5, GoalStatus.EXECUTING, 0)
-            )
-            with anyio.fail_after(5):
-                assert (await statuses.receive()).goal_id == GOAL_ID
+        statuses = await watched(connection, server)
+        server.channel.cut()
+        server = await network.accept()
+        asked = await server.hear(WatchStatus)
+        assert asked == WatchStatus(statuses.id, "fibonacci", WINDOW)
+        await server.say(
+            Watching(asked.id, 1), GoalChanged(asked.id, GOAL_ID, 5, GoalStatus.EXECUTING, 0)
+        )
+        with anyio.fail_after(5):
+            assert (await statuses.receive()).goal_id == GOAL_ID
 
 
 async def test_statuses_that_nobody_reads_any_more_are_not_watched_again() -> None:
     network = Network()
     async with reached(network) as (connection, server):
-        async with Running(endpoint_of(connection).status) as asking:
-            asked = await server.hear(WatchStatus)
-            await server.say(Watching(asked.id, 0))
-            (await asking.answer()).close()
-            await server.hear(Close)
-            server.channel.cut()
-            server = await network.accept()
-            assert await server.hear_all() == []
+        statuses = await watched(connection, server)
+        statuses.close()
+        await server.hear(Close)
+        server.channel.cut()
+        server = await network.accept()
+        assert await server.hear_all() == []
 
 
 async def test_statuses_that_were_closed_before_they_could_be_watched_again_are_not() -> None:
     network = Network()
     async with reached(network) as (connection, server):
-        endpoint = endpoint_of(connection)
-        async with (
-            Running(lambda: endpoint.send_goal(GOAL_ID, bytes(HIGH_WATER))),
-            Running(endpoint.status) as asking,
-        ):
+        async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, bytes(HIGH_WATER))):
             await server.hear(SendGoal)
-            asked = await server.hear(WatchStatus)
-            await server.say(Watching(asked.id, 0))
-            statuses = await asking.answer()
+            statuses = await watched(connection, server)
             server.channel.cut()
             server = await network.accept()
             server.channel.stop_reading()
@@ -918,7 +916,7 @@ async def test_statuses_that_were_closed_before_they_could_be_watched_again_are_
             statuses.close()
             server.channel.go_on_reading()
             assert [type(one) for one in await server.hear_all()] == [SendGoal, Close]
-            assert asked.id not in connection._calls
+            assert statuses.id not in connection._calls
 
 
 # For how long
@@ -975,9 +973,7 @@ async def test_a_call_waits_for_the_next_connection_so_long_and_no_longer(
         network.refusal = None
         server = await network.accept()
         await settled()
-        async with Running(connection.actions) as asking:
-            await server.say(Actions((await server.hear(ListActions)).id, []))
-            assert await asking.answer() == []
+        await is_used(connection, server)
 
 
 @in_virtual_time()
@@ -999,9 +995,7 @@ async def test_a_call_waits_no_longer_for_an_attempt_that_hangs(hangs: str) -> N
         network.hangs = False
         server = await network.accept()
         await settled()
-        async with Running(connection.actions) as asking:
-            await server.say(Actions((await server.hear(ListActions)).id, []))
-            assert await asking.answer() == []
+        await is_used(connection, server)
 
 
 @in_virtual_time()
@@ -1022,9 +1016,7 @@ async def test_a_connection_that_comes_back_in_the_last_moment_is_not_given_up()
     network = Network()
     async with reached(network) as (connection, server):
         await connection._lose_patience(anyio.CancelScope(), 0)
-        async with Running(connection.actions) as asking:
-            await server.say(Actions((await server.hear(ListActions)).id, []))
-            assert await asking.answer() == []
+        await is_used(connection, server)
 
 
 @in_virtual_time()
@@ -1155,15 +1147,12 @@ async def test_nobody_waits_for_a_server_once_the_connection_was_left() -> None:
         await endpoint_of(connection).wait_for_server()
 
 
-async def test_nobody_waits_for_a_server_once_a_connection_was_left_that_was_being_lost() -> None:
-    network, go = Network(), anyio.Event()
+async def test_nobody_waits_for_a_server_once_a_connection_was_left_that_was_being_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    go = anyio.Event()
 
-    async def dial() -> memory.MemoryChannel:
-        channel = await network.dial()
-        monkeypatch.setattr(channel, "aclose", close_slowly)
-        return channel
-
-    async def close_slowly() -> None:
+    async def close_slowly(_: memory.MemoryChannel) -> None:
         with anyio.CancelScope(shield=True):
             await go.wait()
 
@@ -1171,14 +1160,12 @@ async def test_nobody_waits_for_a_server_once_a_connection_was_left_that_was_bei
         await settled()
         go.set()
 
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        async with anyio.create_task_group() as tasks:
-            async with Running(network.accept) as accepting:
-                async with connected(dial, WHERE, PATIENT) as connection:
-                    server = await accepting.answer()
-                    server.channel.cut()
-                    await settled()
-                    tasks.start_soon(let_go)
+    monkeypatch.setattr(memory.MemoryChannel, "aclose", close_slowly)
+    async with anyio.create_task_group() as tasks:
+        async with reached(Network()) as (connection, server):
+            server.channel.cut()
+            await settled()
+            tasks.start_soon(let_go)
     with anyio.fail_after(1), pytest.raises(ConnectionLost):
         await endpoint_of(connection).wait_for_server()
 
@@ -1202,24 +1189,11 @@ async def test_leaving_a_server_that_does_not_read_does_not_take_long() -> None:
 
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])
 async def test_nobody_waits_on_where_the_task_that_leaves_is_itself_canceled() -> None:
-    network, leaving, opened = Network(), anyio.Event(), list[RemoteConnection]()
-
-    async def connects() -> None:
-        async with connected(network.dial, WHERE, PATIENT) as connection:
-            opened.append(connection)
-            await leaving.wait()
-
-    task = asyncio.create_task(connects())
-    server = await network.accept()
-    await settled()
-    async with Running(opened[0].actions) as asking:
+    apart = Apart(reached(Network()))
+    connection, server = await apart.entered()
+    async with Running(connection.actions) as asking:
         server.channel.stop_reading()
-        leaving.set()
-        await settled()
-        task.cancel()
-        with anyio.fail_after(0.5):
-            await asyncio.wait([task])
-        assert task.cancelled()
+        await apart.canceled_while_it_leaves()
         with pytest.raises(ConnectionLost, match="was closed here"):
             await asking.answer(within=0.5)
 
@@ -1338,9 +1312,7 @@ async def test_what_cannot_be_sent_is_an_error_of_that_call_only(
         with anyio.fail_after(5), pytest.raises(ProtocolError, match="the message cannot be sent"):
             await call(connection)
         assert connection._calls == {}
-        async with Running(connection.actions) as asking:
-            await server.say(Actions((await server.hear(ListActions)).id, []))
-            assert await asking.answer() == []
+        await is_used(connection, server)
 
 
 # What is on its way when the line dies

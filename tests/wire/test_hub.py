@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio  # noqa: TID251  # it alone can cancel a task without a scope
 import logging
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
@@ -40,7 +39,7 @@ from fibaction.wire.serving import Terms
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.wire import memory
-from tests.wire.memory import LONG, Peer, in_virtual_time, logged, settled
+from tests.wire.memory import LONG, Apart, Peer, in_virtual_time, logged, settled
 
 pytestmark = pytest.mark.anyio
 
@@ -312,44 +311,32 @@ async def test_an_exception_of_the_block_goes_on_as_itself() -> None:
     assert await client.hear(Goodbye) == CLOSING
 
 
+def talking() -> ScriptedServer[Any, Any, Any]:
+    """A server whose goals give more feedback than their client takes, and succeed."""
+    feedback = [fib.Feedback([number]) for number in range(100)]
+    return ScriptedServer(FIBONACCI, [*feedback, fib.Result([])])
+
+
+async def has_succeeded(server: ScriptedServer[Any, Any, Any]) -> None:
+    """Its goal has, as soon as nothing moves any more."""
+    observer = await server.feedback(GoalID(A), after=0)
+    await settled()
+    assert observer.status is GoalStatus.SUCCEEDED
+
+
 async def test_a_hub_that_has_closed_holds_no_executor_up() -> None:
-    server = ScriptedServer(
-        FIBONACCI, [*(fib.Feedback([number]) for number in range(100)), fib.Result([])]
-    )
-    async with server:
-        terms = Terms(LONG, Access(), Limits(), "keep", LONG)
-        async with hub({"fibonacci": server}, terms) as (connections, tasks):
-            client = await Bench(connections, tasks).greet()
-            await send(client, A, credit=1)
-        observer = await server.feedback(GoalID(A), after=0)
-        await settled()
-        assert observer.status is GoalStatus.SUCCEEDED
+    async with talking() as server:
+        async with serving(server) as bench:
+            await send(await bench.greet(), A, credit=1)
+        await has_succeeded(server)
 
 
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])
 async def test_a_hub_whose_task_is_itself_canceled_while_it_closes_holds_no_executor_up() -> None:
-    server = ScriptedServer(
-        FIBONACCI, [*(fib.Feedback([number]) for number in range(100)), fib.Result([])]
-    )
-    leaving, benches = anyio.Event(), list[Bench]()
-
-    async def serves() -> None:
-        async with serving(server) as bench:
-            benches.append(bench)
-            await leaving.wait()
-
-    async with server:
-        task = asyncio.create_task(serves())
-        await settled()
-        client = await benches[0].greet()
+    async with talking() as server:
+        apart = Apart(serving(server))
+        client = await (await apart.entered()).greet()
         await send(client, A, credit=1)
         client.channel.stop_reading()
-        leaving.set()
-        await settled()
-        task.cancel()
-        with anyio.fail_after(0.5):
-            await asyncio.wait([task])
-        assert task.cancelled()
-        observer = await server.feedback(GoalID(A), after=0)
-        await settled()
-        assert observer.status is GoalStatus.SUCCEEDED
+        await apart.canceled_while_it_leaves()
+        await has_succeeded(server)
