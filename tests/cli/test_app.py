@@ -182,18 +182,27 @@ def test_what_a_verb_returns_is_the_exit_code() -> None:
     assert exit.value.exit_code == 5
 
 
+@pytest.fixture
+def nobody_debugs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("FIBACTION_DEBUG", raising=False)
+
+
+def run_main_with(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run the command line, whose verb ends with that error."""
+
+    def verb(**_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(app.cli, "main", verb)
+    app.main()
+
+
+@pytest.mark.usefixtures("nobody_debugs")
 def test_a_bug_is_one_line_too(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def broken(**_: object) -> None:
-        raise ZeroDivisionError("oh\n\x1b")
-
-    monkeypatch.setattr(app, "cli", broken)
-    monkeypatch.setattr(broken, "main", broken, raising=False)
-    monkeypatch.delenv("FIBACTION_DEBUG", raising=False)
-
     with pytest.raises(SystemExit) as exit:
-        app.main()
+        run_main_with(ZeroDivisionError("oh\n\x1b"), monkeypatch)
 
     assert exit.value.code == ExitCode.BUG
     assert capsys.readouterr().err == (
@@ -201,18 +210,12 @@ def test_a_bug_is_one_line_too(
     )
 
 
+@pytest.mark.usefixtures("nobody_debugs")
 def test_output_that_has_no_room_is_no_bug(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def full(**_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(app, "cli", full)
-    monkeypatch.setattr(full, "main", full, raising=False)
-    monkeypatch.delenv("FIBACTION_DEBUG", raising=False)
-
     with pytest.raises(SystemExit) as exit:
-        app.main()
+        run_main_with(OSError(errno.ENOSPC, "No space left on device"), monkeypatch)
 
     assert exit.value.code == ExitCode.ABORTED
     assert capsys.readouterr().err == (
@@ -221,15 +224,10 @@ def test_output_that_has_no_room_is_no_bug(
 
 
 def test_a_bug_that_is_looked_for_has_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(**_: object) -> None:
-        raise ZeroDivisionError
-
-    monkeypatch.setattr(app, "cli", broken)
-    monkeypatch.setattr(broken, "main", broken, raising=False)
     monkeypatch.setenv("FIBACTION_DEBUG", "1")
 
     with pytest.raises(ZeroDivisionError):
-        app.main()
+        run_main_with(ZeroDivisionError(), monkeypatch)
 
 
 def test_a_stream_that_is_no_file_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:

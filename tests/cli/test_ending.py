@@ -81,6 +81,7 @@ def test_what_a_server_says_in_an_error_cannot_control_the_terminal(
     for error in (GoalRejected(SAID), ConnectionLost(SAID)):
         failure = failure_of(error)
         failure.show()
+        assert CLEANED in failure.message
         assert failure.message == str(error).replace(SAID, CLEANED)
         assert capsys.readouterr().err == f"Error: {failure.message}\n"
 

@@ -23,7 +23,7 @@ from fibaction.cli.running import SAME_SIGNAL
 from fibaction.cli.sending import Options, send
 from fibaction.testing import ScriptedServer
 from tests.cli.conftest import Invoke, Open, Robot, Run, Start, interrupt
-from tests.cli.robot import WAIT, Progress, Wait, Waited, servers
+from tests.cli.robot import WAIT, Progress, Wait, Waited, wait
 from tests.processes import ended, lines_until
 
 # As processes
@@ -418,6 +418,11 @@ def deciding() -> tuple[ScriptedServer[Wait, Progress, Waited], anyio.Event, any
     return server, asked, decide
 
 
+def waiting(**settings: Any) -> ActionServer[Wait, Progress, Waited]:
+    """A server whose goals take longer than a test."""
+    return ActionServer(WAIT, wait, **settings)
+
+
 async def send_here(*, timeout: float | None = None) -> int:
     """Send a goal to the server of a test."""
     with anyio.fail_after(20):
@@ -449,9 +454,10 @@ async def executing(server: ActionServer[Any, Any, Any]) -> AsyncGenerator[list[
 
 async def until(server: ActionServer[Any, Any, Any], status: GoalStatus) -> None:
     """Wait until a goal of the server has this status."""
-    with await server.status() as statuses:
+    with await server.status() as statuses, anyio.fail_after(20):
         while (info := await statuses.receive()) and info.status is not status:
             pass
+    assert info is not None
 
 
 @pytest.mark.asyncio
@@ -489,9 +495,7 @@ async def test_ctrl_c_twice_leaves_a_goal_that_is_not_canceled(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sending, "SAME_SIGNAL", 0)
-    server = servers()[3]
-    server._interrupt_on_cancel = False  # so that it goes on
-    server._shutdown_timeout = 0.0
+    server = waiting(interrupt_on_cancel=False, shutdown_timeout=0)
 
     async with executing(server) as codes:
         signal.raise_signal(signal.SIGINT)
@@ -507,7 +511,7 @@ async def test_ctrl_c_twice_leaves_a_goal_whose_cancel_is_not_answered(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sending, "SAME_SIGNAL", 0)
-    server = servers()[3]
+    server = waiting()
     asked = anyio.Event()
 
     async def ask(*_: object) -> None:
@@ -531,7 +535,7 @@ async def test_ctrl_c_twice_within_a_moment_is_once_and_cancels(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sending, "SAME_SIGNAL", math.inf)
-    server = servers()[3]
+    server = waiting()
     cancel_goals = server.cancel_goals
 
     async def cancel(goal_id: GoalID | None = None, stamp: int | None = None) -> CancelAnswer:
@@ -586,9 +590,7 @@ async def test_a_goal_that_does_not_end_after_its_cancel_is_left(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sending, "PATIENCE", 0.05)
-    server = servers()[3]
-    server._interrupt_on_cancel = False  # so that it goes on
-    server._shutdown_timeout = 0.0
+    server = waiting(interrupt_on_cancel=False, shutdown_timeout=0)
 
     async with serve(server, "inproc://keys"):
         code = await send_here(timeout=0.1)
@@ -606,7 +608,7 @@ async def test_a_goal_whose_cancel_is_not_answered_is_left_as_soon_as_others(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sending, "PATIENCE", 0.05)
-    server = servers()[3]
+    server = waiting()
 
     async with serve(server, "inproc://keys"):
         monkeypatch.setattr(server, "cancel_goals", silent)
@@ -620,7 +622,7 @@ async def test_a_goal_whose_cancel_is_not_answered_is_left_as_soon_as_others(
 async def test_a_cancel_that_cannot_be_sent_is_told_of(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    server = servers()[3]
+    server = waiting()
 
     async with serve(server, "inproc://keys"):
         monkeypatch.setattr(type(server), "cancel_goals", lost)
@@ -642,12 +644,12 @@ async def closed(*_: object, **__: object) -> None:
 async def test_an_output_that_is_closed_cancels_the_goal(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    server = servers()[3]
+    server = waiting()
     monkeypatch.setattr(sending, "follow", closed)
     async with serve(server, "inproc://keys"):
         with pytest.raises(BrokenPipeError):
             await send_here()
-        with await server.status() as statuses:
+        with await server.status() as statuses, anyio.fail_after(20):
             while (info := await statuses.receive()) and info.status.is_active:
                 pass
 
@@ -661,7 +663,7 @@ async def test_an_output_that_is_closed_does_not_wait_for_a_server_that_is_silen
 ) -> None:
     monkeypatch.setattr(sending, "PATIENCE", 0.05)
     monkeypatch.setattr(sending, "follow", closed)
-    server = servers()[3]
+    server = waiting()
 
     async with serve(server, "inproc://keys"):
         monkeypatch.setattr(server, "cancel_goals", silent)

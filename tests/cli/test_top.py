@@ -99,16 +99,20 @@ def test_without_a_terminal_it_names_what_needs_none(invoke: Invoke, tcp: str) -
     assert result.stderr == NEEDS_TERMINAL
 
 
-@pytest.mark.parametrize("missing", ["stdin", "stdout", "stderr"])
+STREAMS = ("stdin", "stdout", "stderr")
+
+
+def sys_with_terminals(*, but: str = "") -> SimpleNamespace:
+    """As `sys`, whose streams are terminals, but for one."""
+    terminal, file = SimpleNamespace(isatty=lambda: True), SimpleNamespace(isatty=lambda: False)
+    return SimpleNamespace(**{name: file if name == but else terminal for name in STREAMS})
+
+
+@pytest.mark.parametrize("missing", STREAMS)
 def test_each_stream_is_needed_for_the_screen(
     missing: str, invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    terminal, file = (
-        type("Stream", (), {"isatty": lambda _, answer=answer: answer})()
-        for answer in (True, False)
-    )
-    streams = {"stdin": terminal, "stdout": terminal, "stderr": terminal, missing: file}
-    monkeypatch.setattr(top, "sys", SimpleNamespace(**streams))
+    monkeypatch.setattr(top, "sys", sys_with_terminals(but=missing))
     monkeypatch.setattr(top, "show", None)
 
     result = invoke("top", url=tcp)
@@ -139,16 +143,16 @@ def test_the_help_has_an_example_and_the_keys(invoke: Invoke) -> None:
 def test_the_command_runs_the_screen(
     invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def show(*_: object) -> None:
-        pass
+    shown: list[str] = []
 
-    class Terminal:
-        stdin = stdout = stderr = type("Stream", (), {"isatty": lambda self: True})()
+    async def show(_: object, url: str) -> None:
+        shown.append(url)
 
     monkeypatch.setattr(top, "show", show)
-    monkeypatch.setattr(top, "sys", Terminal)
+    monkeypatch.setattr(top, "sys", sys_with_terminals())
 
     assert invoke("top", url=tcp).exit_code == 0
+    assert shown == [tcp]
 
 
 @pytest.fixture
