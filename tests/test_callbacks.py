@@ -11,6 +11,7 @@ import pytest
 
 from fibaction.callbacks import CANCELED_ELSEWHERE, SERVER_STOPPING, Callbacks
 from fibaction.exceptions import CancelRejected, GoalRejected
+from tests.executors import Mute
 
 pytestmark = pytest.mark.asyncio
 
@@ -174,10 +175,6 @@ async def test_a_callback_that_fails_refuses_and_leaves_its_traceback_in_the_log
 async def test_a_callback_whose_error_cannot_say_what_it_is_refuses_all_the_same(
     colour: Colour, refusal: Refusal
 ) -> None:
-    class Mute(Exception):
-        def __str__(self) -> str:
-            raise LookupError("no words")
-
     def fail(argument: Any) -> None:
         raise Mute
 

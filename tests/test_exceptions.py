@@ -25,6 +25,7 @@ from fibaction.exceptions import (
 )
 from fibaction.goals import GoalID
 from fibaction.states import GoalEvent, GoalStatus
+from tests.executors import Mute
 
 GOAL_ID = GoalID(bytes(range(16)))
 HEX = "000102030405060708090a0b0c0d0e0f"
@@ -116,13 +117,6 @@ def test_data_is_in_attributes() -> None:
 def test_a_reason_is_text_whatever_was_given(error: type[Any]) -> None:
     refusal = error(ValueError("too far"))
     assert refusal.reason == str(refusal) == "too far"
-
-
-class Mute(Exception):
-    """An error that goes wrong itself when it is to be shown."""
-
-    def __str__(self) -> str:
-        raise LookupError("no words")
 
 
 def test_an_error_of_others_is_its_name_and_what_it_says_if_it_can() -> None:

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterable
 
 import pytest
-from hypothesis import given, strategies
+from hypothesis import assume, given, strategies
 
 from fibaction import framing
 from fibaction.exceptions import ProtocolError
@@ -111,8 +111,8 @@ def test_a_frame_over_the_limit_is_refused_with_its_header(frames: list[bytes], 
     reader = FrameReader(LIMIT)
     assert reader.feed(framed(frames)) == frames
     assert reader.feed(header(size)[:-1]) == []
-    text = rf"^a frame of {size} bytes .* {LIMIT} are the limit(: it looks like (TLS|HTTP))?$"
-    with pytest.raises(ProtocolError, match=text):
+    assume(not header(size).startswith((b"\x16\x03", b"GET ", b"POST", b"HEAD")))  # see below
+    with pytest.raises(ProtocolError, match=f"^a frame of {size} bytes .* {LIMIT} are the limit$"):
         reader.feed(header(size)[-1:])
 
 
