@@ -352,14 +352,15 @@ async def test_a_result_that_cannot_be_read_ends_the_wait_for_it_and_for_no_othe
 ) -> None:
     """As a text of a server in C++ that is no Unicode."""
     take: Callable[[Responses], Any] = Responses.take
+    bad = array("i", [1])
 
-    def fails(self: Responses) -> Any:
+    def take_all_but_bad(self: Responses) -> Any:
         item = take(self)
-        if item is not None and getattr(getattr(item[1], "result", None), "sequence", ()) == BAD:
+        if item is not None and getattr(getattr(item[1], "result", None), "sequence", ()) == bad:
             raise ValueError("it is no text")
         return item
 
-    monkeypatch.setattr(Responses, "take", fails)
+    monkeypatch.setattr(Responses, "take", take_all_but_bad)
 
     async def execute(goal: GoalHandle[Goal]) -> Items:
         if goal.request.order == 2:
@@ -377,9 +378,6 @@ async def test_a_result_that_cannot_be_read_ends_the_wait_for_it_and_for_no_othe
                 await client.call(Goal(1))
             ended.set()
             assert await running.result() == Result([2])
-
-
-BAD = array("i", [1])
 
 
 @pytest.mark.promise("CANCEL-14")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager, suppress
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from pathlib import Path
 from time import perf_counter
 
@@ -25,6 +25,7 @@ from tests.fibonacci import Feedback, Goal, Result
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import Peer, peer
+from tests.ros2.stock.waiting import eventually
 
 pytestmark = pytest.mark.anyio
 
@@ -48,6 +49,13 @@ SOON, LEASE_OF_OURS = 3.0, 8.0
 @pytest.fixture
 def anyio_backend() -> str:
     return "asyncio"
+
+
+def server_with_lease(folder: Path) -> AbstractAsyncContextManager[Peer]:
+    """A stock server that Fast DDS takes for dead `LEASE` seconds after it was killed."""
+    profile = folder / "profile.xml"
+    profile.write_text(PROFILE)
+    return peer("server", FASTDDS_DEFAULT_PROFILES_FILE=str(profile))
 
 
 @asynccontextmanager
@@ -157,9 +165,7 @@ async def test_a_stock_server_that_stops_is_missed_at_once() -> None:
 async def test_a_stock_server_that_is_killed_is_missed_when_its_lease_ends(
     tmp_path: Path,
 ) -> None:
-    profile = tmp_path / "profile.xml"
-    profile.write_text(PROFILE)
-    async with peer("server", FASTDDS_DEFAULT_PROFILES_FILE=str(profile)) as server:
+    async with server_with_lease(tmp_path) as server:
         async with waiting_for(server, "stock") as (_, goal):
             seconds = await lost_after(server.process.kill, goal)
             print(f"SIGKILL of a stock server, lease {LEASE} s: {seconds:.2f} s")
@@ -183,16 +189,16 @@ async def test_a_server_that_comes_back_is_used_again() -> None:
 async def test_a_stock_server_that_was_killed_is_missed_although_another_has_taken_its_place(
     tmp_path: Path,
 ) -> None:
-    profile = tmp_path / "profile.xml"
-    profile.write_text(PROFILE)
-    async with peer("server", FASTDDS_DEFAULT_PROFILES_FILE=str(profile)) as first:
+    async with server_with_lease(tmp_path) as first:
         async with waiting_for(first, "stock") as (client, goal):
+            node = client.endpoint._server._ros.node  # type: ignore[attr-defined]  # it is ours
+
+            async def servers() -> int:
+                return int(node.count_publishers("/stock/_action/status"))
+
             with await client.endpoint.status() as statuses:
                 async with peer("server"):  # it is there before the graph misses the other
-                    node = client.endpoint._server._ros.node  # type: ignore[attr-defined]  # ours
-                    with anyio.fail_after(20):
-                        while node.count_publishers("/stock/_action/status") < 2:  # noqa: ASYNC110  # nothing to wait on
-                            await anyio.sleep(0.01)
+                    await eventually(servers, lambda number: number == 2)
 
                     with anyio.fail_after(3 * LEASE):
                         await lost_after(first.process.kill, goal)
