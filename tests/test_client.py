@@ -79,6 +79,7 @@ class Broken(Endpoint):
 
     def __init__(self, stream: BrokenStream) -> None:
         self.stream = stream
+        self.follows: list[GoalID] = []
         self.cancels: list[GoalID | None] = []
         self.answer: CancelAnswer | Exception | None = ConnectionLost("the line is dead")
         self.sending: anyio.Event | None = None
@@ -96,6 +97,7 @@ class Broken(Endpoint):
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False
     ) -> GoalStream:
+        self.follows.append(goal_id)
         return self.stream
 
     async def cancel_goals(
@@ -232,18 +234,18 @@ async def test_what_is_no_goal_id_goes_nowhere(wrong: Any) -> None:
         await client.attach(wrong)
     with pytest.raises(TypeError, match="a goal is named by a GoalID"):
         await client.cancel_goals(wrong)
-    assert broken.cancels == []
+    assert (broken.follows, broken.cancels) == ([], [])
 
 
 @pytest.mark.parametrize("wrong", [1.5, "7"])
 async def test_what_is_no_whole_number_goes_nowhere(wrong: Any) -> None:
     broken = Broken(BrokenStream())
     client = client_of(broken)
-    with pytest.raises(TypeError):
+    with pytest.raises(TypeError, match="interpreted as an integer"):
         await client.attach(GoalID.random(), after=wrong)
-    with pytest.raises(TypeError):
+    with pytest.raises(TypeError, match="interpreted as an integer"):
         await client.cancel_goals(before=wrong)
-    assert broken.cancels == []
+    assert (broken.follows, broken.cancels) == ([], [])
 
 
 async def test_another_goal_is_attached_to_by_its_id() -> None:
