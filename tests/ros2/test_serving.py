@@ -363,6 +363,12 @@ async def test_a_second_server_of_the_same_action_is_warned_about(
     assert "somebody else serves it" in capfd.readouterr().err
 
 
+each_error = pytest.mark.parametrize(
+    "error", [ConnectionLost("it is gone"), KeyError("a bug")], ids=type
+)
+"""What an endpoint may and may not raise."""
+
+
 class Broken:
     """Stands before an endpoint, and fails."""
 
@@ -373,7 +379,7 @@ class Broken:
         raise self.error
 
 
-@pytest.mark.parametrize("error", [ConnectionLost("it is gone"), KeyError("a bug")], ids=type)
+@each_error
 async def test_an_endpoint_that_fails_is_an_answer_and_the_server_goes_on(
     url: str, error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -424,7 +430,7 @@ async def test_a_request_that_comes_when_the_tasks_have_ended_is_let_go(
     assert [one.levelno for one in caplog.records if "one is lost" in one.message] == [logging.INFO]
 
 
-@pytest.mark.parametrize("error", [ConnectionLost("it is gone"), KeyError("a bug")], ids=type)
+@each_error
 async def test_the_statuses_of_an_endpoint_that_comes_back_are_followed_again(
     url: str, error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -434,8 +440,8 @@ async def test_the_statuses_of_an_endpoint_that_comes_back_are_followed_again(
     fails = iter([error])
 
     async def status() -> Any:
-        for error in fails:
-            raise error
+        for failure in fails:
+            raise failure
         return await follow()
 
     monkeypatch.setattr(server, "status", status)
@@ -514,7 +520,7 @@ async def test_a_goal_whose_stream_fails_is_unknown_and_the_others_go_on(
     assert "Traceback" in caplog.text
 
 
-@pytest.mark.parametrize("error", [ConnectionLost("it is gone"), KeyError("a bug")], ids=type)
+@each_error
 async def test_a_goal_of_another_transport_that_cannot_be_followed_disturbs_nobody(
     url: str, error: Exception, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -81,6 +81,7 @@ async def test_a_client_that_waits_for_a_result_ends_by_ctrl_c_and_cancels_its_g
                         info = await statuses.receive()
                         while info is not None and info.status.name != "CANCELED":
                             info = await statuses.receive()
+                    assert info is not None
 
 
 async def test_a_client_that_waits_for_a_server_ends_by_ctrl_c(anyio_backend: str) -> None:
