@@ -12,7 +12,6 @@ from typing import Any
 
 import anyio
 import pytest
-import trio.testing
 
 from fibaction import (
     Action,
@@ -35,6 +34,7 @@ from fibaction.protocol import Ending, EndKind
 from fibaction.server import EXPIRY_STEP, RECENT_TIME
 from tests.executors import Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
 
@@ -940,11 +940,7 @@ async def _backend() -> str:
 
 
 @pytest.mark.promise("RESULT-3")
-@pytest.mark.parametrize(
-    "anyio_backend",
-    [("trio", {"clock": trio.testing.MockClock(autojump_threshold=0)})],
-    ids=["virtual time"],
-)
+@in_virtual_time()
 async def test_an_outcome_is_kept_for_its_time_to_the_moment() -> None:
     async with ActionServer(FIBONACCI, fibonacci, result_timeout=3600) as server:
         early = await server.send_goal(GoalID.random(), packed(1))
@@ -971,11 +967,7 @@ async def test_an_outcome_is_kept_for_its_time_to_the_moment() -> None:
 
 
 @pytest.mark.promise("FEEDBACK-11")
-@pytest.mark.parametrize(
-    "anyio_backend",
-    [("trio", {"clock": trio.testing.MockClock(autojump_threshold=0)})],
-    ids=["virtual time"],
-)
+@in_virtual_time()
 @pytest.mark.parametrize("result_timeout", [3600, math.inf])
 async def test_feedback_outlives_its_goal_for_a_moment_while_somebody_watches_the_goals(
     result_timeout: float,
@@ -1004,11 +996,7 @@ async def test_feedback_outlives_its_goal_for_a_moment_while_somebody_watches_th
 
 
 @pytest.mark.promise("FEEDBACK-4")
-@pytest.mark.parametrize(
-    "anyio_backend",
-    [("trio", {"clock": trio.testing.MockClock(autojump_threshold=0)})],
-    ids=["virtual time"],
-)
+@in_virtual_time()
 async def test_a_client_that_stalls_holds_the_executor_up_for_its_time_once() -> None:
     times = []
 

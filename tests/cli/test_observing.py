@@ -23,7 +23,7 @@ from fibaction.cli.observing import (
 )
 from fibaction.observing import GoalFeedback
 from tests.cli.served import Heard, Served, counter
-from tests.wire.memory import in_virtual_time
+from tests.virtual_time import in_virtual_time
 
 
 @pytest.fixture(autouse=True)

@@ -13,7 +13,6 @@ from typing import Any, Generic, TypeVar
 import anyio
 import pytest
 from anyio.lowlevel import checkpoint
-from trio.testing import MockClock
 
 from fibaction.exceptions import ConnectionLost
 from fibaction.messages import Ping, encode
@@ -248,9 +247,3 @@ def logged(level: int = logging.INFO) -> Generator[list[logging.LogRecord], None
     finally:
         logger.removeHandler(handler)
         logger.setLevel(before)
-
-
-def in_virtual_time() -> pytest.MarkDecorator:
-    """Time goes on as soon as all tasks wait: hours pass at once."""
-    clock = MockClock(autojump_threshold=0)
-    return pytest.mark.parametrize("anyio_backend", [("trio", {"clock": clock})], ids=["virtual"])

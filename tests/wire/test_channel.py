@@ -7,12 +7,12 @@ from typing import Any
 import anyio
 import pytest
 from anyio.abc import ByteStream
-from trio.testing import MockClock
 
 from fibaction.exceptions import ConnectionLost, ProtocolError
 from fibaction.framing import HEADER, header
 from fibaction.waking import Waking
 from fibaction.wire.channel import CHUNK, Fetch, Hear, Line, StreamChannel
+from tests.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
 
@@ -29,15 +29,6 @@ broken = pytest.mark.parametrize("error", BREAKS, ids=lambda error: type(error).
 @pytest.fixture(params=["asyncio", "trio"])
 def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
-
-
-def virtual_time() -> pytest.MarkDecorator:
-    """On a trio whose clock jumps to the next thing to do."""
-    return pytest.mark.parametrize(
-        "anyio_backend",
-        [("trio", {"clock": MockClock(autojump_threshold=0)})],
-        ids=["virtual time"],
-    )
 
 
 class FakeStream(ByteStream):
@@ -318,7 +309,7 @@ async def test_closing_what_is_broken_raises_nothing(error: Exception) -> None:
     assert not stream.closed
 
 
-@virtual_time()
+@in_virtual_time()
 async def test_closing_waits_for_nobody_longer_than_a_second() -> None:
     stream = FakeStream()
     stream.wait = anyio.sleep_forever

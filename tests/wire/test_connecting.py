@@ -75,8 +75,9 @@ from fibaction.wire.link import HIGH_WATER, OVERFULL
 from fibaction.wire.serving import Terms
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
+from tests.virtual_time import in_virtual_time
 from tests.wire import memory
-from tests.wire.memory import LONG, Apart, Peer, Running, in_virtual_time, logged, settled
+from tests.wire.memory import LONG, Apart, Peer, Running, logged, settled
 
 pytestmark = pytest.mark.anyio
 

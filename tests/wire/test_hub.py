@@ -38,8 +38,9 @@ from fibaction.wire.limits import Limits
 from fibaction.wire.serving import Terms
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
+from tests.virtual_time import in_virtual_time
 from tests.wire import memory
-from tests.wire.memory import LONG, Apart, Peer, in_virtual_time, logged, settled
+from tests.wire.memory import LONG, Apart, Peer, logged, settled
 
 pytestmark = pytest.mark.anyio
 

@@ -22,6 +22,7 @@ from fibaction.messages import Ping, decode_from_client, decode_from_server
 from fibaction.waking import Waking
 from fibaction.wire.channel import Channel, StreamChannel
 from fibaction.wire.link import HIGH_WATER, MISSED, OVERFULL, PING, Link, naming
+from tests.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
 
@@ -34,15 +35,6 @@ OVER = ConnectionLost("the test is over")
 @pytest.fixture(params=["asyncio", "trio"])
 def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
-
-
-def virtual_time() -> pytest.MarkDecorator:
-    """On a trio whose clock jumps to the next thing to do."""
-    return pytest.mark.parametrize(
-        "anyio_backend",
-        [("trio", {"clock": MockClock(autojump_threshold=0)})],
-        ids=["virtual time"],
-    )
 
 
 class FakeChannel(Channel):
@@ -616,7 +608,7 @@ async def test_the_last_word_goes_past_the_queue() -> None:
     assert bench.channel.sent == [[b"goodbye"]]
 
 
-@virtual_time()
+@in_virtual_time()
 async def test_the_last_word_is_given_up_after_a_second() -> None:
     bench = Bench()
     bench.channel.is_stuck = True
@@ -659,7 +651,7 @@ class Stopwatch(Bench):
             await anyio.sleep(pause)
 
 
-@virtual_time()
+@in_virtual_time()
 async def test_a_silent_peer_is_noticed_after_four_of_its_heartbeats() -> None:
     bench = Stopwatch(heartbeat=2)
     took = await bench.run_for(100)
@@ -669,7 +661,7 @@ async def test_a_silent_peer_is_noticed_after_four_of_its_heartbeats() -> None:
     assert str(bench.error) == f"{PEER} has been silent for {took - 1:.1f} s"
 
 
-@virtual_time()
+@in_virtual_time()
 @pytest.mark.parametrize(("own", "peers"), [(1.0, 10.0), (3.0, 0.1)])
 async def test_it_is_the_peers_heartbeat_that_counts(own: float, peers: float) -> None:
     bench = Stopwatch(heartbeat=own)
@@ -680,7 +672,7 @@ async def test_it_is_the_peers_heartbeat_that_counts(own: float, peers: float) -
     assert isinstance(bench.error, ConnectionLost)
 
 
-@virtual_time()
+@in_virtual_time()
 async def test_a_peer_that_is_late_is_not_lost() -> None:
     bench = Stopwatch(heartbeat=1)
     assert await bench.run_for(100, lambda: bench.hear_from_the_peer(3.5)) == 100
@@ -688,7 +680,7 @@ async def test_a_peer_that_is_late_is_not_lost() -> None:
     assert len(bench.handled) == 29
 
 
-@virtual_time()
+@in_virtual_time()
 async def test_silence_counts_from_the_last_message() -> None:
     bench = Stopwatch(heartbeat=1)
 
@@ -699,7 +691,7 @@ async def test_silence_counts_from_the_last_message() -> None:
     assert 3.5 + 4 < await bench.run_for(100, speak_once) <= 3.5 + 5
 
 
-@virtual_time()
+@in_virtual_time()
 async def test_a_peer_that_reads_nothing_is_lost_after_four_of_ones_own_heartbeats() -> None:
     bench = Stopwatch(heartbeat=2)
     bench.link.peer_heartbeat = 1000
@@ -711,7 +703,7 @@ async def test_a_peer_that_reads_nothing_is_lost_after_four_of_ones_own_heartbea
     assert str(bench.error) == f"{PEER} has read nothing for 9.0 s"
 
 
-@virtual_time()
+@in_virtual_time()
 @pytest.mark.parametrize(("pause", "is_lost"), [(0.5, False), (3.9, False), (5.1, True)])
 async def test_a_peer_that_takes_a_piece_now_and_then_is_not_lost(
     pause: float, is_lost: bool
@@ -730,7 +722,7 @@ async def test_a_peer_that_takes_a_piece_now_and_then_is_not_lost(
     assert (bench.error is not None) == is_lost
 
 
-@virtual_time()
+@in_virtual_time()
 async def test_a_peer_that_takes_one_message_after_the_other_is_not_lost() -> None:
     bench = Stopwatch(heartbeat=1)
     Spring(bench).left = [[b"news"] for _ in range(1000)]
@@ -741,7 +733,7 @@ async def test_a_peer_that_takes_one_message_after_the_other_is_not_lost() -> No
     assert len(bench.channel.sent) > 300
 
 
-@virtual_time()
+@in_virtual_time()
 async def test_time_in_which_this_process_does_not_run_is_not_the_peers_silence() -> None:
     bench = Stopwatch(heartbeat=1)
 
@@ -755,7 +747,7 @@ async def test_time_in_which_this_process_does_not_run_is_not_the_peers_silence(
     assert bench.error is None
 
 
-@virtual_time()
+@in_virtual_time()
 async def test_pings_are_sent_when_there_is_nothing_else_to_say() -> None:
     bench = Stopwatch(heartbeat=2)
     await bench.run_for(11, lambda: bench.hear_from_the_peer(1))
@@ -764,7 +756,7 @@ async def test_pings_are_sent_when_there_is_nothing_else_to_say() -> None:
     assert gaps == [2] * 4
 
 
-@virtual_time()
+@in_virtual_time()
 async def test_no_more_pings_are_sent_because_the_peer_sends_many() -> None:
     bench = Stopwatch(heartbeat=2)
     bench.link.peer_heartbeat = 0.125
@@ -775,7 +767,7 @@ async def test_no_more_pings_are_sent_because_the_peer_sends_many() -> None:
     assert min(gaps) >= 1
 
 
-@virtual_time()
+@in_virtual_time()
 async def test_no_pings_are_sent_while_there_is_something_to_say() -> None:
     bench = Stopwatch(heartbeat=2)
 
@@ -789,7 +781,7 @@ async def test_no_pings_are_sent_while_there_is_something_to_say() -> None:
     assert {tuple(frames) for frames in bench.channel.sent} == {(b"news",)}
 
 
-@virtual_time()
+@in_virtual_time()
 @pytest.mark.parametrize("pause", [0.9, 1.0, 1.1, 1.5, 1.9, 2.0, 2.1, 3.3])
 async def test_a_peer_hears_something_often_enough_whatever_else_is_said(pause: float) -> None:
     bench = Stopwatch(heartbeat=1)
@@ -828,7 +820,7 @@ class TricklingStream(ByteStream):
         raise NotImplementedError
 
 
-@virtual_time()
+@in_virtual_time()
 async def test_a_peer_in_the_middle_of_a_large_message_is_not_silent() -> None:
     large = bytes(20)
     stream = TricklingStream(header(len(large)) + large)

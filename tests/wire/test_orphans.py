@@ -18,7 +18,8 @@ from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.orphans import Orphans
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
-from tests.wire.memory import in_virtual_time, logged, settled
+from tests.virtual_time import in_virtual_time
+from tests.wire.memory import logged, settled
 
 pytestmark = pytest.mark.anyio
 

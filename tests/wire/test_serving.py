@@ -66,6 +66,7 @@ from fibaction.wire.limits import Limits
 from fibaction.wire.serving import Session, Terms
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
+from tests.virtual_time import in_virtual_time
 from tests.wire import memory
 from tests.wire.bench import (
     ANN,
@@ -81,7 +82,7 @@ from tests.wire.bench import (
     scripted,
     serving,
 )
-from tests.wire.memory import LONG, Running, in_virtual_time, logged, settled
+from tests.wire.memory import LONG, Running, logged, settled
 
 pytestmark = pytest.mark.anyio
 

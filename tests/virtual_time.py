@@ -1,0 +1,12 @@
+"""Time that goes on as soon as all tasks wait: hours pass at once."""
+
+from __future__ import annotations
+
+import pytest
+from trio.testing import MockClock
+
+
+def in_virtual_time() -> pytest.MarkDecorator:
+    """Run a test on trio, whose clock jumps to the next thing to do."""
+    clock = MockClock(autojump_threshold=0)
+    return pytest.mark.parametrize("anyio_backend", [("trio", {"clock": clock})], ids=["virtual"])
