@@ -637,9 +637,18 @@ def test_only_who_looks_on_and_goes_before_the_end_says_so(
     assert bench.posted == said
 
 
-def test_who_was_not_let_look_on_says_nothing_when_it_goes() -> None:
+@pytest.mark.parametrize("is_refused", [False, True])
+def test_who_was_not_let_look_on_says_nothing_when_it_goes(is_refused: bool) -> None:
     bench = Bench(opening=Follow(ID, "fibonacci", GOAL_ID, None, False, 4), accepted=False)
-    bench.goal.hear(Failed(ID, Why.UNKNOWN_GOAL, "unknown"))
+    if is_refused:
+        bench.goal.hear(Failed(ID, Why.UNKNOWN_GOAL, "unknown"))
+    del bench.goal
+    assert bench.posted == []
+
+
+def test_who_has_lost_what_it_looks_on_says_nothing_when_it_goes() -> None:
+    bench = Bench(opening=Follow(ID, "fibonacci", GOAL_ID, None, False, 4))
+    bench.goal.fail(LOST)
     del bench.goal
     assert bench.posted == []
 
