@@ -31,7 +31,8 @@ class _Owned(NamedTuple):
 
 
 class Orphans:
-    """The streams of goals' own clients, of all connections of one server: one for each goal.
+    """The streams of goals' own clients, of all connections of one server: one for each goal, that
+    of the last call if there are more.
 
     When a connection is lost its streams stay open, so the executor waits for the client as it
     waits for one that does not read, and the feedback of the meantime is there when it comes back.
@@ -53,9 +54,9 @@ class Orphans:
         return owned is not None and owned.is_of(session)
 
     def own(self, stream: GoalStream, session: bytes, goal: bytes | None = None) -> bool:
-        """A client follows its goal with this stream: the one before, if any, is of no use more,
-        be it an orphan or on a connection that is dead and has not been found out. `goal` is what
-        it has sent, if it does so now.
+        """A client follows its goal with this stream, and if its connection is lost, this is the
+        one to keep. What was kept for it so far is of no use more. `goal` is what it has sent, if
+        it does so now.
 
         False, and nothing else, if the goal is that of a client of another session.
         """
@@ -64,10 +65,10 @@ class Orphans:
         if before is not None:
             if not before.is_of(session):
                 return False
-            if before.stream is not stream:
-                before.stream.close()
             sent = before.goal if sent is None else sent
-            self._wait_no_more(stream.goal_id)
+            # One that nobody waits for is that of another call on the same connection: it goes on.
+            if self._wait_no_more(stream.goal_id) and before.stream is not stream:
+                before.stream.close()
         self._owned[stream.goal_id] = _Owned(stream, session, sent)
         return True
 
@@ -109,10 +110,12 @@ class Orphans:
             loss = self._losses[stream.goal_id] = CancelScope()
             self._tasks.start_soon(self._wait, endpoint, stream, loss, 0 if left else self._grace)
 
-    def _wait_no_more(self, goal_id: GoalID) -> None:
+    def _wait_no_more(self, goal_id: GoalID) -> bool:
+        """Whether its client was waited for."""
         loss = self._losses.pop(goal_id, None)
         if loss is not None:
             loss.cancel()  # or it would wait on, and keep the stream: for ever, if so long is given
+        return loss is not None
 
     async def _wait(
         self, endpoint: Endpoint, stream: GoalStream, loss: CancelScope, grace: float

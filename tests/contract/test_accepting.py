@@ -217,17 +217,18 @@ async def test_the_same_goal_sent_again_while_it_is_decided_waits_for_that(reach
 
     async with reach(ActionServer(FIBONACCI, executor, on_goal=on_goal)) as client:
         goal_id = GoalID.random()
-        results: list[Result] = []
+        heard: list[tuple[list[Feedback], Result]] = []
 
         async def send() -> None:
-            results.append(await (await client.send_goal(Goal(7), goal_id=goal_id)).result())
+            sent = await client.send_goal(Goal(7), goal_id=goal_id)
+            heard.append(([item async for item in sent.feedback], await sent.result()))
 
         async with anyio.create_task_group() as tasks:
             for _ in range(3):
                 tasks.start_soon(send)
             await anyio.wait_all_tasks_blocked()
             decide.set()
-    assert results == [Result([7])] * 3
+    assert heard == [([Feedback([1])], Result([7]))] * 3
     assert (asked, executor.runs) == (1, 1)
 
 

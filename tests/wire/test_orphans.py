@@ -174,8 +174,8 @@ async def test_a_loss_that_is_noticed_when_the_client_is_here_again_does_nothing
         orphans.own(stream, ANN)
         again = await server.feedback(stream.goal_id, own=True)
         orphans.own(again, ANN)
-        assert is_closed(stream)
         orphans.adopt(server, stream, left=False)
+        assert is_closed(stream)
         await anyio.sleep(2 * GRACE)
         assert not is_closed(again)
         assert server.canceled == []
@@ -193,6 +193,27 @@ async def test_a_goal_whose_end_was_told_is_no_orphan() -> None:
         assert server.canceled == []
 
 
+@in_virtual_time()
+async def test_of_two_calls_of_one_connection_both_go_on_and_the_last_is_kept() -> None:
+    async with nursery("cancel") as (orphans, server):
+        stream = await server.goal()
+        orphans.own(stream, ANN)
+        again = await server.feedback(stream.goal_id, own=True)
+        orphans.own(again, ANN)
+        assert not is_closed(stream)
+        for lost in (stream, again):
+            orphans.adopt(server, lost, left=False)
+        assert is_closed(stream)
+        await anyio.sleep(GRACE - 1)
+        assert not is_closed(again)
+        third = await server.feedback(stream.goal_id, own=True)
+        orphans.own(third, ANN)
+        assert is_closed(again)
+        fourth = await server.feedback(stream.goal_id, own=True)
+        orphans.own(fourth, ANN)
+        assert not is_closed(third)
+
+
 async def test_the_end_of_a_stream_before_leaves_the_goal_to_the_one_after() -> None:
     async with nursery("keep") as (orphans, server):
         stream = await server.goal()
@@ -201,9 +222,7 @@ async def test_the_end_of_a_stream_before_leaves_the_goal_to_the_one_after() -> 
         orphans.own(again, ANN)
         orphans.end(stream)
         assert not is_closed(again)
-        third = await server.feedback(stream.goal_id, own=True)
-        orphans.own(third, ANN)
-        assert is_closed(again)
+        assert orphans.is_own(stream.goal_id, ANN)
 
 
 @in_virtual_time()

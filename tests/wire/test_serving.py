@@ -647,6 +647,29 @@ async def test_of_a_goal_that_was_sent_twice_each_call_goes_on_behind_what_it_ha
         assert isinstance(heard[-1], Ended)
 
 
+async def test_of_a_goal_that_was_sent_twice_both_calls_go_on_and_on_the_next_connection_too() -> (
+    None
+):
+    first, second = anyio.Event(), anyio.Event()
+    steps = [first, *feedback(1), second, *feedback(2), fib.Result([])]
+    async with serving(scripted(*steps)) as bench:
+        client = await bench.greet()
+        await client.send(1)
+        await client.ask(SendGoal(2, "fibonacci", A, GOAL, ANY), Following)
+        first.set()
+        heard = await client.hear_by_id()
+        assert [[one.number for one in heard[call]] for call in (1, 2)] == [[1], [1]]
+        client.channel.cut()
+        again = await bench.greet()
+        await again.say(follow(1, request=1), follow(1, request=2))
+        await again.hear_by_id()
+        second.set()
+        heard = await again.hear_by_id()
+        for call in (1, 2):
+            told, ended = heard[call]
+            assert (told.number, ended.status, ended.place) == (2, GoalStatus.SUCCEEDED, 2)
+
+
 @pytest.mark.parametrize("result_timeout", [10, 0])
 async def test_feedback_that_there_was_no_credit_for_is_told_on_the_next_connection(
     result_timeout: float,
