@@ -34,7 +34,7 @@ class GoalFeedback(msgspec.Struct, Generic[FeedbackT], frozen=True):
 
 
 class Events(Generic[FeedbackT]):
-    """What happens, for `async for`; it ends when the server stops."""
+    """What happens, for `async for`; it ends when the server stops, or its block has been left."""
 
     def __init__(
         self,
@@ -56,12 +56,15 @@ class Events(Generic[FeedbackT]):
         """The next event.
 
         Raises:
-            StopAsyncIteration: The server has stopped.
+            StopAsyncIteration: The server has stopped, or the block of the events was left.
             ConnectionLost: The connection ended.
             TransportError: The server cannot tell more, or may not.
             ProtocolError: The server sent what is not of the feedback's type.
         """
-        event = await self._stream.__anext__()
+        try:
+            event = await self._stream.__anext__()
+        except anyio.ClosedResourceError:  # as for whoever waits here while the block is left
+            raise StopAsyncIteration from None
         if isinstance(event, ActionError):
             raise event
         return event

@@ -264,3 +264,21 @@ async def test_feedback_of_another_type_is_raised_where_the_events_are_read() ->
                 gate.set()
                 with pytest.raises(ProtocolError):
                     await until(events)
+
+
+async def test_events_whose_block_is_left_end_for_who_waits_and_for_who_comes_later() -> None:
+    async with ActionServer(FIBONACCI, fibonacci) as server:
+        client = ActionClient(server, FIBONACCI)
+        seen: list[list[Event]] = []
+
+        async def watch(events: Events[Feedback]) -> None:
+            seen.append([event async for event in events])
+
+        with anyio.fail_after(5):
+            async with anyio.create_task_group() as tasks:
+                async with client.events() as events:
+                    tasks.start_soon(watch, events)
+                    await anyio.wait_all_tasks_blocked()
+            await client.send_goal(Goal(1))
+            await watch(events)
+    assert seen == [[], []]
