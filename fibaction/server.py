@@ -210,9 +210,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
         Executors are interrupted, and have `shutdown_timeout` seconds for their clean-up. Their
         goals end ABORTED, `server stopped`. No scope can cut it short; if asyncio cancels the task
-        itself while it stops, that time is over at once. Doing it twice is harmless.
+        itself while it stops, that time is over at once. Doing it twice is harmless. An executor
+        that waits for it waits for itself, and is ended when that time is over.
         """
-        if self._phase != "running":
+        if not self.is_running:
             return
         self._phase = "stopping"
         self._callbacks.stop()
