@@ -210,7 +210,7 @@ class TcpTransport(_StreamTransport):
         `insecure`.
 
         Raises:
-            ValueError: A number is out of range, or `orphans` is neither of its words.
+            ValueError: A number is out of range, `orphans` is neither, or a token is no text.
         """
         super().__init__(**settings)
         if not 0 <= port <= MOST_PORT:
@@ -295,7 +295,11 @@ class UnixTransport(_StreamTransport):
     """A Unix domain socket: processes of one machine, with the permissions of a file."""
 
     def __init__(self, path: str | os.PathLike[str], **settings: Any) -> None:
-        """Take the socket's path, and the settings that all transports over streams have."""
+        """Take the socket's path, and the settings that all transports over streams have.
+
+        Raises:
+            ValueError: As for TCP.
+        """
         super().__init__(**settings)
         self._path = Path(path)
         self._socket: tuple[int, int] | None = None  # the file that we listen at
