@@ -21,11 +21,13 @@ from fibaction.states import GoalStatus
 
 VERSION = 1
 """Of the protocol. Peers of different versions do not talk."""
+LARGEST = 2**63 - 1
+"""The largest number that a message has room for; as a stamp, a time that nobody will see."""
 
-ID: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+ID: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
 """Names a request, and all that follows from it. The client chooses it, and uses it once."""
 GoalBytes: TypeAlias = Annotated[bytes, msgspec.Meta(min_length=16, max_length=16)]
-Stamp: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+Stamp: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
 FrameSize: TypeAlias = Annotated[int, msgspec.Meta(ge=1, lt=2**32)]
 Seconds: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=3600)]

@@ -28,7 +28,7 @@ from fibaction.messages import (
 )
 from fibaction.states import GoalStatus
 from fibaction.wire.access import Verb
-from fibaction.wire.flows import WaitingFlow, text_of
+from fibaction.wire.flows import WaitingFlow, sendable
 
 Question: TypeAlias = CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers
 Answer: TypeAlias = CancelAnswered | Done | Watching | GoalChanged | Finished | Actions | Peers
@@ -75,7 +75,7 @@ class Answers:
             (info.goal_id, info.stamp, info.status) for info in answer.goals_canceling
         ]
         await self._say(
-            CancelAnswered(message.id, answer.return_code, goals, text_of(answer.reason))
+            CancelAnswered(message.id, answer.return_code, goals, sendable(answer.reason))
         )
 
     async def _watch_status(self, message: WatchStatus, flow: WaitingFlow) -> None:

@@ -34,6 +34,7 @@ from fibaction.exceptions import (
 from fibaction.framing import MAX_FRAME
 from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
 from fibaction.messages import (
+    LARGEST,
     VERSION,
     Actions,
     AskPeers,
@@ -69,8 +70,6 @@ FIRST_PAUSE, LONGEST_PAUSE = 0.02, 2.0
 rare enough later for a server that is away for hours."""
 DIAL_TIMEOUT = 5.0
 """Seconds that one attempt to connect may take."""
-LARGEST = 2**63 - 1
-"""The largest number that a message has room for; as a stamp, a time that nobody will see."""
 LEAVE_TIMEOUT = 1.0
 """Seconds that leaving a connection waits for what was said last to be written."""
 

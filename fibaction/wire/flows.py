@@ -209,7 +209,7 @@ class GoalFlow(Flow):
 
     def _end(self, stream: GoalStream, end: Outcome[bytes]) -> list[bytes]:
         self.leave()
-        ended = Ended(self.request, end.status, end.result, text_of(end.reason), stream.place)
+        ended = Ended(self.request, end.status, end.result, sendable(end.reason), stream.place)
         frame = encode(ended)
         if len(frame) > self._max_frame:
             self._fail()
@@ -227,7 +227,7 @@ def fit(request: int, frame: bytes, limit: int) -> bytes:
 
 def refusal(request: int, exc: ActionError, limit: int) -> bytes:
     """How a request is answered that cannot be granted, in a frame of at most so many bytes."""
-    text = text_of(exc.reason if isinstance(exc, GoalRejected) else str(exc))
+    text = sendable(exc.reason if isinstance(exc, GoalRejected) else str(exc))
     frame = encode(_refused(request, exc, text))
     if len(frame) > limit:
         room = max(0, len(text.encode()) - (len(frame) - limit))
@@ -253,6 +253,6 @@ def failure(exc: BaseException) -> ServerNotFound:
     return ServerNotFound(f"the server failed: {type(exc).__name__}")
 
 
-def text_of(reason: str) -> str:
+def sendable(reason: str) -> str:
     """A reason as it can be sent: what is no Unicode in it becomes `?`."""
     return reason.encode("utf-8", "replace").decode()

@@ -44,7 +44,7 @@ from fibaction.wire.flows import (
     failure,
     fit,
     refusal,
-    text_of,
+    sendable,
 )
 from tests.fibonacci import FIBONACCI
 from tests.wire.memory import Running, logged, settled
@@ -478,4 +478,4 @@ def test_an_error_that_is_nobodys_business_is_told_by_its_kind_only() -> None:
 
 
 def test_text_that_can_be_sent_is_sent_as_it_is() -> None:
-    assert text_of("größer als 🤖") == "größer als 🤖"
+    assert sendable("größer als 🤖") == "größer als 🤖"
