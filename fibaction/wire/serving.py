@@ -371,7 +371,8 @@ class Session:
         try:
             yield
         except (Exception, get_cancelled_exc_class()) as exc:
-            # On asyncio, who awaits what somebody has canceled raises that, too.
+            # On asyncio, who awaits what somebody has canceled raises that, too. Only if a scope is
+            # canceled, the session has ended, and there is nobody left to be told.
             if not isinstance(exc, Exception) and current_effective_deadline() == -math.inf:
                 raise
             self._refuse(message, exc)
