@@ -110,8 +110,7 @@ class RemoteConnection(Connection):
         self._final = False
         self._max_frame = MAX_FRAME
         self._session = secrets.token_bytes(16)
-        self._patience_ends: float | None = None
-        self._patience: CancelScope | None = None
+        self._patience: CancelScope | None = None  # while calls wait for a lost connection
         self._failure: ActionError  # of the attempt before this one
         self._calls: dict[int, Call] = {}
         # Those of whoever only looks on, for as long as somebody does: one goal may have many.
@@ -252,15 +251,14 @@ class RemoteConnection(Connection):
             error = self._failure = await self._attempt()
             if self._ready:
                 self._ready, pause = False, FIRST_PAUSE
-                self._patience_ends = current_time() + self._keeping.reconnect_timeout
                 self._patience = CancelScope()
-                tasks.start_soon(self._lose_patience, self._patience, self._patience_ends)
+                ends = current_time() + self._keeping.reconnect_timeout
+                tasks.start_soon(self._lose_patience, self._patience, ends)
                 logger.info("%s", naming(self._where, error))
             useless = isinstance(error, AuthenticationFailed | ProtocolError)
             if useless or not self._keeping.reconnect:
                 self._final = True  # and if the connection was left meanwhile, it is so already
-            waited = self._patience_ends is None or current_time() >= self._patience_ends
-            if self._final or waited:
+            if self._final or self._patience is None:
                 self._give_up(error)
             if self._final:
                 return
@@ -273,6 +271,11 @@ class RemoteConnection(Connection):
             await anyio.sleep_until(ends)
             if self._patience is patience:  # else there is a connection, since this moment
                 self._give_up(self._failure)
+
+    def _end_patience(self) -> None:
+        if self._patience is not None:
+            self._patience.cancel()
+            self._patience = None
 
     async def leave(self) -> None:
         """Say goodbye, and let nobody wait any longer."""
@@ -309,13 +312,13 @@ class RemoteConnection(Connection):
     def _give_up(self, error: ActionError) -> None:
         self._absent = error if isinstance(error, TransportError) else ConnectionLost(str(error))
         # For what was under way, there was a server, whatever the last attempt has found.
-        lost = self._absent if self._patience_ends is None else ConnectionLost(str(error))
+        lost = self._absent if self._patience is None else ConnectionLost(str(error))
         calls = (*self._calls.values(), *self._observed.values())
         self._calls = {}
         self._observed.clear()
         for call in calls:
             call.fail(lost)
-        self._patience_ends = None
+        self._end_patience()
         self.changes += 1
         self._changed.wake()
 
@@ -355,10 +358,7 @@ class RemoteConnection(Connection):
         self._max_frame = welcome.max_frame
         self._ready = True
         self._absent = None
-        self._patience_ends = None
-        if self._patience is not None:
-            self._patience.cancel()
-            self._patience = None
+        self._end_patience()
         self._unopened.extend((*self._calls.values(), *self._observed.values()))
         self._link.stir()
         self.changes += 1
