@@ -139,7 +139,11 @@ class RemoteConnection(Connection):
     # For endpoints
 
     async def ask(self, request: Callable[[int], FromClient], kind: type[Any]) -> Any:
-        """Ask a question, on this connection or the next, and give its answer."""
+        """Ask a question, on this connection or the next, and give its answer.
+
+        Raises:
+            ActionError: What the server says instead, or why it cannot be asked.
+        """
         call_id = next(self._ids)
         question = Question(call_id, request(call_id))
         await self._open(question)
@@ -148,7 +152,11 @@ class RemoteConnection(Connection):
     async def follow(
         self, goal_id: GoalID, request: Callable[[int, int], SendGoal | Follow]
     ) -> RemoteGoal:
-        """Send or follow a goal; `request` gets the ID of the call, and the credit."""
+        """Send or follow a goal; `request` gets the ID of the call, and the credit.
+
+        Raises:
+            ActionError: As for `ask`.
+        """
         opening = request(next(self._ids), self._window)
         goal = RemoteGoal(goal_id, opening, self._window, self._post)
         await self._open(goal)
@@ -157,7 +165,11 @@ class RemoteConnection(Connection):
         return goal
 
     async def watch(self, action: str) -> RemoteStatuses:
-        """Follow the statuses of an action."""
+        """Follow the statuses of an action.
+
+        Raises:
+            ActionError: As for `ask`.
+        """
         statuses = RemoteStatuses(next(self._ids), action, self._keeping.window, self._post)
         await self._open(statuses)
         return statuses
