@@ -12,7 +12,6 @@ from fibaction.abc import Connection, Endpoint
 from fibaction.action import ActionInfo
 from fibaction.cli.app import no_action, refuse_inproc, run, shown
 from fibaction.cli.ending import ExitCode, Failure, failure_of, sentence_of
-from fibaction.cli.escaping import clean
 from fibaction.cli.output import note, say
 from fibaction.cli.running import logging_to_stderr, names_of, stop_signals
 from fibaction.connection import connect
@@ -119,4 +118,4 @@ def _endpoints(
         except TransportError as exc:
             if not choose:
                 raise
-            note(f"{clean(shown(info.name))} is left out: {clean(sentence_of(exc))}")
+            note(f"{shown(info.name)} is left out: {sentence_of(exc)}")

@@ -119,7 +119,7 @@ class Clients:
         try:
             return self._connection.client(Action.untyped(info))
         except ActionError as exc:
-            note(f"{clean(shown(info.name))} is left out: {clean(sentence_of(exc))}")
+            note(f"{shown(info.name)} is left out: {sentence_of(exc)}")
             return None
 
 

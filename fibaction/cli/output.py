@@ -40,9 +40,11 @@ def say(text: str = "") -> None:
 
 
 def note(text: str) -> None:
-    """Print a remark for the person to stderr, where it is in nobody's way."""
+    """Print a remark for the person to stderr, where it is in nobody's way. It is on one line, and
+    what a server has said in it cannot control the terminal.
+    """
     # Not by click, which would find its way past what rich puts here to protect a live line.
-    sys.stderr.write(f"{text}\n")
+    sys.stderr.write(f"{clean(text)}\n")
     sys.stderr.flush()
 
 

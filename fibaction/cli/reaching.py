@@ -125,7 +125,7 @@ async def cancel_many(url: str, name: str | None, before: int | None, *, as_json
         try:
             answer = await client.cancel_goals(before=before)
         except ActionError as exc:
-            note(f"The goals of {clean(shown(action))} are not canceled: {clean(sentence_of(exc))}")
+            note(f"The goals of {shown(action)} are not canceled: {sentence_of(exc)}")
             codes.add(ExitCode.UNREACHABLE)
             return
         found += len({*meant, *(info.goal_id for info in answer.goals_canceling)})
@@ -176,7 +176,7 @@ def _say_one(
     elif status is not None:
         say(f"Canceling the goal {goal_id} of {clean(shown(action))}")
     else:
-        note(f"The goal {goal_id} of {clean(shown(action))} is not canceled: {clean(why)}")
+        note(f"The goal {goal_id} of {shown(action)} is not canceled: {why}")
 
 
 # attach

@@ -21,7 +21,6 @@ from fibaction.background import Background
 from fibaction.cli.app import find_action, json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION, TYPE
 from fibaction.cli.ending import ExitCode, Failure, sentence_of
-from fibaction.cli.escaping import clean
 from fibaction.cli.goal_text import read_goal
 from fibaction.cli.output import note, say
 from fibaction.cli.running import SAME_SIGNAL
@@ -146,7 +145,7 @@ def goal_for(info: ActionInfo, type_name: str, text: str) -> Any:
         Failure: The text is no such goal, or the action is of another type.
     """
     if type_name and not info.type_name:
-        note(f"the server of {clean(shown(info.name))} does not say its type, so it is not checked")
+        note(f"the server of {shown(info.name)} does not say its type, so it is not checked")
     elif type_name and type_name != info.type_name:
         raise Failure(
             f"the action {shown(info.name)} is of the type {info.type_name}, not {type_name}",
@@ -262,10 +261,10 @@ class _Sending:
         try:
             answer = await self._endpoint.cancel_goals(self._goal_id)
         except ActionError as exc:
-            note(f"It could not be canceled: {clean(sentence_of(exc))}")
+            note(f"It could not be canceled: {sentence_of(exc)}")
             return False
         if answer.return_code is CancelCode.REJECTED:
-            note(f"The server does not cancel it: {clean(answer.reason) or 'it does not say why'}")
+            note(f"The server does not cancel it: {answer.reason or 'it does not say why'}")
             return False
         return True
 

@@ -94,7 +94,7 @@ async def _list(connection: ClientConnection, name: str | None, *, as_json: bool
         for row in rows:
             say_json(row.json())
     elif not rows:
-        note(f"There are no goals{f' of {clean(shown(name))}' if name else ''}.")
+        note(f"There are no goals{f' of {shown(name)}' if name else ''}.")
     elif on_terminal():
         screen = console()
         for line in in_color(rows, in_columns(rows, actions=name is None, width=screen.width)):
@@ -212,7 +212,7 @@ class _Changes(Observer):
     def found(self, info: ActionInfo, client: AnyClient) -> None:
         if info.name in self._away:
             self._away.remove(info.name)
-            note(f"{clean(shown(info.name))} is back")
+            note(f"{shown(info.name)} is back")
 
     def told(self, action: str, event: GoalInfo | GoalFeedback[Any]) -> None:
         if isinstance(event, GoalFeedback):
@@ -222,7 +222,7 @@ class _Changes(Observer):
 
     def gone(self, action: str, why: str) -> None:
         self._away.add(action)
-        note(f"{clean(shown(action))} is away: {clean(why)}")
+        note(f"{shown(action)} is away: {why}")
 
     def reached(self, actions: list[ActionInfo] | None, why: str) -> None:
         pass  # what is said of each action is enough

@@ -166,6 +166,14 @@ def test_lines_go_to_stdout_and_remarks_to_stderr(capsys: pytest.CaptureFixture[
     assert capsys.readouterr() == ("line\n\n", "remark\n")
 
 
+def test_a_remark_with_the_words_of_a_server_stays_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    output.note("it is away: gone\n\x1b[2J")
+
+    assert capsys.readouterr().err == "it is away: gone\\x0a\\x1b[2J\n"
+
+
 def test_the_log_goes_where_stderr_is_by_then(monkeypatch: pytest.MonkeyPatch) -> None:
     handler = output.LogHandler()
     handler.setFormatter(logging.Formatter("log: %(message)s"))
