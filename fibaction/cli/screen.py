@@ -183,7 +183,9 @@ class Screen(App[None]):
             status = (
                 line.status.name if line.key in self._board.goals else "forgotten by the server"
             )
-            panel.border_title = f"{clean(shown(line.row.action))} {line.row.goal_id} {status}"
+            panel.border_title = Text(  # what is only a `str` is obeyed as markup
+                f"{clean(shown(line.row.action))} {line.row.goal_id} {status}"
+            )
             self.query_one("#feedback", Static).update(
                 line.text or "No feedback has come while this screen was open."
             )

@@ -12,6 +12,7 @@ from textual.widgets import DataTable
 
 from fibaction import ActionInfo, CancelAnswer, ConnectionLost, GoalID, GoalInfo
 from fibaction.cli.board import Board, GoalKey
+from fibaction.cli.escaping import clean
 from fibaction.cli.screen import Screen
 from fibaction.observing import GoalFeedback
 from fibaction.states import GoalStatus
@@ -104,6 +105,19 @@ async def test_a_goal_is_followed_until_it_is_no_more(key: str) -> None:
         await pilot.press(key)
         await pilot.pause()
         assert not [line for line in lines(pilot) if "No feedback has come" in line]
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("name", ["[red]pick", "[/pick]", "[@click=app.quit]pick[/]", "pick\x1b"])
+async def test_an_action_may_have_any_name(name: str) -> None:
+    server = counter("pick")
+    board = Board()
+    board.found(ActionInfo(name), Served(server).connection.client(server.action))
+    board.told(name, GoalInfo(FIRST, 2, GoalStatus.EXECUTING))
+    async with shown(board) as pilot:
+        await pilot.press("f")
+        await pilot.pause()
+        assert find(pilot, f"/{clean(name)} {FIRST} EXECUTING")
 
 
 @pytest.mark.asyncio
