@@ -5,17 +5,33 @@ A server may say anything, also what would clear a screen, or look like a line o
 
 from __future__ import annotations
 
+import json
 import logging
+from collections.abc import Callable
 
 
 def clean(text: str) -> str:
     """The text on one line, with everything that is not printable escaped. What was cleaned stays
     as it is when it is cleaned again.
     """
-    return "".join(c if c.isprintable() else _escaped(c) for c in text)
+    return _printable(text, _escaped)
+
+
+def clean_json(text: str) -> str:
+    """The JSON text, with what is not printable in its strings escaped as JSON does it, so that it
+    says the same. JSON itself only wants that of the first 32 characters.
+    """
+    return _printable(text, lambda character: json.dumps(character)[1:-1])
+
+
+def _printable(text: str, escaped: Callable[[str], str]) -> str:
+    if text.isprintable():  # which is quickly said, and nearly always so
+        return text
+    return "".join(c if c.isprintable() else escaped(c) for c in text)
 
 
 def _escaped(character: str) -> str:
+    """As in YAML between double quotes, since values are printed so."""
     number = ord(character)
     if number <= 0xFF:
         return f"\\x{number:02x}"

@@ -16,7 +16,7 @@ import click
 import msgspec
 
 from fibaction.cli.ending import ExitCode, Failure
-from fibaction.cli.escaping import clean
+from fibaction.cli.escaping import clean, clean_json
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -92,7 +92,7 @@ def as_json(value: Any) -> str:
         Failure: JSON cannot express it.
     """
     try:
-        return msgspec.json.encode(value, enc_hook=_plain).decode()
+        return clean_json(msgspec.json.encode(value, enc_hook=_plain).decode())
     except (TypeError, ValueError, RecursionError) as exc:
         raise Failure(f"it cannot be written as JSON: {exc}", ExitCode.ABORTED) from exc
 

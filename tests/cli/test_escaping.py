@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import logging
 
 import pytest
 
-from fibaction.cli.escaping import CleanFormatter, clean
+from fibaction.cli.escaping import CleanFormatter, clean, clean_json
 
 
 def test_text_of_others_is_cleaned() -> None:
@@ -16,6 +17,14 @@ def test_text_of_others_is_cleaned() -> None:
 
 def test_what_is_clean_stays_as_it_is() -> None:
     assert clean(clean("\x1b")) == clean("\x1b")
+
+
+def test_json_is_cleaned_in_the_way_of_json() -> None:
+    said = "ok \x7f\x9b2J\u202e\U000e0001 füñf 鳥"
+    text = json.dumps(said, ensure_ascii=False)
+
+    assert clean_json(text) == r'"ok \u007f\u009b2J\u202e\udb40\udc01 füñf 鳥"'
+    assert json.loads(clean_json(text)) == said
 
 
 @pytest.mark.parametrize(

@@ -46,6 +46,16 @@ def test_no_text_can_control_the_terminal(value: Any) -> None:
     assert all(c.isprintable() or c == "\n" for c in output.as_yaml(value))
 
 
+@given(values)
+def test_no_text_can_control_the_terminal_from_json_either(value: Any) -> None:
+    assert output.as_json(value).isprintable()
+
+
+@given(st.dictionaries(st.text(max_size=3), st.text() | st.integers(-(2**63), 2**64 - 1)))
+def test_what_is_printed_as_json_is_the_value(value: Any) -> None:
+    assert json.loads(output.as_json(value)) == value
+
+
 def test_it_looks_as_ros_prints_it() -> None:
     value = {
         "order": 3,
