@@ -93,7 +93,7 @@ def _parsed(text: str) -> Any:
         raise _unusable(f"the goal is no YAML{where}: {problem}") from exc
     except (yaml.YAMLError, ValueError, RecursionError) as exc:
         # A ValueError is of a number with too many digits, for instance.
-        raise _unusable(f"the goal is no YAML: {' '.join(str(exc).split())}") from exc
+        raise _unusable(f"the goal is no YAML: {exc}") from exc
 
 
 def _unusable(text: str) -> Failure:
