@@ -21,7 +21,11 @@ class Reading(ABC):
 
     @abstractmethod
     def feedback(self, message: bytes) -> bytes:
-        """The payload of a feedback message."""
+        """The payload of a feedback message.
+
+        Raises:
+            ProtocolError: It is none.
+        """
 
     @abstractmethod
     def outcome(self, response: Any) -> Outcome[bytes]:

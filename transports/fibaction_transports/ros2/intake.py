@@ -206,11 +206,10 @@ class Intake(waitable.Waitable):  # type: ignore[misc]  # rclpy has no types her
         with self._lock:
             self._sources += sources
 
-    def clear(self) -> tuple[Source, ...]:
-        """Take no more; gives the sources that there were."""
+    def clear(self) -> None:
+        """Take no more."""
         with self._lock:
-            sources, self._sources = self._sources, ()
-        return sources
+            self._sources = ()
 
     # What an executor calls, in its thread and in this order
 

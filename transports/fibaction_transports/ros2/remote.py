@@ -163,6 +163,7 @@ class RemoteServer:
 
         Raises:
             UnknownGoal, ServerNotFound, ConnectionLost: See `Endpoint.feedback`.
+            ProtocolError: The goal has ended, and its result cannot be read.
         """
         await self.presence.needed()
         self._forget_gone()

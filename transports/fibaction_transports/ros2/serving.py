@@ -18,11 +18,7 @@ from anyio.abc import TaskGroup
 
 from fibaction.abc import Endpoint
 from fibaction.background import Background
-from fibaction.exceptions import (
-    ActionError,
-    GoalRejected,
-    ProtocolError,
-)
+from fibaction.exceptions import ActionError, GoalRejected, ProtocolError
 from fibaction.goals import UNKNOWN_OUTCOME, CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
 from fibaction.waking import Waking

@@ -81,18 +81,19 @@ class Ros2Transport(Transport):
             TransportError: The URL is another one.
             TypeError: There is no such setting.
         """
+        where = without_settings(url)
         try:
             parts = urlsplit(url)
             if parts.path.strip("/") or "#" in url:
                 what = "part behind #" if "#" in url else "path"
                 raise TransportError(
-                    f"{without_settings(url)} has a {what}, and the URL of ROS is like"
+                    f"{where} has a {what}, and the URL of ROS is like"
                     f" ros2://node_name?namespace=/robot1&domain_id=7"
                 )
-            found = _settings(url, parse_qsl(parts.query, keep_blank_values=True))
+            found = _settings(where, parse_qsl(parts.query, keep_blank_values=True))
             return cls(parts.netloc or None, **{**found, **settings})
         except ValueError as exc:
-            raise TransportError(f"{without_settings(url)}: {exc}") from exc
+            raise TransportError(f"{where}: {exc}") from exc
 
     @property
     def url(self) -> str:
@@ -147,8 +148,12 @@ def _plans(endpoints: Sequence[Endpoint]) -> list[Plan]:
     return plans
 
 
-def _settings(url: str, query: list[tuple[str, str]]) -> dict[str, Any]:
-    """The settings in a URL, of their types."""
+def _settings(where: str, query: list[tuple[str, str]]) -> dict[str, Any]:
+    """The settings in a URL, of their types; `where` is the rest of it, for errors.
+
+    Raises:
+        TransportError: There is no such setting, or it is there twice, or of another type.
+    """
     kinds = {
         "namespace": str,
         "domain_id": int,
@@ -158,15 +163,11 @@ def _settings(url: str, query: list[tuple[str, str]]) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     for name, text in query:
         if name not in kinds:
-            raise TransportError(
-                f"{without_settings(url)} has no setting {name!r}; there is {', '.join(kinds)}"
-            )
+            raise TransportError(f"{where} has no setting {name!r}; there is {', '.join(kinds)}")
         if name in settings:
-            raise TransportError(f"{without_settings(url)} has a setting twice: say it once")
+            raise TransportError(f"{where} has a setting twice: say it once")
         try:
             settings[name] = kinds[name](text)
         except ValueError:
-            raise TransportError(
-                f"{without_settings(url)}: the setting {name!r} cannot be {text!r}"
-            ) from None
+            raise TransportError(f"{where}: the setting {name!r} cannot be {text!r}") from None
     return settings
