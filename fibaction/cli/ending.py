@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 import traceback
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typing import IO, Any, cast
 
 import click
 
-from fibaction.cli.escaping import clean
+from fibaction.cli.escaping import clean, clean_lines
 from fibaction.exceptions import (
     ActionError,
     AuthenticationFailed,
@@ -72,7 +73,7 @@ class Failure(click.ClickException):
 
     def show(self, file: IO[str] | None = None) -> None:
         if debugging():
-            traceback.print_exception(self)
+            sys.stderr.write(clean_lines("".join(traceback.format_exception(self))))
         super().show(file)
 
 

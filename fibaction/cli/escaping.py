@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable
+from typing import Any
 
 
 def clean(text: str) -> str:
@@ -15,6 +16,11 @@ def clean(text: str) -> str:
     as it is when it is cleaned again.
     """
     return _printable(text, _escaped)
+
+
+def clean_lines(text: str) -> str:
+    """The text on its lines, each of them cleaned."""
+    return "\n".join(map(clean, text.split("\n")))
 
 
 def clean_json(text: str) -> str:
@@ -41,9 +47,13 @@ def _escaped(character: str) -> str:
 class CleanFormatter(logging.Formatter):
     """Writes each record of fibaction's on one clean line, since it may have a peer's words in it.
 
-    What the user's own code logs stays as it is, and so do tracebacks.
+    What the user's own code logs stays as it is. A traceback keeps its lines, whoever logs it, and
+    is cleaned: what an executor raises may be about what a client has sent.
     """
 
     def formatMessage(self, record: logging.LogRecord) -> str:
         text = super().formatMessage(record)
         return clean(text) if record.name.startswith("fibaction") else text
+
+    def formatException(self, ei: Any) -> str:
+        return clean_lines(super().formatException(ei))

@@ -28,6 +28,7 @@ from fibaction import (
 )
 from fibaction.cli import app
 from fibaction.cli.ending import ExitCode, Failure, failure_of, sentence_of, telling_errors
+from fibaction.cli.escaping import clean_lines
 from fibaction.framing import framed
 from fibaction.messages import Goodbye, encode
 from tests.cli.conftest import Invoke
@@ -84,6 +85,20 @@ def test_what_a_server_says_in_an_error_cannot_control_the_terminal(
         assert CLEANED in failure.message
         assert failure.message == str(error).replace(SAID, CLEANED)
         assert capsys.readouterr().err == f"Error: {failure.message}\n"
+
+
+def test_nor_can_it_in_a_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FIBACTION_DEBUG", "1")
+    with pytest.raises(Failure) as failure, telling_errors():
+        raise GoalRejected(SAID)
+    failure.value.show()
+
+    shown = capsys.readouterr().err
+    assert shown.startswith("Traceback (most recent call last):\n")
+    assert f"GoalRejected: {clean_lines(str(GoalRejected(SAID)))}\n" in shown
+    assert "\x1b" not in shown
 
 
 def test_the_last_words_of_a_server_are_one_clean_line(invoke: Invoke) -> None:

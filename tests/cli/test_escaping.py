@@ -43,10 +43,13 @@ def test_the_log_is_cleaned_of_what_a_peer_said_and_not_of_what_the_user_writes(
     assert CleanFormatter("log: %(message)s").format(record) == line
 
 
-def test_a_traceback_in_the_log_keeps_its_lines() -> None:
-    error = ZeroDivisionError("by nothing")
+def test_a_traceback_in_the_log_keeps_its_lines_and_is_cleaned() -> None:
+    error = ZeroDivisionError("by nothing\x1b[2J\nat all")
     record = logging.makeLogRecord(
         {"name": "fibaction", "msg": "it failed", "exc_info": (type(error), error, None)}
     )
 
-    assert CleanFormatter().format(record) == "it failed\nZeroDivisionError: by nothing"
+    assert (
+        CleanFormatter().format(record)
+        == "it failed\nZeroDivisionError: by nothing\\x1b[2J\nat all"
+    )
