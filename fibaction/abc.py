@@ -90,6 +90,7 @@ class GoalStream(_Closing):
             ConnectionLost: The connection ended, and more was to come.
             TransportError: The server cannot tell the rest, or may not: for instance, a result is
                 larger than this client takes.
+            ProtocolError: What the server tells cannot be read.
         """
 
     @abstractmethod
@@ -98,7 +99,7 @@ class GoalStream(_Closing):
 
         Raises:
             ConnectionLost: The connection ended before the goal did.
-            TransportError: As for `take`.
+            TransportError, ProtocolError: As for `take`.
         """
 
     async def next_event(self) -> FeedbackItem | GoalStatus | None:
@@ -106,7 +107,7 @@ class GoalStream(_Closing):
         None when there is no more. Nothing is lost if the wait is canceled.
 
         Raises:
-            ConnectionLost, TransportError: As for `take`.
+            ConnectionLost, TransportError, ProtocolError: As for `take`.
         """
         while (event := self.take()) is not None:
             if isinstance(event, GoalStatus):
@@ -120,7 +121,7 @@ class GoalStream(_Closing):
         """The next feedback; None when there is no more.
 
         Raises:
-            ConnectionLost, TransportError: As for `take`.
+            ConnectionLost, TransportError, ProtocolError: As for `take`.
         """
         while (event := self.take()) is not None:
             if isinstance(event, GoalStatus):
@@ -136,7 +137,7 @@ class GoalStream(_Closing):
         It is answered also after the server has forgotten the result, or the stream was closed.
 
         Raises:
-            ConnectionLost, TransportError: As for `ended`.
+            ConnectionLost, TransportError, ProtocolError: As for `ended`.
         """
         while (outcome := self.ended()) is None:
             await self.news.wait()
@@ -280,6 +281,7 @@ class Endpoint(ABC):
         Raises:
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
             TransportError: As for `feedback` and `GoalStream.ended`.
+            ProtocolError: As for `GoalStream.ended`.
         """
         try:
             stream = await self.feedback(goal_id)
