@@ -124,12 +124,15 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
 
         Raises:
             ValueError: The name or the type name breaks that rule.
-            TypeError: msgspec cannot handle a type, or feedback and result cannot be told apart.
+            TypeError: One of them is no text, msgspec cannot handle a type, or feedback and result
+                cannot be told apart.
         """
         self.name = _checked(_NAME, name, "an action's name is like `arm/pick_up`")
-        self.type_name = type_name and _checked(
-            _TYPE_NAME, type_name, "a type name is like `example_interfaces/action/Fibonacci`"
-        )
+        self.type_name = type_name
+        if type_name != "":
+            _checked(
+                _TYPE_NAME, type_name, "a type name is like `example_interfaces/action/Fibonacci`"
+            )
         self.goal: Codec[GoalT] = Codec(goal)
         self.feedback: Codec[FeedbackT] = Codec(feedback)
         self.result: Codec[ResultT] = Codec(result)
@@ -201,7 +204,9 @@ def _interface(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
     return goal, feedback, result
 
 
-def _checked(rule: re.Pattern[str], text: str, meaning: str) -> str:
+def _checked(rule: re.Pattern[str], text: object, meaning: str) -> str:
+    if not isinstance(text, str):
+        raise TypeError(f"{meaning}, and not {text!r}")
     if not rule.fullmatch(text):
         raise ValueError(f"{meaning}, unlike {text!r}")
     return text

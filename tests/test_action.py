@@ -164,6 +164,18 @@ def test_another_type_name_is_refused(type_name: str) -> None:
     assert repr(type_name) in str(caught.value)
 
 
+@pytest.mark.parametrize("wrong", [None, 0, b"", b"a/action/B", ()])
+def test_a_name_that_is_no_text_is_refused(wrong: Any) -> None:
+    with pytest.raises(TypeError) as caught:
+        Action(wrong, goal=int, feedback=int, result=str)
+    assert str(caught.value) == f"an action's name is like `arm/pick_up`, and not {wrong!r}"
+    with pytest.raises(TypeError) as caught:
+        Action("a", goal=int, feedback=int, result=str, type_name=wrong)
+    assert str(caught.value) == (
+        f"a type name is like `example_interfaces/action/Fibonacci`, and not {wrong!r}"
+    )
+
+
 # Message types
 
 
