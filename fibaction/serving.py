@@ -26,10 +26,17 @@ async def serve(
 
     Raises:
         TransportError: An address cannot be used.
-        TypeError: A transport has no such setting, or what is given is no server, or no address.
+        TypeError: A transport has no such setting, what is given is no server, or no address, or
+            there is no address at all.
         RuntimeError: A server has been stopped; each runs once.
     """
     chosen = _chosen(endpoints)
+    if not where:
+        raise TypeError(
+            "serve() needs an address, or nobody could reach the server: a URL such as"
+            " tcp://127.0.0.1:7400, or a transport; without one, enter the server itself, and give"
+            " it to an ActionClient"
+        )
     transports = [transport_for(one, **settings) for one in where]
     servers: list[ActionServer[Any, Any, Any]] = [
         one for one in chosen if isinstance(one, ActionServer) and not one.is_running

@@ -136,6 +136,18 @@ async def test_what_is_no_address_is_told_in_one_sentence() -> None:
             raise AssertionError("the block must not run")
 
 
+async def test_serving_without_an_address_is_refused_with_what_to_do_instead() -> None:
+    with pytest.raises(TypeError) as caught:
+        async with serve(SERVER):
+            raise AssertionError("the block must not run")
+    assert str(caught.value) == (
+        "serve() needs an address, or nobody could reach the server: a URL such as"
+        " tcp://127.0.0.1:7400, or a transport; without one, enter the server itself, and give it"
+        " to an ActionClient"
+    )
+    assert SERVER.is_new
+
+
 async def test_servers_may_come_from_anything_that_can_be_iterated_over() -> None:
     servers = (ActionServer(action, fibonacci) for action in (FIBONACCI, OTHER))
     async with serve(servers, "inproc://a") as (url,), connect(url) as connection:
