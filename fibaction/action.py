@@ -38,16 +38,18 @@ _encode = msgspec.msgpack.Encoder().encode
 class Codec(Generic[T]):
     """One message type of an action: a value to bytes, and bytes to a value."""
 
-    __slots__ = ("_decoder", "classes", "type")
+    __slots__ = ("_decoder", "_sent", "classes", "type")
 
-    def __init__(self, message_type: type[T]) -> None:
-        """Make a codec.
+    def __init__(self, message_type: type[T], sent: str = "") -> None:
+        """Make a codec. `sent` is what servers send with it, for the text of errors: `feedback of
+        action 'dock'`; empty for what clients send.
 
         Raises:
             TypeError: msgspec cannot decode such a type.
         """
         self.type = message_type
         """The type, as it was given."""
+        self._sent = sent
         self._decoder = msgspec.msgpack.Decoder(message_type)
         self.classes = tuple(_runtime_classes(inspect.type_info(message_type)))
         """The classes that a value of this type is an instance of; `object` for any."""
@@ -77,9 +79,15 @@ class Codec(Generic[T]):
             return self._decoder.decode(payload)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError) as exc:
             # A TypeError is msgspec's for a set of what cannot be in one.
-            raise ProtocolError(str(exc)) from exc
+            raise self._misread(str(exc)) from exc
         except Exception as exc:  # of the type's own, for instance in its `__post_init__`
-            raise ProtocolError(text_of(exc)) from exc
+            raise self._misread(text_of(exc)) from exc
+
+    def _misread(self, text: str) -> ProtocolError:
+        # The field alone would be looked for in the code that reads, where it is not to be found.
+        if self._sent:
+            text = f"{self._sent} is not of its type, as its server sent it: {text}"
+        return ProtocolError(text)
 
     def schema(self) -> dict[str, Any]:
         """The type's JSON Schema; empty, which allows anything, where msgspec can make none."""
@@ -134,8 +142,8 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
                 _TYPE_NAME, type_name, "a type name is like `example_interfaces/action/Fibonacci`"
             )
         self.goal: Codec[GoalT] = Codec(goal)
-        self.feedback: Codec[FeedbackT] = Codec(feedback)
-        self.result: Codec[ResultT] = Codec(result)
+        self.feedback: Codec[FeedbackT] = Codec(feedback, f"feedback of action {name!r}")
+        self.result: Codec[ResultT] = Codec(result, f"the result of action {name!r}")
         self._info: ActionInfo | None = None
         for one in self.feedback.classes:
             for other in self.result.classes:
@@ -160,9 +168,11 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         It cannot be given to an `ActionServer`, which needs types to tell a result from feedback.
         """
         action = cast("Action[Any, Any, Any]", object.__new__(cls))
-        anything = Codec(cast("type[Any]", Any))
+        anything = cast("type[Any]", Any)
         action.name, action.type_name, action._info = info.name, info.type_name, info
-        action.goal = action.feedback = action.result = anything
+        action.goal = Codec(anything)
+        action.feedback = Codec(anything, f"feedback of action {info.name!r}")
+        action.result = Codec(anything, f"the result of action {info.name!r}")
         return action
 
     @classmethod

@@ -13,7 +13,7 @@ import msgspec
 
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.client import ActionClient
-from fibaction.exceptions import GoalRejected
+from fibaction.exceptions import GoalRejected, ProtocolError
 from fibaction.executor import Executor, GoalHandle
 from fibaction.goals import Outcome
 from fibaction.server import ActionServer
@@ -43,6 +43,8 @@ async def run_executor(
 
     Raises:
         TimeoutError: The executor did not end within `timeout` seconds.
+        ProtocolError: It gave feedback or a result that is not of its type; the text names the
+            field. A server does not look, and its clients are told so.
         GoalRejected: The goal is not of the goal's type.
     """
     feedback: list[FeedbackT] = []
@@ -55,15 +57,21 @@ async def run_executor(
         interrupt_on_cancel=interrupt_on_cancel,
     )
     async with server:
-        with anyio.fail_after(timeout):
-            async with ActionClient(server, action).send_goal(goal) as sent:
-                if cancel_after == 0:
-                    await sent.cancel()
-                async for item in sent.feedback:
-                    feedback.append(item)
-                    if len(feedback) == cancel_after:
+        with anyio.move_on_after(timeout):
+            try:
+                async with ActionClient(server, action).send_goal(goal) as sent:
+                    if cancel_after == 0:
                         await sent.cancel()
-                return Trial(await sent.outcome(), feedback)
+                    async for item in sent.feedback:
+                        feedback.append(item)
+                        if len(feedback) == cancel_after:
+                            await sent.cancel()
+                    return Trial(await sent.outcome(), feedback)
+            except ProtocolError as exc:
+                raise ProtocolError(f"the executor is wrong: {exc}") from exc
+        raise TimeoutError(
+            f"the executor of action {action.name!r} has not ended within {timeout:g} s"
+        )
 
 
 Step: TypeAlias = FeedbackT | ResultT | Exception | anyio.Event

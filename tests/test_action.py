@@ -386,6 +386,22 @@ def test_a_value_of_another_type_is_refused_and_the_field_is_named(
     assert isinstance(caught.value.__cause__, msgspec.ValidationError)
 
 
+def test_what_a_server_sent_that_is_not_of_its_type_is_told_with_the_action() -> None:
+    sent = msgspec.msgpack.encode({"partial_sequence": "near", "sequence": "near"})
+    for codec, what, field in (
+        (FIBONACCI.feedback, "feedback", "partial_sequence"),
+        (FIBONACCI.result, "the result", "sequence"),
+    ):
+        with pytest.raises(ProtocolError) as caught:
+            codec.decode(sent)
+        assert str(caught.value) == (
+            f"{what} of action 'fibonacci' is not of its type, as its server sent it:"
+            f" Expected `array`, got `str` - at `$.{field}`"
+        )
+    with pytest.raises(ProtocolError, match=r"^Object missing required field `order`$"):
+        FIBONACCI.goal.decode(sent)  # which a client has sent: it is told why it is rejected
+
+
 def test_a_field_that_the_type_does_not_have_is_skipped() -> None:
     payload = msgspec.msgpack.encode({"order": 1, "added_later": [2]})
     assert Codec(Goal).decode(payload) == Goal(1)
@@ -560,6 +576,19 @@ def test_an_untyped_action_takes_and_gives_plain_data() -> None:
         "partial_sequence": [0, 1]
     }
     assert action.result.decode(FIBONACCI.result.encode(Result([0]))) == {"sequence": [0]}
+
+
+def test_what_is_no_plain_data_is_told_with_the_action_too() -> None:
+    action = Action.untyped(FIBONACCI.info)
+    for codec, what in ((action.feedback, "feedback"), (action.result, "the result")):
+        with pytest.raises(ProtocolError) as caught:
+            codec.decode(b"\x91")
+        assert str(caught.value) == (
+            f"{what} of action 'fibonacci' is not of its type, as its server sent it:"
+            f" Input data was truncated"
+        )
+    with pytest.raises(ProtocolError, match=r"^Input data was truncated$"):
+        action.goal.decode(b"\x91")
 
 
 def test_an_untyped_action_cannot_tell_a_result_from_feedback() -> None:

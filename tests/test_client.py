@@ -321,9 +321,10 @@ async def test_the_events_of_an_action_are_read_through_its_client() -> None:
 
 async def test_feedback_and_result_that_are_not_of_their_type_are_the_servers_error() -> None:
     goal = await client_of(Broken(BrokenStream(nonsense=True))).send_goal(Goal(1))
-    with pytest.raises(ProtocolError, match="Expected `object`, got `None`"):
+    text = "of action 'fibonacci' is not of its type, as its server sent it: Expected `object`"
+    with pytest.raises(ProtocolError, match=f"^feedback {text}, got `None`$"):
         await anext(aiter(goal.feedback))
-    with pytest.raises(ProtocolError, match="Expected `object`, got `None`"):
+    with pytest.raises(ProtocolError, match=f"^the result {text}, got `None`$"):
         await goal.outcome()
 
 

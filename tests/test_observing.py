@@ -262,7 +262,8 @@ async def test_feedback_of_another_type_is_raised_where_the_events_are_read() ->
                 await client.send_goal(Goal(1))
                 await until(events, GoalStatus.EXECUTING)
                 gate.set()
-                with pytest.raises(ProtocolError):
+                text = "^feedback of action 'fibonacci' is not of its type, as its server sent it: "
+                with pytest.raises(ProtocolError, match=text):
                     await until(events)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import anyio
 import pytest
 
@@ -14,7 +16,9 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
     Outcome,
+    ProtocolError,
 )
+from fibaction.executor import Executor
 from fibaction.testing import ScriptedServer, Trial, run_executor
 from tests.executors import Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -73,8 +77,46 @@ async def test_an_executor_that_takes_too_long_is_ended() -> None:
         await anyio.sleep_forever()
         yield Result([])
 
-    with pytest.raises(TimeoutError):
+    with pytest.raises(TimeoutError) as caught:
         await run_executor(FIBONACCI, waits, Goal(0), timeout=0.01)
+    assert str(caught.value) == "the executor of action 'fibonacci' has not ended within 0.01 s"
+
+
+NEAR: Any = "near"  # which no type checker lets pass
+
+
+async def feels_its_way(goal: GoalHandle[Goal]) -> Items:
+    yield Feedback(NEAR)
+    yield Result([])
+
+
+async def ends_somewhere(goal: GoalHandle[Goal]) -> Items:
+    yield Feedback([1])
+    yield Result(NEAR)
+
+
+async def gives_up(goal: GoalHandle[Goal]) -> Items:
+    raise GoalAborted("stuck", result=Result(NEAR))
+    yield Feedback([])
+
+
+@pytest.mark.parametrize(
+    ("executor", "what", "field"),
+    [
+        (feels_its_way, "feedback", "partial_sequence"),
+        (ends_somewhere, "the result", "sequence"),
+        (gives_up, "the result", "sequence"),
+    ],
+)
+async def test_an_executor_that_fills_in_what_is_of_another_type_is_found_out(
+    executor: Executor[Goal, Feedback, Result], what: str, field: str
+) -> None:
+    with pytest.raises(ProtocolError) as caught:
+        await run_executor(FIBONACCI, executor, Goal(0))
+    assert str(caught.value) == (
+        f"the executor is wrong: {what} of action 'fibonacci' is not of its type, as its server"
+        f" sent it: Expected `array`, got `str` - at `$.{field}`"
+    )
 
 
 async def test_a_scripted_server_plays_one_script_after_the_other_and_repeats_the_last() -> None:
