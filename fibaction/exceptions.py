@@ -5,7 +5,7 @@
     ├── GoalAborted           the server ended the goal by itself
     ├── GoalCanceled          the goal ended because its cancel was accepted
     ├── CancelRejected        the server refuses a cancel
-    ├── UnknownGoal           no such goal, or its result has expired
+    ├── UnknownGoal           no such goal, or none any more
     ├── InvalidTransition     an event that a status does not allow: a bug in fibaction
     ├── ProtocolError         a message that may not be sent like that
     └── TransportError        the server could not be reached as asked
@@ -98,15 +98,21 @@ class CancelRejected(_Refusal):
     what = "cannot be canceled"
 
 
+WHY_UNKNOWN = "it was never accepted, its result has expired, or the server was started anew"
+"""A server that does not know a goal cannot tell which of these it was."""
+
+
 class UnknownGoal(ActionError):
-    """The server knows no such goal: it was never accepted, or its result has expired."""
+    """The server knows no such goal: it was never accepted, its result has expired, or the server
+    was started anew.
+    """
 
     def __init__(self, goal_id: GoalID) -> None:
         super().__init__(goal_id)
         self.goal_id = goal_id
 
     def __str__(self) -> str:
-        return f"goal {self.goal_id} is unknown: it was never accepted, or its result has expired"
+        return f"goal {self.goal_id} is unknown: {WHY_UNKNOWN}"
 
 
 class InvalidTransition(ActionError):

@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 
 import msgspec
 
+from fibaction.exceptions import WHY_UNKNOWN
 from fibaction.states import GoalStatus
 
 T = TypeVar("T")
@@ -80,11 +81,11 @@ class Outcome(msgspec.Struct, Generic[T], frozen=True):
     result: T | None = None
     """All of it when SUCCEEDED; what there was, or None, when CANCELED or ABORTED."""
     reason: str = ""
-    """Why it was aborted or canceled, for a person to read."""
+    """Why it was aborted or canceled, or what may be why it is UNKNOWN, for a person to read."""
 
 
-UNKNOWN_OUTCOME: Outcome[Any] = Outcome(GoalStatus.UNKNOWN)
-"""The answer for a goal that was never accepted, or whose result has expired."""
+UNKNOWN_OUTCOME: Outcome[Any] = Outcome(GoalStatus.UNKNOWN, reason=WHY_UNKNOWN)
+"""The answer for a goal that the server does not know, or not any more."""
 
 
 class ActionPeers(msgspec.Struct, frozen=True):

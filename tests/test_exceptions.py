@@ -86,7 +86,10 @@ def test_the_drawing_shows_every_error_and_each_has_a_docstring() -> None:
         (CancelRejected(""), "the goal cannot be canceled"),
         (
             UnknownGoal(GOAL_ID),
-            f"goal {HEX} is unknown: it was never accepted, or its result has expired",
+            (
+                f"goal {HEX} is unknown: it was never accepted, its result has expired, or the"
+                " server was started anew"
+            ),
         ),
         (
             InvalidTransition(GoalStatus.SUCCEEDED, GoalEvent.ABORT),

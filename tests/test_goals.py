@@ -122,8 +122,9 @@ def test_nobody_serves_or_uses_an_action_unless_told() -> None:
     assert peers.clients == ()
 
 
-def test_the_outcome_of_an_unknown_goal_says_only_that() -> None:
-    assert Outcome(GoalStatus.UNKNOWN, None, "") == UNKNOWN_OUTCOME
+def test_the_outcome_of_an_unknown_goal_says_what_may_be_why() -> None:
+    reason = "it was never accepted, its result has expired, or the server was started anew"
+    assert Outcome(GoalStatus.UNKNOWN, None, reason) == UNKNOWN_OUTCOME
 
 
 def test_return_codes_have_the_numbers_of_ros() -> None:

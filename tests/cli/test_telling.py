@@ -21,6 +21,7 @@ from fibaction import (
     serve,
 )
 from fibaction.cli.telling import CODES, Json, Words, follow, teller
+from fibaction.goals import UNKNOWN_OUTCOME
 from fibaction.testing import ScriptedServer
 
 GOAL_ID = GoalID.parse("0123456789abcdef0123456789abcdef")
@@ -60,11 +61,13 @@ def test_in_words_reasons_are_told_and_cleaned(capsys: pytest.CaptureFixture[str
     words.rejected(GOAL_ID, "too hot\x1b")
     words.rejected(GOAL_ID, "")
     words.ended(Outcome(GoalStatus.ABORTED, reason="no\nway"))
+    words.ended(UNKNOWN_OUTCOME)
 
     assert capsys.readouterr().out.splitlines() == [
         "Goal was rejected: too hot\\x1b",
         "Goal was rejected.",
         "Goal finished with status: ABORTED (no\\x0away)",
+        f"Goal finished with status: UNKNOWN ({UNKNOWN_OUTCOME.reason})",
     ]
 
 

@@ -445,7 +445,12 @@ async def test_a_server_that_is_killed_and_started_again_no_longer_knows_its_goa
             async with peer("serve", url) as (_, again):
                 assert again == url
                 with anyio.fail_after(10):
-                    assert await goal.outcome() == Outcome(GoalStatus.UNKNOWN)
+                    assert await goal.outcome() == Outcome(
+                        GoalStatus.UNKNOWN,
+                        None,
+                        "it was never accepted, its result has expired, or the server was started"
+                        " anew",
+                    )
                     assert await numbers(goal) == []
                     with pytest.raises(UnknownGoal):
                         await goal.result()
