@@ -518,6 +518,7 @@ async def test_a_goal_whose_stream_fails_is_unknown_and_the_others_go_on(
             assert (await ask_result(reached, other)).status == GoalStatus.SUCCEEDED
     assert f"goal {goal_id} is lost: 'a bug'" in caplog.text
     assert "Traceback" in caplog.text
+    assert "UNKNOWN" not in caplog.text  # it is said once, and with its real reason
 
 
 @each_error

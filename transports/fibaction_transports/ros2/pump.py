@@ -9,7 +9,7 @@ import anyio
 
 from fibaction.abc import GoalStream
 from fibaction.exceptions import ActionError
-from fibaction.goals import UNKNOWN_OUTCOME, GoalInfo, Outcome
+from fibaction.goals import GoalInfo, Outcome
 from fibaction.states import GoalStatus
 from fibaction.waking import Waking
 
@@ -48,7 +48,7 @@ class Pump:
                     await anyio.lowlevel.checkpoint()
                 return await stream.outcome()
             except ActionError as exc:  # a gateway has lost the server behind it
-                return Outcome(UNKNOWN_OUTCOME.status, None, str(exc))
+                return Outcome(GoalStatus.UNKNOWN, reason=str(exc))
 
     async def _publish_some(self, stream: GoalStream) -> bool:
         event = stream.take(BATCH)
