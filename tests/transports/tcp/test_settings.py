@@ -35,10 +35,20 @@ async def test_the_settings_behind_a_url_have_types_and_those_given_count_for_mo
     assert (local._path, local._keeping.window) == (Path("/run/a b"), 4)
 
 
+ALL_HAVE = "token, heartbeat, reconnect, reconnect_timeout, window, orphans, grace"
+
+
 @pytest.mark.parametrize(
     ("url", "problem"),
     [
-        (f"tcp://robot?tokem={SECRET}", "tcp://robot has no setting 'tokem'"),
+        (
+            f"tcp://robot?tokem={SECRET}",
+            f"tcp://robot has no setting 'tokem'; there is {ALL_HAVE}, insecure",
+        ),
+        (
+            "tls://robot?cart=x",
+            f"tls://robot has no setting 'cart'; there is {ALL_HAVE}, insecure, ca, cert, key",
+        ),
         (
             f"tcp://robot?window=few&token={SECRET}",
             "tcp://robot: the setting 'window' cannot be 'few'",
@@ -51,8 +61,14 @@ async def test_the_settings_behind_a_url_have_types_and_those_given_count_for_mo
             f"unix:///run/x?token={SECRET}&grace=long",
             "unix:///run/x: the setting 'grace' cannot be 'long'",
         ),
-        ("tcp://robot?ca=x", "tcp://robot has no setting 'ca'"),
-        ("unix:///run/x?insecure=", "unix:///run/x has no setting 'insecure'"),
+        (
+            "tcp://robot?ca=x",
+            f"tcp://robot has no setting 'ca'; there is {ALL_HAVE}, insecure",
+        ),
+        (
+            "unix:///run/x?insecure=",
+            f"unix:///run/x has no setting 'insecure'; there is {ALL_HAVE}",
+        ),
         ("tcp://robot?insecure=", "tcp://robot: the setting 'insecure' cannot be ''"),
         ("tcp://robot:99999", "tcp://robot:99999 has no good port: Port out of range 0-65535"),
         (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from typing import Any
 from urllib.parse import SplitResult, parse_qsl, urlsplit
@@ -12,6 +12,24 @@ from fibaction.urls import without_settings
 
 IN_CODE = ("tokens", "authorize", "limits")
 """Settings that no URL has: a URL ends up in logs, and is only text."""
+
+_yes_or_no = {"true": True, "false": False}.__getitem__
+_KINDS: dict[str, Callable[[str], Any]] = {
+    "token": str,
+    "heartbeat": float,
+    "reconnect": _yes_or_no,
+    "reconnect_timeout": float,
+    "window": int,
+    "orphans": str,
+    "grace": float,
+}
+_MORE: dict[str, Callable[[str], Any]] = {
+    "insecure": _yes_or_no,
+    "ca": str,
+    "cert": str,
+    "key": str,
+}
+"""What only some of the transports have."""
 
 
 def split(url: str) -> tuple[SplitResult, dict[str, str]]:
@@ -66,24 +84,20 @@ def settings_of(url: str, query: Mapping[str, str], more: set[str]) -> dict[str,
     Raises:
         TransportError: There is no such setting, or it cannot have such a value.
     """
+    kinds = _KINDS | {name: kind for name, kind in _MORE.items() if name in more}
     settings: dict[str, Any] = {}
     for name, text in query.items():
+        if name in IN_CODE:
+            raise TransportError(
+                f"{without_settings(url)} cannot have the setting {name!r}: it is given in code,"
+                f" as in serve(..., {name}=...), and not in a URL, which ends up in logs"
+            )
+        if name not in kinds:
+            raise TransportError(
+                f"{without_settings(url)} has no setting {name!r}; there is {', '.join(kinds)}"
+            )
         try:
-            if name in ("heartbeat", "reconnect_timeout", "grace"):
-                settings[name] = float(text)
-            elif name == "reconnect" or name in more & {"insecure"}:
-                settings[name] = {"true": True, "false": False}[text]
-            elif name == "window":
-                settings[name] = int(text)
-            elif name in {"token", "orphans"} | more:
-                settings[name] = text
-            elif name in IN_CODE:
-                raise TransportError(
-                    f"{without_settings(url)} cannot have the setting {name!r}: it is given in"
-                    f" code, as in serve(..., {name}=...), and not in a URL, which ends up in logs"
-                )
-            else:
-                raise TransportError(f"{without_settings(url)} has no setting {name!r}")
+            settings[name] = kinds[name](text)
         except (ValueError, KeyError):
             raise TransportError(
                 f"{without_settings(url)}: the setting {name!r} cannot be {text!r}"
