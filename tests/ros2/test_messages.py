@@ -1127,11 +1127,34 @@ def test_what_is_no_type_name_is_refused(name: str) -> None:
     )
 
 
+def test_the_action_that_has_no_type_is_named() -> None:
+    with pytest.raises(TransportError) as caught:
+        RosAction.find("", "arm/dock")
+    assert str(caught.value) == (
+        "give the Action 'arm/dock' a type_name such as 'example_interfaces/action/Fibonacci',"
+        " which ROS needs: '' is no ROS action type"
+    )
+
+
 def test_a_package_that_is_not_there_is_named() -> None:
     assert refusal("missing_msgs/action/Thing") == (
         "the ROS package 'missing_msgs', which has missing_msgs/action/Thing, is not installed"
         " here: build it, and source its setup.bash"
     )
+
+
+@pytest.mark.parametrize("file", ["action/Dock.action", "msg/Dock.msg"])
+def test_sources_that_are_not_built_are_no_package_although_python_could_import_their_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
+) -> None:
+    (tmp_path / "unbuilt_msgs" / file).parent.mkdir(parents=True)
+    (tmp_path / "unbuilt_msgs" / file).touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    assert refusal("unbuilt_msgs/action/Dock") == (
+        "the ROS package 'unbuilt_msgs', which has unbuilt_msgs/action/Dock, is not installed"
+        " here: build it, and source its setup.bash"
+    )
+    assert "unbuilt_msgs" not in sys.modules  # or what is built later would not be found
 
 
 def test_a_package_without_actions_is_named(package: Path) -> None:

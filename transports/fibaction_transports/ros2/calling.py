@@ -160,7 +160,7 @@ class RosConnection(Connection):
         info = action.info if isinstance(action, Action) else action
         full = action_names(self._ros.node, info.name)
         type_name = info.type_name or dict(self._looked(self._found)).get(full.feedback, "")
-        found = RosAction.find(type_name)
+        found = RosAction.find(type_name, info.name)
         codecs = found.codecs(info)
         server = self._servers.get((full.feedback, type_name))
         if server is None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import msgspec
@@ -21,7 +22,7 @@ from fibaction_transports.ros2.mirror import MessagePart, message_kind
 from fibaction_transports.ros2.rcl import check_for_type_support
 from fibaction_transports.ros2.schemas import Schema
 
-_TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/action/([A-Z][A-Za-z0-9]*)", re.ASCII)
+_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 
 _PARTS = ("goal", "feedback", "result")
 _REMEMBERED = 64
@@ -87,12 +88,21 @@ class RosAction:
         self._codecs: dict[str, RosCodecs] = {}
 
     @classmethod
-    def find(cls, type_name: str) -> RosAction:
+    def find(cls, type_name: str, action: str = "") -> RosAction:
         """Find a type by its name, like `example_interfaces/action/Fibonacci`.
+
+        `action` is the name of the action that is of this type, for errors.
 
         Raises:
             TransportError: There is none that could be used; the text says what to do.
         """
+        if not _TYPE_NAME.fullmatch(type_name):
+            which = f" {action!r}" if action else ""
+            raise TransportError(
+                f"give the Action{which} a type_name such as"
+                " 'example_interfaces/action/Fibonacci',"
+                f" which ROS needs: {type_name!r} is no ROS action type"
+            )
         return _found(type_name)
 
     @property
@@ -147,13 +157,7 @@ def message_types(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
 
 @cache
 def _found(type_name: str) -> RosAction:
-    parts = _TYPE_NAME.fullmatch(type_name)
-    if parts is None:
-        raise TransportError(
-            "give the Action a type_name such as 'example_interfaces/action/Fibonacci',"
-            f" which ROS needs: {type_name!r} is no ROS action type"
-        )
-    package, name = parts.groups()
+    package, _, name = type_name.split("/")
     actions = _actions_of(package, type_name)
     if not hasattr(actions, name):
         raise TransportError(
@@ -174,21 +178,19 @@ def _found(type_name: str) -> RosAction:
 def _actions_of(package: str, type_name: str) -> Any:
     """The module in which ROS has the actions of a package."""
     try:
-        return import_module(f"{package}.action")
-    except ModuleNotFoundError as exc:
-        if exc.name == f"{package}.action":
-            raise TransportError(f"the ROS package {package!r} has no actions") from exc
-        if exc.name != package:
-            raise _unusable(type_name, exc) from exc
-        raise TransportError(
-            f"the ROS package {package!r}, which has {type_name}, is not installed here:"
-            " build it, and source its setup.bash"
-        ) from exc
+        spec = find_spec(package)
+        # A folder of sources, as one has it before the build, is a package to Python, too: one
+        # that has no file of its own.
+        if spec is not None and spec.origin is not None:
+            return import_module(f"{package}.action")
     except Exception as exc:  # whatever somebody else's module does when it is imported
-        raise _unusable(type_name, exc) from exc
-
-
-def _unusable(type_name: str, exc: Exception) -> TransportError:
-    return TransportError(
-        f"{type_name} cannot be imported ({exc}): source the setup.bash of ROS and of what it needs"
+        if isinstance(exc, ModuleNotFoundError) and exc.name == f"{package}.action":
+            raise TransportError(f"the ROS package {package!r} has no actions") from exc
+        raise TransportError(
+            f"{type_name} cannot be imported ({exc}): source the setup.bash of ROS and of what it"
+            " needs"
+        ) from exc
+    raise TransportError(
+        f"the ROS package {package!r}, which has {type_name}, is not installed here:"
+        " build it, and source its setup.bash"
     )

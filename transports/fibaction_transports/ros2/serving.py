@@ -64,7 +64,7 @@ class Plan:
         """
         self.endpoint = endpoint
         info = endpoint.info
-        found = RosAction.find(info.type_name)
+        found = RosAction.find(info.type_name, info.name)
         self.impl: Any = found.ros_type.Impl
         self.codecs: RosCodecs = found.codecs(info)
 
