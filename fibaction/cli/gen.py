@@ -47,7 +47,8 @@ def gen_command(
 
     It has a class for each message, which type checkers understand, and the action in capitals.
     Messages that the file nests are looked for beside it, in its package and the neighbours of
-    that, under --search, and where ROS has its own if setup.bash has been sourced.
+    that, under --search, and where ROS has its own: as setup.bash says if it has been sourced, or
+    in this virtual environment.
     """
     try:
         source = action_source(file, name=name, search=search, type_name=type_name)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -131,10 +132,15 @@ def _around(path: Path, folder: str) -> list[Path]:
 
 
 def _of_ros() -> Iterator[Path]:
-    """Where ROS has the interfaces that are installed, if its setup.bash has been sourced."""
+    """Where ROS has the interfaces that are installed: those of the setup.bash that has been
+    sourced, and those of wheels in the environment of this Python.
+    """
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         if prefix:
             yield Path(prefix, "share")
+    share = Path(sys.prefix, "share")
+    if (share / "ament_index").is_dir():  # or an error would name a folder that is not of ROS
+        yield share
 
 
 def _text_of(path: Path) -> str:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,9 @@ FILES = Path(__file__).parent.parent / "action_files"
 
 
 @pytest.fixture(autouse=True)
-def no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "venv"))
 
 
 def write(path: Path, text: str) -> Path:
@@ -143,6 +145,27 @@ def test_the_interfaces_of_an_installed_ros_are_found(
     monkeypatch.setenv("AMENT_PREFIX_PATH", f":{tmp_path / 'other'}:{tmp_path / 'ros'}")
 
     assert nested(read_action(path), "point") == point
+
+
+def test_the_interfaces_of_ros_from_wheels_are_found_behind_those_of_an_installed_ros(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write(tmp_path / "Lift.action", "geometry_msgs/Point point\n---\n---\n")
+    share = tmp_path / "venv/share"
+    of_wheels = write(share / "geometry_msgs/msg/Point.msg", "float64 x\n")
+    (share / "ament_index").mkdir()
+
+    assert nested(read_action(path), "point") == of_wheels
+    installed = write(tmp_path / "ros/share/geometry_msgs/msg/Point.msg", "float64 x\n")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "ros"))
+    assert nested(read_action(path), "point") == installed
+
+
+def test_what_is_beside_a_python_without_ros_is_no_place_to_look(tmp_path: Path) -> None:
+    path = write(tmp_path / "Lift.action", "geometry_msgs/Point point\n---\n---\n")
+    write(tmp_path / "venv/share/geometry_msgs/msg/Point.msg", "float64 x\n")
+
+    assert refusal(path).endswith(f"Point.msg in {tmp_path}")
 
 
 @pytest.mark.parametrize("name", ["Time", "Duration"])
