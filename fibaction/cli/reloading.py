@@ -76,13 +76,15 @@ async def serve_reloading(target: str, urls: Sequence[str]) -> int:
 
 async def _serve(life: Life, inner: str, urls: Sequence[str]) -> None:
     """Serve what the module has, and serve anew when it has other actions, or other types."""
-    infos = await life.differs_from(None)
+    infos = await life.infos()
     async with connect(inner) as behind:
         while infos:
             endpoints = [behind.endpoint(info) for info in infos]
             async with serve(endpoints, *urls) as where:
-                say(f"serving {names_of(endpoints)} at {', '.join(where)}, Ctrl-C stops it")
-                infos = await life.differs_from(infos)
+                served = infos
+                while infos == served:
+                    say(f"serving {names_of(endpoints)} at {', '.join(where)}, Ctrl-C stops it")
+                    infos = await life.infos()
                 if not infos:
                     await anyio.sleep(LAST_WORDS)
 
@@ -99,11 +101,14 @@ class Life:
         self._news = Waking()
         self._one = anyio.CancelScope()
 
-    async def differs_from(self, infos: list[ActionInfo] | None) -> list[ActionInfo] | None:
-        """Wait until the module has other actions than these; an empty list if it is the end."""
-        while self._infos is None or self._infos == infos:
+    async def infos(self) -> list[ActionInfo]:
+        """Wait until a process serves that was not told of yet, and give the actions that it has;
+        an empty list if it is the end.
+        """
+        while self._infos is None:
             await self._news.wait()
-        return self._infos
+        infos, self._infos = self._infos, None
+        return infos
 
     async def go_on(self, stop: anyio.Event) -> None:
         """Start a process, and another one after each change, until it is to stop."""

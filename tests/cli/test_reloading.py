@@ -85,10 +85,11 @@ def test_a_change_ends_the_goals_and_the_next_server_is_reached_at_the_same_url(
     done = fibaction("send_goal", "tell", "0", url=url)
     assert (done.code, done.err) == (0, "")
     assert done.out.endswith(said("second"))
+    assert lines_until("", server) == [first]  # it serves again, and the URLs were kept
 
     server.send_signal(SIGTERM)
     code, out, log = ended(server)
-    assert (code, out) == (0, "")  # the URLs were kept
+    assert (code, out) == (0, "")
     assert "reloaded.py changed: starting again\n" in log
     assert "fibaction-" not in log  # nobody needs to know how it is done
     assert "Traceback" not in log
