@@ -15,7 +15,15 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 
-from ros2.build_interfaces import environment, mend_exports, platform_problem, problem, problem_of
+from ros2 import build_interfaces
+from ros2.build_interfaces import (
+    build,
+    environment,
+    mend_exports,
+    platform_problem,
+    problem,
+    problem_of,
+)
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCRIPT = EXAMPLES / "ros2" / "build_interfaces.py"
@@ -209,6 +217,55 @@ def test_the_build_sees_the_environment_and_no_other_ros() -> None:
         "CMAKE_PREFIX_PATH": "/venv",
         "LD_LIBRARY_PATH": "/mine",
     }
+
+
+# What is said of a build that fails
+
+
+def said_of(
+    package: Path, code: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> list[str]:
+    """What is printed if some Python is what builds a package, and fails."""
+    command = [sys.executable, "-c", code]
+    monkeypatch.setattr(build_interfaces, "commands", lambda *_: iter([command]))
+    assert not build(package, package.parent)
+    return capsys.readouterr().out.splitlines()
+
+
+def test_a_package_that_is_used_and_not_named_in_cmakelists_is_told_of_with_where_it_is_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # The first two do not use it.
+    for name, text in {
+        "msg/Arm.msg": "my_geometry_msgs/Pose pose\n# geometry_msgs/Pose\n",
+        "msg/README.md": "geometry_msgs/Pose\n",
+        "action/GoTo.action": "# Where.\ngeometry_msgs/PoseStamped target\n---\n---\n",
+    }.items():
+        (tmp_path / "my_msgs" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "my_msgs" / name).write_text(text)
+
+    lines = said_of(tmp_path / "my_msgs", "{}['geometry_msgs']", monkeypatch, capsys)
+
+    assert "KeyError: 'geometry_msgs'" in lines
+    assert lines[-1] == (
+        f"{tmp_path}/my_msgs could not be built: action/GoTo.action uses geometry_msgs/PoseStamped"
+        " in line 2, and CMakeLists.txt does not name its package: add"
+        " find_package(geometry_msgs REQUIRED), and geometry_msgs behind DEPENDENCIES"
+    )
+
+
+@pytest.mark.parametrize("code", ["raise SystemExit('no such header')", "{}['geometry_msgs']"])
+def test_of_any_other_failure_all_is_shown(
+    tmp_path: Path,
+    code: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "my_msgs").mkdir()
+    lines = said_of(tmp_path / "my_msgs", code, monkeypatch, capsys)
+
+    assert {"no such header", "KeyError: 'geometry_msgs'"} & set(lines)
+    assert lines[-1] == f"{tmp_path}/my_msgs could not be built: see above"
 
 
 # The script

@@ -154,10 +154,31 @@ def build(package: Path, prefix: Path) -> bool:
                 command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
             )
             if run.returncode:
-                print(f"{run.stdout}\n{package} could not be built: see above")
+                reason = unnamed(package, run.stdout) or "see above"
+                print(f"{run.stdout}\n{package} could not be built: {reason}")
                 return False
     print(f"{package} is built, and installed in {prefix}")
     return True
+
+
+def unnamed(package: Path, output: str) -> str:
+    """Which package is used, and not named in CMakeLists.txt, if that is why a build has failed.
+
+    Of such a package the build says only `KeyError`, and its name.
+    """
+    for needed in re.findall(r"^KeyError: '([a-z][a-z0-9_]*)'$", output, re.MULTILINE):
+        for file in sorted(package.rglob("*")):
+            if file.suffix not in (".action", ".msg", ".srv"):
+                continue
+            lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
+            for number, line in enumerate(lines, 1):
+                if used := re.match(rf"\s*{needed}/\w+", line):
+                    return (
+                        f"{file.relative_to(package)} uses {used[0].strip()} in line {number}, and"
+                        f" CMakeLists.txt does not name its package: add find_package({needed}"
+                        f" REQUIRED), and {needed} behind DEPENDENCIES"
+                    )
+    return ""
 
 
 def main(packages: list[Path]) -> str | int:
