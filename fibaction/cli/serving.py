@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncGenerator, Generator, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import asynccontextmanager
 
 import anyio
 import click
@@ -19,7 +19,6 @@ from fibaction.serving import serve
 from fibaction.states import GoalStatus
 
 logger = logging.getLogger(__name__)
-_server = logging.getLogger("fibaction.server")
 
 
 @click.command(
@@ -66,32 +65,13 @@ async def serving(
     servers: Sequence[AnyServer], *urls: str
 ) -> AsyncGenerator[tuple[str, ...], None]:
     """`fibaction.serve`, with a line in the log for each change of a goal's status."""
-    async with AsyncExitStack() as stack:
-        with _without_ends():
-            where = await stack.enter_async_context(serve(servers, *urls))
-        tasks = await stack.enter_async_context(anyio.create_task_group())
+    async with serve(servers, *urls) as where, anyio.create_task_group() as tasks:
         for server in servers:
             tasks.start_soon(_log_goals, server.action.name, await server.status())
         yield where
         # Ends the streams of statuses too, behind the last one, and with them the tasks above.
         for server in servers:
             tasks.start_soon(server.stop)
-
-
-@contextmanager
-def _without_ends() -> Generator[None, None, None]:
-    """Leave out of the log that servers have stopped: those whose URL cannot be used have never
-    served, and what is to be read is why.
-    """
-
-    def is_news(record: logging.LogRecord) -> bool:
-        return "has stopped" not in record.getMessage()
-
-    _server.addFilter(is_news)
-    try:
-        yield
-    finally:
-        _server.removeFilter(is_news)
 
 
 async def _log_goals(action: str, changes: StatusStream) -> None:

@@ -131,17 +131,6 @@ def test_a_url_that_cannot_be_served_at_is_one_sentence(folder: Path, invoke: In
     assert "can be reached from other machines" in result.stderr.splitlines()[-1]
 
 
-def test_of_servers_whose_url_is_in_use_the_log_does_not_say_that_they_have_stopped(
-    folder: Path, started: Start, fibaction: Run
-) -> None:
-    url = f"unix://{folder}/socket"
-    lines_until("serving", started("serve", "robot:server", url))
-    code, out, err = fibaction("serve", "robot:several", url)
-
-    assert (code, out) == (ExitCode.USAGE, "")
-    assert err == f"Error: cannot listen at {url}: somebody does already\n"
-
-
 def test_nobody_could_reach_what_is_served_in_this_process_alone(
     folder: Path, started: Start, invoke: Invoke
 ) -> None:
