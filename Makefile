@@ -14,7 +14,7 @@ MUTANTS_VENV := .venv-mutants
 ROS_VENV := .venv-ros
 ROS_BIN := $(ROS_VENV)/bin
 INTERFACES := examples/ros2/arduinobot_msgs tests/ros2/fibaction_test_msgs
-# It is the wheels that are tested, not a ROS that the shell has been told of.
+# It is this environment that is tested, and not a ROS that the shell has been told of.
 no_other_ros = env -u AMENT_PREFIX_PATH -u PYTHONPATH -u RMW_IMPLEMENTATION
 
 ifneq ($(shell command -v uv 2>/dev/null),)
@@ -57,7 +57,7 @@ imports: $(VENV)/.tools
 	$(BIN)/lint-imports
 
 unit: $(VENV)/.tools
-	$(BIN)/python -m pytest -p tests.own_coverage -n auto --dist worksteal
+	$(no_other_ros) $(BIN)/python -m pytest -p tests.own_coverage -n auto --dist worksteal
 
 docs: $(VENV)/.docs  ## Build the documentation into site/
 	$(BIN)/python docs/build.py
@@ -94,14 +94,14 @@ test-wheel: $(VENV)/.release  ## Look into the sdist and the wheel, and run the 
 	FIBACTION_BUILT=1 $(BIN)/python -m pytest tests/packaging
 	$(call new_venv,build/wheel)
 	$(call install,build/wheel) dist/*.whl --group test
-	cd build && wheel/bin/python -m pytest -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
+	cd build && $(no_other_ros) wheel/bin/python -m pytest -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
 	    -o cache_dir=build/.pytest_cache ../tests
 
 # Of those that pyproject.toml names, the ones that `make test` is not run with.
 PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'),3.11 3.12 3.13)
 # What another Python or library may do otherwise: property tests need few examples to show that, and
 # how coverage is looked at matters in .venv only.
-test_elsewhere = FIBACTION_EXAMPLES=20 $(1)/bin/python -m pytest -q -n auto --dist worksteal \
+test_elsewhere = FIBACTION_EXAMPLES=20 $(no_other_ros) $(1)/bin/python -m pytest -q -n auto --dist worksteal \
     -o cache_dir=$(1)/.pytest_cache $(ELSEWHERE)
 ELSEWHERE := tests --ignore=tests/test_own_coverage.py
 
