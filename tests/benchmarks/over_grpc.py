@@ -94,9 +94,15 @@ class OverGrpc(Contender):
         return taken
 
     async def hold(self, times: int) -> None:
-        self._pending += [self._send_goal(ACTION.goal.encode(Goal(PENDING))) for _ in range(times)]
-        # One that is sent behind them, and answered: then the server has them, too.
-        await self._call(0)
+        # While more than 1,000 wait for a handler, gRPC's core turns some away, and from 3,000 on
+        # all: `grpc.server.max_pending_requests`, https://github.com/grpc/grpc/pull/34782
+        for begun in range(0, times, AT_ONCE):
+            self._pending += [
+                self._send_goal(ACTION.goal.encode(Goal(PENDING)))
+                for _ in range(min(AT_ONCE, times - begun))
+            ]
+            # One that is sent behind them, and answered: then the server has them, too.
+            await self._call(0)
 
     async def _call(self, count: int) -> None:
         seen, last = 0, b""
