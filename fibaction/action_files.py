@@ -39,9 +39,9 @@ def load_action(
     file lies in `package/action/`.
 
     Messages that it nests are looked for beside the file, in the packages beside its own, in each
-    folder of `search`, and where ROS has its own, if `setup.bash` has been sourced or ROS is in this
-    virtual environment. Such a folder holds packages (`package/msg/Type.msg`), is one, or holds
-    `.msg` files. The two messages of `builtin_interfaces` need no file.
+    folder of `search`, and where ROS has its own, if `setup.bash` has been sourced or ROS is in
+    this virtual environment. Such a folder holds packages (`package/msg/Type.msg`), is one, or
+    holds `.msg` files. The two messages of `builtin_interfaces` need no file.
 
     Raises:
         InterfaceError: A file is malformed, or a nested message is nowhere; the text names the
