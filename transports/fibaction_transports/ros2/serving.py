@@ -287,7 +287,7 @@ class Served:
                 outcome = await pump.outcome()
             except Exception as exc:
                 self._log_failure(f"goal {goal_id} is lost", exc)
-                outcome = Outcome(GoalStatus.UNKNOWN)  # the reason has just been logged
+                outcome = Outcome[bytes](GoalStatus.UNKNOWN)  # the reason has just been logged
             if outcome.reason:
                 self._ros.warn(
                     f"{self._name}: goal {goal_id} {outcome.status.name}: {outcome.reason}"
