@@ -1184,7 +1184,7 @@ async def test_a_client_that_asks_and_does_not_read_fills_no_memory(requests: in
             await settled()
         # Twice the limit, a message that may go beyond it, and the one that was too much; the
         # connection has ended over that.
-        answer = len(refusal(4000, UnknownGoal(B), 10_000))
+        answer = len(refusal(4000, UnknownGoal(GoalID(B)), 10_000))
         assert client.session._link._queued <= 2 * 10_000 + 2 * answer
 
 
