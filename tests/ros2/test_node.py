@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections import deque
 from collections.abc import AsyncGenerator
 from typing import Any
 
@@ -135,6 +136,21 @@ async def test_items_of_any_thread_are_handled_on_the_loop_in_order() -> None:
     thread.join()
     box.close()
     assert seen == [(number, threading.get_ident()) for number in range(1000)]
+
+
+async def test_a_mailbox_that_was_emptied_while_it_was_found_full_is_not_full() -> None:
+    class EmptiedMeanwhile(deque[Any]):
+        def __len__(self) -> int:
+            found = super().__len__()
+            self.clear()
+            return found
+
+    box = Mailbox(nothing)
+    box.put([(print, "")] * MAILBOX)
+    assert box.is_full
+    box._items = EmptiedMeanwhile(box._items)
+    assert not box.is_full  # or nobody would say that there is room
+    box.close()
 
 
 async def test_an_item_that_cannot_be_handled_is_logged_and_the_next_is_handled(

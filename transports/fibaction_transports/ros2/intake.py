@@ -54,7 +54,8 @@ class Mailbox:
     def is_full(self) -> bool:
         """Whether to take no more for now; `room` will be called."""
         self._full = len(self._items) >= MAILBOX
-        return self._full
+        # The loop may have emptied it between that look and that note, and told nobody: look again.
+        return self._full and len(self._items) >= MAILBOX
 
     def put(self, items: list[tuple[Sink, Any]]) -> None:
         """Hand over items."""
