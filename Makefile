@@ -125,7 +125,7 @@ test-ros: $(ROS_VENV)/.interfaces  ## Test the ROS 2 transport with ROS 2, from 
 	FIBACTION_ROS=required COVERAGE_PROCESS_START=tests/ros2/coverage.toml COVERAGE_FILE=.coverage-ros \
 	    $(no_other_ros) timeout --foreground --kill-after=10 1200 \
 	    $(ROS_BIN)/python -m pytest tests/ros2 -n 2 --dist loadfile \
-	    -o faulthandler_timeout=180 -o faulthandler_exit_on_timeout=true
+	    -o faulthandler_timeout=75 -o faulthandler_exit_on_timeout=true
 	$(ROS_BIN)/python -m coverage combine --quiet --data-file=.coverage-ros
 	$(ROS_BIN)/python -m coverage report --data-file=.coverage-ros \
 	    --include='*/fibaction_transports/ros2/*' --fail-under=100

@@ -22,9 +22,6 @@ REQUIRED = os.environ.get("FIBACTION_ROS") == "required"
 DOMAINS = 102
 """IDs 0 to 101 are those whose UDP ports are below the ones that Linux hands out by itself."""
 
-TIMEOUT = 60
-"""Seconds after which a test is taken for hung, unless it says another number."""
-
 ENDING = 30
 """Seconds after which a process is taken for hung that has run all tests and does not end."""
 
@@ -76,13 +73,14 @@ def ros_log_files(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
 
 
-def pytest_itemcollected(item: pytest.Item) -> None:
-    """Let a hung test end the process.
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Give a test that says how long it may take so much time.
 
-    The usual way, a signal, is handled by Python code; that does not run while rclpy waits in C.
+    Of others, what hangs in Python fails by a signal, as everywhere. What hangs in C, where no
+    signal is handled, is shown and ended a little later, by the Makefile's `faulthandler_timeout`.
     """
-    if item.get_closest_marker("timeout") is None:
-        item.add_marker(pytest.mark.timeout(TIMEOUT, method="thread"))
+    if item.get_closest_marker("timeout") is not None:
+        faulthandler.cancel_dump_traceback_later()
 
 
 def pytest_unconfigure() -> None:
