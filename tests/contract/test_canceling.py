@@ -59,8 +59,11 @@ class Undecided:
 async def test_a_cancel_is_raised_at_an_await_and_the_part_that_is_done_is_kept(
     reach: Reach,
 ) -> None:
+    waits = anyio.Event()
+
     async def partial(goal: GoalHandle[Goal]) -> Items:
         yield Feedback([1])
+        waits.set()  # before that, it is raised at the `yield`
         try:
             await anyio.sleep_forever()
         except anyio.get_cancelled_exc_class():
@@ -72,6 +75,7 @@ async def test_a_cancel_is_raised_at_an_await_and_the_part_that_is_done_is_kept(
     async with reach(ActionServer(FIBONACCI, partial)) as client:
         async with client.send_goal(Goal(1)) as goal:
             async for _ in goal.feedback:
+                await waits.wait()
                 answer = await goal.cancel()
             with pytest.raises(GoalCanceled) as caught:
                 await goal.result()
@@ -146,8 +150,8 @@ async def test_clean_up_may_await_because_the_cancellation_arrives_once(reach: R
 @pytest.mark.promise("CANCEL-6", "CANCEL-11")
 async def test_an_executor_that_swallows_the_cancellation_may_still_succeed(reach: Reach) -> None:
     async def stubborn(goal: GoalHandle[Goal]) -> Items:
-        yield Feedback([1])
         try:
+            yield Feedback([1])
             await anyio.sleep_forever()
         except anyio.get_cancelled_exc_class():
             pass
