@@ -69,6 +69,15 @@ def is_closed(stream: GoalStream) -> bool:
     return stream.take(0) is None
 
 
+async def owned_twice(orphans: Orphans, server: Server) -> tuple[GoalStream, GoalStream]:
+    """A goal that its client follows by one stream, and then by another."""
+    stream = await server.goal()
+    orphans.own(stream, ANN)
+    again = await server.feedback(stream.goal_id, own=True)
+    orphans.own(again, ANN)
+    return stream, again
+
+
 def lose(orphans: Orphans, server: Server, stream: GoalStream, *, left: bool) -> None:
     """A client has the goal, and its connection is lost."""
     orphans.own(stream, ANN)
@@ -170,10 +179,7 @@ async def test_nobody_waits_for_a_client_that_is_here_again() -> None:
 @in_virtual_time()
 async def test_a_loss_that_is_noticed_when_the_client_is_here_again_does_nothing() -> None:
     async with nursery("cancel") as (orphans, server):
-        stream = await server.goal()
-        orphans.own(stream, ANN)
-        again = await server.feedback(stream.goal_id, own=True)
-        orphans.own(again, ANN)
+        stream, again = await owned_twice(orphans, server)
         orphans.adopt(server, stream, left=False)
         assert is_closed(stream)
         await anyio.sleep(2 * GRACE)
@@ -196,10 +202,7 @@ async def test_a_goal_whose_end_was_told_is_no_orphan() -> None:
 @in_virtual_time()
 async def test_of_two_calls_of_one_connection_both_go_on_and_the_last_is_kept() -> None:
     async with nursery("cancel") as (orphans, server):
-        stream = await server.goal()
-        orphans.own(stream, ANN)
-        again = await server.feedback(stream.goal_id, own=True)
-        orphans.own(again, ANN)
+        stream, again = await owned_twice(orphans, server)
         assert not is_closed(stream)
         for lost in (stream, again):
             orphans.adopt(server, lost, left=False)
@@ -216,10 +219,7 @@ async def test_of_two_calls_of_one_connection_both_go_on_and_the_last_is_kept() 
 
 async def test_the_end_of_a_stream_before_leaves_the_goal_to_the_one_after() -> None:
     async with nursery("keep") as (orphans, server):
-        stream = await server.goal()
-        orphans.own(stream, ANN)
-        again = await server.feedback(stream.goal_id, own=True)
-        orphans.own(again, ANN)
+        stream, again = await owned_twice(orphans, server)
         orphans.end(stream)
         assert not is_closed(again)
         assert orphans.is_own(stream.goal_id, ANN)
