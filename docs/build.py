@@ -2,10 +2,10 @@
 
     python docs/build.py
 
-First what is made from the code is made again: docs/states.svg, and the marked parts of
-docs/concepts.md and docs/protocol.md. Then the site is built strictly, and its pages are read once
-more: a link or an anchor that leads nowhere, or something that is fetched from elsewhere, ends with
-exit code 1.
+First the parts that are made from the code are made again: docs/states.svg, the marked parts of
+docs/concepts.md and docs/protocol.md, and the lists that docs/guarantee_tests.md includes. Then the
+site is built strictly, and its pages are read once more: a broken link or anchor, or a file that is
+fetched from another site, ends with exit code 1.
 """
 
 from __future__ import annotations
@@ -36,22 +36,23 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
         "limits": limits_part,
     },
 }
-"""What is made for each pair of markers in a page."""
+"""The functions that make the text between each pair of markers of a page."""
 
 
 def generate() -> None:
-    """Write docs/states.svg, and the marked parts of the pages."""
+    """Write docs/states.svg, the marked parts of the pages, and the lists of tests."""
     (DOCS / "states.svg").write_text(diagram(), encoding="utf-8")
     for name, parts in PARTS.items():
         path = DOCS / name
         path.write_text(with_parts(path.read_text(encoding="utf-8"), parts), encoding="utf-8")
+    subprocess.run([sys.executable, "-m", "tests.promises"], cwd=ROOT, check=True)
 
 
 _COLORING = re.compile(r"\x1b\[[0-9;]*m")
 
 
 def build() -> str:
-    """Build the site; what is wrong with it, or nothing."""
+    """Build the site, and return its faults, or an empty text."""
     generate()
     shutil.rmtree(SITE, ignore_errors=True)
     built = subprocess.run(
