@@ -414,7 +414,7 @@ def deciding() -> tuple[ScriptedServer[Wait, Progress, Waited], anyio.Event, any
         asked.set()
         await decide.wait()
 
-    server._on_goal = think
+    server._admission._on_goal = think
     return server, asked, decide
 
 
