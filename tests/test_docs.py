@@ -332,7 +332,7 @@ def test_the_protocol_page_says_the_version_and_the_longest_frame() -> None:
     page = (DOCS / "protocol.md").read_text(encoding="utf-8")
 
     assert f", version {messages.VERSION}.\n" in page
-    assert f"\nA side that does not say takes {MAX_FRAME // 2**20} MiB.\n" in page
+    assert f"\nA side that does not send this field accepts {MAX_FRAME // 2**20} MiB.\n" in page
 
 
 # What the pages speak of
