@@ -26,6 +26,7 @@ import pytest
 import fibaction
 import fibaction.abc
 import fibaction.action_files
+import fibaction.json_payload
 import fibaction.testing
 import fibaction.waking
 import fibaction.wire.access
@@ -376,6 +377,7 @@ def resolve(dotted: str) -> object:
     [
         (fibaction, "connect"),
         (fibaction.action_files, "load_action"),
+        (fibaction.json_payload, "JsonCodec"),
         (fibaction.abc, "GoalStream"),
         (fibaction.testing, "Step"),
         (fibaction.waking, "Waking"),
