@@ -19,13 +19,13 @@ def made() -> dict[str, Any]:
 
 
 def properties(kind: Any) -> dict[str, Any]:
-    """The JSON Schemas of a struct's fields."""
+    """Return the JSON Schemas of a struct's fields."""
     schema = msgspec.json.schema(kind)
     found: dict[str, Any] = schema["$defs"][kind.__name__]["properties"]
     return found
 
 
-def test_fields_have_the_defaults_of_the_file_or_those_of_ros(made: dict[str, Any]) -> None:
+def test_fields_have_the_defaults_of_the_file_or_of_ros(made: dict[str, Any]) -> None:
     gripper = {"width": 0.1, "pads": [{"wear": 0, "pressure": []}] * 2}
 
     assert msgspec.to_builtins(made["PickUp_Goal"](), builtin_types=(bytes,)) == {
@@ -72,7 +72,7 @@ def test_constants_are_attributes_of_the_class(made: dict[str, Any]) -> None:
         ({"thin": "a"}, "thin"),
     ],
 )
-def test_what_is_out_of_its_limits_is_refused_by_the_name_of_its_field(
+def test_a_value_out_of_its_limits_is_rejected_with_the_name_of_its_field(
     goal: dict[str, Any], where: str, made: dict[str, Any]
 ) -> None:
     with pytest.raises(msgspec.ValidationError) as caught:
@@ -95,20 +95,12 @@ def test_comments_are_descriptions_in_the_schema(made: dict[str, Any]) -> None:
     )
 
 
-def test_what_has_no_comment_is_described_by_what_it_is(made: dict[str, Any]) -> None:
+def test_a_message_without_a_comment_is_described_by_its_name(made: dict[str, Any]) -> None:
     assert made["PickUp_Result"].__doc__ == "The result of `PickUp`."
     assert made["other_msgs_Gripper"].__doc__ == "`other_msgs/Gripper`."
     assert "description" not in properties(made["PickUp_Goal"])["where"]
 
 
-def test_a_long_line_of_a_comment_is_broken(tmp_path: Path) -> None:
-    path = tmp_path / "Lift.action"
-    path.write_text(f"# {'word ' * 20}\n#\n# A short one.\n---\n---\n")
-    lines = make_structs(read_action(path))["Lift_Goal"].__doc__
-
-    assert lines == f"{'word ' * 14}word\n{'word ' * 4}word\n\nA short one."
-
-
-def test_structs_have_the_package_for_a_module(made: dict[str, Any]) -> None:
+def test_the_module_of_a_struct_is_its_package(made: dict[str, Any]) -> None:
     assert made["other_msgs_Gripper"].__module__ == "other_msgs"
     assert made["PickUp_Goal"].__module__ == "robot_msgs"
