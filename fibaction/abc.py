@@ -19,11 +19,11 @@ from typing import Any, Self
 
 import msgspec
 
+from fibaction._notify import Notifier as Notifier  # an author of streams needs it, too
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import UnknownGoal
 from fibaction.goals import UNKNOWN_OUTCOME, ActionPeers, CancelAnswer, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
-from fibaction.waking import Waking
 
 
 class FeedbackItem(msgspec.Struct, frozen=True, gc=False):
@@ -67,7 +67,7 @@ class GoalStream(_Closing):
     """Whether a reader who is late wants the newest feedback only: the server's policy."""
     place: int
     """The number of the feedback that was taken last, or skipped."""
-    news: Waking
+    news: Notifier
     """Woken whenever there may be something to take, and when the goal has ended."""
 
     @property

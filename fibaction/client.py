@@ -18,6 +18,7 @@ from anyio import get_cancelled_exc_class
 
 from fibaction.abc import Endpoint, GoalStream
 from fibaction.action import Action, Codec, FeedbackT, GoalT, ResultT
+from fibaction.events import Events, events_of
 from fibaction.exceptions import (
     ActionError,
     GoalAborted,
@@ -26,7 +27,6 @@ from fibaction.exceptions import (
     UnknownGoal,
 )
 from fibaction.goals import CancelAnswer, GoalID, GoalInfo, Outcome
-from fibaction.observing import Events, events_of
 from fibaction.states import GoalStatus
 
 LEAVE_TIMEOUT = 5.0

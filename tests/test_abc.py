@@ -9,6 +9,7 @@ import anyio
 import pytest
 
 from fibaction import abc
+from fibaction._notify import Notifier
 from fibaction.abc import (
     Connection,
     Endpoint,
@@ -21,7 +22,6 @@ from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import ConnectionLost, UnknownGoal
 from fibaction.goals import UNKNOWN_OUTCOME, ActionPeers, CancelAnswer, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
-from fibaction.waking import Waking
 
 KNOWN = GoalID(bytes(range(16)))
 OTHER = GoalID(bytes(range(1, 17)))
@@ -36,7 +36,7 @@ class OneEnd(GoalStream):
 
     def __init__(self, end: Outcome[bytes] | Exception | None = None, *events: Event) -> None:
         self.closed = 0
-        self.news = Waking()
+        self.news = Notifier()
         self.end = end
         self.events: deque[Event] = deque(events)
         self.limits: list[int] = []
@@ -44,7 +44,7 @@ class OneEnd(GoalStream):
     def happen(self, *events: Event) -> None:
         """Things that can be taken from now on."""
         self.events.extend(events)
-        self.news.wake()
+        self.news.notify()
 
     @property
     def status(self) -> GoalStatus:
@@ -243,7 +243,7 @@ async def test_an_outcome_is_waited_for_through_other_news_and_without_reading()
             await anyio.wait_all_tasks_blocked()
             assert outcomes == []
             stream.end = outcome
-            stream.news.wake()
+            stream.news.notify()
         assert outcomes == [outcome, outcome]
         assert await stream.outcome() is outcome
         assert stream.limits == []
@@ -263,7 +263,7 @@ async def test_a_lost_connection_is_told_to_who_waits_for_the_outcome() -> None:
             tasks.start_soon(wait)
             await anyio.wait_all_tasks_blocked()
             stream.end = ConnectionLost("gone")
-            stream.news.wake()
+            stream.news.notify()
 
 
 @pytest.mark.asyncio

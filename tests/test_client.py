@@ -30,9 +30,9 @@ from fibaction import (
     ServerNotFound,
     UnknownGoal,
 )
+from fibaction._notify import Notifier
 from fibaction.abc import FeedbackItem, GoalStream, StatusStream
 from fibaction.testing import ScriptedServer
-from fibaction.waking import Waking
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.asyncio
@@ -53,7 +53,7 @@ class BrokenStream(GoalStream):
         self.unknown = unknown
         self.closed = 0
         self.held: list[bool] = []
-        self.news = Waking()
+        self.news = Notifier()
 
     def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
         if self.nonsense:

@@ -20,11 +20,11 @@ from typing import Any, NoReturn, TypeVar
 import anyio
 import click
 
+from fibaction._api import ClientConnection
 from fibaction.action import ActionInfo
 from fibaction.cli.ending import ExitCode, Failure, debugging, telling_errors
 from fibaction.cli.escaping import CleanFormatter, clean
 from fibaction.cli.output import LogHandler
-from fibaction.connection import ClientConnection
 from fibaction.urls import without_settings
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])

@@ -8,15 +8,14 @@ from contextlib import suppress
 import anyio
 import click
 
+from fibaction._api import connect, serve
 from fibaction.abc import Connection, Endpoint
 from fibaction.action import ActionInfo
 from fibaction.cli.app import no_action, refuse_inproc, run, shown
 from fibaction.cli.ending import ExitCode, Failure, failure_of, sentence_of
 from fibaction.cli.output import note, say
 from fibaction.cli.running import logging_to_stderr, names_of, stop_signals
-from fibaction.connection import connect
 from fibaction.exceptions import ServerNotFound, TransportError
-from fibaction.serving import serve
 from fibaction.urls import without_settings
 
 LOOK_PAUSE = 0.2

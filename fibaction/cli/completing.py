@@ -10,9 +10,9 @@ import anyio
 import click
 from click.shell_completion import CompletionItem
 
+from fibaction._api import connect
 from fibaction.action import ActionInfo
 from fibaction.cli.app import shown, url_of
-from fibaction.connection import connect
 from fibaction.exceptions import ActionError
 
 PATIENCE = 5.0

@@ -10,13 +10,13 @@ from typing import Any, TypeAlias
 import anyio
 import msgspec
 
+from fibaction._api import ClientConnection
 from fibaction.action import Action, ActionInfo
 from fibaction.cli.app import find_action, shown
 from fibaction.cli.ending import ExitCode, Failure, sentence_of
 from fibaction.cli.escaping import clean
 from fibaction.cli.output import note
 from fibaction.client import ActionClient
-from fibaction.connection import ClientConnection
 from fibaction.exceptions import ActionError
 from fibaction.goals import GoalID, GoalInfo
 

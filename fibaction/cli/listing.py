@@ -6,13 +6,13 @@ from collections.abc import Collection
 
 import click
 
+from fibaction._api import connect
 from fibaction.action import ActionInfo
 from fibaction.cli.app import find_action, json_option, no_action, run, shown, url_option
 from fibaction.cli.completing import ACTION, TYPE
 from fibaction.cli.ending import ExitCode, Failure
 from fibaction.cli.escaping import clean
 from fibaction.cli.output import say, say_json
-from fibaction.connection import connect
 from fibaction.exceptions import ServerNotFound
 
 _types_option = click.option("-t", "--show-types", is_flag=True, help="Show the types, too.")

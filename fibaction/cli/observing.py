@@ -11,14 +11,14 @@ from typing import Any
 
 import anyio
 
+from fibaction._api import ClientConnection
+from fibaction._tasks import Background
 from fibaction.action import Action, ActionInfo
-from fibaction.background import Background
 from fibaction.cli.ending import sentence_of
 from fibaction.cli.goal_list import AnyClient
-from fibaction.connection import ClientConnection
+from fibaction.events import GoalFeedback
 from fibaction.exceptions import ActionError
 from fibaction.goals import GoalInfo
-from fibaction.observing import GoalFeedback
 
 LOOK = 1.0
 """Seconds between two looks for new actions, and that an answer may take before the server is taken

@@ -8,6 +8,7 @@ from functools import partial
 import anyio
 import click
 
+from fibaction._api import connect
 from fibaction.cli.app import json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION
 from fibaction.cli.ending import ExitCode, Failure, sentence_of
@@ -16,7 +17,6 @@ from fibaction.cli.goal_list import AnyClient, Clients, Row, goal_digits, goals_
 from fibaction.cli.observing import until_interrupted
 from fibaction.cli.output import note, say, say_json
 from fibaction.cli.telling import follow, teller
-from fibaction.connection import connect
 from fibaction.exceptions import ActionError, UnknownGoal
 from fibaction.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.states import GoalStatus

@@ -20,18 +20,17 @@ import anyio
 import click
 from anyio.abc import Process
 
+from fibaction._api import connect, serve
+from fibaction._notify import Notifier
+from fibaction._tasks import Background
 from fibaction.action import ActionInfo
-from fibaction.background import Background
 from fibaction.cli.app import run
 from fibaction.cli.ending import ExitCode, Failure, telling_errors
 from fibaction.cli.loading import AnyServer, add_current_folder, load, no_module, parse
 from fibaction.cli.output import note, say
 from fibaction.cli.running import logging_to_stderr, names_of, stop_signals
 from fibaction.cli.serving import serving
-from fibaction.connection import connect
 from fibaction.exceptions import TransportError
-from fibaction.serving import serve
-from fibaction.waking import Waking
 
 READY = b"r"
 """What the process says when it serves."""
@@ -98,7 +97,7 @@ class Life:
         self._folder = folder
         self._process: Process | None = None
         self._infos: list[ActionInfo] | None = None
-        self._news = Waking()
+        self._news = Notifier()
         self._one = anyio.CancelScope()
 
     async def infos(self) -> list[ActionInfo]:
@@ -185,7 +184,7 @@ class Life:
 
     def _tell(self, infos: list[ActionInfo]) -> None:
         self._infos = infos
-        self._news.wake()
+        self._news.notify()
 
 
 def folder_of(module: str) -> Path:

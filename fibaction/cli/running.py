@@ -12,8 +12,8 @@ from signal import SIGINT, SIGTERM
 
 import anyio
 
+from fibaction._tasks import Background
 from fibaction.abc import Endpoint
-from fibaction.background import Background
 from fibaction.cli.app import shown
 from fibaction.cli.escaping import CleanFormatter, clean
 

@@ -15,9 +15,10 @@ import click
 import msgspec
 from anyio import get_cancelled_exc_class
 
+from fibaction._api import ClientConnection, connect
+from fibaction._tasks import Background
 from fibaction.abc import Endpoint, GoalStream
 from fibaction.action import Action, ActionInfo
-from fibaction.background import Background
 from fibaction.cli.app import find_action, json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION, TYPE
 from fibaction.cli.ending import ExitCode, Failure, sentence_of
@@ -25,7 +26,6 @@ from fibaction.cli.goal_input import read_goal
 from fibaction.cli.output import note, say
 from fibaction.cli.running import SAME_SIGNAL
 from fibaction.cli.telling import Teller, follow, teller
-from fibaction.connection import ClientConnection, connect
 from fibaction.exceptions import ActionError, GoalRejected
 from fibaction.goals import CancelCode, GoalID
 

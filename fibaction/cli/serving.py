@@ -9,13 +9,13 @@ from contextlib import asynccontextmanager
 import anyio
 import click
 
+from fibaction._api import serve
 from fibaction.abc import StatusStream
 from fibaction.cli.app import refuse_inproc, run, url_of
 from fibaction.cli.ending import ExitCode
 from fibaction.cli.loading import AnyServer, load
 from fibaction.cli.output import say
 from fibaction.cli.running import logging_to_stderr, names_of, stop_signals
-from fibaction.serving import serve
 from fibaction.states import GoalStatus
 
 logger = logging.getLogger(__name__)

@@ -11,12 +11,12 @@ from importlib.util import find_spec
 
 import click
 
-from fibaction.background import Background
+from fibaction._api import ClientConnection, connect
+from fibaction._tasks import Background
 from fibaction.cli.app import run, url_option
 from fibaction.cli.board import Board
 from fibaction.cli.ending import ExitCode, Failure
 from fibaction.cli.observing import observe, until_interrupted
-from fibaction.connection import ClientConnection, connect
 from fibaction.exceptions import ActionError
 from fibaction.urls import without_settings
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import anyio
 import click
 
+from fibaction._api import ClientConnection, connect
 from fibaction.action import Action, ActionInfo
 from fibaction.cli.app import find_action, json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION
@@ -27,10 +28,9 @@ from fibaction.cli.observing import (
 from fibaction.cli.output import console, note, on_terminal, say, say_json
 from fibaction.cli.telling import INDENT, log_connection
 from fibaction.cli.yaml_text import as_yaml
-from fibaction.connection import ClientConnection, connect
+from fibaction.events import GoalFeedback
 from fibaction.exceptions import ActionError
 from fibaction.goals import GoalID, GoalInfo
-from fibaction.observing import GoalFeedback
 from fibaction.states import GoalStatus
 
 if TYPE_CHECKING:

@@ -89,8 +89,8 @@ class _Names:
 def _names_in(messages: Iterable[InterfaceMessage]) -> Iterator[str]:
     for message in messages:
         yield message.class_name
-        for member in (*message.definition.fields, *message.definition.constants):
-            yield member.name
+        yield from (field.name for field in message.definition.fields)
+        yield from (constant.name for constant in message.definition.constants)
 
 
 def _class(message: InterfaceMessage, names: _Names) -> Iterator[str]:

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
+from fibaction._notify import Notifier
 from fibaction.abc import FeedbackItem, GoalStream, StatusStream
 from fibaction.exceptions import (
     ActionError,
@@ -23,7 +24,8 @@ from fibaction.exceptions import (
     UnknownGoal,
 )
 from fibaction.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Outcome
-from fibaction.messages import (
+from fibaction.states import GoalStatus
+from fibaction.wire.messages import (
     Close,
     Credit,
     Ended,
@@ -42,8 +44,6 @@ from fibaction.messages import (
     WatchStatus,
     Why,
 )
-from fibaction.states import GoalStatus
-from fibaction.waking import Waking
 
 Post: TypeAlias = Callable[[FromClient], None]
 """Sends a small message if there is a connection; if there is none, it is not needed."""
@@ -55,7 +55,7 @@ class Call(ABC):
     def __init__(self, call_id: int) -> None:
         self.id = call_id
         """The same on every connection."""
-        self.news = Waking()
+        self.news = Notifier()
         self.error: ActionError | None = None
         self._is_answered = False
 
@@ -73,7 +73,7 @@ class Call(ABC):
         return Close(self.id)
 
     @abstractmethod
-    def hear(self, message: Any) -> bool:
+    def on_message(self, message: Any) -> bool:
         """Take a message of its ID, and say whether that was the last one.
 
         Raises:
@@ -93,7 +93,7 @@ class Call(ABC):
     def fail(self, error: ActionError) -> None:
         """Nothing more will come, for that reason."""
         self.error = error
-        self.news.wake()
+        self.news.notify()
 
     def raise_error(self) -> None:
         """Raise what it failed with, if it has; each time a new one, as it may be raised often."""
@@ -101,7 +101,7 @@ class Call(ABC):
             raise _again(self.error)
 
 
-class Question(Call):
+class PendingRequest(Call):
     """A request with one answer."""
 
     def __init__(self, call_id: int, message: FromClient) -> None:
@@ -112,13 +112,13 @@ class Question(Call):
     def opening(self) -> FromClient:
         return self._message
 
-    def hear(self, message: Any) -> bool:
+    def on_message(self, message: Any) -> bool:
         if isinstance(message, Failed):
             self.fail(error_of(message))
         else:
             self._answer = message
             self._is_answered = True
-            self.news.wake()
+            self.news.notify()
         return True
 
     def answer(self, kind: type[Any]) -> Any:
@@ -253,7 +253,7 @@ class RemoteGoal(Call, GoalStream):
             self._reads = False
             self._items.clear()
             self._statuses.clear()
-            self.news.wake()
+            self.news.notify()
             if self._outcome is None:
                 self._post(Close(self.id))
 
@@ -264,7 +264,7 @@ class RemoteGoal(Call, GoalStream):
         credit = allowed if self._reads else None
         return Follow(self.id, self._opening.action, self.goal_id, self._last, self._own, credit)
 
-    def hear(self, message: Any) -> bool:
+    def on_message(self, message: Any) -> bool:
         # Where most messages pass: for a class of msgspec's, `isinstance` takes ten times as long.
         kind = message.__class__
         if kind is Feedback and self._is_answered:
@@ -285,7 +285,7 @@ class RemoteGoal(Call, GoalStream):
             self.fail(error_of(message, self.goal_id))
         else:
             raise _unfitting(message)
-        self.news.wake()
+        self.news.notify()
         return self._outcome is not None or self.error is not None
 
     def _take_following(self, message: Following) -> None:
@@ -391,13 +391,13 @@ class RemoteStatuses(Call, StatusStream):
         if not self._ended:
             self._ended = True
             self._post(Close(self.id))
-            self.news.wake()
+            self.news.notify()
 
     def opening(self) -> FromClient:
         self._dropped_before, self._dropped = self.dropped, 0
         return WatchStatus(self.id, self._action, self._credit.restart(len(self._items)))
 
-    def hear(self, message: Any) -> bool:
+    def on_message(self, message: Any) -> bool:
         if not self._is_answered and not isinstance(message, Watching | Failed):
             raise _unfitting(message)
         if isinstance(message, GoalChanged):
@@ -422,7 +422,7 @@ class RemoteStatuses(Call, StatusStream):
             self.fail(error_of(message))
         else:
             raise _unfitting(message)
-        self.news.wake()
+        self.news.notify()
         return isinstance(message, Finished | Failed)
 
 

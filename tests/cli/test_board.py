@@ -13,7 +13,7 @@ from fibaction.cli import board as board_module
 from fibaction.cli.board import Board, GoalKey, Rate
 from fibaction.cli.goal_list import AnyClient
 from fibaction.cli.observing import observe
-from fibaction.observing import GoalFeedback
+from fibaction.events import GoalFeedback
 from tests.cli.served import Heard, Served, counter
 
 ID = GoalID(b"\x01" * 16)

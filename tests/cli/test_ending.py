@@ -29,8 +29,8 @@ from fibaction import (
 from fibaction.cli import app
 from fibaction.cli.ending import ExitCode, Failure, failure_of, sentence_of, telling_errors
 from fibaction.cli.escaping import clean_lines
-from fibaction.framing import framed
-from fibaction.messages import Goodbye, encode
+from fibaction.wire.framing import framed
+from fibaction.wire.messages import Goodbye, encode
 from tests.cli.conftest import Invoke
 from tests.cli.robot import WAIT
 

@@ -7,10 +7,10 @@ import re
 import pytest
 
 from fibaction import Action, ActionServer, serve
+from fibaction._api import ClientConnection
 from fibaction.abc import Connection
 from fibaction.cli import listing
 from fibaction.cli.ending import ExitCode, Failure
-from fibaction.connection import ClientConnection
 from fibaction.goals import ActionPeers
 from tests.cli.conftest import Invoke, Run
 from tests.cli.robot import servers, words

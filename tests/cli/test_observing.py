@@ -21,7 +21,7 @@ from fibaction.cli.observing import (
     still_possible,
     until_interrupted,
 )
-from fibaction.observing import GoalFeedback
+from fibaction.events import GoalFeedback
 from tests.cli.served import Heard, Served, counter
 from tests.virtual_time import in_virtual_time
 

@@ -29,7 +29,7 @@ from fibaction.cli.ending import ExitCode
 from fibaction.cli.goal_list import Row
 from fibaction.cli.output import note
 from fibaction.cli.watching import echo, goals, picture
-from fibaction.observing import GoalFeedback
+from fibaction.events import GoalFeedback
 from tests.cli.conftest import Invoke, Open, Robot, Run, Start, detached, interrupt
 from tests.cli.served import Heard, Served, counter
 from tests.processes import ended, lines_until

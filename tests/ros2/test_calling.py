@@ -30,7 +30,7 @@ from fibaction.abc import FeedbackItem
 from fibaction.action import ActionInfo
 from fibaction.exceptions import ProtocolError
 from fibaction.goals import ActionPeers
-from fibaction.streams import FeedStream
+from fibaction.server.status_broadcast import StatusSubscription
 from fibaction_transports.ros2 import asking, calling, presence, remote, serving
 from fibaction_transports.ros2.asking import Asker, Question
 from fibaction_transports.ros2.following import Reading, RosGoal
@@ -538,9 +538,9 @@ def test_a_stream_that_is_closed_or_reads_nothing_keeps_nothing() -> None:
 
 
 async def test_statuses_that_are_not_read_lose_the_oldest() -> None:
-    left: list[FeedStream] = []
+    left: list[StatusSubscription] = []
     infos = [GoalInfo(GoalID.random(), number, GoalStatus.ACCEPTED) for number in range(4)]
-    stream = FeedStream(infos[:1], left.append, limit=2)
+    stream = StatusSubscription(infos[:1], left.append, limit=2)
     assert stream.known == 1
     for info in infos[1:]:
         stream.put(info)

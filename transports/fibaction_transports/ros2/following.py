@@ -9,11 +9,11 @@ from abc import ABC, abstractmethod
 from collections import deque
 from typing import Any
 
+from fibaction._notify import Notifier
 from fibaction.abc import FeedbackItem, GoalStream
 from fibaction.exceptions import ConnectionLost, ProtocolError
 from fibaction.goals import GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
-from fibaction.waking import Waking
 
 
 class Reading(ABC):
@@ -53,7 +53,7 @@ class RosGoal(GoalStream):
         """The numbers of the requests for its result."""
         self.servers: frozenset[bytes] = frozenset()
         """Who served when it was accepted: one of them has the goal."""
-        self.news = Waking()
+        self.news = Notifier()
         self._reads = reads
         self._items: deque[FeedbackItem] = deque(maxlen=depth)
         self._statuses: deque[GoalStatus] = deque()
@@ -86,14 +86,14 @@ class RosGoal(GoalStream):
     def begin(self, info: GoalInfo) -> None:
         """The server has accepted the goal; this is what is known of it."""
         self.stamp, self._status = info.stamp, info.status
-        self.news.wake()
+        self.news.notify()
 
     def arrive(self, message: bytes) -> None:
         """Feedback has arrived."""
         self._received += 1
         if self._reads and not self.is_over:
             self._items.append(FeedbackItem(self._received, message))
-            self.news.wake()
+            self.news.notify()
 
     def tell(self, status: GoalStatus) -> None:
         """The goal has another status."""
@@ -101,20 +101,20 @@ class RosGoal(GoalStream):
             self._status = status
             if self._reads and status.is_active:
                 self._statuses.append(status)
-                self.news.wake()
+                self.news.notify()
 
     def end(self, outcome: Outcome[bytes]) -> None:
         """The goal has ended."""
         if not self.is_over:
             self._outcome = outcome
             self._status = outcome.status
-            self.news.wake()
+            self.news.notify()
 
     def fail(self, error: ConnectionLost | ProtocolError) -> None:
         """Nothing more will arrive, or nothing that could be read."""
         if not self.is_over:
             self._error = error
-            self.news.wake()
+            self.news.notify()
 
     # What is read
 
@@ -148,7 +148,7 @@ class RosGoal(GoalStream):
         self._reads = False
         self._items.clear()
         self._statuses.clear()
-        self.news.wake()
+        self.news.notify()
 
     def _raise_error(self) -> None:
         if self._error is not None:
