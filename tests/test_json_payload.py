@@ -16,6 +16,8 @@ from fibaction.json_payload import JsonCodec, PayloadError, to_json
 from tests.cli.robot import Gripper, Pick, Pose, Sucker
 
 Aware = Annotated[datetime.datetime, msgspec.Meta(tz=True)]
+ENDLESS: list[Any] = []
+ENDLESS.append(ENDLESS)
 NEW_YEAR = datetime.datetime(2026, 1, 2, 3, tzinfo=datetime.UTC)
 
 
@@ -33,12 +35,6 @@ def codec_of(kind: Any) -> JsonCodec:
 def arrived(kind: Any, data: object) -> Any:
     """Return the goal as a server of that type receives it."""
     return msgspec.msgpack.decode(codec_of(kind).encode(data), type=kind)
-
-
-def problem(kind: Any, data: object) -> str:
-    with pytest.raises(PayloadError) as caught:
-        codec_of(kind).complete(data)
-    return str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -102,11 +98,6 @@ def test_an_empty_schema_allows_any_data() -> None:
         (Pick, {}, "goal.object_name is missing"),
         (
             Pick,
-            {"object_nam": "cup"},
-            'goal has no field "object_nam"; did you mean object_name?',
-        ),
-        (
-            Pick,
             {"object_name": 5, "pose": {"z": 1}},
             'goal.object_name must be text, not 5; goal.pose has no field "z"; it has x, y, frame',
         ),
@@ -115,23 +106,18 @@ def test_an_empty_schema_allows_any_data() -> None:
             {"object_name": "cup", "photo": "???"},
             'goal.photo must be bytes in base64, not "???"',
         ),
-        (Pick, {"object_name": "cup", "photo": 5}, "goal.photo must be text, not 5"),
-        (
-            Pick,
-            {"object_name": "cup", "tool": {"type": "hand"}},
-            'goal.tool.type must be "gripper" or "sucker", not "hand"',
-        ),
         (Times, {"at": "soon"}, 'goal.at must be a date and time in ISO 8601, not "soon"'),
-        (Times, {"lasting": 5}, "goal.lasting must be text or null, not 5"),
-        (Pose, [1, 2], "goal must be a map of fields, not [1,2]"),
-        (Pose, None, "goal must be a map of fields, not null"),
         (Pose, {"x": object()}, "the goal cannot be encoded: Encoding objects of type object"),
+        (list[Any], ENDLESS, "the goal cannot be encoded: "),
     ],
 )
 def test_an_error_is_one_sentence_that_names_the_field(
     kind: Any, data: object, message: str
 ) -> None:
-    assert problem(kind, data).startswith(message)
+    with pytest.raises(PayloadError) as caught:
+        codec_of(kind).complete(data)
+
+    assert str(caught.value).startswith(message)
 
 
 def test_an_error_names_the_message_as_the_codec_does() -> None:
@@ -146,13 +132,6 @@ def test_an_error_shows_the_first_problems_and_holds_all() -> None:
     assert str(caught.value).startswith('goal[0] must be a whole number, not "a"; goal[1]')
     assert str(caught.value).endswith('not "e"; and 2 more')
     assert len(caught.value.problems) == 7
-
-
-def test_data_that_contains_itself_is_rejected() -> None:
-    endless: list[Any] = []
-    endless.append(endless)
-
-    assert problem(list[Any], endless).startswith("the goal cannot be encoded: ")
 
 
 def test_a_number_beyond_msgpack_is_rejected() -> None:
@@ -182,11 +161,6 @@ def test_a_payload_that_is_not_msgpack_is_rejected(payload: bytes) -> None:
 def test_a_value_beyond_json_is_rejected(value: object) -> None:
     with pytest.raises(PayloadError, match="the value cannot be written as JSON: "):
         to_json(value)
-
-
-@given(st.dictionaries(st.text(max_size=3), st.text() | st.integers(-(2**63), 2**64 - 1)))
-def test_json_text_is_read_again_as_the_value(value: Any) -> None:
-    assert json.loads(to_json(value)) == value
 
 
 class Tree(msgspec.Struct):

@@ -4,15 +4,12 @@ from pathlib import Path
 
 from fibaction.interfaces.definitions import FieldType, SourceLine
 
-LINE = SourceLine(Path("Lift.action"), 3, "int32")
-
 
 def test_an_error_names_the_file_the_line_and_what_was_expected() -> None:
-    error = LINE.error("a name", "int32")
+    error = SourceLine(Path("Lift.action"), 3, "int32").error("a name", "int32")
 
     assert str(error) == "Lift.action:3: expected a name, found 'int32'"
-    assert error.path == Path("Lift.action")
-    assert error.line == 3
+    assert (error.path, error.line) == (Path("Lift.action"), 3)
     assert error.problem == "expected a name, found 'int32'"
     assert isinstance(error, ValueError)
 

@@ -102,12 +102,6 @@ def test_the_constant_and_a_class_never_share_a_name(tmp_path: Path) -> None:
     assert module.IMU_.goal.type().imu == module.IMU()
 
 
-def test_a_name_with_slashes_makes_a_constant() -> None:
-    action = read_action(FILES / "plain/Count.action", name="~/arm/count", search=[FILES])
-
-    assert run(python_source(action)).ARM_COUNT.name == "~/arm/count"
-
-
 names = strategies.from_regex(r"[a-z](_?[a-z0-9]){0,8}", fullmatch=True) | strategies.sampled_from(
     ["int", "str", "bytes", "list", "field", "from", "class", "range", "msgspec", "self", "cls"]
 )
