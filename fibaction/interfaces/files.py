@@ -99,10 +99,10 @@ def read_action(
     if not _TYPE.fullmatch(path.stem):
         problem = f"expected a file name like 'Fibonacci.action', found {path.name!r}"
         raise InterfaceError(path, 1, problem)
-    package = type_name.partition("/")[0] if type_name else _package_of(path, "action")
+    package = type_name.partition("/")[0] if type_name else _package_of(path)
     if package and not type_name:
         type_name = f"{package}/action/{path.stem}"
-    found = _Messages(package, [*_around(path, "action"), *map(Path, search), *_of_ros()])
+    found = _Messages(package, [*_around(path), *map(Path, search), *_of_ros()])
     definitions = parse_action(text, path)
     found.read(definitions)
     goal, result, feedback = (
@@ -118,17 +118,17 @@ def _snake(name: str) -> str:
     return parts.lower()
 
 
-def _package_of(path: Path, folder: str) -> str:
-    """Return the package of a file by its folders; empty if they are not those of a package."""
+def _package_of(path: Path) -> str:
+    """Return the package of an action file by its folders; empty if they are not a package's."""
     here = path.absolute().parent
     package = here.parent.name
-    return package if here.name == folder and _PACKAGE.fullmatch(package) else ""
+    return package if here.name == "action" and _PACKAGE.fullmatch(package) else ""
 
 
-def _around(path: Path, folder: str) -> list[Path]:
+def _around(path: Path) -> list[Path]:
     """Return the folders with a file's own package, and the packages beside it."""
     here = path.absolute().parent
-    return [here.parent.parent, here] if _package_of(path, folder) else [here]
+    return [here.parent.parent, here] if _package_of(path) else [here]
 
 
 def _of_ros() -> Iterator[Path]:
