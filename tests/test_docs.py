@@ -27,6 +27,7 @@ import fibaction
 import fibaction._notify
 import fibaction.abc
 import fibaction.action_files
+import fibaction.json_payload
 import fibaction.testing
 import fibaction.wire.auth
 import fibaction.wire.channel
@@ -377,6 +378,7 @@ def resolve(dotted: str) -> object:
     [
         (fibaction, "connect"),
         (fibaction.action_files, "load_action"),
+        (fibaction.json_payload, "JsonCodec"),
         (fibaction.abc, "GoalStream"),
         (fibaction.testing, "Step"),
         (fibaction._notify, "Notifier"),

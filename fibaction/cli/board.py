@@ -15,8 +15,8 @@ import msgspec
 from fibaction.action import ActionInfo
 from fibaction.cli.goal_list import AnyClient, Row
 from fibaction.cli.observing import LOOK, Observer
-from fibaction.cli.output import as_yaml
 from fibaction.cli.progress import on_one_line
+from fibaction.cli.yaml_text import as_yaml
 from fibaction.events import GoalFeedback
 from fibaction.exceptions import ActionError
 from fibaction.goals import CancelAnswer, GoalID, GoalInfo

@@ -22,7 +22,7 @@ from fibaction.action import Action, ActionInfo
 from fibaction.cli.app import find_action, json_option, run, shown, url_option
 from fibaction.cli.completing import ACTION, TYPE
 from fibaction.cli.ending import ExitCode, Failure, sentence_of
-from fibaction.cli.goal_text import read_goal
+from fibaction.cli.goal_input import read_goal
 from fibaction.cli.output import note, say
 from fibaction.cli.running import SAME_SIGNAL
 from fibaction.cli.telling import Teller, follow, teller

@@ -25,8 +25,9 @@ from fibaction.cli.observing import (
     still_possible,
     until_interrupted,
 )
-from fibaction.cli.output import as_yaml, console, note, on_terminal, say, say_json
+from fibaction.cli.output import console, note, on_terminal, say, say_json
 from fibaction.cli.telling import INDENT, log_connection
+from fibaction.cli.yaml_text import as_yaml
 from fibaction.events import GoalFeedback
 from fibaction.exceptions import ActionError
 from fibaction.goals import GoalID, GoalInfo
