@@ -10,7 +10,6 @@ import decimal
 import re
 import uuid
 from collections.abc import Iterator
-from importlib.metadata import entry_points
 from typing import Any, Generic, TypeGuard, TypeVar, cast, get_origin
 
 import msgspec
@@ -195,6 +194,8 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
 
 def _interface(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
     """The types of a ROS 2 action, from whatever package knows how to make them."""
+    from importlib.metadata import entry_points  # takes longer than all other imports
+
     found = tuple(entry_points(group=INTERFACES, name="ros2"))
     if not found:
         raise TransportError(

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from fibaction.cli.app import nearest
+from fibaction.cli.action_names import nearest
 from fibaction.cli.output import is_map
 
 Error: TypeAlias = Any

@@ -22,7 +22,7 @@ import yaml
 from jsonschema import Draft202012Validator, FormatChecker, validators
 from jsonschema.exceptions import ValidationError
 
-from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.exit_codes import ExitCode, Failure
 from fibaction.cli.goal_errors import place_of, quoted, told
 from fibaction.cli.output import is_list, is_map
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, TextIO, TypeGuard
 import click
 import msgspec
 
-from fibaction.cli.ending import ExitCode, Failure
-from fibaction.cli.escaping import clean, clean_json
+from fibaction.cli.escape import clean, clean_json
+from fibaction.cli.exit_codes import ExitCode, Failure
 
 if TYPE_CHECKING:
     from rich.console import Console

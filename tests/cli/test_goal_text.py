@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.exit_codes import ExitCode, Failure
 from fibaction.cli.goal_text import read_goal
 from tests.cli.robot import Gripper, Pick, Pose, Sucker
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from msgspec.msgpack import Ext
 
 from fibaction.cli import output
-from fibaction.cli.ending import Failure
+from fibaction.cli.exit_codes import Failure
 
 # What msgpack carries: text without lone surrogates, integers of 64 bits.
 scalars = (
