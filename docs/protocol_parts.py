@@ -13,9 +13,9 @@ import msgspec
 from msgspec import inspect as types
 from page_parts import table
 
-from fibaction import messages
 from fibaction.action import ActionInfo
-from fibaction.wire.limits import Limits
+from fibaction.wire import messages
+from fibaction.wire.settings import Limits
 
 GOLDEN = Path(__file__).resolve().parent.parent / "tests" / "golden.py"
 """The bytes of a message of each type, by which the tests pin the format."""

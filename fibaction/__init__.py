@@ -7,10 +7,11 @@ result; a client may cancel at any time. All that is needed for that is here.
 action from an `.action` file of ROS 2, and `fibaction.abc` is for those who write transports.
 """
 
+from fibaction._api import ClientConnection, connect, serve
 from fibaction.abc import Endpoint, Transport
 from fibaction.action import Action, ActionInfo
-from fibaction.client import ActionClient, ClientGoal
-from fibaction.connection import ClientConnection, connect
+from fibaction.client import ActionClient, ClientGoal, SendingGoal
+from fibaction.events import Events, GoalFeedback
 from fibaction.exceptions import (
     ActionError,
     AuthenticationFailed,
@@ -25,12 +26,11 @@ from fibaction.exceptions import (
     TransportError,
     UnknownGoal,
 )
-from fibaction.executor import GoalHandle
 from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
-from fibaction.observing import Events, GoalFeedback
-from fibaction.server import ActionServer
-from fibaction.serving import serve
+from fibaction.server import ActionServer, Executor, GoalHandle
 from fibaction.states import GoalEvent, GoalStatus
+from fibaction.wire.auth import Peer, Permission
+from fibaction.wire.settings import Limits
 
 __all__ = [
     "Action",
@@ -48,6 +48,7 @@ __all__ = [
     "ConnectionLost",
     "Endpoint",
     "Events",
+    "Executor",
     "GoalAborted",
     "GoalCanceled",
     "GoalEvent",
@@ -58,8 +59,12 @@ __all__ = [
     "GoalRejected",
     "GoalStatus",
     "InvalidTransition",
+    "Limits",
     "Outcome",
+    "Peer",
+    "Permission",
     "ProtocolError",
+    "SendingGoal",
     "ServerNotFound",
     "Transport",
     "TransportError",

@@ -9,10 +9,10 @@ import anyio
 
 from fibaction.action import Action, ActionInfo
 from fibaction.client import ActionClient
-from fibaction.connection import ClientConnection
+from fibaction._api import ClientConnection
 from fibaction.exceptions import ActionError
 from fibaction.goals import GoalInfo
-from fibaction.observing import GoalFeedback
+from fibaction.events import GoalFeedback
 
 PERIOD = 1.0
 """Seconds between two looks for new actions, and the timeout of each look."""

@@ -18,6 +18,7 @@ from anyio import get_cancelled_exc_class
 
 from fibaction.abc import Endpoint, GoalStream
 from fibaction.action import Action, Codec, FeedbackT, GoalT, ResultT
+from fibaction.events import Events, events_of
 from fibaction.exceptions import (
     ActionError,
     GoalAborted,
@@ -26,7 +27,6 @@ from fibaction.exceptions import (
     UnknownGoal,
 )
 from fibaction.goals import CancelAnswer, GoalID, GoalInfo, Outcome
-from fibaction.observing import Events, events_of
 from fibaction.states import GoalStatus
 
 LEAVE_TIMEOUT = 5.0
@@ -61,10 +61,7 @@ class FeedbackReader(Generic[FeedbackT]):
         if not self._holding:
             self._holding = True
             self._stream.hold(True)
-        event = self._stream.take()  # what is there need not be waited for
-        if isinstance(event, list) and event:
-            return self._codec.decode(event[0].payload)
-        item = None if event is None else await self._stream.receive()
+        item = await self._stream.receive()
         if item is None:
             raise StopAsyncIteration
         return self._codec.decode(item.payload)

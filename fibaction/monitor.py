@@ -33,10 +33,10 @@ from fibaction._action_listener import (
     follow_actions,
 )
 from fibaction.action import ActionInfo
-from fibaction.connection import ClientConnection
+from fibaction._api import ClientConnection
 from fibaction.exceptions import ActionError
 from fibaction.goals import CancelAnswer, GoalID, GoalInfo
-from fibaction.observing import GoalFeedback
+from fibaction.events import GoalFeedback
 from fibaction.states import GoalStatus
 
 __all__ = [

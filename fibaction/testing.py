@@ -14,9 +14,9 @@ import msgspec
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.client import ActionClient
 from fibaction.exceptions import GoalRejected, ProtocolError
-from fibaction.executor import Executor, GoalHandle
 from fibaction.goals import Outcome
 from fibaction.server import ActionServer
+from fibaction.server.executor import Executor, GoalHandle
 
 
 class Trial(msgspec.Struct, Generic[FeedbackT, ResultT], frozen=True):

@@ -1,13 +1,14 @@
 """Every message of the protocol as the bytes that it is sent as, in the order of their tags.
 
-The format is pinned by this table: `tests/test_messages.py` checks the code against it.
+The format is pinned by this table: `tests/wire/test_messages.py` checks the code against it.
 """
 
 from __future__ import annotations
 
 from fibaction.action import ActionInfo
 from fibaction.goals import GoalID
-from fibaction.messages import (
+from fibaction.states import GoalStatus
+from fibaction.wire.messages import (
     Actions,
     AskPeers,
     AwaitServer,
@@ -39,7 +40,6 @@ from fibaction.messages import (
     Welcome,
     Why,
 )
-from fibaction.states import GoalStatus
 
 GOAL_ID = GoalID(bytes(range(16)))
 STAMP = 1_700_000_000_000_000_000

@@ -49,9 +49,9 @@ LOADED = [anyio.pytest_plugin, hypothesis.stateful, pytest_asyncio, trio]
 """What tests need is loaded once, here, and not anew in each of some hundred processes."""
 ROOT = Path(__file__).resolve().parent.parent
 EXPLAINED = Path(__file__).with_suffix(".toml")
-MODULES = ["states", "protocol", "messages"]
+MODULES = ["states", "server/registry", "wire/messages"]
 """What is looked into unless other modules are named: the rules, which everything else rests on."""
-OF_FIELDS = {"messages"}
+OF_FIELDS = {"wire/messages"}
 """Where the types of fields are more than a note for the reader: what comes is checked by them."""
 
 LIMITED = {

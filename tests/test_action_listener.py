@@ -19,7 +19,7 @@ from fibaction import (
     _action_listener,
 )
 from fibaction._action_listener import ActionListener, AnyClient, follow_action, follow_actions
-from fibaction.observing import GoalFeedback
+from fibaction.events import GoalFeedback
 from tests.cli.served import Heard, Served, counter
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from fibaction import (
     ActionClient,
+    ActionError,
     ActionInfo,
     ActionServer,
     CancelAnswer,
@@ -30,9 +31,9 @@ from fibaction import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.abc import FeedbackItem, GoalStream, StatusStream
+from fibaction._notify import Notifier
+from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate, StatusStream
 from fibaction.testing import ScriptedServer
-from fibaction.waking import Waking
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.asyncio
@@ -44,7 +45,8 @@ class BrokenStream(GoalStream):
     goal_id = GoalID(bytes(15) + b"\x01")
     stamp = 7
     latest = False
-    place = 0
+    cursor = 0
+    reads = True
     status = GoalStatus.EXECUTING
     dropped = 0
 
@@ -53,14 +55,14 @@ class BrokenStream(GoalStream):
         self.unknown = unknown
         self.closed = 0
         self.held: list[bool] = []
-        self.news = Waking()
+        self.news = Notifier()
 
-    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
+    def take(self, limit: int = 1) -> list[GoalUpdate]:
         if self.nonsense:
             return [FeedbackItem(1, b"\xc0")]
         raise ConnectionLost("the line is dead")
 
-    def ended(self) -> Outcome[bytes] | None:
+    def known_outcome(self) -> Outcome[bytes] | None:
         if self.nonsense:
             return Outcome(GoalStatus.SUCCEEDED, b"\xc0")
         if self.unknown:
@@ -72,6 +74,9 @@ class BrokenStream(GoalStream):
 
     def close(self) -> None:
         self.closed += 1
+
+    def fail(self, error: ActionError) -> None:
+        raise NotImplementedError
 
 
 class Broken(Endpoint):

@@ -24,20 +24,21 @@ import msgspec
 import pytest
 
 import fibaction
+import fibaction._notify
 import fibaction.abc
 import fibaction.action_files
 import fibaction.testing
-import fibaction.waking
-import fibaction.wire.access
+import fibaction.wire.auth
 import fibaction.wire.channel
-import fibaction.wire.limits
+import fibaction.wire.settings
 import fibaction_transports.inprocess
 import fibaction_transports.tcp
-from fibaction import CancelCode, GoalStatus, connect, messages, serve
-from fibaction.framing import MAX_FRAME
+from fibaction import CancelCode, GoalStatus, connect, serve
 from fibaction.states import TRANSITIONS
 from fibaction.testing import ScriptedServer
 from fibaction.urls import GROUP
+from fibaction.wire import messages
+from fibaction.wire.framing import MAX_FRAME
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.golden import GOLDEN
 from tests.pages import FENCED, NOT_RUN, Block
@@ -378,10 +379,10 @@ def resolve(dotted: str) -> object:
         (fibaction.action_files, "load_action"),
         (fibaction.abc, "GoalStream"),
         (fibaction.testing, "Step"),
-        (fibaction.waking, "Waking"),
-        (fibaction.wire.access, "Peer"),
+        (fibaction._notify, "Notifier"),
+        (fibaction.wire.auth, "Peer"),
         (fibaction.wire.channel, "Channel"),
-        (fibaction.wire.limits, "Limits"),
+        (fibaction.wire.settings, "Limits"),
         (fibaction_transports.inprocess, "InProcessTransport"),
         (fibaction_transports.tcp, "TcpTransport"),
     ],

@@ -48,7 +48,11 @@ def test_every_error_is_public() -> None:
     assert errors <= set(fibaction.__all__)
 
 
-@pytest.mark.parametrize("name", PUBLIC)
+ALIASES = {"Executor"}
+"""Names of types, which have no docstring at run time."""
+
+
+@pytest.mark.parametrize("name", [name for name in PUBLIC if name not in ALIASES])
 def test_a_public_name_and_its_members_have_docstrings(name: str) -> None:
     value = getattr(fibaction, name)
     assert value.__doc__

@@ -11,7 +11,7 @@ import fibaction._action_listener
 from fibaction import ActionInfo, CancelCode, ConnectionLost, GoalID, GoalInfo, GoalStatus
 from fibaction import monitor as monitor_module
 from fibaction.monitor import ActionSnapshot, AnyClient, GoalKey, GoalSnapshot, Monitor
-from fibaction.observing import GoalFeedback
+from fibaction.events import GoalFeedback
 from tests.cli.served import Heard, Served, counter
 
 ID = GoalID(b"\x01" * 16)

@@ -18,7 +18,7 @@ from fibaction import (
     Outcome,
     ProtocolError,
 )
-from fibaction.executor import Executor
+from fibaction.server.executor import Executor
 from fibaction.testing import ScriptedServer, Trial, run_executor
 from tests.executors import Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci

@@ -13,7 +13,7 @@ from fibaction.cli.options import full_option, json_option, url_option
 from fibaction.cli.output import note
 from fibaction.cli.render import goal_printer, print_goal
 from fibaction.cli.signals import until_interrupted
-from fibaction.connection import connect
+from fibaction._api import connect
 from fibaction.goals import GoalID
 from fibaction.monitor import AnyClient
 

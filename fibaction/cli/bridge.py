@@ -16,9 +16,9 @@ from fibaction.cli.logs import log_events, log_with_time
 from fibaction.cli.options import reject_inproc
 from fibaction.cli.output import note, say
 from fibaction.cli.signals import stop_signals
-from fibaction.connection import connect
+from fibaction._api import connect
 from fibaction.exceptions import ServerNotFound, TransportError
-from fibaction.serving import serve
+from fibaction._api import serve
 from fibaction.urls import without_settings
 
 LOOK_PAUSE = 0.2

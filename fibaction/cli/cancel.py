@@ -15,7 +15,7 @@ from fibaction.cli.goal_lookup import ActionClients, find_goal, goal_digits, goa
 from fibaction.cli.goal_table import GoalRow
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import note, say, say_json
-from fibaction.connection import connect
+from fibaction._api import connect
 from fibaction.exceptions import ActionError, UnknownGoal
 from fibaction.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.monitor import AnyClient

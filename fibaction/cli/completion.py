@@ -14,7 +14,7 @@ from click.shell_completion import CompletionItem
 
 from fibaction.cli.action_names import shown
 from fibaction.cli.options import url_of
-from fibaction.connection import connect
+from fibaction._api import connect
 from fibaction.exceptions import ActionError
 
 if TYPE_CHECKING:

@@ -19,10 +19,10 @@ from fibaction.cli.options import full_option, json_option, url_option
 from fibaction.cli.output import as_yaml, note, say, say_json
 from fibaction.cli.render import INDENT
 from fibaction.cli.signals import until_interrupted
-from fibaction.connection import ClientConnection, connect
+from fibaction._api import ClientConnection, connect
 from fibaction.goals import GoalID, GoalInfo
 from fibaction.monitor import ActionListener, AnyClient, follow_action, follow_actions
-from fibaction.observing import GoalFeedback
+from fibaction.events import GoalFeedback
 from fibaction.states import GoalStatus
 
 REMEMBERED = 10_000

@@ -12,7 +12,7 @@ from fibaction.cli.exit_codes import ExitCode, run
 from fibaction.cli.list import count_option, types_option, with_type
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import say, say_json
-from fibaction.connection import connect
+from fibaction._api import connect
 from fibaction.exceptions import ServerNotFound
 
 

@@ -12,7 +12,7 @@ from fibaction.cli.escape import clean
 from fibaction.cli.exit_codes import ExitCode, run
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import say, say_json
-from fibaction.connection import connect
+from fibaction._api import connect
 
 types_option = click.option("-t", "--show-types", is_flag=True, help="Show the types, too.")
 count_option = click.option(

@@ -18,7 +18,7 @@ from fibaction.cli.goal_table import in_color, in_columns, picture
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import console, note, on_terminal, say, say_json
 from fibaction.cli.signals import until_interrupted
-from fibaction.connection import ClientConnection, connect
+from fibaction._api import ClientConnection, connect
 from fibaction.exceptions import ActionError
 from fibaction.monitor import AnyClient
 

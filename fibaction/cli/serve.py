@@ -18,7 +18,7 @@ from fibaction.cli.options import reject_inproc, url_of
 from fibaction.cli.output import say
 from fibaction.cli.reload import SAME_STOP, run_reloading, started_by
 from fibaction.cli.signals import stop_signals
-from fibaction.serving import serve
+from fibaction._api import serve
 from fibaction.states import GoalStatus
 
 logger = logging.getLogger(__name__)

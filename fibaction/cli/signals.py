@@ -19,7 +19,7 @@ from signal import SIGINT, SIGTERM
 
 import anyio
 
-from fibaction.background import Background
+from fibaction._tasks import Background
 
 SAME_SIGNAL = 0.1
 """Seconds within which a second signal counts as the first again: some programs, such as `timeout`,

@@ -10,7 +10,7 @@ from fibaction.cli.escape import clean
 from fibaction.cli.exit_codes import ExitCode, Failure, run
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import say, say_json
-from fibaction.connection import connect
+from fibaction._api import connect
 
 
 @click.command("type", epilog="\b\nExample:\n  fibaction type fibonacci")

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
-from fibaction.abc import FeedbackItem, GoalStream, StatusStream
+from fibaction._notify import Notifier
+from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate, StatusStream
 from fibaction.exceptions import (
     ActionError,
     AuthenticationFailed,
@@ -23,7 +24,8 @@ from fibaction.exceptions import (
     UnknownGoal,
 )
 from fibaction.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Outcome
-from fibaction.messages import (
+from fibaction.states import GoalStatus
+from fibaction.wire.messages import (
     Close,
     Credit,
     Ended,
@@ -42,8 +44,6 @@ from fibaction.messages import (
     WatchStatus,
     Why,
 )
-from fibaction.states import GoalStatus
-from fibaction.waking import Waking
 
 Post: TypeAlias = Callable[[FromClient], None]
 """Sends a small message if there is a connection; if there is none, it is not needed."""
@@ -55,7 +55,7 @@ class Call(ABC):
     def __init__(self, call_id: int) -> None:
         self.id = call_id
         """The same on every connection."""
-        self.news = Waking()
+        self.news = Notifier()
         self.error: ActionError | None = None
         self._is_answered = False
 
@@ -73,7 +73,7 @@ class Call(ABC):
         return Close(self.id)
 
     @abstractmethod
-    def hear(self, message: Any) -> bool:
+    def on_message(self, message: Any) -> bool:
         """Take a message of its ID, and say whether that was the last one.
 
         Raises:
@@ -93,7 +93,7 @@ class Call(ABC):
     def fail(self, error: ActionError) -> None:
         """Nothing more will come, for that reason."""
         self.error = error
-        self.news.wake()
+        self.news.notify()
 
     def raise_error(self) -> None:
         """Raise what it failed with, if it has; each time a new one, as it may be raised often."""
@@ -101,7 +101,7 @@ class Call(ABC):
             raise _again(self.error)
 
 
-class Question(Call):
+class PendingRequest(Call):
     """A request with one answer."""
 
     def __init__(self, call_id: int, message: FromClient) -> None:
@@ -112,13 +112,13 @@ class Question(Call):
     def opening(self) -> FromClient:
         return self._message
 
-    def hear(self, message: Any) -> bool:
+    def on_message(self, message: Any) -> bool:
         if isinstance(message, Failed):
             self.fail(error_of(message))
         else:
             self._answer = message
             self._is_answered = True
-            self.news.wake()
+            self.news.notify()
         return True
 
     def answer(self, kind: type[Any]) -> Any:
@@ -179,7 +179,7 @@ class RemoteGoal(Call, GoalStream):
         self.goal_id = goal_id
         self.stamp = 0
         self.latest = False
-        self.place = 0
+        self.cursor = 0
         self._opening = opening
         self._window = window
         self._post = post
@@ -193,7 +193,7 @@ class RemoteGoal(Call, GoalStream):
         self._credit = _Credits(opening.id, window, post)
         self._own = isinstance(opening, SendGoal) or opening.own
         self._holds = self._own  # an observer slows nobody down, here neither
-        self._reads = opening.credit is not None
+        self.reads = opening.credit is not None
 
     @property
     def status(self) -> GoalStatus:
@@ -201,7 +201,7 @@ class RemoteGoal(Call, GoalStream):
 
     @property
     def dropped(self) -> int:
-        return self.place - self._start - self._delivered
+        return self.cursor - self._start - self._delivered
 
     @property
     def is_own(self) -> bool:
@@ -216,30 +216,29 @@ class RemoteGoal(Call, GoalStream):
         if self._is_answered and not self._own and self._outcome is None and self.error is None:
             self._post(self.giving_up())
 
-    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
-        if not self._reads:
-            return None
+    def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
         if self._statuses:
-            return self._statuses.popleft()
+            return (self._statuses.popleft(),)
         waiting = self._items
         if not waiting:
-            if self._outcome is not None:
-                self.place = self._last
-                return None
-            self.raise_error()
-            return []
+            if self._outcome is None:
+                self.raise_error()
+                return ()
+            if self.reads:
+                self.cursor = self._last
+            return (self._outcome,)
         if limit == 1:  # what a reader asks for, message by message
             items = [waiting.popleft()]
         else:
             items = [waiting.popleft() for _ in range(min(limit, len(waiting)))]
         if items:
-            self.place = items[-1].number
+            self.cursor = items[-1].number
             self._delivered += len(items)
             if self._outcome is None and not self.latest:
                 self._credit.grant(len(items))
         return items
 
-    def ended(self) -> Outcome[bytes] | None:
+    def known_outcome(self) -> Outcome[bytes] | None:
         if self._outcome is None:
             self.raise_error()
         return self._outcome
@@ -249,11 +248,11 @@ class RemoteGoal(Call, GoalStream):
         self._make_room()
 
     def close(self) -> None:
-        if self._reads:
-            self._reads = False
+        if self.reads:
+            self.reads = False
             self._items.clear()
             self._statuses.clear()
-            self.news.wake()
+            self.news.notify()
             if self._outcome is None:
                 self._post(Close(self.id))
 
@@ -261,10 +260,10 @@ class RemoteGoal(Call, GoalStream):
         allowed = self._credit.restart(0 if self.latest else len(self._items))
         if not self._is_answered:
             return self._opening
-        credit = allowed if self._reads else None
+        credit = allowed if self.reads else None
         return Follow(self.id, self._opening.action, self.goal_id, self._last, self._own, credit)
 
-    def hear(self, message: Any) -> bool:
+    def on_message(self, message: Any) -> bool:
         # Where most messages pass: for a class of msgspec's, `isinstance` takes ten times as long.
         kind = message.__class__
         if kind is Feedback and self._is_answered:
@@ -285,7 +284,7 @@ class RemoteGoal(Call, GoalStream):
             self.fail(error_of(message, self.goal_id))
         else:
             raise _unfitting(message)
-        self.news.wake()
+        self.news.notify()
         return self._outcome is not None or self.error is not None
 
     def _take_following(self, message: Following) -> None:
@@ -299,14 +298,14 @@ class RemoteGoal(Call, GoalStream):
             self._is_answered = True
             self._status = message.status
             self.stamp, self.latest = message.stamp, message.latest
-            self.place = self._start = self._last = message.place
+            self.cursor = self._start = self._last = message.place
 
     def _take_status(self, status: GoalStatus) -> None:
         # Statuses only ever grow. On a new connection the server says first what it is by now, and
         # may then tell what the last connection has not.
         if status > self._status:
             self._status = status
-            if self._reads and status.is_active:
+            if self.reads and status.is_active:
                 self._statuses.append(status)
 
     def _take_feedback(self, message: Feedback) -> None:
@@ -314,7 +313,7 @@ class RemoteGoal(Call, GoalStream):
             raise ProtocolError(f"feedback {message.number} came after {self._last}")
         self._credit.spend()
         self._last = message.number
-        if self._reads:
+        if self.reads:
             if self.latest:
                 self._items.clear()
                 self._credit.grant()
@@ -391,13 +390,13 @@ class RemoteStatuses(Call, StatusStream):
         if not self._ended:
             self._ended = True
             self._post(Close(self.id))
-            self.news.wake()
+            self.news.notify()
 
     def opening(self) -> FromClient:
         self._dropped_before, self._dropped = self.dropped, 0
         return WatchStatus(self.id, self._action, self._credit.restart(len(self._items)))
 
-    def hear(self, message: Any) -> bool:
+    def on_message(self, message: Any) -> bool:
         if not self._is_answered and not isinstance(message, Watching | Failed):
             raise _unfitting(message)
         if isinstance(message, GoalChanged):
@@ -422,7 +421,7 @@ class RemoteStatuses(Call, StatusStream):
             self.fail(error_of(message))
         else:
             raise _unfitting(message)
-        self.news.wake()
+        self.news.notify()
         return isinstance(message, Finished | Failed)
 
 

@@ -14,18 +14,18 @@ from typing import TypeAlias
 import anyio
 from anyio.abc import ByteStream
 
+from fibaction._notify import Notifier
 from fibaction.exceptions import ActionError, ConnectionLost
-from fibaction.framing import FrameReader, framed
-from fibaction.waking import Waking
+from fibaction.wire.framing import FrameReader, framed
 
 CHUNK = 2**16
 """Bytes read or written at once: large enough that the cost of a call does not count, and small
 enough that a slow line moves one within any sensible limit."""
 
 
-Hear: TypeAlias = Callable[[list[bytes]], None]
+OnFrames: TypeAlias = Callable[[list[bytes]], None]
 """Takes the frames that have arrived; an empty list if only a piece of one has."""
-Fetch: TypeAlias = Callable[[], list[bytes]]
+NextFrames: TypeAlias = Callable[[], list[bytes]]
 """Gives the frames to send next, if any. Being asked again says that those before are written."""
 
 
@@ -43,14 +43,14 @@ class Line(ABC):
         return 0
 
     @abstractmethod
-    def stir(self, *, at_once: bool = False) -> None:
+    def wake_writer(self, *, at_once: bool = False) -> None:
         """There is something to fetch. Most often there soon is more, and all of it goes into one
         write; `at_once` says that there is not, and that whoever stirs has other things to do that
         can be done while the other end has it. Who cannot write at once need not.
         """
 
     @abstractmethod
-    async def run(self, hear: Hear, fetch: Fetch) -> None:
+    async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
         """Hand over what arrives, and send what there is to fetch: at first, after each `stir()`,
         and after each write, until there is none. Runs once, and does not return.
 
@@ -76,7 +76,7 @@ class Line(ABC):
 class Channel(Line):
     """A line whose two directions are waited for, each by a task."""
 
-    _wanted: Waking | None = None
+    _wanted: Notifier | None = None
 
     @abstractmethod
     async def send(self, frames: Sequence[bytes]) -> None:
@@ -95,21 +95,21 @@ class Channel(Line):
             ProtocolError: What came is no frame.
         """
 
-    def stir(self, *, at_once: bool = False) -> None:
+    def wake_writer(self, *, at_once: bool = False) -> None:
         if self._wanted is not None:
-            self._wanted.wake()
+            self._wanted.notify()
 
-    async def run(self, hear: Hear, fetch: Fetch) -> None:
-        wanted = self._wanted = Waking()
+    async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
+        wanted = self._wanted = Notifier()
         errors: list[ActionError] = []
 
         async def read() -> None:
             while True:
-                hear(await self.receive())
+                on_frames(await self.receive())
 
         async def write() -> None:
             while True:
-                if frames := fetch():
+                if frames := next_frames():
                     await self.send(frames)
                 else:
                     await wanted.wait()

@@ -9,10 +9,10 @@ from contextlib import suppress
 
 from anyio import CancelScope, create_task_group, move_on_after, sleep
 
+from fibaction._notify import Notifier
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
-from fibaction.messages import Ping, encode
-from fibaction.waking import Waking
 from fibaction.wire.channel import Line
+from fibaction.wire.messages import Ping, encode
 
 MISSED = 4
 """After so many signs of life that did not come, a peer is taken for dead: one that is late, or
@@ -39,7 +39,7 @@ class Link:
         self._queue: list[bytes] = []
         self._queued = 0
         self._source: Callable[[], list[bytes]] = list
-        self._room = Waking()
+        self._room = Notifier()
         self._is_writing = False
         self._posted = 0  # bytes of the queue that have not waited for room
         self._writing = self._writing_posted = 0  # of those
@@ -53,9 +53,9 @@ class Link:
         """Whether messages can still be sent."""
         return self._error is None
 
-    def stir(self, *, at_once: bool = False) -> None:
+    def wake_writer(self, *, at_once: bool = False) -> None:
         """There is something to fetch from the source. See `Line.stir`."""
-        self._line.stir(at_once=at_once)
+        self._line.wake_writer(at_once=at_once)
 
     def post(self, frame: bytes) -> None:
         """Queue a message. For small ones, of which there are few; after the end it is lost."""
@@ -68,7 +68,7 @@ class Link:
     def _put(self, frame: bytes) -> None:
         self._queue.append(frame)
         self._queued += len(frame)
-        self._line.stir()
+        self._line.wake_writer()
 
     async def send(self, frame: bytes) -> None:
         """Queue a message as soon as there is room in the queue.
@@ -96,7 +96,7 @@ class Link:
         """End the connection for that reason, unless it has ended before."""
         if self._error is None:
             self._error = error
-            self._room.wake()
+            self._room.notify()
             self._scope.cancel()
 
     async def run(
@@ -112,7 +112,7 @@ class Link:
         if source is not None:
             self._source = source
 
-        def hear(frames: list[bytes]) -> None:
+        def on_frames(frames: list[bytes]) -> None:
             self._has_heard = True
             try:
                 for frame in frames:
@@ -134,18 +134,18 @@ class Link:
             if self._error is not None:
                 self._scope.cancel()
             tasks.start_soon(guarded, self._watch)
-            await guarded(lambda: self._line.run(hear, self._fetch))
+            await guarded(lambda: self._line.run(on_frames, self._next_frames))
         assert self._error is not None
         return self._error
 
-    def _fetch(self) -> list[bytes]:
+    def _next_frames(self) -> list[bytes]:
         """What to send next; what was fetched before has been written."""
         if self._is_writing:
             self._writes += 1
             self._has_said = True
             self._queued -= self._writing
             self._posted -= self._writing_posted
-            self._room.wake()
+            self._room.notify()
         frames: list[bytes] = []
         if self._error is None:  # what is cut off by the end would cut off the last word, too
             self._writing = self._writing_posted = 0

@@ -12,7 +12,7 @@ from anyio import create_task_group
 
 import fibaction
 from fibaction import ActionClient, ActionServer, ClientGoal
-from fibaction.wire.limits import Limits
+from fibaction.wire.settings import Limits
 from tests.benchmarks.contender import (
     AT_ONCE,
     PACED,

@@ -13,9 +13,10 @@ from contextlib import asynccontextmanager
 import anyio
 from anyio.abc import SocketAttribute, SocketStream
 
-from fibaction import GoalStatus, messages
-from fibaction.framing import MAX_FRAME, FrameReader, header
+from fibaction import GoalStatus
 from fibaction.goals import GoalID
+from fibaction.wire import messages
+from fibaction.wire.framing import MAX_FRAME, FrameReader, header
 from tests.benchmarks.contender import (
     AT_ONCE,
     PACED,

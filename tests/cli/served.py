@@ -17,9 +17,9 @@ from fibaction import (
     ClientConnection,
     TransportError,
 )
+from fibaction._notify import Notifier
 from fibaction.abc import Connection, Endpoint
 from fibaction.testing import ScriptedServer
-from fibaction.waking import Waking
 
 
 def counter(name: str, *scripts: Any) -> ScriptedServer[int, int, str]:
@@ -60,11 +60,11 @@ class Heard(list[Any]):
 
     def __init__(self) -> None:
         super().__init__()
-        self._news = Waking()
+        self._news = Notifier()
 
     def __call__(self, *what: Any) -> None:
         self.append(what[0] if len(what) == 1 else what)
-        self._news.wake()
+        self._news.notify()
 
     async def until(self, condition: Callable[[list[Any]], object]) -> None:
         """Wait until something has been said, and the condition holds."""

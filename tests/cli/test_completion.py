@@ -69,8 +69,8 @@ def test_a_server_that_does_not_answer_is_not_waited_for(
     listening: list[str] = []
 
     async def silence() -> list[str]:
-        async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
-            port = listener.extra(anyio.abc.SocketAttribute.local_port)
+        async with await anyio.create_tcp_listener(local_host="127.0.0.1") as on_next:
+            port = on_next.extra(anyio.abc.SocketAttribute.local_port)
             listening.append(f"tcp://127.0.0.1:{port}")
             return [info.name for info in await completion.actions_at(listening[0])]
 

@@ -15,7 +15,7 @@ from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus, connect, serve
 from fibaction.cli import echo as echo_module
 from fibaction.cli.echo import EchoPrinter, EventPrinter, echo, print_events
 from fibaction.cli.exit_codes import ExitCode
-from fibaction.observing import GoalFeedback
+from fibaction.events import GoalFeedback
 from tests.cli.conftest import Invoke, Open, Run, Start, detached, interrupt
 from tests.cli.served import Heard, Served, counter
 from tests.processes import ended, lines_until

@@ -14,7 +14,7 @@ from fibaction import ActionInfo, CancelAnswer, ConnectionLost, GoalID, GoalInfo
 from fibaction.cli.escape import clean
 from fibaction.cli.screen import FeedbackText, TopScreen
 from fibaction.monitor import GoalKey, Monitor
-from fibaction.observing import GoalFeedback
+from fibaction.events import GoalFeedback
 from fibaction.states import GoalStatus
 from tests.cli.served import Served, counter
 from tests.processes import PATIENCE

@@ -20,20 +20,22 @@ import anyio
 
 from fibaction import ActionServer
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
-from fibaction.framing import FrameReader, header
-from fibaction.messages import VERSION, Hello, decode_from_client, decode_from_server, encode
-from fibaction.wire.access import Access
+from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.channel import Channel
-from fibaction.wire.limits import Limits
+from fibaction.wire.framing import FrameReader, header
 from fibaction.wire.link import Link
-from fibaction.wire.orphans import Orphans
-from fibaction.wire.serving import Session, Terms
+from fibaction.wire.messages import VERSION, Hello, decode_from_client, decode_from_server, encode
+from fibaction.wire.ownership import Owners
+from fibaction.wire.session import ServerSettings, Session
+from fibaction.wire.settings import Limits
 from tests.fibonacci import FIBONACCI, fibonacci
 
 LIMIT = 2**16
 HELLO = encode(Hello(VERSION, 60.0))
 LIMITS = Limits(goals=10, requests=10, memory=LIMIT)
-TERMS = Terms(heartbeat=60.0, access=Access(), limits=LIMITS, orphans="keep", grace=0)
+TERMS = ServerSettings(
+    heartbeat=60.0, access=AccessPolicy(), limits=LIMITS, orphans="keep", grace=0
+)
 
 
 class Given(Channel):
@@ -78,7 +80,7 @@ async def serve(data: bytes) -> None:
             link,
             {"fibonacci": server},
             TERMS,
-            Orphans(tasks, grace=0),
+            Owners(tasks, grace=0),
             clients_of=lambda action: [],
             supersede=lambda client: None,
         )

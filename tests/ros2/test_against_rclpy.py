@@ -96,7 +96,7 @@ async def lives(stock: Peer) -> None:
 async def end_all(stock: Peer, ours: Behaviour) -> None:
     """Nothing of a test is left running."""
     await stock.ask("raw_cancel", action="ours")
-    ours.released.wake()
+    ours.released.notify()
 
 
 # Accepting
@@ -282,7 +282,7 @@ async def test_a_refused_cancel_says_so_and_the_goal_goes_on(
     assert await stock.ask("cancel", goal=goal) == {"code": REFUSED, "goals": []}
 
     assert (await statuses_of(stock, goal))[-1] == EXECUTING
-    ours.released.wake()
+    ours.released.notify()
     assert await result(stock, goal) == (SUCCEEDED, orders.PART)
 
 
@@ -299,7 +299,7 @@ async def test_canceling_all_names_those_that_end_and_no_other(
 
     assert answer == {"code": NONE, "goals": sorted(willing)}
     assert [(await result(stock, goal))[0] for goal in willing] == [CANCELED] * 3
-    ours.released.wake()
+    ours.released.notify()
     assert [(await result(stock, goal))[0] for goal in stubborn] == [SUCCEEDED] * 3
 
 
@@ -310,7 +310,7 @@ async def test_canceling_all_when_all_refuse_says_rejected(stock: Peer, ours: Be
 
     assert await stock.ask("raw_cancel", action="ours") == {"code": REFUSED, "goals": []}
 
-    ours.released.wake()
+    ours.released.notify()
     assert (await result(stock, goal))[0] == SUCCEEDED
 
 

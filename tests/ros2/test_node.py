@@ -11,7 +11,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction.background import Background
+from fibaction._tasks import Background
 from fibaction.exceptions import ConnectionLost, TransportError
 from fibaction_transports.ros2.intake import MAILBOX, TURN, Intake, Mailbox, Source
 from fibaction_transports.ros2.names import action_names

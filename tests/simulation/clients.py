@@ -7,9 +7,9 @@ from anyio import CancelScope, create_task_group, current_time, move_on_after
 from anyio.abc import TaskGroup
 
 from fibaction import ActionError, ClientConnection, connect
+from fibaction._notify import Notifier
 from fibaction.abc import Transport
-from fibaction.waking import Waking
-from fibaction.wire.connecting import RemoteConnection
+from fibaction.wire.connection import RemoteConnection
 from tests.simulation.deeds import Deeds
 from tests.simulation.invariants import Record
 from tests.simulation.loop import EPOCH
@@ -30,7 +30,7 @@ class Client:
         """What it is doing, and since when."""
         self._scopes: list[CancelScope] = []
         self._left_to_do = len(plan.deeds)
-        self._changed = Waking()
+        self._changed = Notifier()
         self.may_leave = anyio.Event()
         self.is_done = False
         """Whether all its deeds are done, or it has left."""
@@ -106,7 +106,7 @@ class Client:
                 record.failed(self.state, error, deed.kind, mine.goal_id, since=since)
         self.under_way.pop(deed, None)
         self._left_to_do -= 1
-        self._changed.wake()
+        self._changed.notify()
         record.tell(
             f"{name} {'was canceled' if scope.cancelled_caught else 'is done'}: {deed.kind}"
         )

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import anyio
 
 from fibaction import CancelRejected, GoalAborted, GoalCanceled, GoalHandle, GoalRejected
-from fibaction.executor import Executor
+from fibaction.server.executor import Executor
 from tests.simulation.facts import Truth
 from tests.simulation.invariants import ON_PURPOSE, Record
 from tests.simulation.scenario import Done, Step, Work

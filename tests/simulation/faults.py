@@ -13,29 +13,30 @@ from typing import Any
 import msgspec
 from anyio import current_time, sleep
 
+from fibaction._notify import Notifier
+from fibaction.events import _Observer
 from fibaction.goals import GoalID, GoalInfo
-from fibaction.messages import CancelAnswered, Ended, Follow, Received, decode_from_client
-from fibaction.observing import _Observer
-from fibaction.protocol import (
+from fibaction.server import ActionServer
+from fibaction.server.feedback_log import FeedbackCursor, FeedbackLog
+from fibaction.server.registry import (
     Admission,
     Cancellation,
     Ending,
     EndKind,
     Goal,
-    ServerProtocol,
+    GoalRegistry,
     _Kept,
 )
-from fibaction.server import ActionServer
+from fibaction.server.status_broadcast import StatusBroadcast
 from fibaction.states import GoalStatus
-from fibaction.streams import GoalLog, LogStream, StatusFeed
-from fibaction.waking import Waking
 from fibaction.wire.calls import RemoteGoal, _Credits
 from fibaction.wire.channel import StreamChannel
-from fibaction.wire.connecting import RemoteConnection
-from fibaction.wire.flows import Flow
+from fibaction.wire.connection import RemoteConnection
 from fibaction.wire.link import PING, Link
-from fibaction.wire.orphans import Orphans
-from fibaction.wire.serving import Session
+from fibaction.wire.messages import CancelAnswered, Ended, Follow, Received, decode_from_client
+from fibaction.wire.ownership import Owners
+from fibaction.wire.session import Session
+from fibaction.wire.subscriptions import Subscription
 
 
 class Mistake(msgspec.Struct, frozen=True):
@@ -78,23 +79,23 @@ def mistake(
     return register
 
 
-class _Deaf(Waking):
+class _Deaf(Notifier):
     """Something that wakes nobody."""
 
     __slots__ = ()
 
-    def wake(self) -> None:
+    def notify(self) -> None:
         pass
 
 
 # The server
 
 
-@mistake(ServerProtocol, "admit", 38, 10, 28)
+@mistake(GoalRegistry, "admit", 38, 10, 28)
 def a_goal_runs_again_when_it_is_sent_again(real: Any) -> Any:
     """A retry is taken for a new goal."""
 
-    def admit(self: ServerProtocol, goal_id: GoalID, payload: bytes, *, now: float) -> Admission:
+    def admit(self: GoalRegistry, goal_id: GoalID, payload: bytes, *, now: float) -> Admission:
         admission: Admission = real(self, goal_id, payload, now=now)
         if admission is Admission.REPEAT:
             self._undecided[goal_id] = hash(payload)
@@ -118,11 +119,11 @@ def a_cancel_races_the_end(real: Any) -> Any:
     return accept
 
 
-@mistake(ServerProtocol, "finish", 18, 36, 47)
+@mistake(GoalRegistry, "finish", 18, 36, 47)
 def a_cancel_beats_the_result(real: Any) -> Any:
     """A goal that yields its result while it is canceling ends as canceled."""
 
-    def finish(self: ServerProtocol, goal: Goal, ending: Ending, *, now: float) -> Any:
+    def finish(self: GoalRegistry, goal: Goal, ending: Ending, *, now: float) -> Any:
         if goal.status is GoalStatus.CANCELING and ending.kind is EndKind.RESULT:
             ending = Ending(EndKind.CANCELED, ending.result)
         return real(self, goal, ending, now=now)
@@ -151,11 +152,11 @@ def nobody_hears_of_a_decision(real: Any) -> Any:
     return __init__
 
 
-@mistake(GoalLog, "append", 3, 5, 6)
+@mistake(FeedbackLog, "append", 3, 5, 6)
 def feedback_is_numbered_twice(real: Any) -> Any:
     """Every fifth message gets the number of the one before."""
 
-    def append(self: GoalLog, payload: bytes) -> None:
+    def append(self: FeedbackLog, payload: bytes) -> None:
         if self.goal.feedback_count % 5 == 4:
             self.goal.feedback_count -= 1
         real(self, payload)
@@ -163,34 +164,34 @@ def feedback_is_numbered_twice(real: Any) -> Any:
     return append
 
 
-@mistake(GoalLog, "finish", 8, 19)
+@mistake(FeedbackLog, "finish", 8, 19)
 def the_end_wakes_only_readers(real: Any) -> Any:
     """Those who follow a goal without its feedback are not told that it has ended."""
 
-    def finish(self: GoalLog) -> None:
+    def finish(self: FeedbackLog) -> None:
         for stream in self._readers:
-            stream.news.wake()
-        self._ended.wake()
+            stream.news.notify()
 
     return finish
 
 
-@mistake(LogStream, "take", 14, 5, 26)
+@mistake(FeedbackCursor, "take", 14, 5, 26)
 def the_end_overtakes_feedback(real: Any) -> Any:
     """A goal that has ended has no more feedback, even if that was not read."""
 
-    def take(self: LogStream, limit: int = 1) -> Any:
-        return None if self.ended() is not None else real(self, limit)
+    def take(self: FeedbackCursor, limit: int = 1) -> Any:
+        outcome = self.known_outcome()
+        return real(self, limit) if outcome is None else (outcome,)
 
     return take
 
 
-@mistake(StatusFeed, "publish", 5, 6, 8)
+@mistake(StatusBroadcast, "publish", 5, 6, 8)
 def statuses_come_out_of_order(real: Any) -> Any:
     """That a goal is executing is told after what follows it."""
     late: list[GoalInfo] = []
 
-    def publish(self: StatusFeed, info: GoalInfo) -> None:
+    def publish(self: StatusBroadcast, info: GoalInfo) -> None:
         if info.status is GoalStatus.EXECUTING:
             late.append(info)
             return
@@ -226,38 +227,38 @@ def received_is_not_heard(real: Any) -> Any:
     return _handle
 
 
-@mistake(Orphans, "_wait", 49, 3, 66)
+@mistake(Owners, "_wait", 49, 3, 66)
 def an_orphan_is_never_ended(real: Any) -> Any:
     """What is kept for a client that does not come back is kept for ever."""
 
-    async def _wait(self: Orphans, *_: Any) -> None:
+    async def _wait(self: Owners, *_: Any) -> None:
         pass
 
     return _wait
 
 
-@mistake(Flow, "add", 14, 8, 30)
+@mistake(Subscription, "add", 14, 8, 30)
 def credit_counts_twice(real: Any) -> Any:
     """A client is sent more than it has asked for."""
 
-    def add(self: Flow, count: int) -> None:
+    def add(self: Subscription, count: int) -> None:
         real(self, 2 * count)
 
     return add
 
 
-@mistake(Waking, "wake", 22, 28, 17)
+@mistake(Notifier, "notify", 22, 28, 17)
 def a_listener_is_lost(real: Any) -> Any:
     """Once in a while, who listens is forgotten instead of called."""
     calls = [0]
 
-    def wake(self: Waking) -> None:
-        calls[0] += self.listener is not None
+    def notify(self: Notifier) -> None:
+        calls[0] += self.on_next is not None
         if calls[0] % 20 == 19:
-            self.listener = None
+            self.on_next = None
         real(self)
 
-    return wake
+    return notify
 
 
 # The client's half
@@ -289,7 +290,7 @@ def the_resume_number_is_one_too_small(real: Any) -> Any:
     return opening
 
 
-@mistake(RemoteGoal, "hear", 14, 8)
+@mistake(RemoteGoal, "on_message", 14, 8)
 def the_end_wakes_nobody(real: Any) -> Any:
     """Whoever waits for a goal at the client is not woken by its end."""
 

@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 
 import anyio
 
-from fibaction.waking import Waking
+from fibaction._notify import Notifier
 from tests.simulation.loop import VirtualLoop
 from tests.simulation.streams import Manner, SimulatedStream, Way, Weather
 
@@ -47,12 +47,12 @@ class Listening:
     def __init__(self, host: Host) -> None:
         self._host = host
         self._waiting: deque[SimulatedStream] = deque()
-        self._news = Waking()
+        self._news = Notifier()
 
     def offer(self, stream: SimulatedStream) -> None:
         """Somebody has connected."""
         self._waiting.append(stream)
-        self._news.wake()
+        self._news.notify()
 
     async def accept(self) -> SimulatedStream:
         """Wait for the next connection."""

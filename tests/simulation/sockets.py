@@ -13,19 +13,19 @@ from contextvars import copy_context
 from typing import Any
 
 from fibaction.wire.channel import CHUNK
-from fibaction_transports.tcp import lines
+from fibaction_transports.tcp import _asyncio
 from tests.simulation.streams import SimulatedStream
 
 
 class Socket(asyncio.Transport):
     """One end of a connection."""
 
-    def __init__(self, stream: SimulatedStream, protocol: lines.ProtocolLine) -> None:
+    def __init__(self, stream: SimulatedStream, protocol: _asyncio.ProtocolLine) -> None:
         super().__init__()
         self._stream = stream
         self._protocol = protocol
         self._incoming, self._outgoing = stream.ways
-        self._loop = lines._loop()  # so that its callbacks are known to be asyncio's
+        self._loop = _asyncio._loop()  # so that its callbacks are known to be asyncio's
         self._context = copy_context()
         self._buffer = bytearray()
         self._reads = True
@@ -121,8 +121,8 @@ class Socket(asyncio.Transport):
         self._lose(None)
 
 
-def line_over(stream: SimulatedStream, max_frame: int, peer: str = "") -> lines.ProtocolLine:
+def line_over(stream: SimulatedStream, max_frame: int, peer: str = "") -> _asyncio.ProtocolLine:
     """One end of a connection, as the transports for TCP and Unix sockets have it."""
-    line = lines.ProtocolLine(max_frame, memoryview(bytearray(CHUNK)), peer)
+    line = _asyncio.ProtocolLine(max_frame, memoryview(bytearray(CHUNK)), peer)
     Socket(stream, line)
     return line

@@ -17,7 +17,7 @@ import anyio
 import msgspec
 from anyio.abc import ByteStream
 
-from fibaction.waking import Waking
+from fibaction._notify import Notifier
 from tests.simulation.loop import VirtualLoop
 
 Manner: TypeAlias = Literal["reset", "end", "silence"]
@@ -64,19 +64,19 @@ class Way:
         """Whether its reader gets an error."""
         self.is_lost = False
         """Whether what is sent is lost on the way, and nobody knows."""
-        self.arrived = Waking()
-        self.room = Waking()
+        self.arrived = Notifier()
+        self.room = Notifier()
         self.on_arrival: Callable[[], None] = _do_nothing
         """Called when there may be something to read: see `sockets`."""
         self.on_room: Callable[[], None] = _do_nothing
         """Called when there may be room to write."""
 
     def _tell_reader(self) -> None:
-        self.arrived.wake()
+        self.arrived.notify()
         self.on_arrival()
 
     def _tell_writer(self) -> None:
-        self.room.wake()
+        self.room.notify()
         self.on_room()
 
     @property
@@ -229,8 +229,8 @@ class SimulatedStream(ByteStream):
             self._outgoing.close()
             self._incoming.is_lost = True
             for way in (self._incoming, self._outgoing):
-                way.arrived.wake()
-                way.room.wake()
+                way.arrived.notify()
+                way.room.notify()
 
     @property
     def ways(self) -> tuple[Way, Way]:

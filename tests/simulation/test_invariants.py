@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fibaction import CancelAnswer, CancelCode, GoalID, GoalInfo, GoalStatus, Outcome
-from fibaction.protocol import ServerProtocol
+from fibaction.server.registry import GoalRegistry
 from tests.simulation.facts import Life
 from tests.simulation.invariants import Record
 from tests.simulation.making import scenario_of
@@ -19,7 +19,7 @@ class Known:
     def __init__(self, seed: int = 0) -> None:
         self.now = 10.0
         self.record = Record(scenario_of(seed), lambda: self.now)
-        self.protocol = ServerProtocol()
+        self.protocol = GoalRegistry()
         self.life = Life(1, 0.0, self.protocol)
         self.record.lives.append(self.life)
         self.client = self.record.clients["client-0"]

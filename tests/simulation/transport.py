@@ -9,14 +9,14 @@ from typing import Any
 from anyio.abc import TaskGroup
 
 from fibaction import Endpoint, ServerNotFound, Transport
+from fibaction._tasks import Background
 from fibaction.abc import Connection
-from fibaction.background import Background
-from fibaction.framing import MAX_FRAME
 from fibaction.wire.channel import StreamChannel
-from fibaction.wire.connecting import Keeping, connected
-from fibaction.wire.hub import Hub, hub
-from fibaction.wire.serving import Terms
-from fibaction_transports.tcp.lines import ProtocolLine
+from fibaction.wire.connection import ClientSettings, connected
+from fibaction.wire.framing import MAX_FRAME
+from fibaction.wire.session import ServerSettings
+from fibaction.wire.wire_server import WireServer, hub
+from fibaction_transports.tcp._asyncio import ProtocolLine
 from tests.simulation.network import Line, Listening, Network
 from tests.simulation.sockets import line_over
 from tests.simulation.streams import SimulatedStream
@@ -29,8 +29,8 @@ class SimulatedTransport(Transport):
         self,
         network: Network,
         line: Line | None = None,
-        keeping: Keeping | None = None,
-        terms: Terms | None = None,
+        keeping: ClientSettings | None = None,
+        terms: ServerSettings | None = None,
         *,
         calls_back: bool = False,
     ) -> None:
@@ -60,7 +60,7 @@ class SimulatedTransport(Transport):
             finally:
                 await listener.aclose()
 
-    async def _accept(self, listener: Listening, connections: Hub, tasks: TaskGroup) -> None:
+    async def _accept(self, listener: Listening, connections: WireServer, tasks: TaskGroup) -> None:
         while True:
             stream = await listener.accept()
             tasks.start_soon(connections.serve, self._line_over(stream, ""))

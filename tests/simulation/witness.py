@@ -16,39 +16,39 @@ from unittest.mock import patch
 
 from fibaction import ActionError, Endpoint, GoalID, Outcome, ProtocolError
 from fibaction.abc import GoalStream
-from fibaction.protocol import Cancellation, Ending, Goal, ServerProtocol
-from fibaction.wire.connecting import RemoteConnection
-from fibaction.wire.hub import Hub
-from fibaction.wire.orphans import Orphans
-from fibaction.wire.serving import Session
+from fibaction.server.registry import Cancellation, Ending, Goal, GoalRegistry
+from fibaction.wire.connection import RemoteConnection
+from fibaction.wire.ownership import Owners
+from fibaction.wire.session import Session
+from fibaction.wire.wire_server import WireServer
 from tests.simulation.facts import Truth
 from tests.simulation.invariants import ON_PURPOSE, Record
 
 
 @contextmanager
-def recorded(record: Record, on_hub: Callable[[Hub], None]) -> Generator[None, None, None]:
+def recorded(record: Record, on_hub: Callable[[WireServer], None]) -> Generator[None, None, None]:
     """Let the record know what servers decide, and how connections fare."""
     with ExitStack() as stack:
 
         def observe(cls: type, name: str, make: Callable[[Any], Any]) -> None:
             stack.enter_context(patch.object(cls, name, make(getattr(cls, name))))
 
-        observe(ServerProtocol, "accept", lambda real: _accepting(real, record))
-        observe(ServerProtocol, "execute", lambda real: _executing(real, record))
-        observe(ServerProtocol, "finish", lambda real: _finishing(real, record))
+        observe(GoalRegistry, "accept", lambda real: _accepting(real, record))
+        observe(GoalRegistry, "execute", lambda real: _executing(real, record))
+        observe(GoalRegistry, "finish", lambda real: _finishing(real, record))
         observe(Cancellation, "accept", lambda real: _canceling(real, record))
         observe(RemoteConnection, "_attempt", lambda real: _attempting(real, record))
         observe(RemoteConnection, "_begin", lambda real: _beginning(real, record))
         observe(RemoteConnection, "_give_up", lambda real: _giving_up(real, record))
         observe(Session, "run", lambda real: _session_running(real, record))
-        observe(Orphans, "adopt", lambda real: _adopting(real, record))
-        observe(Orphans, "own", lambda real: _owning(real, record))
-        observe(Hub, "__init__", lambda real: _opening_hub(real, on_hub))
+        observe(Owners, "adopt", lambda real: _adopting(real, record))
+        observe(Owners, "own", lambda real: _owning(real, record))
+        observe(WireServer, "__init__", lambda real: _opening_hub(real, on_hub))
         yield
 
 
 def _accepting(real: Any, record: Record) -> Any:
-    def accept(self: ServerProtocol, goal_id: GoalID, **keywords: Any) -> Goal:
+    def accept(self: GoalRegistry, goal_id: GoalID, **keywords: Any) -> Goal:
         goal: Goal = real(self, goal_id, **keywords)
         record.accepted(record.life_of(self), goal_id, goal.stamp)
         return goal
@@ -63,7 +63,7 @@ def _truth(record: Record, goal: Goal) -> Truth:
 
 
 def _executing(real: Any, record: Record) -> Any:
-    def execute(self: ServerProtocol, goal: Goal) -> None:
+    def execute(self: GoalRegistry, goal: Goal) -> None:
         real(self, goal)
         record.changed(_truth(record, goal), goal.status)
 
@@ -71,7 +71,7 @@ def _executing(real: Any, record: Record) -> Any:
 
 
 def _finishing(real: Any, record: Record) -> Any:
-    def finish(self: ServerProtocol, goal: Goal, ending: Ending, *, now: float) -> Outcome[bytes]:
+    def finish(self: GoalRegistry, goal: Goal, ending: Ending, *, now: float) -> Outcome[bytes]:
         outcome: Outcome[bytes] = real(self, goal, ending, now=now)
         truth = _truth(record, goal)
         record.changed(truth, goal.status)
@@ -149,7 +149,7 @@ def _session_running(real: Any, record: Record) -> Any:
 
 
 def _adopting(real: Any, record: Record) -> Any:
-    def adopt(self: Orphans, endpoint: Endpoint, stream: GoalStream, *, left: bool) -> None:
+    def adopt(self: Owners, endpoint: Endpoint, stream: GoalStream, *, left: bool) -> None:
         record.orphaned(stream.goal_id)
         real(self, endpoint, stream, left=left)
 
@@ -157,7 +157,7 @@ def _adopting(real: Any, record: Record) -> Any:
 
 
 def _owning(real: Any, record: Record) -> Any:
-    def own(self: Orphans, stream: GoalStream, *rest: Any) -> bool:
+    def own(self: Owners, stream: GoalStream, *rest: Any) -> bool:
         is_own: bool = real(self, stream, *rest)
         if is_own:
             record.owned(stream.goal_id)
@@ -166,8 +166,8 @@ def _owning(real: Any, record: Record) -> Any:
     return own
 
 
-def _opening_hub(real: Any, on_hub: Callable[[Hub], None]) -> Any:
-    def __init__(self: Hub, *args: Any, **keywords: Any) -> None:
+def _opening_hub(real: Any, on_hub: Callable[[WireServer], None]) -> Any:
+    def __init__(self: WireServer, *args: Any, **keywords: Any) -> None:
         real(self, *args, **keywords)
         on_hub(self)
 

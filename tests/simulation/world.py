@@ -21,11 +21,11 @@ from anyio import CancelScope, create_task_group, current_time
 from anyio.abc import TaskGroup
 
 from fibaction import ActionServer, serve
-from fibaction.wire.access import Access, Peer, Verb
-from fibaction.wire.connecting import Keeping
-from fibaction.wire.hub import Hub
-from fibaction.wire.limits import Limits
-from fibaction.wire.serving import Terms
+from fibaction.wire.auth import AccessPolicy, Peer, Permission
+from fibaction.wire.connection import ClientSettings
+from fibaction.wire.session import ServerSettings
+from fibaction.wire.settings import Limits
+from fibaction.wire.wire_server import WireServer
 from tests.simulation import loop as virtual
 from tests.simulation.clients import Client
 from tests.simulation.executors import (
@@ -77,7 +77,7 @@ class World:
         self.scenario = scenario
         self.record = Record(scenario, lambda: loop.now - virtual.EPOCH)
         self.network = Network(loop, random.Random(f"network {scenario.seed}"), self.record.tell)
-        self.hub: Hub | None = None
+        self.hub: WireServer | None = None
         self._loop = loop
         self._server: ActionServer[Work, Step, Done] | None = None
         self._life_scope: CancelScope
@@ -93,7 +93,7 @@ class World:
 
     def _client_transport(self, line: Line, number: int) -> SimulatedTransport:
         plan = self.scenario.clients[number]
-        keeping = Keeping(
+        keeping = ClientSettings(
             heartbeat=plan.heartbeat,
             reconnect=plan.reconnect,
             reconnect_timeout=plan.reconnect_timeout,
@@ -102,7 +102,7 @@ class World:
         calls_back = self.scenario.calls_back
         return SimulatedTransport(self.network, line, keeping, calls_back=calls_back)
 
-    def on_hub(self, opened: Hub) -> None:
+    def on_hub(self, opened: WireServer) -> None:
         """A server has opened its hub."""
         self.hub = opened
 
@@ -129,14 +129,14 @@ class World:
     def _server_transport(self) -> SimulatedTransport:
         plan = self.scenario.server
 
-        async def ask(_peer: Peer, _action: str, _verb: Verb) -> bool:
+        async def ask(_peer: Peer, _action: str, _verb: Permission) -> bool:
             await anyio.sleep(0.002)
             return True
 
         rules: dict[str, Any] = {"open": None, "sync": lambda *_: True, "async": ask}
         limits = Limits(queue=plan.queue, goals=plan.goals)
-        access = Access(authorize=rules[plan.authorize])
-        terms = Terms(plan.heartbeat, access, limits, plan.orphans, plan.grace)
+        access = AccessPolicy(authorize=rules[plan.authorize])
+        terms = ServerSettings(plan.heartbeat, access, limits, plan.orphans, plan.grace)
         return SimulatedTransport(self.network, terms=terms, calls_back=self.scenario.calls_back)
 
     async def _live(self, after: float) -> None:

@@ -11,9 +11,9 @@ from contextlib import asynccontextmanager, contextmanager
 import anyio
 from anyio.abc import SocketAttribute, SocketStream
 
-from fibaction.framing import FrameReader, header
-from fibaction.messages import FromServer, decode_from_server
-from fibaction.waking import Waking
+from fibaction._notify import Notifier
+from fibaction.wire.framing import FrameReader, header
+from fibaction.wire.messages import FromServer, decode_from_server
 
 
 class Hearing(logging.Handler):
@@ -22,11 +22,11 @@ class Hearing(logging.Handler):
     def __init__(self) -> None:
         super().__init__(logging.DEBUG)
         self.records: list[logging.LogRecord] = []
-        self._news = Waking()
+        self._news = Notifier()
 
     def emit(self, record: logging.LogRecord) -> None:
         self.records.append(record)
-        self._news.wake()
+        self._news.notify()
 
     @property
     def warnings(self) -> list[str]:

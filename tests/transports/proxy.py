@@ -10,8 +10,8 @@ from contextlib import asynccontextmanager, suppress
 import anyio
 from anyio.abc import SocketAttribute, SocketStream
 
-from fibaction.background import Background
-from fibaction.waking import Waking
+from fibaction._notify import Notifier
+from fibaction._tasks import Background
 
 BROKEN: tuple[type[Exception], ...] = (
     OSError,
@@ -36,7 +36,7 @@ class Line:
         """Seconds that everything takes longer."""
         self._quiet: set[str] = set()
         self._swallowed = anyio.Event()
-        self._changed = Waking()
+        self._changed = Notifier()
         self._streams: dict[SocketStream, SocketStream] = {}
 
     def cut(self) -> None:
@@ -49,7 +49,7 @@ class Line:
         """Hand on no more `to server` or `to client`, and tell nobody; neither: all goes on."""
         self._quiet = set(directions)
         self._swallowed = anyio.Event()
-        self._changed.wake()
+        self._changed.notify()
 
     async def swallows(self) -> None:
         """Wait until something has come that is not handed on."""
@@ -69,7 +69,7 @@ class Line:
 
     async def serve(self, client: SocketStream, port: int) -> None:
         self.opened += 1
-        self._changed.wake()
+        self._changed.notify()
         async with client:
             try:
                 if self.refuses:

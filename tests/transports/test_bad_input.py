@@ -26,8 +26,10 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.framing import MAX_FRAME, header
-from fibaction.messages import (
+from fibaction.server.feedback_log import FeedbackCursor
+from fibaction.wire.framing import MAX_FRAME, header
+from fibaction.wire.link import Link
+from fibaction.wire.messages import (
     VERSION,
     AwaitServer,
     CancelAnswered,
@@ -48,9 +50,7 @@ from fibaction.messages import (
     Why,
     encode,
 )
-from fibaction.streams import LogStream
-from fibaction.wire.limits import Limits
-from fibaction.wire.link import Link
+from fibaction.wire.settings import Limits
 from fibaction_transports.tcp import TcpTransport
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing, Raw, hearing, port_of, raw
@@ -330,7 +330,7 @@ async def test_a_peer_that_never_reads_is_dropped_and_costs_no_more_than_its_que
             yield Result([0, 1, 1, 2])
             return
         queues = links()
-        followed: list[LogStream] = []
+        followed: list[FeedbackCursor] = []
         made = 0
         try:
             while True:
@@ -338,7 +338,7 @@ async def test_a_peer_that_never_reads_is_dropped_and_costs_no_more_than_its_que
                 yield Feedback([1] * size)
                 most = max(most, *(link._queued for link in queues))
                 followed = followed or streams()
-                taken = max(taken, *(stream.place for stream in followed))
+                taken = max(taken, *(stream.cursor for stream in followed))
                 most_unread = max(most_unread, made - taken)
         except anyio.get_cancelled_exc_class():
             canceled.set()
@@ -365,9 +365,9 @@ def links() -> list[Link]:
     return [one for one in gc.get_objects() if isinstance(one, Link)]
 
 
-def streams() -> list[LogStream]:
+def streams() -> list[FeedbackCursor]:
     """All streams of goals of this process that go on."""
-    found = [one for one in gc.get_objects() if isinstance(one, LogStream)]
+    found = [one for one in gc.get_objects() if isinstance(one, FeedbackCursor)]
     return [one for one in found if one.status is GoalStatus.EXECUTING]
 
 

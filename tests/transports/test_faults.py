@@ -33,8 +33,8 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.background import Background
-from fibaction.wire.access import Peer, Verb
+from fibaction._tasks import Background
+from fibaction.wire.auth import Peer, Permission
 from fibaction_transports.tcp import TcpTransport
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import hearing
@@ -368,8 +368,8 @@ async def test_who_waits_for_a_server_waits_through_failed_attempts() -> None:
 
 
 async def test_who_may_only_send_gets_the_outcome_after_a_cut_too() -> None:
-    def authorize(peer: Peer, action: str, verb: Verb) -> bool:
-        return verb is Verb.SEND
+    def authorize(peer: Peer, action: str, verb: Permission) -> bool:
+        return verb is Permission.SEND
 
     executor = Counting(stop=1)
     async with bad_line(ActionServer(FIBONACCI, executor), authorize=authorize) as line:

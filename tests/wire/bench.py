@@ -9,11 +9,16 @@ from typing import Any, Literal
 import anyio
 from anyio.abc import TaskGroup
 
+from fibaction._tasks import Background
 from fibaction.abc import Endpoint
-from fibaction.background import Background
 from fibaction.exceptions import ActionError
-from fibaction.framing import MAX_FRAME
-from fibaction.messages import (
+from fibaction.server import ActionServer
+from fibaction.states import GoalStatus
+from fibaction.testing import ScriptedServer
+from fibaction.wire.auth import AccessPolicy
+from fibaction.wire.framing import MAX_FRAME
+from fibaction.wire.link import Link
+from fibaction.wire.messages import (
     VERSION,
     Actions,
     Following,
@@ -24,14 +29,9 @@ from fibaction.messages import (
     Welcome,
     decode_from_server,
 )
-from fibaction.server import ActionServer
-from fibaction.states import GoalStatus
-from fibaction.testing import ScriptedServer
-from fibaction.wire.access import Access
-from fibaction.wire.limits import Limits
-from fibaction.wire.link import Link
-from fibaction.wire.orphans import Orphans
-from fibaction.wire.serving import Session, Terms
+from fibaction.wire.ownership import Owners
+from fibaction.wire.session import ServerSettings, Session
+from fibaction.wire.settings import Limits
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.wire import memory
@@ -98,8 +98,8 @@ class Bench:
         self,
         tasks: TaskGroup,
         endpoints: Mapping[str, Endpoint],
-        terms: Terms,
-        orphans: Orphans,
+        terms: ServerSettings,
+        orphans: Owners,
     ) -> None:
         self.endpoints = dict(endpoints)
         self.orphans = orphans
@@ -145,7 +145,7 @@ class Bench:
 @asynccontextmanager
 async def serving(
     *servers: ActionServer[Any, Any, Any],
-    access: Access | None = None,
+    access: AccessPolicy | None = None,
     limits: Limits | None = None,
     grace: float = 10.0,
     then: Literal["keep", "cancel"] = "keep",
@@ -155,6 +155,6 @@ async def serving(
             await stack.enter_async_context(server)
         tasks = await stack.enter_async_context(Background())
         endpoints = {server.info.name: server for server in servers}
-        orphans = Orphans(tasks, grace=grace, then=then)
-        terms = Terms(LONG, access or Access(), limits or Limits(), then, grace)
+        orphans = Owners(tasks, grace=grace, then=then)
+        terms = ServerSettings(LONG, access or AccessPolicy(), limits or Limits(), then, grace)
         yield Bench(tasks, endpoints, terms, orphans)

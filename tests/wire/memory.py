@@ -14,10 +14,10 @@ import anyio
 import pytest
 from anyio.lowlevel import checkpoint
 
+from fibaction._notify import Notifier
 from fibaction.exceptions import ConnectionLost
-from fibaction.messages import Ping, encode
-from fibaction.waking import Waking
 from fibaction.wire.channel import Channel
+from fibaction.wire.messages import Ping, encode
 
 T = TypeVar("T")
 
@@ -41,7 +41,7 @@ class _Way:
         self.is_stopped = False
         self.is_muted = False
         self.is_cut = False
-        self.news = Waking()
+        self.news = Notifier()
 
 
 class MemoryChannel(Channel):
@@ -61,7 +61,7 @@ class MemoryChannel(Channel):
             raise ConnectionLost(f"the connection to {self.peer} broke")
         if not way.is_muted:
             way.frames += frames
-            way.news.wake()
+            way.news.notify()
 
     async def receive(self) -> list[bytes]:
         way = self._incoming
@@ -81,7 +81,7 @@ class MemoryChannel(Channel):
         """End the connection, both ways. What was sent before can still be read."""
         for way in (self._incoming, self._outgoing):
             way.is_cut = True
-            way.news.wake()
+            way.news.notify()
 
     def mute(self) -> None:
         """From now on, what this end sends is lost on the way."""
@@ -93,7 +93,7 @@ class MemoryChannel(Channel):
 
     def go_on_reading(self) -> None:
         self._incoming.is_stopped = False
-        self._incoming.news.wake()
+        self._incoming.news.notify()
 
     @property
     def is_cut(self) -> bool:

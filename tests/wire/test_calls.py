@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine, Iterable
+from functools import partial
 from typing import Any, TypeVar, cast
 
 import anyio
 import pytest
 from hypothesis import given, strategies
 
-from fibaction.abc import FeedbackItem
+from fibaction.abc import FeedbackItem, GoalUpdate
 from fibaction.exceptions import (
     ActionError,
     AuthenticationFailed,
@@ -19,7 +20,9 @@ from fibaction.exceptions import (
     UnknownGoal,
 )
 from fibaction.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Outcome
-from fibaction.messages import (
+from fibaction.states import GoalStatus
+from fibaction.wire.calls import Call, PendingRequest, RemoteGoal, RemoteStatuses, error_of
+from fibaction.wire.messages import (
     Actions,
     AwaitServer,
     Close,
@@ -42,8 +45,6 @@ from fibaction.messages import (
     WatchStatus,
     Why,
 )
-from fibaction.states import GoalStatus
-from fibaction.wire.calls import Call, Question, RemoteGoal, RemoteStatuses, error_of
 
 pytestmark = pytest.mark.anyio
 
@@ -110,13 +111,13 @@ def credits_in(posted: Iterable[FromClient]) -> list[int]:
 
 def some_calls() -> list[tuple[Call, Callable[[], Coroutine[Any, Any, Any]]]]:
     """A call of each kind that waits for something, and what it waits for."""
-    question = Question(ID, AwaitServer(ID, "fibonacci"))
+    question = PendingRequest(ID, AwaitServer(ID, "fibonacci"))
     unanswered, accepted, silent = (Bench(accepted=yes).goal for yes in (False, True, True))
     begun, begins = StatusBench().statuses, StatusBench(begun=False).statuses
     return [
         (question, question.answered),
         (unanswered, unanswered.answered),
-        (accepted, accepted.next_event),
+        (accepted, accepted.receive),
         (silent, silent.outcome),
         (begun, begun.receive),
         (begins, begins.answered),
@@ -228,8 +229,8 @@ def test_a_goal_that_is_rejected_is_named_with_the_reason() -> None:
 # A question
 
 
-def a_question() -> Question:
-    return Question(ID, AwaitServer(ID, "fibonacci"))
+def a_question() -> PendingRequest:
+    return PendingRequest(ID, AwaitServer(ID, "fibonacci"))
 
 
 def test_a_question_is_asked_alike_on_each_connection() -> None:
@@ -240,19 +241,19 @@ def test_a_question_is_asked_alike_on_each_connection() -> None:
 
 async def test_a_question_waits_for_its_answer_which_is_the_last_of_it() -> None:
     question = a_question()
-    await while_waiting(question.answered, lambda: question.hear(Actions(ID, [])))
+    await while_waiting(question.answered, lambda: question.on_message(Actions(ID, [])))
     assert question.answer(Actions) == Actions(ID, [])
-    assert a_question().hear(Actions(ID, []))
+    assert a_question().on_message(Actions(ID, []))
 
 
 async def test_a_question_that_fails_has_had_its_answer() -> None:
     question = a_question()
     error = await while_waiting(
         question.answered,
-        lambda: question.hear(Failed(ID, Why.SERVER_NOT_FOUND, "nobody")),
+        lambda: question.on_message(Failed(ID, Why.SERVER_NOT_FOUND, "nobody")),
     )
     assert isinstance(error, ServerNotFound)
-    assert a_question().hear(Failed(ID, Why.SERVER_NOT_FOUND, "nobody"))
+    assert a_question().on_message(Failed(ID, Why.SERVER_NOT_FOUND, "nobody"))
 
 
 @pytest.mark.parametrize(
@@ -260,13 +261,17 @@ async def test_a_question_that_fails_has_had_its_answer() -> None:
 )
 def test_an_answer_to_another_question_is_the_peers_error(answer: Any) -> None:
     question = a_question()
-    assert question.hear(answer)
+    assert question.on_message(answer)
     name = type(answer).__name__
     with pytest.raises(ProtocolError, match=rf"^a {name} does not answer what was asked$"):
         question.answer(Actions)
 
 
 # A goal
+
+
+async def next_update(goal: RemoteGoal) -> GoalUpdate:
+    return await anext(aiter(goal))
 
 
 class Bench:
@@ -291,17 +296,18 @@ class Bench:
     def follow(
         self, status: GoalStatus = GoalStatus.ACCEPTED, *, latest: bool = False, place: int = 0
     ) -> None:
-        assert not self.goal.hear(Following(ID, STAMP, status, latest, place))
+        assert not self.goal.on_message(Following(ID, STAMP, status, latest, place))
 
     def feed(self, *numbers: int) -> None:
         for number in numbers:
-            assert not self.goal.hear(Feedback(ID, number, b"%d" % number))
+            assert not self.goal.on_message(Feedback(ID, number, b"%d" % number))
 
     def end(self, place: int = 0, status: GoalStatus = GoalStatus.SUCCEEDED) -> None:
-        assert self.goal.hear(Ended(ID, status, b"result", "as it was", place))
+        assert self.goal.on_message(Ended(ID, status, b"result", "as it was", place))
 
     def next(self) -> FeedbackItem | GoalStatus | None:
-        return at_once(self.goal.next_event())
+        update = at_once(next_update(self.goal))
+        return None if isinstance(update, Outcome) else update
 
     def read(self, count: int) -> list[int]:
         """The numbers of so much feedback, which is there, perhaps behind a status."""
@@ -340,7 +346,7 @@ def test_a_goal_is_sent_as_it_was_given_until_it_is_accepted() -> None:
 async def test_a_goal_is_accepted_when_the_server_knows_it() -> None:
     bench = Bench(accepted=False)
     goal = bench.goal
-    assert (goal.goal_id, goal.status, goal.stamp, goal.place) == (
+    assert (goal.goal_id, goal.status, goal.stamp, goal.cursor) == (
         GOAL_ID,
         GoalStatus.UNKNOWN,
         0,
@@ -352,7 +358,7 @@ async def test_a_goal_is_accepted_when_the_server_knows_it() -> None:
     )
     assert (goal.status, goal.stamp, goal.latest) == (GoalStatus.EXECUTING, STAMP, True)
     assert isinstance(goal.status, GoalStatus)
-    assert (goal.place, goal.dropped) == (3, 0)
+    assert (goal.cursor, goal.dropped) == (3, 0)
 
 
 @pytest.mark.parametrize(
@@ -368,47 +374,47 @@ async def test_a_goal_that_is_refused_was_not_accepted(
     refusal: Rejected | Failed, kind: type[ActionError]
 ) -> None:
     bench = Bench(accepted=False)
-    error = await while_waiting(bench.goal.answered, lambda: bench.goal.hear(refusal))
+    error = await while_waiting(bench.goal.answered, lambda: bench.goal.on_message(refusal))
     assert type(error) is kind
-    assert Bench(accepted=False).goal.hear(refusal)
+    assert Bench(accepted=False).goal.on_message(refusal)
 
 
 async def test_feedback_and_statuses_are_waited_for_and_come_in_order() -> None:
     bench = Bench()
-    next_event = bench.goal.next_event
+    next_event = partial(next_update, bench.goal)
     assert await while_waiting(next_event, lambda: bench.feed(1)) == FeedbackItem(1, b"1")
     status = await while_waiting(
-        next_event, lambda: bench.goal.hear(StatusChanged(ID, GoalStatus.EXECUTING))
+        next_event, lambda: bench.goal.on_message(StatusChanged(ID, GoalStatus.EXECUTING))
     )
     assert status is GoalStatus.EXECUTING
     assert bench.goal.status is GoalStatus.EXECUTING
     bench.feed(2, 3)
     assert bench.read(2) == [2, 3]
-    assert bench.goal.place == 3
-    assert await while_waiting(next_event, lambda: bench.end(3)) is None
+    assert bench.goal.cursor == 3
+    assert await while_waiting(next_event, lambda: bench.end(3)) == bench.goal.known_outcome()
 
 
 def test_where_no_feedback_is_taken_only_statuses_are_given_and_feedback_is_left() -> None:
     bench = Bench()
     bench.feed(1)
-    assert bench.goal.take(0) == []
+    assert not bench.goal.take(0)
     bench.feed(2)
-    bench.goal.hear(StatusChanged(ID, GoalStatus.CANCELING))
-    assert bench.goal.take(0) is GoalStatus.CANCELING
+    bench.goal.on_message(StatusChanged(ID, GoalStatus.CANCELING))
+    assert bench.goal.take(0) == (GoalStatus.CANCELING,)
     bench.end(2)
-    assert bench.goal.take(0) == []  # there is more, for who wants it
-    assert (bench.goal.place, bench.goal.dropped) == (0, 0)
+    assert not bench.goal.take(0)  # there is more, for who wants it
+    assert (bench.goal.cursor, bench.goal.dropped) == (0, 0)
     assert bench.read(2) == [1, 2]
-    assert bench.goal.take(0) is None
+    assert bench.goal.take(0) == (bench.goal.known_outcome(),)
     assert bench.next() is None
 
 
 def test_as_much_feedback_is_taken_as_is_asked_for_and_there_is() -> None:
     bench = Bench()
-    assert bench.goal.take(5) == []
+    assert not bench.goal.take(5)
     bench.feed(1, 2, 3)
     assert bench.goal.take(2) == [FeedbackItem(1, b"1"), FeedbackItem(2, b"2")]
-    assert bench.goal.place == 2
+    assert bench.goal.cursor == 2
     assert bench.goal.take(5) == [FeedbackItem(3, b"3")]
     assert credits_in(bench.posted) == [2]
 
@@ -428,17 +434,17 @@ def test_what_has_come_before_the_end_is_kept_also_if_nobody_is_to_wait_for_it()
 
 def test_the_end_is_known_without_waiting_as_soon_as_it_has_come() -> None:
     bench = Bench()
-    assert bench.goal.ended() is None
+    assert bench.goal.known_outcome() is None
     bench.end()
     bench.goal.fail(LOST)  # whatever becomes of the connection after that
-    assert bench.goal.ended() == Outcome(GoalStatus.SUCCEEDED, b"result", "as it was")
+    assert bench.goal.known_outcome() == Outcome(GoalStatus.SUCCEEDED, b"result", "as it was")
 
 
 def test_another_goal_of_the_same_id_is_not_taken_for_the_one_that_was_followed() -> None:
     bench = Bench()
     bench.feed(1, 2)
-    assert bench.goal.hear(Following(ID, STAMP + 1, GoalStatus.EXECUTING, False, 0))
-    assert bench.goal.ended() == UNKNOWN_OUTCOME
+    assert bench.goal.on_message(Following(ID, STAMP + 1, GoalStatus.EXECUTING, False, 0))
+    assert bench.goal.known_outcome() == UNKNOWN_OUTCOME
     assert Close(ID) in bench.posted
     items = [FeedbackItem(1, b"1"), FeedbackItem(2, b"2")]
     assert bench.goal.take(5) == items  # what has come, has come
@@ -448,7 +454,7 @@ def test_a_failure_before_the_end_is_known_without_waiting() -> None:
     bench = Bench()
     bench.goal.fail(LOST)
     with pytest.raises(ConnectionLost):
-        bench.goal.ended()
+        bench.goal.known_outcome()
 
 
 def test_everything_that_comes_is_heard_of() -> None:
@@ -457,11 +463,11 @@ def test_everything_that_comes_is_heard_of() -> None:
     steps: dict[str, Callable[[], object]] = {
         "accepted": bench.follow,
         "feedback": lambda: bench.feed(1),
-        "status": lambda: bench.goal.hear(StatusChanged(ID, GoalStatus.EXECUTING)),
+        "status": lambda: bench.goal.on_message(StatusChanged(ID, GoalStatus.EXECUTING)),
         "end": bench.end,
     }
     for name, step in steps.items():
-        bench.goal.news.listener = lambda name=name: heard.append(name)
+        bench.goal.news.on_next = lambda name=name: heard.append(name)
         step()
     assert heard == list(steps)
 
@@ -484,14 +490,16 @@ def test_the_end_is_answered_with_received_whether_or_not_feedback_is_wanted(
 )
 def test_what_is_no_end_is_not_answered(message: Failed) -> None:
     bench = Bench()
-    assert bench.goal.hear(message)
+    assert bench.goal.on_message(message)
     assert bench.posted == []
 
 
 def test_a_result_over_the_limit_is_an_error_of_this_goal_after_its_feedback() -> None:
     bench = Bench()
     bench.feed(1)
-    bench.goal.hear(Failed(ID, Why.LIMIT, "the answer has 2000 bytes, and 1000 are the limit"))
+    bench.goal.on_message(
+        Failed(ID, Why.LIMIT, "the answer has 2000 bytes, and 1000 are the limit")
+    )
     assert bench.read(1) == [1]
     for _ in range(2):
         with pytest.raises(TransportError, match="2000 bytes") as caught:
@@ -501,7 +509,7 @@ def test_a_result_over_the_limit_is_an_error_of_this_goal_after_its_feedback() -
 
 def test_the_stream_of_feedback_leaves_statuses_out() -> None:
     bench = Bench()
-    bench.goal.hear(StatusChanged(ID, GoalStatus.EXECUTING))
+    bench.goal.on_message(StatusChanged(ID, GoalStatus.EXECUTING))
     bench.feed(1)
     assert at_once(bench.goal.receive()) == FeedbackItem(1, b"1")
 
@@ -526,7 +534,7 @@ def test_all_feedback_comes_before_the_end() -> None:
 def test_what_has_come_can_be_read_before_a_failure_is_heard_of() -> None:
     bench = Bench()
     bench.feed(1)
-    bench.goal.hear(StatusChanged(ID, GoalStatus.EXECUTING))
+    bench.goal.on_message(StatusChanged(ID, GoalStatus.EXECUTING))
     bench.goal.fail(LOST)
     assert bench.next() is GoalStatus.EXECUTING
     assert bench.read(1) == [1]
@@ -537,13 +545,13 @@ def test_what_has_come_can_be_read_before_a_failure_is_heard_of() -> None:
 @pytest.mark.parametrize("message", [Done(ID), Finished(ID), Ping()], ids=type)
 def test_what_is_about_no_goal_is_the_peers_error(message: object) -> None:
     with pytest.raises(ProtocolError, match=f"a {type(message).__name__} does not answer"):
-        Bench().goal.hear(message)
+        Bench().goal.on_message(message)
 
 
 def test_a_goal_that_the_server_has_forgotten_has_ended_as_unknown() -> None:
     bench = Bench()
     bench.feed(1, 2)
-    assert bench.goal.hear(Failed(ID, Why.UNKNOWN_GOAL, "never heard of it"))
+    assert bench.goal.on_message(Failed(ID, Why.UNKNOWN_GOAL, "never heard of it"))
     assert at_once(bench.goal.outcome()) is UNKNOWN_OUTCOME
     assert bench.goal.status is GoalStatus.UNKNOWN
     assert bench.read(2) == [1, 2]
@@ -553,7 +561,7 @@ def test_a_goal_that_the_server_has_forgotten_has_ended_as_unknown() -> None:
 
 def test_a_goal_that_was_accepted_can_still_fail_for_other_reasons() -> None:
     bench = Bench()
-    assert bench.goal.hear(Failed(ID, Why.SERVER_NOT_FOUND, "nobody"))
+    assert bench.goal.on_message(Failed(ID, Why.SERVER_NOT_FOUND, "nobody"))
     with pytest.raises(ServerNotFound):
         at_once(bench.goal.outcome())
 
@@ -561,15 +569,15 @@ def test_a_goal_that_was_accepted_can_still_fail_for_other_reasons() -> None:
 def test_an_end_before_the_acceptance_is_the_peers_error() -> None:
     bench = Bench(accepted=False)
     with pytest.raises(ProtocolError):
-        bench.goal.hear(ENDED)
+        bench.goal.on_message(ENDED)
 
 
 @pytest.mark.parametrize("status", [one for one in GoalStatus if one.is_active])
 def test_an_end_that_is_none_is_the_peers_error(status: GoalStatus) -> None:
     bench = Bench()
     with pytest.raises(ProtocolError, match=f"^a goal has ended as {status.name}$"):
-        bench.goal.hear(Ended(ID, status, None, "", 0))
-    assert bench.goal.ended() is None
+        bench.goal.on_message(Ended(ID, status, None, "", 0))
+    assert bench.goal.known_outcome() is None
 
 
 # Feedback and credit
@@ -641,7 +649,7 @@ def test_only_who_looks_on_and_goes_before_the_end_says_so(
 def test_who_was_not_let_look_on_says_nothing_when_it_goes(is_refused: bool) -> None:
     bench = Bench(opening=Follow(ID, "fibonacci", GOAL_ID, None, False, 4), accepted=False)
     if is_refused:
-        bench.goal.hear(Failed(ID, Why.UNKNOWN_GOAL, "unknown"))
+        bench.goal.on_message(Failed(ID, Why.UNKNOWN_GOAL, "unknown"))
     del bench.goal
     assert bench.posted == []
 
@@ -788,7 +796,7 @@ def test_what_the_server_left_out_counts_as_dropped() -> None:
     bench.end(20)
     assert bench.goal.dropped == 2
     assert bench.next() is None
-    assert (bench.goal.place, bench.goal.dropped) == (20, 8)
+    assert (bench.goal.cursor, bench.goal.dropped) == (20, 8)
 
 
 def test_an_end_that_counts_less_than_has_come_changes_nothing() -> None:
@@ -797,7 +805,7 @@ def test_an_end_that_counts_less_than_has_come_changes_nothing() -> None:
     bench.end(0)
     assert bench.read(2) == [1, 2]
     assert bench.next() is None
-    assert (bench.goal.place, bench.goal.dropped) == (2, 0)
+    assert (bench.goal.cursor, bench.goal.dropped) == (2, 0)
 
 
 # Closing
@@ -806,14 +814,14 @@ def test_an_end_that_counts_less_than_has_come_changes_nothing() -> None:
 def test_closing_says_so_once_and_ends_the_stream_but_not_the_goal() -> None:
     bench = Bench()
     bench.feed(1)
-    bench.goal.hear(StatusChanged(ID, GoalStatus.EXECUTING))
+    bench.goal.on_message(StatusChanged(ID, GoalStatus.EXECUTING))
     bench.goal.close()
     bench.goal.close()
     assert bench.posted == [Close(ID)]
-    assert bench.next() is None
+    assert not bench.goal.take()
     bench.feed(2)
-    bench.goal.hear(StatusChanged(ID, GoalStatus.CANCELING))
-    assert bench.next() is None
+    bench.goal.on_message(StatusChanged(ID, GoalStatus.CANCELING))
+    assert not bench.goal.take()
     assert bench.goal.status is GoalStatus.CANCELING
     bench.end(2)
     assert at_once(bench.goal.outcome()).status is GoalStatus.SUCCEEDED
@@ -839,7 +847,7 @@ def test_what_was_not_read_is_let_go_of_on_closing_and_gives_no_credit() -> None
 
 async def test_closing_wakes_who_reads() -> None:
     bench = Bench()
-    assert await while_waiting(bench.goal.next_event, bench.goal.close) is None
+    assert await while_waiting(bench.goal.receive, bench.goal.close) is None
 
 
 def test_the_end_of_a_block_closes() -> None:
@@ -851,8 +859,8 @@ def test_the_end_of_a_block_closes() -> None:
 
 def test_a_stream_without_feedback_gives_only_the_outcome_and_need_not_be_closed() -> None:
     bench = Bench(window=0)
-    bench.goal.hear(StatusChanged(ID, GoalStatus.EXECUTING))
-    assert bench.next() is None
+    bench.goal.on_message(StatusChanged(ID, GoalStatus.EXECUTING))
+    assert not bench.goal.take()
     assert bench.goal.status is GoalStatus.EXECUTING
     bench.goal.hold(False)
     bench.goal.close()
@@ -964,8 +972,8 @@ def test_a_status_that_changed_between_two_connections_is_told() -> None:
 def test_a_status_from_before_the_one_on_another_connection_is_not_told_any_more() -> None:
     bench = Bench()
     bench.goal.opening()
-    bench.goal.hear(Following(ID, STAMP, GoalStatus.CANCELED, False, 0))
-    bench.goal.hear(StatusChanged(ID, GoalStatus.CANCELING))
+    bench.goal.on_message(Following(ID, STAMP, GoalStatus.CANCELED, False, 0))
+    bench.goal.on_message(StatusChanged(ID, GoalStatus.CANCELING))
     bench.feed(1)
     assert bench.next() == FeedbackItem(1, b"1")
     assert bench.goal.status is GoalStatus.CANCELED
@@ -988,12 +996,12 @@ class StatusBench:
         self.posted: list[FromClient] = []
         self.statuses = RemoteStatuses(ID, "fibonacci", window, self.posted.append)
         if begun:
-            assert not self.statuses.hear(Watching(ID, 0))
+            assert not self.statuses.on_message(Watching(ID, 0))
 
     def change(self, *stamps: int, dropped: int = 0) -> None:
         for stamp in stamps:
             changed = GoalChanged(ID, bytes(GOAL_ID), stamp, GoalStatus.EXECUTING, dropped)
-            assert not self.statuses.hear(changed)
+            assert not self.statuses.on_message(changed)
 
     def read(self, count: int) -> list[int]:
         stamps = []
@@ -1004,7 +1012,7 @@ class StatusBench:
         return stamps
 
     def finish(self) -> None:
-        assert self.statuses.hear(Finished(ID))
+        assert self.statuses.on_message(Finished(ID))
 
     def reopened(self) -> WatchStatus:
         """What is sent on another connection."""
@@ -1016,21 +1024,21 @@ class StatusBench:
 async def test_statuses_begin_when_the_server_says_so() -> None:
     bench = StatusBench(begun=False)
     assert bench.statuses.opening() == WatchStatus(ID, "fibonacci", 4)
-    await while_waiting(bench.statuses.answered, lambda: bench.statuses.hear(Watching(ID, 0)))
+    await while_waiting(bench.statuses.answered, lambda: bench.statuses.on_message(Watching(ID, 0)))
 
 
 def test_on_another_connection_the_known_goals_come_anew_behind_those_that_have_come() -> None:
     bench = StatusBench(begun=False)
-    assert not bench.statuses.hear(Watching(ID, 3))
+    assert not bench.statuses.on_message(Watching(ID, 3))
     bench.change(1, 2)
     bench.read(1)
-    assert not bench.statuses.hear(Watching(ID, 7))
+    assert not bench.statuses.on_message(Watching(ID, 7))
     assert bench.statuses.known == 2 + 7
 
 
 async def test_the_goals_that_there_were_are_listed_once_each() -> None:
     bench = StatusBench(10, begun=False)
-    assert not bench.statuses.hear(Watching(ID, 2))
+    assert not bench.statuses.on_message(Watching(ID, 2))
 
     async def listed() -> list[int]:
         return [info.stamp for info in await bench.statuses.listed()]
@@ -1038,13 +1046,13 @@ async def test_the_goals_that_there_were_are_listed_once_each() -> None:
     def change(*goals: int) -> None:
         for number in goals:
             goal_id = bytes([number] * 16)
-            assert not bench.statuses.hear(
+            assert not bench.statuses.on_message(
                 GoalChanged(ID, goal_id, number, GoalStatus.EXECUTING, 0)
             )
 
     def break_off() -> None:
         change(1)  # and then the connection is lost
-        assert not bench.statuses.hear(Watching(ID, 3))
+        assert not bench.statuses.on_message(Watching(ID, 3))
         change(1, 2, 3, 4)
 
     assert await while_waiting(listed, break_off) == [1, 2, 3]
@@ -1053,19 +1061,21 @@ async def test_the_goals_that_there_were_are_listed_once_each() -> None:
 
 async def test_a_list_is_not_waited_for_when_another_server_has_fewer_goals() -> None:
     bench = StatusBench(begun=False)
-    assert not bench.statuses.hear(Watching(ID, 2))
+    assert not bench.statuses.on_message(Watching(ID, 2))
     again = Watching(ID, 0)
-    assert await while_waiting(bench.statuses.listed, lambda: bench.statuses.hear(again)) == []
+    assert (
+        await while_waiting(bench.statuses.listed, lambda: bench.statuses.on_message(again)) == []
+    )
 
 
 async def test_a_list_ends_with_the_server_and_fails_with_the_connection() -> None:
     bench = StatusBench(begun=False)
-    assert not bench.statuses.hear(Watching(ID, 2))
+    assert not bench.statuses.on_message(Watching(ID, 2))
     bench.change(1)
     (found,) = cast("list[GoalInfo]", await while_waiting(bench.statuses.listed, bench.finish))
     assert found.stamp == 1
     bench = StatusBench(begun=False)
-    assert not bench.statuses.hear(Watching(ID, 2))
+    assert not bench.statuses.on_message(Watching(ID, 2))
     error = await while_waiting(bench.statuses.listed, lambda: bench.statuses.fail(LOST))
     assert isinstance(error, ConnectionLost)
 
@@ -1073,9 +1083,9 @@ async def test_a_list_ends_with_the_server_and_fails_with_the_connection() -> No
 async def test_statuses_that_the_server_refuses_do_not_begin() -> None:
     bench = StatusBench(begun=False)
     refusal = Failed(ID, Why.FORBIDDEN, "no")
-    error = await while_waiting(bench.statuses.answered, lambda: bench.statuses.hear(refusal))
+    error = await while_waiting(bench.statuses.answered, lambda: bench.statuses.on_message(refusal))
     assert isinstance(error, AuthenticationFailed)
-    assert StatusBench().statuses.hear(refusal)
+    assert StatusBench().statuses.on_message(refusal)
 
 
 async def test_statuses_are_waited_for_and_come_in_order() -> None:
@@ -1102,7 +1112,7 @@ async def test_statuses_end_after_what_there_was() -> None:
 def test_an_end_of_statuses_before_the_beginning_is_the_peers_error() -> None:
     bench = StatusBench(begun=False)
     with pytest.raises(ProtocolError):
-        bench.statuses.hear(Finished(ID))
+        bench.statuses.on_message(Finished(ID))
 
 
 def test_what_the_server_left_out_of_the_statuses_is_told() -> None:
@@ -1144,7 +1154,7 @@ def test_statuses_beyond_the_credit_are_the_peers_error(window: int) -> None:
 )
 def test_what_is_about_no_statuses_is_the_peers_error(message: object) -> None:
     with pytest.raises(ProtocolError, match=f"a {type(message).__name__} does not answer"):
-        StatusBench().statuses.hear(message)
+        StatusBench().statuses.on_message(message)
 
 
 async def test_closing_the_statuses_says_so_once_and_wakes_who_reads() -> None:

@@ -8,10 +8,10 @@ import anyio
 import pytest
 from anyio.abc import ByteStream
 
+from fibaction._notify import Notifier
 from fibaction.exceptions import ConnectionLost, ProtocolError
-from fibaction.framing import HEADER, header
-from fibaction.waking import Waking
-from fibaction.wire.channel import CHUNK, Fetch, Hear, Line, StreamChannel
+from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames, StreamChannel
+from fibaction.wire.framing import HEADER, header
 from tests.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
@@ -74,7 +74,7 @@ class PipeEnd(ByteStream):
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
         self._buffer = bytearray()
-        self._changed = Waking()
+        self._changed = Notifier()
         self._ended = False
 
     async def receive(self, max_bytes: int = 65536) -> bytes:
@@ -84,12 +84,12 @@ class PipeEnd(ByteStream):
             await self._changed.wait()
         data = bytes(self._buffer[:max_bytes])
         del self._buffer[:max_bytes]
-        self._changed.wake()
+        self._changed.notify()
         return data
 
     async def send(self, item: bytes) -> None:
         self._buffer += item
-        self._changed.wake()
+        self._changed.notify()
         while len(self._buffer) > self._capacity:
             await self._changed.wait()
 
@@ -98,7 +98,7 @@ class PipeEnd(ByteStream):
 
     async def aclose(self) -> None:
         self._ended = True
-        self._changed.wake()
+        self._changed.notify()
 
 
 def channel_over(stream: ByteStream, limit: int = LIMIT) -> StreamChannel:
@@ -347,13 +347,13 @@ class Running:
         self.to_say: list[list[bytes]] = []
         self.error: Exception | None = None
 
-    def fetch(self) -> list[bytes]:
+    def next_frames(self) -> list[bytes]:
         return self.to_say.pop(0) if self.to_say else []
 
     async def run(self) -> None:
         with anyio.fail_after(5):
             try:
-                await self.channel.run(self.heard.extend, self.fetch)
+                await self.channel.run(self.heard.extend, self.next_frames)
             except Exception as exc:
                 self.error = exc
 
@@ -367,14 +367,14 @@ async def test_a_channel_that_runs_hands_over_what_comes_until_the_end() -> None
 
 async def test_what_there_is_to_send_is_fetched_at_first_and_when_it_is_stirred() -> None:
     running = Running()
-    running.channel.stir()  # it does not run yet, and will ask anyway
+    running.channel.wake_writer()  # it does not run yet, and will ask anyway
     running.to_say = [[b"1"], [b"2", b"3"]]
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(running.run)
         await anyio.wait_all_tasks_blocked()
         assert running.stream.sent == [framed(b"1"), framed(b"2", b"3")]
         running.to_say = [[b"4"]]
-        running.channel.stir()
+        running.channel.wake_writer()
         await anyio.wait_all_tasks_blocked()
         assert running.stream.sent[2:] == [framed(b"4")]
         tasks.cancel_scope.cancel()
@@ -384,12 +384,12 @@ async def test_what_hear_raises_ends_the_run_and_is_not_wrapped() -> None:
     running = Running(framed(b"1"), framed(b"2"))
     wrong = ProtocolError("no such message")
 
-    def hear(frames: list[bytes]) -> None:
+    def on_frames(frames: list[bytes]) -> None:
         running.heard.extend(frames)
         raise wrong
 
     with anyio.fail_after(5), pytest.raises(ProtocolError) as caught:
-        await running.channel.run(hear, running.fetch)
+        await running.channel.run(on_frames, running.next_frames)
     assert caught.value is wrong
     assert running.heard == [b"1"]
 
@@ -406,10 +406,10 @@ async def test_a_line_of_somebody_elses_need_not_know_of_progress() -> None:
     class Still(Line):
         peer = "nobody"
 
-        def stir(self, *, at_once: bool = False) -> None:
+        def wake_writer(self, *, at_once: bool = False) -> None:
             raise NotImplementedError
 
-        async def run(self, hear: Hear, fetch: Fetch) -> None:
+        async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
             raise NotImplementedError
 
         async def send(self, frames: Sequence[bytes]) -> None:

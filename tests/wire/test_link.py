@@ -11,17 +11,17 @@ import trio
 from anyio.abc import ByteStream
 from trio.testing import MockClock
 
+from fibaction._notify import Notifier
 from fibaction.exceptions import (
     ActionError,
     AuthenticationFailed,
     ConnectionLost,
     ProtocolError,
 )
-from fibaction.framing import header
-from fibaction.messages import Ping, decode_from_client, decode_from_server
-from fibaction.waking import Waking
 from fibaction.wire.channel import Channel, StreamChannel
+from fibaction.wire.framing import header
 from fibaction.wire.link import HIGH_WATER, MISSED, OVERFULL, PING, Link, naming
+from fibaction.wire.messages import Ping, decode_from_client, decode_from_server
 from tests.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
@@ -52,7 +52,7 @@ class FakeChannel(Channel):
         """Seconds that a write takes."""
         self.pieces = 0
         self._arrived: list[bytes] = []
-        self._changed = Waking()
+        self._changed = Notifier()
 
     @property
     def progress(self) -> int:
@@ -60,15 +60,15 @@ class FakeChannel(Channel):
 
     def arrive(self, *frames: bytes) -> None:
         self._arrived += frames
-        self._changed.wake()
+        self._changed.notify()
 
     def fail(self, error: ActionError) -> None:
         self.error = error
-        self._changed.wake()
+        self._changed.notify()
 
     def unstick(self) -> None:
         self.is_stuck = False
-        self._changed.wake()
+        self._changed.notify()
 
     async def send(self, frames: Sequence[bytes]) -> None:
         self.asked += 1
@@ -225,7 +225,7 @@ async def test_what_there_is_to_fetch_is_fetched_until_there_is_no_more() -> Non
         spring.left = [[b"one", b"two"], [b"three"]]
         await anyio.wait_all_tasks_blocked()
         assert bench.channel.sent == []  # nobody has said that there is something
-        bench.link.stir()
+        bench.link.wake_writer()
         await anyio.wait_all_tasks_blocked()
         assert bench.channel.sent == [[b"one", b"two"], [b"three"]]
         assert bench.link._queued == 0  # it was never in the queue
@@ -240,15 +240,15 @@ async def test_the_line_is_told_whether_there_is_more_to_come(
 ) -> None:
     bench = Bench()
     told: list[bool] = []
-    monkeypatch.setattr(bench.channel, "stir", lambda *, at_once: told.append(at_once))
-    bench.link.stir(at_once=at_once)
+    monkeypatch.setattr(bench.channel, "wake_writer", lambda *, at_once: told.append(at_once))
+    bench.link.wake_writer(at_once=at_once)
     assert told == [at_once]
 
 
 async def test_what_was_there_before_it_ran_is_fetched() -> None:
     bench = Bench()
     Spring(bench).left = [[b"one"]]
-    bench.link.stir()
+    bench.link.wake_writer()
     async with bench.running():
         assert bench.channel.sent == [[b"one"]]
 
@@ -260,7 +260,7 @@ async def test_nothing_is_fetched_as_long_as_the_line_takes_nothing() -> None:
     async with bench.running():
         spring.left = [[bytes(100)]] * 100
         for _ in range(3):
-            bench.link.stir()
+            bench.link.wake_writer()
             await anyio.wait_all_tasks_blocked()
         assert len(spring.left) == 99
         assert bench.link._queued == 0
@@ -274,7 +274,7 @@ async def test_what_is_posted_goes_before_what_is_fetched_and_into_the_same_writ
     spring = Spring(bench)
     async with bench.running():
         spring.left = [[b"fetched"]]
-        bench.link.stir()
+        bench.link.wake_writer()
         bench.link.post(b"posted")
         await anyio.wait_all_tasks_blocked()
         assert bench.channel.sent == [[b"posted", b"fetched"]]
@@ -286,7 +286,7 @@ async def test_what_is_posted_does_not_wait_until_all_is_fetched() -> None:
     bench.channel.is_stuck = True
     async with bench.running():
         spring.left = [[b"fetched"]] * 3
-        bench.link.stir()
+        bench.link.wake_writer()
         await anyio.wait_all_tasks_blocked()
         bench.link.post(b"posted")
         bench.channel.unstick()
@@ -300,7 +300,7 @@ async def test_flush_does_not_wait_for_what_there_is_to_fetch() -> None:
     bench.channel.is_stuck = True
     async with bench.running():
         spring.left = [[b"fetched"]]
-        bench.link.stir()
+        bench.link.wake_writer()
         await anyio.wait_all_tasks_blocked()
         with anyio.fail_after(1):
             await bench.link.flush()
@@ -727,7 +727,7 @@ async def test_a_peer_that_takes_one_message_after_the_other_is_not_lost() -> No
     bench = Stopwatch(heartbeat=1)
     Spring(bench).left = [[b"news"] for _ in range(1000)]
     bench.channel.pause = 0.3
-    bench.link.stir()
+    bench.link.wake_writer()
     await bench.run_for(100, lambda: bench.hear_from_the_peer(1))
     assert bench.error is None
     assert len(bench.channel.sent) > 300

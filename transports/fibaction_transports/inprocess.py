@@ -13,11 +13,11 @@ from contextlib import asynccontextmanager, suppress
 from typing import Any
 from weakref import WeakValueDictionary
 
+from fibaction._notify import Notifier
 from fibaction.abc import Connection, Endpoint, GoalStream, StatusStream, Transport
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import ServerNotFound, TransportError
 from fibaction.goals import CancelAnswer, GoalID
-from fibaction.waking import Waking
 
 _URL = re.compile(r"inproc://([\w.-]+)", re.ASCII)
 
@@ -28,7 +28,7 @@ class _Place:
     def __init__(self, url: str) -> None:
         self.url = url
         self.endpoints: dict[str, Endpoint] = {}
-        self.changed = Waking()
+        self.changed = Notifier()
 
     def find(self, action: str) -> Endpoint:
         try:
@@ -82,7 +82,7 @@ class InProcessTransport(Transport):
                 raise TransportError(f"the action {name!r} is served at {place.url} already")
             served[name] = endpoint
         place.endpoints.update(served)
-        place.changed.wake()
+        place.changed.notify()
         try:
             yield place.url
         finally:

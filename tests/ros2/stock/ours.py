@@ -25,7 +25,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.waking import Waking
+from fibaction._notify import Notifier
 from fibaction_transports.ros2 import Ros2Transport
 from tests.fibonacci import Feedback, Goal, Result
 from tests.ros2.stock import orders
@@ -42,7 +42,7 @@ class Behaviour:
     """Executes a goal as its order says."""
 
     def __init__(self) -> None:
-        self.released = Waking()
+        self.released = Notifier()
 
     def on_goal(self, goal: Goal) -> None:
         if goal.order == orders.GOAL_RAISES:
@@ -80,7 +80,7 @@ class Behaviour:
             await self.released.wait()
             yield Result(orders.PART)
         elif order == orders.RELEASES:
-            self.released.wake()
+            self.released.notify()
             yield Result([])
         elif order == orders.OVERFLOWS:
             yield Result([2**31])

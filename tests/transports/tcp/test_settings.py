@@ -12,7 +12,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.wire.limits import Limits
+from fibaction.wire.settings import Limits
 from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport
 from tests.transports.tcp.servers import SECRET, new_server
 

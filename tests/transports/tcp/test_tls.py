@@ -24,7 +24,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.wire.limits import Limits
+from fibaction.wire.settings import Limits
 from fibaction_transports.tcp import TcpTransport, TlsFiles, tls
 from fibaction_transports.tcp.tls import TlsChannel, TlsListener
 from tests.certificates import pems

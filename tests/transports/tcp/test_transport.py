@@ -33,10 +33,10 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.messages import Hello
-from fibaction.wire.access import Peer, Verb
-from fibaction.wire.limits import Limits
-from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport, lines, transport
+from fibaction.wire.auth import Peer, Permission
+from fibaction.wire.messages import Hello
+from fibaction.wire.settings import Limits
+from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport, _asyncio, transport
 from tests.certificates import pems
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.hearing import Hearing, port_of
@@ -61,7 +61,7 @@ def dialed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
         raise ConnectionRefusedError(111, "refused")
 
     monkeypatch.setattr(anyio, "connect_tcp", refuse)
-    monkeypatch.setattr(lines, "dial_tcp", refuse)
+    monkeypatch.setattr(_asyncio, "dial_tcp", refuse)
     return found
 
 
@@ -206,14 +206,14 @@ async def test_a_loopback_address_needs_neither(host: str, listening: list[str])
 async def test_a_server_that_cannot_accept_for_a_while_goes_on_afterwards(
     monkeypatch: pytest.MonkeyPatch, heard: Hearing
 ) -> None:
-    accept, failures = lines.accept, [OSError(EMFILE, "Too many open files")] * 2
+    accept, failures = _asyncio.accept, [OSError(EMFILE, "Too many open files")] * 2
 
     async def accept_later(*given: Any) -> None:
         if failures:
             raise failures.pop()
         await accept(*given)
 
-    monkeypatch.setattr(lines, "accept", accept_later)
+    monkeypatch.setattr(_asyncio, "accept", accept_later)
     monkeypatch.setattr(transport, "ACCEPT_PAUSE", 0)
     async with serve(new_server(), "tcp://127.0.0.1:0") as (url,):
         assert await works(url)
@@ -223,7 +223,7 @@ async def test_a_server_that_cannot_accept_for_a_while_goes_on_afterwards(
 
 @pytest.mark.parametrize("scheme", ["tcp", "tls"])
 def test_a_client_sends_small_messages_at_once(scheme: str) -> None:
-    """On trio, where the socket is anyio's; for asyncio see the tests of `lines`."""
+    """On trio, where the socket is anyio's; for asyncio see the tests of `_asyncio`."""
     sockets: list[socket.socket] = []
     connect_tcp = anyio.connect_tcp
 
@@ -360,7 +360,7 @@ async def test_a_token_opens_the_door_and_nothing_else_does(
     caplog.set_level(logging.DEBUG)
     people: list[Peer] = []
 
-    def authorize(peer: Peer, action: str, verb: Verb) -> bool:
+    def authorize(peer: Peer, action: str, verb: Permission) -> bool:
         people.append(peer)
         return True
 
@@ -411,25 +411,25 @@ async def test_a_token_that_cannot_be_sent_is_refused_before_anything_is() -> No
         UnixTransport("/run/x", token="secret \udcff")
 
 
-async def do(client: ActionClient[Goal, Feedback, Result], verb: Verb) -> None:
-    if verb is Verb.SEND:
+async def do(client: ActionClient[Goal, Feedback, Result], verb: Permission) -> None:
+    if verb is Permission.SEND:
         await client.call(Goal(1))
-    elif verb is Verb.CANCEL:
+    elif verb is Permission.CANCEL:
         await client.cancel_goals()
     else:
         (await client.endpoint.status()).close()
 
 
 @pytest.mark.parametrize("sync", [True, False])
-@pytest.mark.parametrize("allowed", list(Verb))
-async def test_each_verb_is_allowed_by_itself(allowed: Verb, sync: bool) -> None:
-    asked: list[tuple[str, str, Verb]] = []
+@pytest.mark.parametrize("allowed", list(Permission))
+async def test_each_verb_is_allowed_by_itself(allowed: Permission, sync: bool) -> None:
+    asked: list[tuple[str, str, Permission]] = []
 
-    def decide(peer: Peer, action: str, verb: Verb) -> bool:
+    def decide(peer: Peer, action: str, verb: Permission) -> bool:
         asked.append((peer.name, action, verb))
         return verb is allowed
 
-    async def decide_later(peer: Peer, action: str, verb: Verb) -> bool:
+    async def decide_later(peer: Peer, action: str, verb: Permission) -> bool:
         await anyio.lowlevel.checkpoint()
         return decide(peer, action, verb)
 
@@ -438,7 +438,7 @@ async def test_each_verb_is_allowed_by_itself(allowed: Verb, sync: bool) -> None
     async with serve(new_server(), transport) as (url,):
         async with connect(f"{url}?token={SECRET}", FIBONACCI) as client:
             with anyio.fail_after(5):
-                for verb in Verb:
+                for verb in Permission:
                     if verb is allowed:
                         await do(client, verb)
                         continue
@@ -447,12 +447,12 @@ async def test_each_verb_is_allowed_by_itself(allowed: Verb, sync: bool) -> None
                     assert str(caught.value) == (
                         f"this client may not {verb.value} at the action 'fibonacci'"
                     )
-    assert asked == [("ann", "fibonacci", verb) for verb in Verb]
+    assert asked == [("ann", "fibonacci", verb) for verb in Permission]
 
 
 async def test_who_may_not_observe_cannot_tell_whether_a_goal_exists() -> None:
-    def authorize(peer: Peer, action: str, verb: Verb) -> bool:
-        return peer.name == "ann" or verb is Verb.SEND
+    def authorize(peer: Peer, action: str, verb: Permission) -> bool:
+        return peer.name == "ann" or verb is Permission.SEND
 
     async def told(client: ActionClient[Goal, Feedback, Result], goal_id: GoalID) -> list[str]:
         answers: list[str] = []
@@ -479,8 +479,8 @@ async def test_who_may_not_observe_cannot_tell_whether_a_goal_exists() -> None:
 
 
 async def test_who_may_only_send_cannot_follow_a_goal_of_somebody_else() -> None:
-    def authorize(peer: Peer, action: str, verb: Verb) -> bool:
-        return peer.name == "ann" or verb is Verb.SEND
+    def authorize(peer: Peer, action: str, verb: Permission) -> bool:
+        return peer.name == "ann" or verb is Permission.SEND
 
     transport = TcpTransport(port=0, tokens={"a": "ann", "b": "bob"}, authorize=authorize)
     async with serve(new_server(), transport) as (url,):
@@ -500,7 +500,7 @@ async def test_who_may_only_send_cannot_follow_a_goal_of_somebody_else() -> None
 async def test_a_permission_that_cannot_be_found_out_is_none(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    def authorize(peer: Peer, action: str, verb: Verb) -> bool:
+    def authorize(peer: Peer, action: str, verb: Permission) -> bool:
         raise OSError("no directory")
 
     async with serve(new_server(), TcpTransport(port=0, authorize=authorize)) as (url,):
@@ -511,7 +511,7 @@ async def test_a_permission_that_cannot_be_found_out_is_none(
 
 
 async def test_what_says_yes_must_say_true(heard: Hearing) -> None:
-    def authorize(peer: Peer, action: str, verb: Verb) -> Any:
+    def authorize(peer: Peer, action: str, verb: Permission) -> Any:
         return "yes"
 
     async with serve(new_server(), TcpTransport(port=0, authorize=authorize)) as (url,):

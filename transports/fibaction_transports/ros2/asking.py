@@ -10,8 +10,8 @@ from typing import Any
 
 import anyio
 
+from fibaction._notify import Notifier
 from fibaction.exceptions import ConnectionLost
-from fibaction.waking import Waking
 from fibaction_transports.ros2.intake import Responses, Source
 
 AT_ONCE = 8
@@ -30,7 +30,7 @@ class Question:
         self._asker = asker
         self._request = request
         self._numbers: list[int] = []
-        self._news = Waking()
+        self._news = Notifier()
         self._patience = FIRST_PATIENCE
         self._error: ConnectionLost | None = None
 
@@ -72,12 +72,12 @@ class Question:
     def answer(self, response: Any) -> None:
         """That is the answer, or another one if it was asked several times."""
         self.response = response
-        self._news.wake()
+        self._news.notify()
 
     def fail(self, error: ConnectionLost) -> None:
         """There will be no answer."""
         self._error = error
-        self._news.wake()
+        self._news.notify()
 
     def _raise_error(self) -> None:
         if self._error is not None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from fibaction._notify import Notifier
 from fibaction.goals import GoalID, GoalInfo
 from fibaction.states import GoalStatus
-from fibaction.waking import Waking
 from fibaction_transports.ros2.cdr import pack_line, pack_statuses, status_of
 
 
@@ -21,7 +21,7 @@ class StatusBoard:
         self._publish = publish
         self._lines: dict[GoalID, bytes] = {}
         self._changed: set[GoalID] = set()
-        self._news = Waking()
+        self._news = Notifier()
 
     def __contains__(self, goal_id: GoalID) -> bool:
         return goal_id in self._lines
@@ -39,14 +39,14 @@ class StatusBoard:
         else:
             self._lines[info.goal_id] = pack_line(info)
         self._changed.add(info.goal_id)
-        self._news.wake()
+        self._news.notify()
 
     def clear(self) -> None:
         """There are no goals: whoever has them has been started anew, or is away."""
         if self._lines:
             self._changed.update(self._lines)
             self._lines.clear()
-            self._news.wake()
+            self._news.notify()
 
     def flush(self) -> None:
         """Publish what has changed."""

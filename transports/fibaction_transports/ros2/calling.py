@@ -10,9 +10,9 @@ import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
+from fibaction._tasks import Background
 from fibaction.abc import Connection, Endpoint
 from fibaction.action import Action, ActionInfo
-from fibaction.background import Background
 from fibaction.exceptions import ConnectionLost, GoalRejected, ProtocolError, TransportError
 from fibaction.goals import (
     UNKNOWN_OUTCOME,
@@ -23,8 +23,8 @@ from fibaction.goals import (
     GoalInfo,
     Outcome,
 )
+from fibaction.server.status_broadcast import StatusSubscription
 from fibaction.states import GoalStatus
-from fibaction.streams import FeedStream
 from fibaction_transports.ros2.following import Reading, RosGoal
 from fibaction_transports.ros2.messages import RosAction, RosCodecs
 from fibaction_transports.ros2.names import action_names
@@ -104,7 +104,7 @@ class RosEndpoint(Endpoint):
             code = CancelCode.REJECTED  # rclpy's servers have no other way to say so
         return CancelAnswer(code, canceling)
 
-    async def status(self) -> FeedStream:
+    async def status(self) -> StatusSubscription:
         return await self._server.watch()
 
     async def wait_for_server(self) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 
 import msgspec
 
-from fibaction.background import Background
+from fibaction._tasks import Background
 from fibaction.exceptions import ConnectionLost, TransportError
 from fibaction_transports.ros2.intake import Intake, Mailbox, Source
 from fibaction_transports.ros2.rcl import (

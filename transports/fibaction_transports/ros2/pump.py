@@ -7,11 +7,11 @@ from typing import Any
 
 import anyio
 
-from fibaction.abc import GoalStream
+from fibaction._notify import Notifier
+from fibaction.abc import FeedbackItem, GoalStream
 from fibaction.exceptions import ActionError
 from fibaction.goals import GoalInfo, Outcome
 from fibaction.states import GoalStatus
-from fibaction.waking import Waking
 
 BATCH = 32
 """How much feedback is published before others get their turn on the event loop."""
@@ -38,30 +38,30 @@ class Pump:
         self._answer: Any = None
         self._asked = False
         self._waiting = 0
-        self._news = Waking()
+        self._news = Notifier()
 
     async def outcome(self) -> Outcome[bytes]:
         """Publish all feedback, then say how the goal ended; UNKNOWN if that cannot be known."""
         with self.stream as stream:
             try:
-                while await self._publish_some(stream):
+                while (outcome := await self._publish_some(stream)) is None:
                     await anyio.lowlevel.checkpoint()
-                return await stream.outcome()
+                return outcome
             except ActionError as exc:  # a gateway has lost the server behind it
                 return Outcome(GoalStatus.UNKNOWN, reason=str(exc))
 
-    async def _publish_some(self, stream: GoalStream) -> bool:
-        event = stream.take(BATCH)
-        if event is None:
-            return False
-        if isinstance(event, GoalStatus):
-            self._tell(GoalInfo(stream.goal_id, stream.stamp, event))
-        else:
-            for item in event:
-                await self._publish(item.payload)
-            if not event:
-                await stream.news.wait()
-        return True
+    async def _publish_some(self, stream: GoalStream) -> Outcome[bytes] | None:
+        updates = stream.take(BATCH)
+        for update in updates:
+            if isinstance(update, FeedbackItem):
+                await self._publish(update.payload)
+            elif isinstance(update, GoalStatus):
+                self._tell(GoalInfo(stream.goal_id, stream.stamp, update))
+            else:
+                return update
+        if not updates:
+            await stream.news.wait()
+        return None
 
     @property
     def is_owed(self) -> bool:
@@ -71,12 +71,12 @@ class Pump:
     def hurry(self) -> None:
         """Do not wait for clients who have yet to ask."""
         self._asked = True
-        self._news.wake()
+        self._news.notify()
 
     async def hand_over(self, answer: Any) -> None:
         """Give that to all who wait for the end, and to the first who will, for a while."""
         self._answer = answer
-        self._news.wake()
+        self._news.notify()
         if not self._asked:
             with anyio.move_on_after(GRACE):
                 while not self._asked:
@@ -88,11 +88,11 @@ class Pump:
         """Wait for the end, and for what `hand_over` gives."""
         self._asked = True
         self._waiting += 1
-        self._news.wake()
+        self._news.notify()
         try:
             while self._answer is None:
                 await self._news.wait()
             return self._answer
         finally:
             self._waiting -= 1
-            self._news.wake()
+            self._news.notify()

@@ -12,11 +12,11 @@ from typing import Any
 import anyio
 from anyio import current_time
 
+from fibaction._notify import Notifier
 from fibaction.exceptions import ConnectionLost, GoalRejected, ProtocolError, UnknownGoal
 from fibaction.goals import GoalID, GoalInfo
+from fibaction.server.status_broadcast import StatusSubscription
 from fibaction.states import GoalStatus
-from fibaction.streams import FeedStream
-from fibaction.waking import Waking
 from fibaction_transports.ros2 import names
 from fibaction_transports.ros2.asking import Asker, Question, sent
 from fibaction_transports.ros2.cdr import goal_of_feedback
@@ -85,12 +85,12 @@ class RemoteServer:
         self._asked: dict[int, RosGoal] = {}
         self._streams: dict[bytes, list[RosGoal]] = {}
         self._attaching: list[RosGoal] = []
-        self._watchers: list[FeedStream] = []
+        self._watchers: list[StatusSubscription] = []
         self._told_by: frozenset[bytes] = frozenset()
         """Who served when the last status list came: one of them has sent it."""
         self._overdue: dict[GoalID, float] = {}
-        self._pending = Waking()
-        self._listed = Waking()
+        self._pending = Notifier()
+        self._listed = Notifier()
         self.presence = Presence(
             ros,
             action,
@@ -135,7 +135,7 @@ class RemoteServer:
 
     async def _accepted(self, goal_id: GoalID, request: Any) -> GoalInfo:
         with Question(self._goals, request) as question:
-            self._pending.wake()
+            self._pending.notify()
             while not await question.ask():
                 # Lost is the question or the answer; if it is the answer, the goal is in the list.
                 if (info := self.known.get(goal_id)) is not None:
@@ -199,10 +199,10 @@ class RemoteServer:
             ServerNotFound, ConnectionLost: See `Endpoint.cancel_goals`.
         """
         await self.presence.needed()
-        self._pending.wake()
+        self._pending.notify()
         return await self._cancels.ask(request)
 
-    async def watch(self) -> FeedStream:
+    async def watch(self) -> StatusSubscription:
         """Follow the statuses of all goals.
 
         Raises:
@@ -213,12 +213,12 @@ class RemoteServer:
         with anyio.move_on_after(FIRST_LIST):
             while not self.known.has_come:
                 await self._listed.wait()
-        statuses = FeedStream(self.known, self._leave)
+        statuses = StatusSubscription(self.known, self._leave)
         self._watchers.append(statuses)
-        self._pending.wake()
+        self._pending.notify()
         return statuses
 
-    def _leave(self, statuses: FeedStream) -> None:
+    def _leave(self, statuses: StatusSubscription) -> None:
         if statuses in self._watchers:
             self._watchers.remove(statuses)
 
@@ -226,7 +226,7 @@ class RemoteServer:
 
     def _follow(self, stream: RosGoal) -> None:
         self._streams.setdefault(stream.goal_id, []).append(stream)
-        self._pending.wake()
+        self._pending.notify()
 
     def _unfollow(self, stream: RosGoal) -> None:
         streams = self._streams.get(stream.goal_id, [])
@@ -261,7 +261,7 @@ class RemoteServer:
                 stream.tell(info.status)
             if streams and not info.status.is_active:
                 self._overdue.setdefault(info.goal_id, current_time() + LATE)
-        self._listed.wake()
+        self._listed.notify()
         for stream in self._attaching:
             if (now := self.known.get(stream.goal_id)) is not None and now.status.is_active:
                 stream.begin(now)

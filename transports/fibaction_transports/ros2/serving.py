@@ -16,12 +16,12 @@ import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
+from fibaction._notify import Notifier
+from fibaction._tasks import Background
 from fibaction.abc import Endpoint
-from fibaction.background import Background
 from fibaction.exceptions import ActionError, GoalRejected, ProtocolError
 from fibaction.goals import UNKNOWN_OUTCOME, CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
-from fibaction.waking import Waking
 from fibaction_transports.ros2 import names
 from fibaction_transports.ros2.board import StatusBoard
 from fibaction_transports.ros2.cdr import pack_statuses
@@ -88,7 +88,7 @@ class Served:
         """When the last answer or status was sent."""
         self._is_drained = False
         self._underway = 0
-        self._progress = Waking()
+        self._progress = Notifier()
         self._open(feedback_depth)
 
     def _open(self, depth: int) -> None:
@@ -181,7 +181,7 @@ class Served:
                     self._deciding.discard(_goal_id(request.goal_id))
                 self._underway -= 1
                 self._quick -= quick
-                self._progress.wake()
+                self._progress.notify()
 
         return begin
 
@@ -303,7 +303,7 @@ class Served:
             for info in pump.late:
                 if info.status is GoalStatus.UNKNOWN or goal_id not in self._board:
                     self._board.tell(info)
-            self._progress.wake()
+            self._progress.notify()
 
     def _publish_status(self, message: bytes) -> None:
         self.told_at = current_time()

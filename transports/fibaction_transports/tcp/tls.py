@@ -13,10 +13,10 @@ from anyio.abc import AnyByteStream, ByteStream
 from anyio.streams.tls import TLSListener
 
 from fibaction.exceptions import AuthenticationFailed, ConnectionLost, TransportError
-from fibaction.framing import framed
-from fibaction.messages import Goodbye, Why, encode
 from fibaction.wire.channel import StreamChannel
-from fibaction_transports.tcp.streams import peer_of
+from fibaction.wire.framing import framed
+from fibaction.wire.messages import Goodbye, Why, encode
+from fibaction_transports.tcp._anyio import peer_of
 
 LAST_WORDS = 1.0
 """Seconds that a peer has to hear why it was refused."""

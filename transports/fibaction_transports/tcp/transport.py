@@ -24,23 +24,23 @@ from anyio.abc import Listener, SocketAttribute, TaskGroup
 from anyio.streams.stapled import MultiListener
 from anyio.streams.tls import TLSStream
 
+from fibaction._tasks import Background
 from fibaction.abc import Connection, Endpoint, Transport
-from fibaction.background import Background
 from fibaction.exceptions import (
     AuthenticationFailed,
     ConnectionLost,
     ServerNotFound,
     TransportError,
 )
-from fibaction.messages import check_can_be_sent
 from fibaction.urls import without_settings
-from fibaction.wire.access import Access, Authorize
+from fibaction.wire.auth import AccessPolicy, Authorize
 from fibaction.wire.channel import Line, StreamChannel
-from fibaction.wire.connecting import Keeping, connected
-from fibaction.wire.hub import Hub, hub
-from fibaction.wire.limits import Limits
-from fibaction.wire.serving import Terms
-from fibaction_transports.tcp import lines, streams
+from fibaction.wire.connection import ClientSettings, connected
+from fibaction.wire.messages import check_can_be_sent
+from fibaction.wire.session import ServerSettings
+from fibaction.wire.settings import Limits
+from fibaction.wire.wire_server import WireServer, hub
+from fibaction_transports.tcp import _anyio, _asyncio
 from fibaction_transports.tcp.settings import (
     check_has_host_only,
     settings_of,
@@ -110,7 +110,7 @@ class _StreamTransport(Transport):
                 raise ValueError(f"{name} is between {least} and {most}, not {value}")
         if orphans not in ("keep", "cancel"):
             raise ValueError(f"orphans is 'keep' or 'cancel', not {orphans!r}")
-        self._keeping = Keeping(
+        self._keeping = ClientSettings(
             heartbeat=heartbeat,
             token=token,
             reconnect=reconnect,
@@ -119,7 +119,9 @@ class _StreamTransport(Transport):
             max_frame=(limits or Limits()).frame,
         )
         self._limits = limits or Limits()
-        self._terms = Terms(heartbeat, Access(tokens, authorize), self._limits, orphans, grace)
+        self._terms = ServerSettings(
+            heartbeat, AccessPolicy(tokens, authorize), self._limits, orphans, grace
+        )
 
     @asynccontextmanager
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
@@ -179,9 +181,11 @@ class _StreamTransport(Transport):
         except (anyio.BrokenResourceError, anyio.EndOfStream) as exc:
             raise ConnectionLost(f"{self._where} closed the connection at once") from exc
 
-    async def _accept(self, listener: Listener[Any], connections: Hub, tasks: TaskGroup) -> None:
-        plain = lines.on_asyncio() and not isinstance(listener, TlsListener)
-        accept = lines.accept if plain else streams.accept
+    async def _accept(
+        self, listener: Listener[Any], connections: WireServer, tasks: TaskGroup
+    ) -> None:
+        plain = _asyncio.on_asyncio() and not isinstance(listener, TlsListener)
+        accept = _asyncio.accept if plain else _anyio.accept
         while True:
             try:
                 await accept(listener, self._limits.frame, connections.serve, tasks)
@@ -256,8 +260,8 @@ class TcpTransport(_StreamTransport):
 
     async def _open(self) -> Line:
         max_frame = self._limits.frame
-        if self._tls is None and lines.on_asyncio():
-            return await lines.dial_tcp(self._host, self._port, max_frame, self._where)
+        if self._tls is None and _asyncio.on_asyncio():
+            return await _asyncio.dial_tcp(self._host, self._port, max_frame, self._where)
         stream = await anyio.connect_tcp(self._host, self._port)
         stream.extra(SocketAttribute.raw_socket).setsockopt(
             socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
@@ -326,8 +330,8 @@ class UnixTransport(_StreamTransport):
 
     async def _open(self) -> Line:
         max_frame = self._limits.frame
-        if lines.on_asyncio():
-            return await lines.dial_unix(self._path, max_frame, self._where)
+        if _asyncio.on_asyncio():
+            return await _asyncio.dial_unix(self._path, max_frame, self._where)
         return StreamChannel(await anyio.connect_unix(self._path), self._where, max_frame)
 
     async def _listen(self) -> tuple[Listener[Any], str]:

@@ -1,0 +1,377 @@
+from __future__ import annotations
+
+import asyncio  # noqa: TID251  # it alone can cancel a task from outside
+import logging
+from collections.abc import Awaitable, Callable, Coroutine, Generator
+from functools import partial
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction.exceptions import CancelRejected, GoalRejected
+from fibaction.server.callbacks import CANCELED_ELSEWHERE, SERVER_STOPPING, Callbacks
+from tests.executors import Mute
+
+pytestmark = pytest.mark.asyncio
+
+Refusal = type[GoalRejected] | type[CancelRejected]
+each_refusal = pytest.mark.parametrize("refusal", [GoalRejected, CancelRejected])
+
+
+def as_async(callback: Callable[[Any], Any]) -> Callable[[Any], Awaitable[Any]]:
+    async def waiting(argument: Any) -> Any:
+        await anyio.lowlevel.checkpoint()
+        return callback(argument)
+
+    return waiting
+
+
+def as_given(callback: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    return callback
+
+
+each_colour = pytest.mark.parametrize("colour", [as_given, as_async], ids=["sync", "async"])
+Colour = Callable[[Callable[[Any], Any]], Callable[[Any], Any]]
+
+
+def waited_for(asking: Coroutine[Any, Any, None] | None) -> Coroutine[Any, Any, None]:
+    """What there is to wait for, of a callback that has to be waited for."""
+    assert asking is not None
+    return asking
+
+
+async def ask(
+    callback: Callable[[Any], Any], refusal: Refusal = GoalRejected, argument: Any = None
+) -> None:
+    with anyio.fail_after(5):
+        asking = Callbacks("arm").ask("on_goal", callback, argument, refusal)
+        if asking is not None:
+            await asking
+
+
+@each_colour
+async def test_a_callback_that_returns_none_agrees_and_gets_the_argument(colour: Colour) -> None:
+    seen: list[str] = []
+    await ask(colour(seen.append), argument="a goal")
+    assert seen == ["a goal"]
+
+
+def agrees(argument: Any) -> None:
+    """A callback that has nothing against it."""
+
+
+async def test_a_sync_callback_agrees_at_once() -> None:
+    assert Callbacks("arm").ask("on_goal", agrees, None, GoalRejected) is None
+
+
+@each_refusal
+async def test_a_sync_callback_refuses_at_once(refusal: Refusal) -> None:
+    def refuse(argument: Any) -> None:
+        raise refusal("too far")
+
+    with pytest.raises(refusal, match="too far"):
+        Callbacks("arm").ask("on_goal", refuse, None, refusal)
+
+
+async def test_a_sync_callback_that_is_wrong_refuses_at_once() -> None:
+    with pytest.raises(GoalRejected, match="on_goal returned True"):
+        Callbacks("arm").ask("on_goal", lambda argument: True, None, GoalRejected)  # type: ignore[arg-type, return-value]  # it is wrong on purpose
+
+
+class Promise:
+    """An awaitable that is no coroutine, as a future is none."""
+
+    def __init__(self, event: anyio.Event, answer: object = None) -> None:
+        self._event = event
+        self._answer = answer
+
+    def __await__(self) -> Generator[Any, Any, Any]:
+        yield from self._event.wait().__await__()
+        return self._answer
+
+
+async def test_an_async_callback_is_waited_for_by_whoever_asks() -> None:
+    go = anyio.Event()
+    seen: list[str] = []
+    answered = anyio.Event()
+
+    async def wait_and_agree(argument: str) -> None:
+        await go.wait()
+        seen.append(argument)
+
+    asking = waited_for(Callbacks("arm").ask("on_goal", wait_and_agree, "a goal", GoalRejected))
+
+    async def wait() -> None:
+        await asking
+        answered.set()
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            await anyio.wait_all_tasks_blocked()
+            assert seen == []
+            assert not answered.is_set()
+            go.set()
+    assert seen == ["a goal"]
+    assert answered.is_set()
+
+
+@pytest.mark.parametrize("answer", [None, "yes"])
+async def test_a_sync_callback_that_returns_an_awaitable_is_waited_for(answer: object) -> None:
+    go = anyio.Event()
+    callbacks = Callbacks("arm")
+
+    def promise(argument: object) -> Promise:
+        return Promise(go, answer)
+
+    asking = waited_for(callbacks.ask("on_goal", promise, None, GoalRejected))
+    go.set()
+    with anyio.fail_after(5):
+        if answer is None:
+            await asking
+        else:
+            with pytest.raises(GoalRejected, match="on_goal returned 'yes'"):
+                await asking
+
+
+@each_refusal
+@each_colour
+async def test_a_callback_refuses_with_its_own_error(
+    colour: Colour, refusal: Refusal, caplog: pytest.LogCaptureFixture
+) -> None:
+    said = refusal("too far")
+
+    def refuse(argument: Any) -> None:
+        raise said
+
+    with pytest.raises(refusal) as caught:
+        await ask(colour(refuse), refusal)
+    assert caught.value is said
+    assert caplog.records == []
+
+
+@each_refusal
+@each_colour
+async def test_a_callback_that_fails_refuses_and_leaves_its_traceback_in_the_log(
+    colour: Colour, refusal: Refusal, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(argument: Any) -> None:
+        raise LookupError("no map")
+
+    with pytest.raises(refusal) as caught:
+        await ask(colour(fail), refusal)
+    assert caught.value.reason == "on_goal failed: LookupError: no map"
+    assert isinstance(caught.value.__cause__, LookupError)
+    (record,) = caplog.records
+    assert (record.name, record.levelno) == ("fibaction.server", logging.ERROR)
+    assert record.getMessage() == "action 'arm': on_goal failed: LookupError: no map"
+    assert record.exc_info is not None
+    assert record.exc_info[1] is caught.value.__cause__
+
+
+@each_refusal
+@each_colour
+async def test_a_callback_whose_error_cannot_say_what_it_is_refuses_all_the_same(
+    colour: Colour, refusal: Refusal
+) -> None:
+    def fail(argument: Any) -> None:
+        raise Mute
+
+    with pytest.raises(refusal) as caught:
+        await ask(colour(fail), refusal)
+    assert caught.value.reason == "on_goal failed: Mute"
+
+
+@each_refusal
+@each_colour
+async def test_a_callback_that_awaits_what_somebody_has_canceled_refuses(
+    colour: Colour, refusal: Refusal, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(argument: Any) -> None:
+        raise anyio.get_cancelled_exc_class()
+
+    with pytest.raises(refusal) as caught:
+        await ask(colour(fail), refusal)
+    text = "on_goal failed: RuntimeError: what it waits for was canceled by somebody else"
+    assert caught.value.reason == text
+    assert text in caplog.text
+
+
+@each_colour
+async def test_the_other_refusal_is_a_failure(colour: Colour) -> None:
+    def refuse(argument: Any) -> None:
+        raise CancelRejected("no")
+
+    with pytest.raises(GoalRejected) as caught:
+        await ask(colour(refuse), GoalRejected)
+    assert caught.value.reason == "on_goal failed: CancelRejected: no"
+
+
+@pytest.mark.parametrize("answer", [True, False, "yes"])
+@each_colour
+async def test_a_callback_that_returns_something_refuses_and_says_what_to_do(
+    colour: Colour, answer: object
+) -> None:
+    with pytest.raises(GoalRejected) as caught:
+        await ask(colour(lambda argument: answer))
+    assert caught.value.reason == (
+        f"on_goal failed: TypeError: on_goal returned {answer!r}: return None to agree,"
+        " raise GoalRejected(reason) to refuse"
+    )
+
+
+@each_colour
+async def test_what_ends_python_itself_is_let_through(
+    colour: Colour, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Ending(BaseException):
+        pass
+
+    def end(argument: Any) -> None:
+        raise Ending
+
+    with pytest.raises(Ending):
+        await ask(colour(end))
+    assert caplog.records == []
+
+
+@each_refusal
+async def test_stopping_refuses_what_is_still_being_asked(
+    refusal: Refusal, caplog: pytest.LogCaptureFixture
+) -> None:
+    callbacks = Callbacks("arm")
+    reasons: list[str] = []
+    cleaned_up: list[str] = []
+
+    async def wait_for_ever(argument: str) -> None:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            cleaned_up.append(argument)
+
+    async def ask(argument: str) -> None:
+        with pytest.raises(refusal) as caught:
+            await waited_for(callbacks.ask("on_goal", wait_for_ever, argument, refusal))
+        reasons.append(caught.value.reason)
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ask, "one")
+            tasks.start_soon(ask, "other")
+            await anyio.wait_all_tasks_blocked()
+            assert reasons == []
+            callbacks.stop()
+    assert reasons == [SERVER_STOPPING] * 2
+    assert sorted(cleaned_up) == ["one", "other"]
+    assert caplog.records == []
+
+
+@each_refusal
+@pytest.mark.parametrize("promises", [False, True], ids=["a coroutine", "an awaitable"])
+async def test_stopping_refuses_also_what_has_been_asked_and_nobody_waits_for_yet(
+    refusal: Refusal, promises: bool
+) -> None:
+    callbacks = Callbacks("arm")
+
+    async def wait_for_ever(argument: None) -> None:
+        await anyio.sleep_forever()
+
+    def promise(argument: None) -> Promise:
+        return Promise(anyio.Event())
+
+    callback = promise if promises else wait_for_ever
+    asking = waited_for(callbacks.ask("on_goal", callback, None, refusal))
+    callbacks.stop()
+    with anyio.fail_after(5):
+        with pytest.raises(refusal, match=SERVER_STOPPING):
+            await asking
+
+
+async def test_stopping_does_not_touch_what_was_answered_before() -> None:
+    callbacks = Callbacks("arm")
+    with anyio.fail_after(5):
+        await waited_for(callbacks.ask("on_goal", as_async(agrees), None, GoalRejected))
+        # Or it would grow with every goal.
+        assert not callbacks._waiting
+        callbacks.stop()
+        await anyio.lowlevel.checkpoint()
+
+
+async def test_a_callback_that_answers_in_spite_of_the_stop_has_answered() -> None:
+    callbacks = Callbacks("arm")
+    answered = anyio.Event()
+
+    async def answer_at_last(argument: None) -> None:
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            raise GoalRejected("the arm is folded") from None
+
+    async def ask() -> None:
+        with pytest.raises(GoalRejected, match="the arm is folded"):
+            await waited_for(callbacks.ask("on_goal", answer_at_last, None, GoalRejected))
+        answered.set()
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ask)
+            await anyio.wait_all_tasks_blocked()
+            callbacks.stop()
+    assert answered.is_set()
+
+
+async def test_a_caller_who_is_canceled_is_not_told_that_the_server_stops() -> None:
+    callbacks = Callbacks("arm")
+
+    async def wait_for_ever(argument: None) -> None:
+        await anyio.sleep_forever()
+
+    async def ask() -> None:
+        await waited_for(callbacks.ask("on_goal", wait_for_ever, None, GoalRejected))
+
+    with anyio.fail_after(5):
+        with anyio.CancelScope() as caller:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(ask)
+                await anyio.wait_all_tasks_blocked()
+                caller.cancel()
+        assert caller.cancelled_caught
+        # Nothing is left behind that a later stop would reach.
+        callbacks.stop()
+        await anyio.lowlevel.checkpoint()
+
+
+async def test_a_caller_whose_own_task_is_canceled_is_not_refused() -> None:
+    callbacks = Callbacks("arm")
+
+    async def wait_for_ever(argument: None) -> None:
+        await anyio.sleep_forever()
+
+    asking = asyncio.create_task(
+        waited_for(callbacks.ask("on_goal", wait_for_ever, None, GoalRejected))
+    )
+    await anyio.wait_all_tasks_blocked()
+    asking.cancel()
+    with anyio.fail_after(5), pytest.raises(asyncio.CancelledError):
+        await asking
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+async def test_a_cancellation_of_somebody_elses_is_a_failure_on_each_backend(backend: str) -> None:
+    async def raise_an_old_one(argument: None) -> None:
+        with anyio.CancelScope() as scope:
+            scope.cancel()
+            try:
+                await anyio.sleep_forever()
+            except anyio.get_cancelled_exc_class() as exc:
+                old = exc
+        raise old
+
+    async def main() -> None:
+        with pytest.raises(GoalRejected) as caught:
+            await ask(raise_an_old_one)
+        assert caught.value.reason == f"on_goal failed: RuntimeError: {CANCELED_ELSEWHERE}"
+
+    # In a thread, as this one has a loop of asyncio's.
+    await anyio.to_thread.run_sync(partial(anyio.run, main, backend=backend))

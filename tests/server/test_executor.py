@@ -1,0 +1,445 @@
+"""`fibaction.server.executor` alone: an `Execution` with no server around it."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import math
+from collections.abc import Awaitable, Callable, Generator
+from contextvars import copy_context
+from typing import Any
+from weakref import ref
+
+import anyio
+import pytest
+
+from fibaction import GoalCanceled, GoalHandle, GoalID, GoalStatus
+from fibaction.abc import FeedbackItem
+from fibaction.server._task_pool import Life
+from fibaction.server.executor import Execution, Executor, _Steps
+from fibaction.server.feedback_log import FeedbackLog
+from fibaction.server.registry import Ending, EndKind
+from fibaction.server.registry import Goal as KeptGoal
+from fibaction.states import GoalEvent, transition
+from tests.executors import ABORTED, Items
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+class Bench:
+    """An execution, and what it needs to run."""
+
+    def __init__(
+        self,
+        executor: Executor[Goal, Feedback, Result],
+        order: int = 3,
+        *,
+        window: int = 1000,
+        stall_timeout: float = math.inf,
+    ) -> None:
+        self.goal = KeptGoal(GoalID.random(), 0, 1)
+        self.goal.status = GoalStatus.EXECUTING
+        self.log = FeedbackLog(self.goal, window=window)
+        self.stream = self.log.follow(hold=True)
+        self.stops = False
+        handle = GoalHandle(self.goal, Goal(order), lambda: self.stops)
+        self.execution = Execution(FIBONACCI, executor, handle, self.log, stall_timeout)
+        self.ending: Ending | None = None
+
+    async def run(self) -> Ending:
+        life = Life(lambda: None)
+        with anyio.CancelScope() as scope, life.rest, anyio.fail_after(5):
+            life.run_by(scope)
+            self.ending = await self.execution.run(life)
+        assert self.ending is not None
+        return self.ending
+
+    def cancel(self) -> None:
+        self.goal.status = transition(self.goal.status, GoalEvent.CANCEL_GOAL)
+        self.execution.interrupt()
+
+    async def run_and(self, meanwhile: Callable[[], Awaitable[None]]) -> Ending:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self.run)
+            await anyio.wait_all_tasks_blocked()
+            await meanwhile()
+        assert self.ending is not None
+        return self.ending
+
+    async def run_and_cancel(self) -> Ending:
+        async def cancel() -> None:
+            self.cancel()
+
+        return await self.run_and(cancel)
+
+    async def read(self) -> list[int]:
+        seen = []
+        while self.stream.cursor < self.log.count:
+            item = await self.stream.receive()
+            assert item is not None
+            seen.append(FIBONACCI.feedback.decode(item.payload).partial_sequence[-1])
+        return seen
+
+
+def packed(sequence: list[int]) -> bytes:
+    return FIBONACCI.result.encode(Result(sequence))
+
+
+async def test_feedback_is_handed_over_as_it_is_yielded_and_the_result_is_the_end() -> None:
+    bench = Bench(fibonacci, order=5)
+    assert await bench.run() == Ending(EndKind.RESULT, packed([0, 1, 1, 2, 3, 5]))
+    assert await bench.read() == [1, 2, 3, 5]
+    (item,) = bench.log.after(0, 1)
+    assert item == FeedbackItem(1, FIBONACCI.feedback.encode(Feedback([0, 1, 1])))
+
+
+@pytest.mark.parametrize(
+    ("executor", "reason", "part"), ABORTED, ids=[case[0].__name__ for case in ABORTED]
+)
+async def test_an_executor_that_goes_wrong_has_failed(
+    executor: Executor[Goal, Feedback, Result], reason: str, part: list[int] | None
+) -> None:
+    ending = await Bench(executor).run()
+    result = None if part is None else packed(part)
+    if ending.kind is EndKind.CANCELED:
+        # Whether it may say so is the server's to judge.
+        assert ending.result == result
+    else:
+        assert ending == Ending(EndKind.FAILED, result, reason)
+
+
+async def test_a_goal_can_be_canceled_without_a_part() -> None:
+    async def says_so(goal: GoalHandle[Goal]) -> Items:
+        raise GoalCanceled("nothing was done")
+        yield Result([])
+
+    assert await Bench(says_so).run() == Ending(EndKind.CANCELED, None, "nothing was done")
+
+
+async def is_stuck(goal: GoalHandle[Goal]) -> Items:
+    yield Feedback([1])
+    raise ValueError("the arm is stuck")
+
+
+async def never_awaits(goal: GoalHandle[Goal]) -> Items:
+    while True:
+        yield Feedback([1])
+
+
+@pytest.mark.parametrize("executor", [is_stuck, never_awaits])
+async def test_what_went_wrong_keeps_nothing_of_its_goal(
+    executor: Executor[Goal, Feedback, Result], caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.CRITICAL, logger="fibaction.server")  # what is logged is kept here
+
+    async def log_of_one() -> ref[FeedbackLog]:
+        bench = Bench(executor)
+        await bench.run_and_cancel()
+        bench.stream.close()
+        del bench.execution  # its handle and the bench hold each other
+        return ref(bench.log)
+
+    gc.disable()  # so that only what nobody holds goes
+    try:
+        log = await log_of_one()
+        await anyio.lowlevel.checkpoint()
+        assert log() is None
+    finally:
+        gc.enable()
+
+
+async def test_what_is_to_end_python_itself_is_not_kept_back() -> None:
+    async def exits(goal: GoalHandle[Goal]) -> Items:
+        raise SystemExit(3)
+        yield Feedback([])
+
+    with pytest.raises(SystemExit):
+        await Bench(exits).run()
+
+
+async def test_an_interruption_arrives_once_and_what_is_awaited_after_it_is_left_in_peace() -> None:
+    arrived = []
+
+    async def tidies_up(goal: GoalHandle[Goal]) -> Items:
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            arrived.append(1)
+            for _ in range(3):
+                await anyio.lowlevel.checkpoint()
+                yield Feedback([1])
+            raise GoalCanceled("done", result=Result([2])) from None
+
+    assert await Bench(tidies_up).run_and_cancel() == Ending(EndKind.CANCELED, packed([2]), "done")
+    assert arrived == [1]
+
+
+async def test_an_interruption_that_nobody_catches_ends_the_executor() -> None:
+    async def waits(goal: GoalHandle[Goal]) -> Items:
+        yield Feedback([1])
+        await anyio.sleep_forever()
+
+    assert await Bench(waits).run_and_cancel() == Ending(EndKind.CANCELED)
+
+
+async def test_an_interruption_through_a_task_group_of_the_executor_is_no_failure() -> None:
+    async def delegates(goal: GoalHandle[Goal]) -> Items:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(anyio.sleep_forever)
+            await anyio.sleep_forever()
+        yield Result([])
+
+    assert await Bench(delegates).run_and_cancel() == Ending(EndKind.CANCELED)
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])  # for trio see `_Steps`
+async def test_shielded_clean_up_inside_a_task_group_keeps_no_cancellation_back() -> None:
+    cleaned = []
+
+    async def delegates(goal: GoalHandle[Goal]) -> Items:
+        with anyio.move_on_after(60):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(anyio.sleep_forever)
+                try:
+                    await anyio.sleep_forever()
+                finally:
+                    with anyio.CancelScope(shield=True):
+                        await anyio.lowlevel.checkpoint()
+                    cleaned.append(1)
+        yield Result([])
+
+    assert await Bench(delegates).run_and_cancel() == Ending(EndKind.CANCELED)
+    assert cleaned == [1]
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])  # on trio it may be taken for a nursery's
+async def test_a_timeout_within_the_clean_up_ends_there() -> None:
+    async def retreats(goal: GoalHandle[Goal]) -> Items:
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            with anyio.move_on_after(0.001) as patience:
+                await anyio.sleep_forever()
+            assert patience.cancelled_caught
+            await anyio.lowlevel.checkpoint()
+            raise GoalCanceled(result=Result([1])) from None
+        yield Result([])
+
+    assert await Bench(retreats).run_and_cancel() == Ending(EndKind.CANCELED, packed([1]))
+
+
+async def test_a_task_group_in_the_clean_up_is_left_in_peace() -> None:
+    done = []
+
+    async def retreats(goal: GoalHandle[Goal]) -> Items:
+        async def wheel(number: int) -> None:
+            await anyio.lowlevel.checkpoint()
+            done.append(number)
+
+        try:
+            await anyio.sleep_forever()
+        finally:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(wheel, 1)
+                tasks.start_soon(wheel, 1)
+        yield Result([])
+
+    assert await Bench(retreats).run_and_cancel() == Ending(EndKind.CANCELED)
+    assert done == [1, 1]
+
+
+async def test_a_group_of_cancellations_is_a_cancellation() -> None:
+    async def groups(goal: GoalHandle[Goal]) -> Items:
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class() as exc:
+            raise BaseExceptionGroup("all of it", [exc]) from None
+        yield Result([])
+
+    assert await Bench(groups).run_and_cancel() == Ending(EndKind.CANCELED)
+
+
+async def test_what_goes_wrong_beside_a_cancellation_is_what_went_wrong() -> None:
+    async def groups(goal: GoalHandle[Goal]) -> Items:
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class() as exc:
+            raise BaseExceptionGroup("all of it", [exc, ValueError("the brake")]) from None
+        yield Result([])
+
+    assert await Bench(groups).run_and_cancel() == Ending(
+        EndKind.FAILED, None, "ValueError: the brake"
+    )
+
+
+async def test_a_second_interruption_changes_nothing() -> None:
+    go = anyio.Event()
+
+    async def tidies_up(goal: GoalHandle[Goal]) -> Items:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            await go.wait()
+        yield Result([])
+
+    bench = Bench(tidies_up)
+
+    async def twice() -> None:
+        bench.cancel()
+        await anyio.wait_all_tasks_blocked()
+        bench.execution.interrupt()
+        await anyio.wait_all_tasks_blocked()
+        assert bench.ending is None
+        go.set()
+
+    assert await bench.run_and(twice) == Ending(EndKind.CANCELED)
+
+
+async def test_killing_what_has_not_begun_does_nothing() -> None:
+    bench = Bench(fibonacci, order=5)
+    bench.execution.kill()
+    assert (await bench.run()).kind is EndKind.RESULT
+
+
+async def test_killing_ends_the_clean_up_too() -> None:
+    async def hangs(goal: GoalHandle[Goal]) -> Items:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            await anyio.sleep_forever()
+        yield Result([])
+
+    bench = Bench(hangs)
+
+    async def kill() -> None:
+        bench.execution.interrupt()
+        await anyio.wait_all_tasks_blocked()
+        assert bench.ending is None
+        bench.execution.kill()
+
+    assert (await bench.run_and(kill)).kind is EndKind.CANCELED
+
+
+async def test_an_interruption_before_the_start_arrives_at_the_first_await() -> None:
+    async def waits(goal: GoalHandle[Goal]) -> Items:
+        await anyio.sleep_forever()
+        yield Result([])
+
+    bench = Bench(waits)
+    bench.cancel()
+    assert await bench.run() == Ending(EndKind.CANCELED)
+
+
+async def test_an_interruption_is_raised_at_the_yield_of_an_executor_that_never_awaits() -> None:
+    async def cancels_itself(goal: GoalHandle[Goal]) -> Items:
+        number = 0
+        while True:
+            number += 1
+            if number == 7:
+                bench.cancel()
+            try:
+                yield Feedback([number])
+            except anyio.get_cancelled_exc_class():
+                raise GoalCanceled(result=Result([number])) from None
+
+    bench = Bench(cancels_itself)
+    assert await bench.run() == Ending(EndKind.CANCELED, packed([7]))
+
+
+async def test_an_executor_may_answer_the_interruption_with_its_result() -> None:
+    async def cancels_itself(goal: GoalHandle[Goal]) -> Items:
+        bench.cancel()
+        yield Result([1])
+
+    bench = Bench(cancels_itself)
+    assert await bench.run() == Ending(EndKind.RESULT, packed([1]))
+
+
+async def test_a_yield_waits_while_the_log_is_full_and_can_be_interrupted_there() -> None:
+    bench = Bench(fibonacci, order=20, window=2)
+
+    async def read_a_little() -> None:
+        assert bench.log.count == 2
+        assert await bench.stream.receive() is not None
+        await anyio.wait_all_tasks_blocked()
+        assert bench.log.count == 3
+        bench.cancel()
+
+    assert await bench.run_and(read_a_little) == Ending(EndKind.CANCELED)
+
+
+async def test_a_yield_waits_no_longer_than_the_stall_timeout() -> None:
+    bench = Bench(fibonacci, order=20, window=2, stall_timeout=0.001)
+    assert (await bench.run()).kind is EndKind.RESULT
+    assert await bench.read() == [4181, 6765]
+    assert bench.stream.dropped == 17
+
+
+async def test_an_executor_that_never_awaits_lets_others_run() -> None:
+    turns = 0
+
+    async def count_turns() -> None:
+        nonlocal turns
+        while True:
+            await anyio.lowlevel.checkpoint()
+            turns += 1
+
+    async def busy(goal: GoalHandle[Goal]) -> Items:
+        while turns < 3:
+            yield Feedback([turns])
+        yield Result([turns])
+
+    bench = Bench(busy, window=1)
+    bench.stream.close()
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(count_turns)
+        assert (await bench.run()).kind is EndKind.RESULT
+        tasks.cancel_scope.cancel()
+
+
+async def test_the_handle_tells_what_the_executor_may_know() -> None:
+    bench = Bench(fibonacci, order=4)
+    handle = bench.execution.handle
+    assert handle.request == Goal(4)
+    assert handle.goal_id == bench.goal.goal_id
+    assert handle.stamp == 1
+    assert handle.status is GoalStatus.EXECUTING
+    assert repr(handle) == f"<GoalHandle {bench.goal.goal_id} EXECUTING>"
+    assert not handle.cancel_requested
+    bench.stops = True
+    assert handle.cancel_requested
+    bench.stops = False
+    bench.goal.status = GoalStatus.CANCELING
+    assert handle.cancel_requested
+
+
+class Suspend:
+    """What an event loop sees when a coroutine waits."""
+
+    def __await__(self) -> Generator[str, None, None]:
+        yield "waiting"
+
+
+async def test_steps_that_are_dropped_half_way_close_their_coroutine() -> None:
+    closed = []
+
+    async def waits() -> Ending:
+        try:
+            await Suspend()
+        finally:
+            closed.append(True)
+        raise AssertionError("it was resumed")
+
+    async def main() -> Ending:
+        return await _Steps(waits(), Life(lambda: None), copy_context())
+
+    running = main()
+    assert running.send(None) == "waiting"
+    running.close()
+    assert closed == [True]

@@ -1,0 +1,258 @@
+"""`fibaction.server._task_pool`: jobs begin at once, and tasks are used again."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from itertools import pairwise
+from typing import Any
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+from fibaction.server._task_pool import MOST_IDLE, SLICE, Life, TaskPool
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+class Bench:
+    """A crew, and jobs that note which task they were done in."""
+
+    def __init__(self, crew: TaskPool) -> None:
+        self.crew = crew
+        self.done: list[int] = []
+        self.tasks: list[int] = []
+        self.names: set[str | None] = set()
+        self.go_on = anyio.Event()
+
+    def note(self, number: int) -> None:
+        task = anyio.get_current_task()
+        self.done.append(number)
+        self.tasks.append(task.id)
+        self.names.add(task.name)
+
+    def add(self, number: int) -> None:
+        """A job that does not wait."""
+
+        async def job(life: Life) -> None:
+            self.note(number)
+
+        self.crew.add(job)
+
+    def add_waiting(self, number: int) -> None:
+        """One that waits until it is to go on."""
+
+        async def job(life: Life) -> None:
+            self.note(number)
+            life.on_wait()
+            await self.go_on.wait()
+            self.done.append(-number)
+
+        self.crew.add(job)
+
+    async def all_done(self, count: int) -> None:
+        with anyio.fail_after(5):
+            while len(self.done) < count:
+                await anyio.lowlevel.checkpoint()
+            await anyio.wait_all_tasks_blocked()
+
+
+@asynccontextmanager
+async def running() -> AsyncGenerator[Bench, None]:
+    """A crew, closed at the end; all of its tasks must end by that."""
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            bench = Bench(TaskPool(tasks, "worker"))
+            yield bench
+            bench.crew.close()
+
+
+async def test_jobs_that_do_not_wait_are_done_in_one_task_in_their_order() -> None:
+    async with running() as bench:
+        for number in range(100):
+            bench.add(number)
+        assert bench.done == []  # only in the next turn
+        await bench.all_done(100)
+        assert bench.done == list(range(100))
+        assert len(set(bench.tasks)) == 1
+        assert bench.names == {"worker"}
+
+
+async def test_a_job_that_waits_keeps_no_other_from_being_done() -> None:
+    async with running() as bench:
+        for number in range(1, 11):
+            (bench.add_waiting if number % 2 else bench.add)(number)
+        await bench.all_done(10)
+        assert bench.done == list(range(1, 11))
+        bench.go_on.set()
+        await bench.all_done(15)
+        assert sorted(bench.done[10:]) == [-9, -7, -5, -3, -1]
+
+
+async def test_jobs_that_wait_at_the_same_time_have_tasks_of_their_own() -> None:
+    async with running() as bench:
+        for number in range(1, 6):
+            bench.add_waiting(number)
+        await bench.all_done(5)
+        assert len(set(bench.tasks)) == 5
+        bench.go_on.set()
+
+
+async def test_a_task_that_is_through_takes_a_later_job() -> None:
+    async with running() as bench:
+        for number in range(5):
+            bench.add(number)
+            await bench.all_done(number + 1)
+        assert len(set(bench.tasks)) == 1
+
+
+async def test_not_more_than_some_idle_tasks_are_kept() -> None:
+    async with running() as bench:
+        for number in range(1, MOST_IDLE + 10):
+            bench.add_waiting(number)
+        await bench.all_done(MOST_IDLE + 9)
+        bench.go_on.set()
+        await bench.all_done(2 * (MOST_IDLE + 9))
+        assert len(bench.crew._idle) == MOST_IDLE
+
+
+async def test_a_task_whose_job_was_interrupted_takes_no_other() -> None:
+    async with running() as bench:
+        lives: list[Life] = []
+
+        async def job(life: Life) -> None:
+            lives.append(life)
+            bench.note(1)
+            life.on_wait()
+            with pytest.raises(anyio.get_cancelled_exc_class()):
+                await anyio.sleep_forever()
+
+        bench.crew.add(job)
+        await bench.all_done(1)
+        bench.add(2)
+        await bench.all_done(2)
+        lives[0].interrupt()
+        for number in (3, 4, 5):
+            bench.add(number)
+        await bench.all_done(5)
+        assert lives[0].is_spent
+        assert bench.tasks.count(bench.tasks[0]) == 1
+
+
+async def test_a_job_is_not_interrupted_by_the_end_of_what_the_crew_runs_in() -> None:
+    async with running() as bench:
+        bench.add_waiting(1)
+        await bench.all_done(1)
+        bench.crew._tasks.cancel_scope.cancel()
+        with anyio.CancelScope(shield=True):
+            await anyio.wait_all_tasks_blocked()
+            assert bench.done == [1]
+            bench.go_on.set()
+            await bench.all_done(2)
+            assert bench.done == [1, -1]
+
+
+async def test_an_interruption_arrives_even_if_the_task_is_known_only_later() -> None:
+    async with running() as bench:
+        life = Life(lambda: None)
+
+        async def work() -> None:
+            with life.rest:
+                life.interrupt()
+                await anyio.sleep_forever()
+
+        task = bench.crew._tasks.start_soon(work)
+        await anyio.wait_all_tasks_blocked()
+        life.run_by(task)
+        await task.wait()
+
+
+async def test_a_job_that_spends_its_task_leaves_the_next_ones_to_another() -> None:
+    async with running() as bench:
+
+        async def job(life: Life) -> None:
+            life.kill()
+            bench.note(1)
+
+        bench.crew.add(job)
+        bench.add(2)
+        bench.add(3)
+        await bench.all_done(3)
+        assert bench.done == [1, 2, 3]
+        assert bench.tasks[0] != bench.tasks[1] == bench.tasks[2]
+
+
+async def test_killing_cancels_what_is_awaited_after_an_interruption() -> None:
+    async with running() as bench:
+        lives: list[Life] = []
+
+        async def job(life: Life) -> None:
+            lives.append(life)
+            life.on_wait()
+            try:
+                await anyio.sleep_forever()
+            finally:
+                life.rest.shield = True  # what the executor does for its clean-up
+                bench.note(1)
+                try:
+                    await anyio.sleep_forever()
+                finally:
+                    bench.note(2)
+
+        bench.crew.add(job)
+        await anyio.wait_all_tasks_blocked()
+        lives[0].interrupt()
+        await bench.all_done(1)
+        lives[0].kill()
+        await bench.all_done(2)
+
+
+async def test_jobs_that_never_wait_let_others_have_their_turns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 0.0
+
+    def clock() -> float:
+        return now
+
+    monkeypatch.setattr("fibaction.server._task_pool.perf_counter", clock)
+    seen: list[int] = []
+    async with running() as bench:
+
+        async def job(life: Life) -> None:
+            nonlocal now
+            now += SLICE / 2
+            bench.note(1)
+
+        for _ in range(10):
+            bench.crew.add(job)
+        while len(bench.done) < 10:
+            await anyio.lowlevel.checkpoint()
+            seen.append(len(bench.done))
+    # A turn is two jobs; trio, which draws the order of tasks, may let two turns follow each other.
+    assert max(later - earlier for earlier, later in pairwise([0, *seen])) <= 4
+
+
+async def test_closing_ends_the_tasks_that_are_through_later_too() -> None:
+    async with running() as bench:
+        bench.add_waiting(1)
+        await bench.all_done(1)
+        bench.crew.close()
+        bench.go_on.set()
+
+
+async def test_what_a_job_raises_goes_on() -> None:
+    async def job(life: Life) -> None:
+        raise KeyError("a fault")
+
+    with pytest.raises(BaseExceptionGroup) as caught:
+        async with running() as bench:
+            bench.crew.add(job)
+            await anyio.sleep_forever()
+    assert caught.group_contains(KeyError)

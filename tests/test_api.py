@@ -1,0 +1,234 @@
+"""`serve` and `connect`: servers and transports, started and stopped in the right order."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import (
+    Action,
+    ActionPeers,
+    ActionServer,
+    ClientConnection,
+    GoalAborted,
+    GoalHandle,
+    ServerNotFound,
+    TransportError,
+    connect,
+    serve,
+)
+from fibaction.abc import Connection
+from fibaction_transports.inprocess import InProcessTransport
+from tests.executors import Items
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+
+pytestmark = pytest.mark.asyncio
+
+
+async def test_with_an_action_it_gives_a_client_and_without_one_a_connection() -> None:
+    async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://connection"):
+        async with connect("inproc://connection", FIBONACCI) as client:
+            assert await client.call(Goal(1)) == Result([0, 1])
+        async with connect("inproc://connection") as connection:
+            assert isinstance(connection, ClientConnection)
+            assert await connection.client(FIBONACCI).call(Goal(1)) == Result([0, 1])
+            assert await connection.actions() == [FIBONACCI.info]
+            assert connection.endpoint(FIBONACCI).info == FIBONACCI.info
+
+
+async def test_who_serves_and_who_uses_an_action_is_what_the_transport_knows() -> None:
+    class Told(InProcessTransport):
+        """A transport that knows."""
+
+        @asynccontextmanager
+        async def connect(self) -> AsyncGenerator[Connection, None]:
+            async with super().connect() as connection:
+                yield Knowing(connection)
+
+    class Knowing(ClientConnection):
+        async def peers(self, action: str) -> ActionPeers:
+            return ActionPeers(servers=(f"who serves {action}",))
+
+    async with connect(Told()) as connection:
+        assert await connection.peers("fibonacci") == ActionPeers(("who serves fibonacci",))
+    async with connect(InProcessTransport()) as connection:
+        assert await connection.peers("fibonacci") == ActionPeers()
+
+
+async def test_a_transport_does_as_well_as_a_url() -> None:
+    transport = InProcessTransport()
+    async with connect(transport, FIBONACCI) as client:
+        with pytest.raises(ServerNotFound):
+            await client.call(Goal(1))
+        async with serve(ActionServer(FIBONACCI, fibonacci), transport):
+            assert await client.call(Goal(1)) == Result([0, 1])
+
+
+async def test_a_url_that_cannot_be_used_is_told_before_the_block() -> None:
+    with pytest.raises(TransportError, match="no transport for pigeon:// is installed"):
+        async with connect("pigeon://loft", FIBONACCI):
+            raise AssertionError("the block must not run")
+
+
+async def test_the_exception_of_the_block_goes_on_as_itself() -> None:
+    error = KeyError("mine")
+    with pytest.raises(KeyError) as caught:
+        async with connect("inproc://connection", FIBONACCI):
+            raise error
+    assert caught.value is error
+
+
+async def test_settings_go_to_the_transport() -> None:
+    with pytest.raises(TypeError, match="reconnect"):
+        async with connect("inproc://connection", FIBONACCI, reconnect=False):
+            raise AssertionError("the block must not run")
+
+
+SERVER = ActionServer(FIBONACCI, fibonacci)
+
+
+@pytest.mark.parametrize("given", [SERVER, "fibonacci", Goal])
+async def test_what_is_no_action_is_told_in_one_sentence(given: Any) -> None:
+    with pytest.raises(TypeError) as caught:
+        connect("inproc://connection", given)
+    assert str(caught.value) == (
+        f"connect() takes an address, and then an Action or nothing, and not {given!r}"
+    )
+
+
+async def test_what_is_no_address_is_told_in_one_sentence() -> None:
+    swapped: Any = (FIBONACCI, "inproc://connection")
+    with pytest.raises(TypeError, match=f"an address is a URL such as .* not {FIBONACCI!r}"):
+        connect(*swapped)
+
+
+OTHER = Action("other", goal=Goal, feedback=Feedback, result=Result)
+
+
+async def test_one_server_at_one_address() -> None:
+    async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://one") as urls:
+        assert urls == ("inproc://one",)
+        async with connect(urls[0], FIBONACCI) as client:
+            assert await client.call(Goal(1)) == Result([0, 1])
+
+
+async def test_several_servers_at_several_addresses() -> None:
+    servers = [ActionServer(FIBONACCI, fibonacci), ActionServer(OTHER, fibonacci)]
+    async with serve(servers, "inproc://a", InProcessTransport("b")) as urls:
+        assert urls == ("inproc://a", "inproc://b")
+        for url in urls:
+            async with connect(url) as connection:
+                for action in (FIBONACCI, OTHER):
+                    assert await connection.client(action).call(Goal(1)) == Result([0, 1])
+
+
+async def test_a_server_that_runs_already_is_neither_started_nor_stopped() -> None:
+    async with ActionServer(FIBONACCI, fibonacci) as server:
+        for url in ("inproc://first", "inproc://second"):
+            async with serve(server, url), connect(url, FIBONACCI) as client:
+                assert await client.call(Goal(1)) == Result([0, 1])
+
+
+async def test_a_server_that_was_stopped_is_not_served_again_in_silence() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    async with serve(server, "inproc://once"):
+        pass
+    with pytest.raises(RuntimeError, match="was started before; make another one"):
+        async with serve(server, "inproc://once"):
+            raise AssertionError("the block must not run")
+
+
+async def test_clients_are_answered_before_the_address_is_closed() -> None:
+    async def waits(goal: GoalHandle[Goal]) -> Items:
+        yield Feedback([1])
+        await anyio.sleep_forever()
+
+    async with connect("inproc://bye", FIBONACCI) as client:
+        async with serve(
+            [ActionServer(FIBONACCI, waits), ActionServer(OTHER, waits)], "inproc://bye"
+        ):
+            goal = await client.send_goal(Goal(1))
+        with pytest.raises(GoalAborted, match="server stopped"):
+            await goal.result()
+        with pytest.raises(ServerNotFound, match="nobody serves the action 'fibonacci'"):
+            await client.send_goal(Goal(1))
+
+
+async def test_an_address_that_cannot_be_used_stops_what_was_started() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    with pytest.raises(TransportError, match="no transport for pigeon://"):
+        async with serve(server, "inproc://a", "pigeon://b"):
+            raise AssertionError("the block must not run")
+    assert server.is_new
+    async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://a"):
+        with pytest.raises(TransportError, match="is served at inproc://a already"):
+            async with serve(server, "inproc://a"):
+                raise AssertionError("the block must not run")
+    assert repr(server) == "<ActionServer 'fibonacci' stopped goals=0>"
+
+
+async def test_the_exception_of_a_block_that_serves_goes_on_as_itself() -> None:
+    error = KeyError("mine")
+    with pytest.raises(KeyError) as caught:
+        async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://a"):
+            raise error
+    assert caught.value is error
+
+
+async def test_settings_go_to_the_transports() -> None:
+    with pytest.raises(TypeError, match="tokens"):
+        async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://a", tokens={"x": "me"}):
+            raise AssertionError("the block must not run")
+
+
+@pytest.mark.parametrize(
+    ("given", "where", "shown"),
+    [
+        ("inproc://a?token=secret", SERVER, "'inproc://a'"),
+        (FIBONACCI, "inproc://a", repr(FIBONACCI)),
+        ([SERVER, FIBONACCI], "inproc://a", repr(FIBONACCI)),
+        (["inproc://b", SERVER], "inproc://a", "'inproc://b'"),
+        (None, "inproc://a", "None"),
+    ],
+    ids=["swapped", "an action", "an action among servers", "a URL among servers", "nothing"],
+)
+async def test_what_is_no_server_is_told_in_one_sentence(
+    given: Any, where: Any, shown: str
+) -> None:
+    with pytest.raises(TypeError) as caught:
+        async with serve(given, where):
+            raise AssertionError("the block must not run")
+    assert str(caught.value) == (
+        f"serve() takes servers, such as ActionServer(action, executor), and then where to serve"
+        f" them, and {shown} is no server"
+    )
+    assert SERVER.is_new
+
+
+async def test_serving_at_what_is_not_an_address_is_told_in_one_sentence() -> None:
+    where: Any = SERVER
+    with pytest.raises(TypeError, match=f"an address is a URL such as .* not {SERVER!r}"):
+        async with serve(SERVER, where):
+            raise AssertionError("the block must not run")
+
+
+async def test_serving_without_an_address_is_refused_with_what_to_do_instead() -> None:
+    with pytest.raises(TypeError) as caught:
+        async with serve(SERVER):
+            raise AssertionError("the block must not run")
+    assert str(caught.value) == (
+        "serve() needs an address, or nobody could reach the server: a URL such as"
+        " tcp://127.0.0.1:7400, or a transport; without one, enter the server itself, and give it"
+        " to an ActionClient"
+    )
+    assert SERVER.is_new
+
+
+async def test_servers_may_come_from_anything_that_can_be_iterated_over() -> None:
+    servers = (ActionServer(action, fibonacci) for action in (FIBONACCI, OTHER))
+    async with serve(servers, "inproc://a") as (url,), connect(url) as connection:
+        assert await connection.actions() == [FIBONACCI.info, OTHER.info]

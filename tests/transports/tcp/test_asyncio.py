@@ -1,0 +1,517 @@
+"""Connections on asyncio, which need no task to read or write."""
+
+from __future__ import annotations
+
+import asyncio  # noqa: TID251  # what is tested is for asyncio only
+import socket
+import struct
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import anyio
+import anyio.lowlevel
+import pytest
+import sniffio
+from anyio.abc import SocketAttribute
+
+from fibaction.exceptions import ConnectionLost, ProtocolError
+from fibaction.wire.channel import CHUNK, Line
+from fibaction.wire.framing import framed
+from fibaction_transports.tcp import _asyncio
+from fibaction_transports.tcp._asyncio import ProtocolLine, accept, dial_tcp, dial_unix, on_asyncio
+
+pytestmark = pytest.mark.asyncio
+
+LIMIT = 2**24
+RESET = struct.pack("ii", 1, 0)
+"""Of SO_LINGER: closing resets the connection."""
+
+
+class End:
+    """One end of a connection: what it hears, and what it has to say."""
+
+    def __init__(self, line: Line) -> None:
+        assert isinstance(line, ProtocolLine)
+        self.line = line
+        self.heard: list[bytes] = []
+        self.pieces = 0
+        """How often something was handed over."""
+        self.to_say: list[list[bytes]] = []
+        self.fetched = 0
+        self.error: Exception | None = None
+        self.on_frames: Callable[[list[bytes]], None] = self.heard.extend
+        self._scope = anyio.CancelScope()
+        self.ended = anyio.Event()
+
+    def _on_frames(self, frames: list[bytes]) -> None:
+        self.pieces += 1
+        self.on_frames(frames)
+
+    def next_frames(self) -> list[bytes]:
+        self.fetched += 1
+        return self.to_say.pop(0) if self.to_say else []
+
+    def say(self, *frames: bytes) -> None:
+        self.to_say.append(list(frames))
+        self.line.wake_writer()
+
+    async def run(self) -> None:
+        with self._scope:
+            try:
+                await self.line.run(self._on_frames, self.next_frames)
+            except Exception as exc:
+                self.error = exc
+        self.ended.set()
+
+    def stop(self) -> None:
+        self._scope.cancel()
+
+
+async def until(condition: Callable[[], object]) -> None:
+    """Let the event loop turn until it is so."""
+    with anyio.fail_after(5):
+        while not condition():
+            await anyio.lowlevel.checkpoint()
+
+
+@asynccontextmanager
+async def listening(
+    max_frame: int = LIMIT, path: Path | None = None
+) -> AsyncGenerator[tuple[Any, list[End]], None]:
+    """An address, and the ends of those who have connected to it, which do not run yet."""
+    ends: list[End] = []
+
+    async def serve(line: Line) -> None:
+        end = End(line)
+        ends.append(end)
+        try:
+            await end.ended.wait()
+        finally:
+            await line.aclose()
+
+    if path is None:
+        listener: Any = await anyio.create_tcp_listener(local_host="127.0.0.1")
+    else:
+        listener = await anyio.create_unix_listener(path)
+    async with listener, anyio.create_task_group() as tasks:
+        parts = getattr(listener, "listeners", [listener])
+        tasks.start_soon(accept, parts[0], max_frame, serve, tasks)
+        yield listener.extra(SocketAttribute.local_address), ends
+        tasks.cancel_scope.cancel()
+
+
+@asynccontextmanager
+async def pair() -> AsyncGenerator[tuple[End, End], None]:
+    """Both ends of a connection, running."""
+    async with listening() as ((host, port), ends):
+        one = End(await dial_tcp(host, port, LIMIT, "the server"))
+        await until(lambda: ends)
+        async with anyio.create_task_group() as tasks:
+            for end in (one, ends[0]):
+                tasks.start_soon(end.run)
+            await until(lambda: one.fetched and ends[0].fetched)
+            yield one, ends[0]
+            for end in (one, ends[0]):
+                end.stop()
+        await one.line.aclose()
+
+
+@asynccontextmanager
+async def beside_a_socket() -> AsyncGenerator[tuple[End, socket.socket], None]:
+    """An end that is running, and a plain socket at the other."""
+    async with listening() as (address, ends):
+        with socket.create_connection(address) as peer:
+            peer.setblocking(False)
+            await until(lambda: ends)
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(ends[0].run)
+                await until(lambda: ends[0].fetched)
+                yield ends[0], peer
+                ends[0].stop()
+
+
+async def test_frames_go_both_ways_in_order() -> None:
+    async with pair() as (one, other):
+        one.say(b"1", b"", b"22")
+        one.say(b"333")
+        other.say(b"answer")
+        await until(lambda: len(other.heard) == 4 and one.heard)
+        assert other.heard == [b"1", b"", b"22", b"333"]
+        assert one.heard == [b"answer"]
+
+
+async def test_what_there_is_to_say_before_it_runs_is_said() -> None:
+    async with listening() as ((host, port), ends):
+        line = await dial_tcp(host, port, LIMIT, "the server")
+        await until(lambda: ends)
+        one, other = End(line), ends[0]
+        one.say(b"early")
+        await line.send([b"earliest"])
+        async with anyio.create_task_group() as tasks:
+            await until(lambda: other.line._early)  # it has arrived, and nobody takes it yet
+            tasks.start_soon(other.run)
+            tasks.start_soon(one.run)
+            await until(lambda: len(other.heard) == 2)
+            assert other.heard == [b"earliest", b"early"]
+            one.stop()
+            other.stop()
+        await line.aclose()
+
+
+async def test_it_asks_again_when_all_is_written_and_then_waits_to_be_stirred() -> None:
+    async with pair() as (one, other):
+        one.say(b"1")
+        await until(lambda: other.heard)
+        asked = one.fetched
+        assert asked == 3  # at first; for the frame; and whether there is more
+        for _ in range(5):
+            await anyio.lowlevel.checkpoint()
+        assert one.fetched == asked
+
+
+async def test_what_is_stirred_at_once_is_written_in_the_same_turn() -> None:
+    async with pair() as (one, other):
+        one.say(b"1")
+        one.say(b"2")
+        assert len(one.to_say) == 2
+        one.line.wake_writer(at_once=True)
+        assert one.to_say == []
+        await until(lambda: len(other.heard) == 2)
+        assert other.heard == [b"1", b"2"]
+
+
+async def test_who_stirs_at_once_while_it_is_fetched_from_has_to_wait() -> None:
+    async with pair() as (one, other):
+        next_frames = one.next_frames
+
+        def stirring() -> list[bytes]:
+            frames = next_frames()
+            if frames:
+                one.line.wake_writer(at_once=True)
+            return frames
+
+        one.line._next_frames = stirring
+        one.to_say = [[b"1"], [b"2"], [b"3"]]
+        one.line.wake_writer(at_once=True)
+        await until(lambda: len(other.heard) == 3)
+        assert other.heard == [b"1", b"2", b"3"]
+
+
+async def test_after_a_large_write_others_have_their_turn() -> None:
+    async with pair() as (one, other):
+        turns: list[int] = []
+        next_frames = one.next_frames
+
+        def noting() -> list[bytes]:
+            turns.append(turn)
+            return next_frames()
+
+        one.line._next_frames = noting
+        one.to_say = [[bytes(CHUNK)], [b"1"], [bytes(CHUNK)]]
+        turn = 0
+        one.line.wake_writer()
+        with anyio.fail_after(5):
+            while len(other.heard) < 3:
+                await anyio.lowlevel.checkpoint()
+                turn += 1
+        assert len(set(turns)) >= 3
+        assert len(turns) == 4
+
+
+async def test_a_frame_in_pieces_is_heard_of_and_handed_over_when_it_is_whole() -> None:
+    async with beside_a_socket() as (end, peer):
+        data = framed([b"hello"])
+        for i in range(len(data)):
+            peer.send(data[i : i + 1])
+            await until(lambda i=i: end.pieces == i + 1)  # type: ignore[misc]  # bound here, for now
+            assert end.heard == ([b"hello"] if i == len(data) - 1 else [])
+
+
+async def test_who_does_not_read_stops_the_writing_and_who_reads_again_is_progress() -> None:
+    async with beside_a_socket() as (end, peer):
+        large = bytes(2**22)
+        end.say(large)
+        end.say(b"behind it")
+        await until(lambda: end.fetched == 2)
+        for _ in range(5):
+            await anyio.lowlevel.checkpoint()
+        assert end.to_say == [[b"behind it"]]
+        before = end.line.progress
+        assert 0 <= before < len(large)
+        seen = b""
+        wanted = framed([large, b"behind it"])
+        with anyio.fail_after(5):
+            while len(seen) < len(wanted):
+                await anyio.wait_readable(peer)
+                seen += peer.recv(2**20)
+                assert end.line.progress >= before
+                before = end.line.progress
+        assert seen == wanted
+        assert end.line.progress == len(wanted)
+
+
+async def test_what_hear_raises_is_the_end_and_nothing_more_is_heard() -> None:
+    async with pair() as (one, other):
+        wrong = ProtocolError("no such message")
+
+        def on_frames(frames: list[bytes]) -> None:
+            other.heard.extend(frames)
+            raise wrong
+
+        other.on_frames = on_frames
+        one.say(b"1")
+        await other.ended.wait()
+        assert other.error is wrong
+        late = framed([b"2"])  # that was on its way
+        other.line.get_buffer(-1)[: len(late)] = late
+        other.line.buffer_updated(len(late))
+        assert other.heard == [b"1"]
+
+
+async def test_a_line_that_is_lost_before_its_turn_to_write_fetches_nothing() -> None:
+    async with pair() as (one, _):
+        asked = one.fetched
+        one.say(b"1")
+        one.line.connection_lost(None)
+        await one.ended.wait()
+        assert one.fetched == asked
+
+
+async def test_what_fetch_raises_is_the_end_too() -> None:
+    async with pair() as (one, _):
+        wrong = RuntimeError("a fault of ours")
+
+        def next_frames() -> list[bytes]:
+            raise wrong
+
+        one.line._next_frames = next_frames
+        one.line.wake_writer()
+        await one.ended.wait()
+        assert one.error is wrong
+
+
+async def test_a_frame_that_is_too_large_is_the_end() -> None:
+    async with listening(max_frame=10) as (address, ends):
+        with socket.create_connection(address) as peer:
+            await until(lambda: ends)
+            peer.send(framed([bytes(11)]))
+            with anyio.fail_after(5):
+                await ends[0].run()
+        assert isinstance(ends[0].error, ProtocolError)
+        assert str(ends[0].error) == "a frame of 11 bytes was announced, and 10 are the limit"
+
+
+@pytest.mark.parametrize(
+    ("said", "how"), [(b"", "its side"), (b"\0\0", "in the middle of a message")]
+)
+async def test_a_peer_that_closes_says_nothing_more(said: bytes, how: str) -> None:
+    async with beside_a_socket() as (end, peer):
+        peer.send(said)
+        peer.shutdown(socket.SHUT_WR)
+        with anyio.fail_after(5):
+            await end.ended.wait()
+        assert isinstance(end.error, ConnectionLost)
+        assert str(end.error) == f"{end.line.peer} closed {how}"
+
+
+async def test_a_connection_that_is_reset_is_lost_with_its_cause() -> None:
+    async with beside_a_socket() as (end, peer):
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+        peer.close()
+        with anyio.fail_after(5):
+            await end.ended.wait()
+        assert isinstance(end.error, ConnectionLost)
+        assert str(end.error) == f"the connection to {end.line.peer} broke"
+        assert isinstance(end.error.__cause__, ConnectionResetError)
+        with pytest.raises(ConnectionLost, match=f"the connection to {end.line.peer} broke"):
+            await end.line.send([b"after the end"])
+
+
+async def test_who_stops_to_run_it_reads_no_more_and_can_still_have_the_last_word() -> None:
+    async with beside_a_socket() as (end, peer):
+        end.stop()
+        await end.line.send([b"goodbye"])
+        peer.send(framed([b"too late"]))
+        for _ in range(5):
+            await anyio.lowlevel.checkpoint()
+        assert end.heard == []
+        await anyio.wait_readable(peer)
+        assert peer.recv(100) == framed([b"goodbye"])
+
+
+async def test_the_last_word_waits_until_it_is_written_or_the_connection_is_lost() -> None:
+    async with listening() as (address, ends):
+        with socket.create_connection(address) as peer:
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+            await until(lambda: ends)
+            line = ends[0].line
+            with anyio.fail_after(5):
+                with anyio.move_on_after(0.01) as impatience:
+                    await line.send([bytes(2**23)])
+                assert impatience.cancelled_caught
+                async with anyio.create_task_group() as tasks:
+
+                    async def last_word() -> None:
+                        with pytest.raises(ConnectionLost):
+                            await line.send([b"1"])
+
+                    tasks.start_soon(last_word)
+                    await anyio.wait_all_tasks_blocked()
+                    peer.close()
+
+
+async def test_a_line_is_closed_also_by_who_is_being_canceled() -> None:
+    async with beside_a_socket() as (end, peer):
+        with anyio.CancelScope() as scope:
+            scope.cancel()
+            await end.line.aclose()
+        await until(lambda: end.line._transport.is_closing())
+        await anyio.wait_readable(peer)
+        assert peer.recv(10) == b""
+
+
+async def test_small_messages_are_sent_at_once_by_both_ends() -> None:
+    async with pair() as (one, other):
+        for end in (one, other):
+            made = end.line._transport.get_extra_info("socket")
+            assert made.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+async def test_a_peer_is_named_by_its_address_if_it_has_one(tmp_path: Path) -> None:
+    async with listening() as ((host, port), ends):
+        line = await dial_tcp(host, port, LIMIT, "tcp://robot:7400")
+        assert line.peer == "tcp://robot:7400"
+        await until(lambda: ends)
+        here = line._transport.get_extra_info("sockname")
+        assert ends[0].line.peer == f"127.0.0.1:{here[1]}"
+        await line.aclose()
+    async with listening(path=tmp_path / "socket") as (_, ends):
+        line = await dial_unix(tmp_path / "socket", LIMIT, "unix://socket")
+        assert line.peer == "unix://socket"
+        await until(lambda: ends)
+        assert ends[0].line.peer == "a local process"
+        await line.aclose()
+
+
+async def test_a_peer_that_has_left_before_it_was_looked_at_has_no_name() -> None:
+    line = ProtocolLine(LIMIT, memoryview(bytearray(10)))
+    line.connection_made(_NoName())
+    assert line.peer == "a peer that has left"
+
+
+class _NoName(asyncio.Transport):
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        pass
+
+
+async def test_what_cannot_be_taken_over_after_it_was_accepted_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    loop = asyncio.get_running_loop()
+    closed: list[bool] = []
+
+    async def fail(_: object, accepted: socket.socket) -> None:
+        closed.append(accepted.fileno() == -1)
+        refused.append(accepted)
+        raise OSError("no more")
+
+    refused: list[socket.socket] = []
+    monkeypatch.setattr(loop, "connect_accepted_socket", fail)
+
+    async def never(line: Line) -> None:
+        raise AssertionError("nobody is served")
+
+    async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
+        part = listener.listeners[0]
+        port = part.extra(SocketAttribute.local_port)
+        with socket.create_connection(("127.0.0.1", port)):
+            async with anyio.create_task_group() as tasks:
+                with anyio.fail_after(5), pytest.raises(OSError, match="no more"):
+                    await accept(part, LIMIT, never, tasks)
+    assert closed == [False]
+    assert refused[0].fileno() == -1
+
+
+async def test_on_a_loop_of_somebody_else_addresses_are_tried_one_after_the_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given: list[dict[str, Any]] = []
+
+    class OtherLoop:
+        async def create_connection(self, *_: object, **settings: Any) -> tuple[str, str]:
+            given.append(settings)
+            return "transport", "line"
+
+    monkeypatch.setattr(_asyncio, "_loop", OtherLoop)
+    made: object = await dial_tcp("robot", 1, LIMIT, "robot")
+    assert (made, given) == ("line", [{}])
+
+
+@pytest.mark.parametrize("begin_at_once", [False, True])
+async def test_where_tasks_begin_at_once_addresses_are_tried_one_after_the_other(
+    begin_at_once: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop = asyncio.get_running_loop()
+    given: list[dict[str, Any]] = []
+    connect = loop.create_connection
+
+    async def create_connection(*where: Any, **settings: Any) -> Any:
+        given.append(settings)
+        return await connect(*where, **settings)
+
+    monkeypatch.setattr(loop, "create_connection", create_connection)
+    if begin_at_once:
+        monkeypatch.setattr(loop, "get_task_factory", lambda: asyncio.Task)
+    async with listening() as ((host, port), _):
+        line = await dial_tcp(host, port, LIMIT, "the server")
+        await line.aclose()
+    assert given == [{} if begin_at_once else {"happy_eyeballs_delay": _asyncio.NEXT_ADDRESS}]
+
+
+async def test_callbacks_know_that_they_are_asyncios_also_where_only_asyncio_was_started() -> None:
+    libraries: list[str] = []
+
+    async def main() -> None:
+        async with pair() as (one, other):
+
+            def on_frames(frames: list[bytes]) -> None:
+                libraries.append(sniffio.current_async_library())
+
+            other.on_frames = on_frames
+            one.say(b"1")
+            await until(lambda: libraries)
+
+    await anyio.to_thread.run_sync(asyncio.run, main())
+    assert libraries == ["asyncio"] * len(libraries)
+
+
+async def test_without_sniffio_nothing_has_to_be_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "sniffio", None)
+    async with pair() as (one, other):
+        one.say(b"1")
+        await until(lambda: other.heard)
+
+
+async def test_whether_it_is_asyncio_is_known_everywhere() -> None:
+    found: dict[str, bool] = {}
+
+    async def look(where: str) -> None:
+        found[where] = on_asyncio()
+
+    def elsewhere() -> None:
+        found["nowhere"] = on_asyncio()
+        anyio.run(look, "trio", backend="trio")
+
+    await look("asyncio")
+    await anyio.to_thread.run_sync(elsewhere)
+    done = anyio.Event()
+
+    def callback() -> None:
+        found["a guest"] = on_asyncio()
+        done.set()
+
+    asyncio.get_running_loop().call_soon(callback)
+    await done.wait()
+    assert found == {"nowhere": False, "asyncio": True, "trio": False, "a guest": False}

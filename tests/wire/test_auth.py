@@ -1,0 +1,147 @@
+from __future__ import annotations
+
+import hmac
+from collections.abc import Mapping
+from typing import Any, cast
+
+import anyio
+import pytest
+from hypothesis import given, strategies
+
+from fibaction.wire.auth import AccessPolicy, Authorize, Peer, Permission
+
+ADDRESS = "127.0.0.1:51234"
+TOKENS = {"sesame": "ali", "réseau": "zoë", "longer than the others": "bob"}
+ALI = Peer(ADDRESS, "ali")
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+# Who may come in
+
+
+@pytest.mark.parametrize("token", ["", "sesame"])
+def test_without_tokens_everybody_may_come_in_and_has_no_name(token: str) -> None:
+    assert AccessPolicy().admit(ADDRESS, token) == Peer(ADDRESS, "")
+
+
+@pytest.mark.parametrize(("token", "name"), TOKENS.items())
+def test_a_good_token_lets_its_owner_in(token: str, name: str) -> None:
+    assert AccessPolicy(TOKENS).admit(ADDRESS, token) == Peer(ADDRESS, name)
+
+
+@given(strategies.text() | strategies.sampled_from(["", "Sesame", "sesam", "sesame ", "ali"]))
+def test_any_other_token_lets_nobody_in(token: str) -> None:
+    assert (AccessPolicy(TOKENS).admit(ADDRESS, token) is None) == (token not in TOKENS)
+
+
+@pytest.mark.parametrize("token", ["", "sesame", "longer than the others", "bad"])
+def test_every_token_is_compared_so_that_time_tells_nothing(
+    token: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared: list[bytes] = []
+
+    def compare(one: bytes, other: bytes) -> bool:
+        compared.append(one)
+        return hmac.compare_digest(one, other)
+
+    monkeypatch.setattr("fibaction.wire.auth.compare_digest", compare)
+    AccessPolicy(TOKENS).admit(ADDRESS, token)
+    assert compared == [known.encode() for known in TOKENS]
+
+
+@pytest.mark.parametrize("tokens", [{}, {"": "ali"}, {"sesame": "ali", "": "bob"}])
+def test_tokens_that_would_let_nobody_or_everybody_in_are_refused(
+    tokens: Mapping[str, str],
+) -> None:
+    with pytest.raises(ValueError, match="at least one, and none empty"):
+        AccessPolicy(tokens)
+
+
+def test_a_token_that_no_client_could_send_is_refused_and_not_shown() -> None:
+    with pytest.raises(
+        ValueError, match=r"^a token is text, and this one has bytes in it"
+    ) as caught:
+        AccessPolicy({"sesame": "ali", "secret \udcff": "bob"})
+    assert "secret" not in str(caught.value)
+    assert caught.value.__suppress_context__
+
+
+def test_a_token_may_belong_to_somebody_without_a_name() -> None:
+    assert AccessPolicy({"sesame": ""}).admit(ADDRESS, "sesame") == Peer(ADDRESS)
+
+
+def test_no_token_can_be_read_in_a_log() -> None:
+    assert repr(AccessPolicy(TOKENS)) == str(AccessPolicy(TOKENS)) == "<Access>"
+    assert "sesame" not in repr(AccessPolicy(TOKENS).admit(ADDRESS, "sesame"))
+
+
+# What he may do
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("verb", Permission)
+async def test_without_a_rule_everything_is_allowed(verb: Permission) -> None:
+    assert await AccessPolicy(TOKENS).allows(ALI, "fibonacci", verb) is True
+
+
+def may_only_observe(peer: Peer, action: str, verb: Permission) -> bool:
+    return (peer, action, verb) == (ALI, "fibonacci", Permission.OBSERVE)
+
+
+async def may_only_observe_says_another(peer: Peer, action: str, verb: Permission) -> bool:
+    await anyio.lowlevel.checkpoint()
+    return may_only_observe(peer, action, verb)
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("authorize", [may_only_observe, may_only_observe_says_another])
+@pytest.mark.parametrize(
+    ("peer", "action", "verb", "allowed"),
+    [
+        (ALI, "fibonacci", Permission.OBSERVE, True),
+        (ALI, "fibonacci", Permission.SEND, False),
+        (ALI, "fibonacci", Permission.CANCEL, False),
+        (ALI, "navigate", Permission.OBSERVE, False),
+        (Peer(ADDRESS, "bob"), "fibonacci", Permission.OBSERVE, False),
+    ],
+)
+async def test_a_rule_is_told_who_wants_what_of_which_action(
+    authorize: Authorize, peer: Peer, action: str, verb: Permission, allowed: bool
+) -> None:
+    with anyio.fail_after(5):
+        assert await AccessPolicy(authorize=authorize).allows(peer, action, verb) is allowed
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("answer", [None, 1, "no", [False]])
+async def test_only_true_allows(answer: object) -> None:
+    async def later(peer: Peer, action: str, verb: Permission) -> bool:
+        return cast("bool", answer)
+
+    def at_once(peer: Peer, action: str, verb: Permission) -> bool:
+        return cast("bool", answer)
+
+    for authorize in (at_once, later):
+        assert (
+            await AccessPolicy(authorize=authorize).allows(ALI, "fibonacci", Permission.SEND)
+            is False
+        )
+
+
+@pytest.mark.anyio
+async def test_the_error_of_a_rule_allows_nothing() -> None:
+    def broken(peer: Peer, action: str, verb: Permission) -> bool:
+        raise LookupError("no such table")
+
+    with pytest.raises(LookupError, match="no such table"):
+        await AccessPolicy(authorize=broken).allows(ALI, "fibonacci", Permission.SEND)
+
+
+def test_only_where_nobody_is_asked_everybody_may_do_everything() -> None:
+    assert AccessPolicy().is_open
+    assert AccessPolicy({"secret": "ann"}).is_open  # for those who are in
+    assert not AccessPolicy(authorize=lambda *_: True).is_open

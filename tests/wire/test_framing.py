@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+import itertools
+import sys
+from collections.abc import Iterable
+
+import pytest
+from hypothesis import assume, given, strategies
+
+from fibaction.exceptions import ProtocolError
+from fibaction.wire import framing
+from fibaction.wire.framing import HEADER, MAX_FRAME, FrameReader, header
+
+FRAMES = strategies.lists(strategies.binary(max_size=300), max_size=8)
+LIMIT = 100
+
+
+def framed(frames: Iterable[bytes]) -> bytes:
+    return b"".join(header(len(frame)) + frame for frame in frames)
+
+
+def chopped(data: bytes, places: Iterable[int]) -> list[bytes]:
+    """The same bytes in pieces, some of which may be empty."""
+    cuts = [0, *sorted(min(place, len(data)) for place in places), len(data)]
+    return [data[start:end] for start, end in itertools.pairwise(cuts)]
+
+
+def test_a_header_is_the_length_in_four_bytes_the_highest_first() -> None:
+    assert header(0) == b"\0\0\0\0"
+    assert header(0x01020304) == b"\1\2\3\4"
+    assert len(header(MAX_FRAME)) == HEADER
+
+
+def test_a_header_has_room_for_the_largest_frame_of_sixteen_mebibytes() -> None:
+    assert MAX_FRAME == 16 * 1024 * 1024
+    assert header(MAX_FRAME) == b"\1\0\0\0"
+
+
+def test_frames_are_sent_one_behind_the_other_each_behind_its_header() -> None:
+    assert framing.framed([]) == b""
+    assert framing.framed([b"ab", b"", b"c"]) == b"\0\0\0\2ab\0\0\0\0\0\0\0\1c"
+
+
+@given(FRAMES)
+def test_frames_that_were_sent_come_out(frames: list[bytes]) -> None:
+    assert FrameReader().feed(framing.framed(frames)) == frames
+
+
+@given(FRAMES, strategies.lists(strategies.integers(0, 2500), max_size=20))
+def test_frames_come_out_alike_in_any_chopping(frames: list[bytes], places: list[int]) -> None:
+    data = framed(frames)
+    in_pieces, byte_by_byte = FrameReader(), FrameReader()
+    assert FrameReader().feed(data) == frames
+    assert [frame for piece in chopped(data, places) for frame in in_pieces.feed(piece)] == frames
+    assert [frame for byte in data for frame in byte_by_byte.feed(bytes([byte]))] == frames
+
+
+@given(FRAMES)
+def test_a_frame_comes_out_with_its_last_byte(frames: list[bytes]) -> None:
+    reader = FrameReader()
+    for frame in frames:
+        data = framed([frame])
+        assert reader.feed(data[:-1]) == []
+        assert reader.is_within_frame
+        assert reader.feed(data[-1:]) == [frame]
+        assert not reader.is_within_frame
+
+
+@given(FRAMES, strategies.integers(0, 2500))
+def test_it_is_within_a_frame_unless_the_bytes_end_with_one(frames: list[bytes], cut: int) -> None:
+    data = framed(frames)[:cut]
+    reader = FrameReader()
+    whole = framed(reader.feed(data))
+    assert reader.is_within_frame == (whole != data)
+
+
+def test_nothing_has_arrived_at_first() -> None:
+    reader = FrameReader()
+    assert not reader.is_within_frame
+    assert reader.feed(b"") == []
+    assert not reader.is_within_frame
+
+
+@given(FRAMES, strategies.lists(strategies.integers(0, 2500), max_size=20))
+def test_no_more_is_held_than_one_frame_that_is_not_complete(
+    frames: list[bytes], places: list[int]
+) -> None:
+    data = framed(frames)
+    reader = FrameReader()
+    fed = given_out = 0
+    for piece in chopped(data, places):
+        fed += len(piece)
+        given_out += sum(HEADER + len(frame) for frame in reader.feed(piece))
+        held = bytes(reader._buffer)
+        assert held == data[given_out:fed]
+        assert len(held) < HEADER or len(held) < HEADER + int.from_bytes(held[:HEADER], "big")
+
+
+def test_the_memory_of_a_large_frame_is_given_back() -> None:
+    reader = FrameReader()
+    large = bytes(2**20)
+    assert reader.feed(framed([large]) + b"\0") == [large]
+    assert sys.getsizeof(reader._buffer) < 1000
+
+
+@given(
+    strategies.lists(strategies.binary(max_size=LIMIT), max_size=3),
+    strategies.integers(LIMIT + 1, 2**32 - 1),
+)
+def test_a_frame_over_the_limit_is_refused_with_its_header(frames: list[bytes], size: int) -> None:
+    reader = FrameReader(LIMIT)
+    assert reader.feed(framed(frames)) == frames
+    assert reader.feed(header(size)[:-1]) == []
+    assume(not header(size).startswith((b"\x16\x03", b"GET ", b"POST", b"HEAD")))  # see below
+    with pytest.raises(ProtocolError, match=f"^a frame of {size} bytes .* {LIMIT} are the limit$"):
+        reader.feed(header(size)[-1:])
+
+
+@pytest.mark.parametrize(
+    ("data", "name"),
+    [
+        (b"\x16\x03\x01\x02\x00", "TLS"),
+        (b"GET / HTTP/1.1", "HTTP"),
+        (b"POST /goals HTTP/1.1", "HTTP"),
+        (b"HEAD / HTTP/1.1", "HTTP"),
+    ],
+)
+def test_whoever_speaks_something_else_is_recognized(data: bytes, name: str) -> None:
+    with pytest.raises(ProtocolError, match=f"are the limit: it looks like {name}$"):
+        FrameReader().feed(data)
+
+
+def test_a_frame_over_the_limit_is_refused_wherever_it_comes() -> None:
+    with pytest.raises(ProtocolError):
+        FrameReader(LIMIT).feed(framed([b"", bytes(LIMIT), bytes(LIMIT + 1)]))
+
+
+@pytest.mark.parametrize("limit", [1, LIMIT, MAX_FRAME])
+def test_a_frame_at_the_limit_is_let_through(limit: int) -> None:
+    assert FrameReader(limit).feed(framed([bytes(limit)])) == [bytes(limit)]
+
+
+def test_the_limit_is_that_of_the_protocol_unless_another_is_given() -> None:
+    assert FrameReader().feed(header(MAX_FRAME)) == []
+    with pytest.raises(ProtocolError, match=str(MAX_FRAME)):
+        FrameReader().feed(header(MAX_FRAME + 1))
+
+
+@given(strategies.lists(strategies.binary(max_size=50)))
+def test_any_bytes_are_frames_or_a_protocol_error(pieces: list[bytes]) -> None:
+    reader = FrameReader(LIMIT)
+    frames: list[bytes] = []
+    try:
+        for piece in pieces:
+            frames += reader.feed(piece)
+    except ProtocolError:
+        pass
+    assert b"".join(pieces).startswith(framed(frames))
+    assert all(len(frame) <= LIMIT for frame in frames)

@@ -1,0 +1,659 @@
+from __future__ import annotations
+
+import gc
+import math
+import tracemalloc
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from typing import Any, get_args
+
+import msgspec
+import pytest
+from hypothesis import given, strategies
+from hypothesis.strategies import SearchStrategy
+
+from fibaction.action import ActionInfo
+from fibaction.exceptions import ProtocolError
+from fibaction.goals import GoalID
+from fibaction.states import GoalStatus
+from fibaction.wire.messages import (
+    VERSION,
+    Actions,
+    AskPeers,
+    AwaitServer,
+    CancelAnswered,
+    CancelGoals,
+    Close,
+    Credit,
+    Done,
+    Ended,
+    Failed,
+    Feedback,
+    Finished,
+    Follow,
+    Following,
+    FromClient,
+    FromServer,
+    GoalChanged,
+    Goodbye,
+    Hello,
+    ListActions,
+    Peers,
+    Ping,
+    Received,
+    Rejected,
+    SendGoal,
+    StatusChanged,
+    Watching,
+    WatchStatus,
+    Welcome,
+    Why,
+    check_can_be_sent,
+    decode_from_client,
+    decode_from_server,
+    encode,
+)
+from tests.golden import GOAL_ID, GOLDEN, STAMP
+
+CLIENTS: tuple[type, ...] = get_args(FromClient)
+SERVERS: tuple[type, ...] = get_args(FromServer)
+DECODERS = [decode_from_client, decode_from_server]
+
+by_type = pytest.mark.parametrize(
+    ("message", "golden"), GOLDEN, ids=[type(message).__name__ for message, _ in GOLDEN]
+)
+either_decoder = pytest.mark.parametrize("decode", DECODERS, ids=["client's", "server's"])
+
+
+def decoders_of(message: object) -> list[Callable[[bytes], Any]]:
+    """Those of the sides that may say it."""
+    directions = zip((CLIENTS, SERVERS), DECODERS, strict=True)
+    return [decode for types, decode in directions if type(message) in types]
+
+
+def fields(message: object) -> list[Any]:
+    """The array that a message is sent as."""
+    array = msgspec.msgpack.decode(encode(message))
+    assert isinstance(array, list)
+    return array
+
+
+def packed(*items: object) -> bytes:
+    return msgspec.msgpack.encode(items)
+
+
+# The format
+
+
+@by_type
+def test_a_message_has_the_bytes_that_it_always_had(
+    message: FromClient | FromServer, golden: str
+) -> None:
+    assert encode(message).hex() == golden
+    for decode in decoders_of(message):
+        assert decode(bytes.fromhex(golden)) == message
+
+
+def test_the_table_has_every_message_once_in_the_order_of_the_tags() -> None:
+    types = [type(message) for message, _ in GOLDEN]
+    assert len(types) == len(set(types))
+    assert set(types) == {*CLIENTS, *SERVERS}
+    tags = [fields(message)[0] for message, _ in GOLDEN]
+    assert tags == sorted(tags)
+
+
+def test_both_sides_may_give_a_sign_of_life_and_say_goodbye_and_share_nothing_else() -> None:
+    assert {*CLIENTS} & {*SERVERS} == {Ping, Goodbye}
+
+
+@by_type
+def test_what_one_side_says_the_other_may_not(
+    message: FromClient | FromServer, golden: str
+) -> None:
+    for decode in DECODERS:
+        if decode not in decoders_of(message):
+            with pytest.raises(ProtocolError, match=r"^this is no message of a (client|server): "):
+                decode(bytes.fromhex(golden))
+
+
+def test_the_reasons_have_the_numbers_that_they_always_had() -> None:
+    assert {name: value for name, value in vars(Why).items() if name.isupper()} == {
+        "UNKNOWN_GOAL": 1,
+        "SERVER_NOT_FOUND": 2,
+        "CONNECTION_LOST": 3,
+        "FORBIDDEN": 4,
+        "LIMIT": 5,
+        "PROTOCOL": 6,
+    }
+
+
+def test_the_first_version_of_the_protocol_is_spoken() -> None:
+    assert VERSION == 1
+
+
+@by_type
+def test_the_garbage_collector_need_not_look_at_a_message(
+    message: FromClient | FromServer, golden: str
+) -> None:
+    for decode in decoders_of(message):
+        assert not gc.is_tracked(decode(bytes.fromhex(golden)))
+
+
+def test_statuses_and_goal_ids_are_sent_as_plain_numbers_and_bytes() -> None:
+    goal_id = GoalID(bytes(range(16)))
+    assert fields(GoalChanged(1, goal_id, 2, GoalStatus.CANCELING, 0)) == [
+        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "")
+    ]
+
+
+def test_a_message_of_anything_else_is_refused() -> None:
+    with pytest.raises(TypeError, match=r"^no message holds a complex$"):
+        encode(Rejected(1, 1j))  # type: ignore[arg-type]  # that is what is refused
+
+
+def test_no_token_can_be_read_in_a_log() -> None:
+    hello = Hello(VERSION, 1.0, "sesame")
+    assert repr(hello) == str(hello) == f"Hello(version={VERSION})"
+
+
+# Every message comes back
+
+IDS = strategies.integers(0, 2**63 - 1)
+STAMPS = strategies.integers(0, 2**63 - 1)
+STATUSES = strategies.sampled_from(GoalStatus)
+COUNTS = strategies.integers(0, 2**31 - 1)
+FRAME_SIZES = strategies.integers(1, 2**32 - 1)
+SECONDS = strategies.floats(0, 3600, exclude_min=True)
+NUMBERS = strategies.integers(-(2**63), 2**64 - 1)
+TEXT = strategies.text()
+BYTES = strategies.binary()
+GOAL_IDS = strategies.binary(min_size=16, max_size=16).map(GoalID)
+SCHEMAS = strategies.dictionaries(
+    TEXT,
+    strategies.recursive(
+        strategies.none() | strategies.booleans() | NUMBERS | TEXT,
+        lambda inner: strategies.lists(inner) | strategies.dictionaries(TEXT, inner),
+        max_leaves=5,
+    ),
+    max_size=3,
+)
+INFOS = strategies.builds(ActionInfo, TEXT, TEXT, SCHEMAS, SCHEMAS, SCHEMAS)
+builds = strategies.builds
+MESSAGES: dict[type, SearchStrategy[Any]] = {
+    Ping: builds(Ping),
+    Goodbye: builds(Goodbye, TEXT, NUMBERS),
+    Hello: builds(Hello, NUMBERS, SECONDS, TEXT, BYTES, FRAME_SIZES),
+    SendGoal: builds(SendGoal, IDS, TEXT, GOAL_IDS, BYTES, COUNTS),
+    Follow: builds(
+        *(Follow, IDS, TEXT, GOAL_IDS, strategies.none() | STAMPS, strategies.booleans(), COUNTS)
+    ),
+    CancelGoals: builds(
+        CancelGoals, IDS, TEXT, strategies.none() | GOAL_IDS, strategies.none() | STAMPS
+    ),
+    WatchStatus: builds(WatchStatus, IDS, TEXT, COUNTS),
+    AwaitServer: builds(AwaitServer, IDS, TEXT),
+    ListActions: builds(ListActions, IDS),
+    Credit: builds(Credit, IDS, COUNTS),
+    Close: builds(Close, IDS),
+    Received: builds(Received, IDS),
+    AskPeers: builds(AskPeers, IDS, TEXT),
+    Welcome: builds(Welcome, NUMBERS, SECONDS, FRAME_SIZES),
+    Following: builds(Following, IDS, STAMPS, STATUSES, strategies.booleans(), STAMPS),
+    Rejected: builds(Rejected, IDS, TEXT),
+    Failed: builds(Failed, IDS, NUMBERS, TEXT),
+    Feedback: builds(Feedback, IDS, STAMPS, BYTES),
+    StatusChanged: builds(StatusChanged, IDS, STATUSES),
+    Ended: builds(Ended, IDS, STATUSES, strategies.none() | BYTES, TEXT, STAMPS),
+    CancelAnswered: builds(
+        *(CancelAnswered, IDS, strategies.integers(0, 3)),
+        strategies.lists(strategies.tuples(GOAL_IDS, STAMPS, STATUSES)),
+        TEXT,
+    ),
+    GoalChanged: builds(GoalChanged, IDS, GOAL_IDS, STAMPS, STATUSES, STAMPS, STAMPS, TEXT),
+    Done: builds(Done, IDS),
+    Finished: builds(Finished, IDS),
+    Actions: builds(Actions, IDS, strategies.lists(INFOS, max_size=3)),
+    Watching: builds(Watching, IDS, STAMPS),
+    Peers: builds(Peers, IDS, strategies.lists(TEXT)),
+}
+ANY = strategies.recursive(
+    strategies.none() | strategies.booleans() | NUMBERS | strategies.floats() | TEXT | BYTES,
+    lambda inner: strategies.lists(inner) | strategies.dictionaries(TEXT, inner),
+    max_leaves=10,
+)
+
+
+@by_type
+@given(strategies.data())
+def test_a_message_comes_back_as_it_was(
+    message: FromClient | FromServer, golden: str, data: strategies.DataObject
+) -> None:
+    sent = data.draw(MESSAGES[type(message)])
+    for decode in decoders_of(message):
+        received = decode(encode(sent))
+        assert type(received) is type(sent)
+        assert received == sent
+
+
+# Newer and older peers
+
+
+@given(strategies.lists(ANY, min_size=1, max_size=3))
+def test_fields_of_a_newer_peer_are_ignored(extra: list[Any]) -> None:
+    for message, _ in GOLDEN:
+        array = fields(message)
+        assert len(array) == 1 + len(message.__struct_fields__)  # also what has a default is sent
+        for decode in decoders_of(message):
+            assert decode(packed(*array, *extra)) == message
+
+
+@by_type
+def test_fields_that_an_older_peer_does_not_send_get_their_default(
+    message: FromClient | FromServer, golden: str
+) -> None:
+    array = fields(message)
+    defaults = message.__struct_defaults__
+    required = len(array) - len(defaults)
+    names = message.__struct_fields__
+    for decode in decoders_of(message):
+        for length in range(1, len(array)):
+            if length < required:
+                with pytest.raises(ProtocolError):
+                    decode(packed(*array[:length]))
+            else:
+                old = decode(packed(*array[:length]))
+                sent = length - 1
+                expected = [getattr(message, name) for name in names[:sent]]
+                expected += defaults[length - required :]
+                assert [getattr(old, name) for name in names] == expected
+
+
+def test_a_reason_a_token_a_session_and_a_limit_need_not_be_sent() -> None:
+    assert decode_from_client(packed(16, 1, 1.0)) == Hello(1, 1.0, "", b"", 2**24)
+    assert decode_from_client(packed(16, 1, 1.0, "a", b"b")) == Hello(1, 1.0, "a", b"b", 2**24)
+    assert decode_from_server(packed(32, 1, 1.0)) == Welcome(1, 1.0, 2**24)
+    assert decode_from_client(packed(1, "over")) == Goodbye("over", 0)
+    assert decode_from_server(packed(1, "over")) == Goodbye("over", 0)
+
+
+# Limits, field by field, as `docs/protocol.md` has them
+
+LARGEST = 2**63 - 1
+LIMITS = {
+    **dict.fromkeys(["id", "stamp", "after", "place", "number"], (0, LARGEST)),
+    **dict.fromkeys(["dropped", "feedback_count", "known"], (0, LARGEST)),
+    **dict.fromkeys(["credit", "count"], (0, 2**31 - 1)),
+    "status": (0, 6),
+    "return_code": (0, 3),
+    "max_frame": (1, 2**32 - 1),
+}
+"""The least and the largest number that a field takes, by the field's name."""
+NULLABLE = {
+    (SendGoal, "credit"),
+    (Follow, "after"),
+    (Follow, "credit"),
+    (CancelGoals, "goal_id"),
+    (CancelGoals, "stamp"),
+    (Ended, "result"),
+}
+
+
+def with_field(message: FromClient | FromServer, name: str, value: object) -> bytes:
+    """What would be sent if a field had another value."""
+    array = fields(message)
+    array[1 + message.__struct_fields__.index(name)] = value
+    return packed(*array)
+
+
+def taken(message: FromClient | FromServer, name: str, value: object) -> bool:
+    """Whether those that the message is for take that value of a field."""
+    answers = set()
+    for decode in decoders_of(message):
+        try:
+            received = decode(with_field(message, name, value))
+        except ProtocolError:
+            answers.add(False)
+        else:
+            assert getattr(received, name) == value
+            answers.add(True)
+    (answer,) = answers
+    return answer
+
+
+def fields_named(names: Iterable[str]) -> list[tuple[FromClient | FromServer, str]]:
+    """Each field of that name, with a message that has it."""
+    return [
+        (message, name)
+        for message, _ in GOLDEN
+        for name in message.__struct_fields__
+        if name in names
+    ]
+
+
+def test_every_number_has_limits_but_versions_and_reasons() -> None:
+    numbers = {
+        (type(message), name)
+        for message, _ in GOLDEN
+        for name in message.__struct_fields__
+        if type(getattr(message, name)) is int
+    }
+    limited = {(type(message), name) for message, name in fields_named(LIMITS)}
+    assert numbers - limited == {
+        *((Goodbye, "why"), (Failed, "why"), (Hello, "version"), (Welcome, "version"))
+    }
+
+
+@pytest.mark.parametrize(("message", "name"), fields_named(LIMITS))
+def test_a_number_is_taken_exactly_within_its_limits(
+    message: FromClient | FromServer, name: str
+) -> None:
+    least, largest = LIMITS[name]
+    assert taken(message, name, least)
+    assert taken(message, name, largest)
+    assert not taken(message, name, least - 1)
+    assert not taken(message, name, largest + 1)
+
+
+@pytest.mark.parametrize(("message", "name"), fields_named(["heartbeat"]))
+def test_a_heartbeat_is_more_than_no_time_and_at_most_an_hour(
+    message: FromClient | FromServer, name: str
+) -> None:
+    assert taken(message, name, 5e-324)
+    assert taken(message, name, 3600.0)
+    assert not taken(message, name, 0.0)
+    assert not taken(message, name, math.nextafter(3600.0, math.inf))
+
+
+@pytest.mark.parametrize(("message", "name"), fields_named(["goal_id"]))
+def test_a_goal_id_has_sixteen_bytes(message: FromClient | FromServer, name: str) -> None:
+    assert taken(message, name, bytes(16))
+    assert not taken(message, name, bytes(15))
+    assert not taken(message, name, bytes(17))
+
+
+@by_type
+def test_nil_is_taken_exactly_where_it_means_something(
+    message: FromClient | FromServer, golden: str
+) -> None:
+    for name in message.__struct_fields__:
+        assert taken(message, name, None) == ((type(message), name) in NULLABLE)
+
+
+@by_type
+def test_what_may_be_nil_may_also_be_there(message: FromClient | FromServer, golden: str) -> None:
+    likely = {"credit": 1, "after": 1, "stamp": 1, "goal_id": bytes(16), "result": b""}
+    for name in message.__struct_fields__:
+        if (type(message), name) in NULLABLE:
+            assert taken(message, name, likely[name])
+
+
+@pytest.mark.parametrize(
+    ("goal", "is_taken"),
+    [
+        ((bytes(16), 0, 0), True),
+        ((bytes(16), LARGEST, 6), True),
+        ((bytes(15), 0, 0), False),
+        ((bytes(17), 0, 0), False),
+        ((bytes(16), -1, 0), False),
+        ((bytes(16), LARGEST + 1, 0), False),
+        ((bytes(16), 0, -1), False),
+        ((bytes(16), 0, 7), False),
+    ],
+)
+def test_a_goal_in_the_answer_to_a_cancel_has_limits_too(
+    goal: tuple[bytes, int, int], is_taken: bool
+) -> None:
+    answer = packed(39, 3, 0, [goal], "")
+    if is_taken:
+        assert decode_from_server(answer) == CancelAnswered(
+            3, 0, [(*goal[:2], GoalStatus(goal[2]))], ""
+        )
+    else:
+        with pytest.raises(ProtocolError):
+            decode_from_server(answer)
+
+
+# What is no message
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        [23, -1, 1],
+        [23, 2**63, 1],
+        [23, "1", 1],
+        [23, 1.5, 1],
+        [23, True, 1],
+        [23, None, 1],
+        [23, 1, -1],
+        [23, 1, 2**31],
+        [16, 1, 0.0],
+        [16, 1, -1.0],
+        [16, 1, 3600.5],
+        [16, 1, math.nan],
+        [16, 1, math.inf],
+        [16, 1, "1"],
+        [16, "1", 1.0],
+        [16, 1, 1.0, b"sesame"],
+        [16, 1, 1.0, "", b"", 0],
+        [16, 1, 1.0, "", b"", -1],
+        [16, 1, 1.0, "", b"", 2**32],
+        [16, 1, 1.0, "", b"", None],
+        [17, 1, "fibonacci", GOAL_ID[:15], b"", 1],
+        [17, 1, "fibonacci", GOAL_ID[:15] + b"ab", b"", 1],
+        [17, 1, "fibonacci", GOAL_ID.hex()[:16], b"", 1],
+        [17, 1, "fibonacci", None, b"", 1],
+        [17, 1, b"fibonacci", bytes(16), b"", 1],
+        [17, 1, "fibonacci", bytes(16), "", 1],
+        [18, 1, "fibonacci", bytes(16), -1, True, 1],
+        [18, 1, "fibonacci", bytes(16), 0, 1, 1],
+        [19, 1, "fibonacci", None, -1],
+        [19, 1, "fibonacci", None, 2**63],
+        [25, -1],
+        [25],
+        [15],
+        [26, 1],
+        [-1, 1],
+        ["Ping"],
+        [],
+    ],
+)
+def test_a_client_that_says_what_it_may_not_is_told_apart(array: list[Any]) -> None:
+    with pytest.raises(ProtocolError, match=r"^this is no message of a client: ") as caught:
+        decode_from_client(packed(*array))
+    assert isinstance(caught.value.__cause__, msgspec.MsgspecError)
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        [32, 1, 1.0, 0],
+        [32, 1, 1.0, 2**32],
+        [32, 1, 1.0, "65536"],
+        [33, 1, STAMP, 7, False, 0],
+        [33, 1, STAMP, -1, False, 0],
+        [33, 1, -STAMP, 1, False, 0],
+        [37, 1, 7],
+        [37, 1, "EXECUTING"],
+        [38, 1, 4, "text", "", 0],
+        [38, 1, 4, None, None, 0],
+        [39, 1, 4, [], ""],
+        [39, 1, -1, [], ""],
+        [39, 1, 0, [[bytes(15), STAMP, 3]], ""],
+        [39, 1, 0, [[bytes(16), STAMP]], ""],
+        [39, 1, 0, [[bytes(16), STAMP, 3, 0]], ""],
+        [40, 1, bytes(16), STAMP, 3, -1],
+        [43, 1, [{}]],
+        [43, 1, [{"name": "fibonacci", "goal": []}]],
+        [43, 1, {}],
+        [44, 1],
+        [],
+    ],
+)
+def test_a_server_that_says_what_it_may_not_is_told_apart(array: list[Any]) -> None:
+    with pytest.raises(ProtocolError, match=r"^this is no message of a server: ") as caught:
+        decode_from_server(packed(*array))
+    assert isinstance(caught.value.__cause__, msgspec.MsgspecError)
+
+
+@either_decoder
+@pytest.mark.parametrize("value", [None, 0, "Ping", b"\x91\0", {"0": 0}, 1.0])
+def test_what_is_no_array_is_no_message(decode: Callable[[bytes], Any], value: object) -> None:
+    with pytest.raises(ProtocolError):
+        decode(msgspec.msgpack.encode(value))
+
+
+@by_type
+def test_half_a_message_and_two_messages_are_none(
+    message: FromClient | FromServer, golden: str
+) -> None:
+    data = bytes.fromhex(golden)
+    for decode in decoders_of(message):
+        for length in range(len(data)):
+            with pytest.raises(ProtocolError):
+                decode(data[:length])
+        with pytest.raises(ProtocolError):
+            decode(data + data)
+
+
+def test_text_that_is_no_utf_8_is_refused() -> None:
+    with pytest.raises(ProtocolError, match="utf-8"):
+        decode_from_client(b"\x92\x01\xa1\xff")
+    with pytest.raises(ProtocolError, match="utf-8"):
+        decode_from_server(b"\x92\x01\xa1\xff")
+
+
+# Any bytes
+
+
+def check(data: bytes) -> None:
+    """Either a message or a ProtocolError; what is a message can be sent on."""
+    for decode in DECODERS:
+        with suppress(ProtocolError):
+            message = decode(data)
+            assert type(message) in MESSAGES
+            assert decode(encode(message)) is not None
+
+
+@given(strategies.binary())
+def test_any_bytes_are_a_message_or_a_protocol_error(data: bytes) -> None:
+    check(data)
+
+
+@given(strategies.integers(0, 43), strategies.lists(ANY, max_size=7))
+def test_any_array_is_a_message_or_a_protocol_error(tag: int, items: list[Any]) -> None:
+    check(packed(tag, *items))
+
+
+@given(strategies.integers(0, 43), strategies.binary(), strategies.integers(0, 15))
+def test_a_tag_and_any_bytes_are_a_message_or_a_protocol_error(
+    tag: int, data: bytes, length: int
+) -> None:
+    check(bytes([0x90 + length, tag]) + data)
+
+
+@given(
+    strategies.sampled_from(GOLDEN),
+    strategies.lists(
+        strategies.tuples(strategies.integers(0, 200), strategies.integers(0, 255)), max_size=5
+    ),
+    strategies.integers(0, 200),
+    strategies.binary(max_size=20),
+)
+def test_a_message_that_was_damaged_is_a_message_or_a_protocol_error(
+    row: tuple[FromClient | FromServer, str],
+    changes: list[tuple[int, int]],
+    cut: int,
+    inserted: bytes,
+) -> None:
+    data = bytearray.fromhex(row[1])
+    for place, value in changes:
+        data[place % len(data)] ^= value
+    check(bytes(data))
+    check(bytes(data[:cut]))
+    check(bytes(data[:cut] + inserted + data[cut:]))
+
+
+@by_type
+def test_a_message_with_one_bit_flipped_is_a_message_or_a_protocol_error(
+    message: FromClient | FromServer, golden: str
+) -> None:
+    data = bytes.fromhex(golden)
+    for place in range(len(data)):
+        for bit in range(8):
+            check(data[:place] + bytes([data[place] ^ (1 << bit)]) + data[place + 1 :])
+
+
+# What would cost a careless decoder much. The map is that of an `ActionInfo` whose schemas hold
+# anything.
+IN_A_SCHEMA = b"\x93\x2b\x06\x91\x82\xa4name\xa1a\xa4goal\x81\xa1k"
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        *(b"", b"\x92\x01", b"\x93\x29\x05", b"\x93\x16\x05"),
+        *(b"\x95\x27\x03\0", b"\x93\x2b\x06", IN_A_SCHEMA),
+    ],
+    ids=[
+        *("outermost", "text", "ignored, of a server", "ignored, of a client"),
+        *("goals", "actions", "schema"),
+    ],
+)
+@pytest.mark.parametrize(
+    "nested",
+    [b"\x91", b"\x81\xa1a", b"\x81", b"\xdd\0\0\0\1", b"\xdf\0\0\0\1\xa1a"],
+    ids=["arrays", "maps", "keys", "long arrays", "long maps"],
+)
+def test_deep_nesting_is_a_protocol_error(start: bytes, nested: bytes) -> None:
+    for decode in DECODERS:
+        with pytest.raises(ProtocolError):
+            decode(start + nested * 200_000)
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        *(b"", b"\x92\x01", b"\x93\x29\x05", b"\x96\x26\x01\x04"),
+        *(b"\x95\x27\x03\0", b"\x95\x27\x03\0\x91", b"\x93\x2b\x06", b"\x93\x2b\x06\x91"),
+        *(IN_A_SCHEMA, IN_A_SCHEMA + b"\x81", b"\x96\x11\x01\xa1a", b"\x96\x11\x01\xa1a\xc4\x10"),
+    ],
+    ids=[
+        *("outermost", "text", "ignored", "result"),
+        *("goals", "goal", "actions", "action"),
+        *("schema", "key", "goal ID", "in a goal ID"),
+    ],
+)
+@pytest.mark.parametrize(
+    "announced",
+    [b"\xdd", b"\xdf", b"\xdb", b"\xc6", b"\xc9"],
+    ids=["array", "map", "text", "bytes", "extension"],
+)
+def test_a_length_that_is_only_announced_takes_no_memory(start: bytes, announced: bytes) -> None:
+    for decode in DECODERS:
+        for length in (b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\0\xff\xff\xff"):
+            tracemalloc.start()
+            try:
+                with pytest.raises(ProtocolError):
+                    decode(start + announced + length + b"\0" * 10)
+                assert tracemalloc.get_traced_memory()[1] < 2**18
+            finally:
+                tracemalloc.stop()
+
+
+def test_an_announced_length_in_each_of_many_levels_takes_no_memory() -> None:
+    tracemalloc.start()
+    try:
+        with pytest.raises(ProtocolError):
+            decode_from_server(IN_A_SCHEMA + b"\xdd\0\xff\xff\xff" * 500)
+        assert tracemalloc.get_traced_memory()[1] < 2**18
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_token_must_be_one_that_a_hello_can_hold() -> None:
+    check_can_be_sent("sésame")
+    with pytest.raises(ValueError) as caught:
+        check_can_be_sent("secret \udcff")
+    text = "a token is text, and this one has bytes in it that are none"
+    assert str(caught.value) == text  # and not the token

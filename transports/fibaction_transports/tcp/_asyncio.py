@@ -1,0 +1,253 @@
+"""Connections without TLS on asyncio, where no task has to wait for what arrives or can be written.
+
+The event loop calls a `ProtocolLine` with each piece of data, and that hands over the frames at
+once. It costs half of what anyio's streams cost, which have a task for each direction, and begin
+and end to watch a socket for each piece.
+"""
+
+from __future__ import annotations
+
+import asyncio  # noqa: TID251  # this module is for asyncio only; `on_asyncio` says whether it is
+import os
+import socket
+from collections.abc import Callable, Coroutine, Sequence
+from contextvars import copy_context
+from typing import Any, cast
+
+import anyio.lowlevel
+from anyio.abc import Listener, SocketAttribute, TaskGroup
+
+from fibaction._notify import Notifier
+from fibaction.exceptions import ConnectionLost
+from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames
+from fibaction.wire.framing import FrameReader, framed
+
+NEXT_ADDRESS = 0.25
+"""Seconds after which a host is tried at its next address, too: as RFC 8305 recommends."""
+
+
+def on_asyncio() -> bool:
+    """Whether the caller is a task of asyncio, and not one of trio as a guest of asyncio's loop."""
+    try:
+        return asyncio.current_task() is not None
+    except RuntimeError:
+        return False
+
+
+class ProtocolLine(asyncio.BufferedProtocol, Line):
+    """One connection.
+
+    It is given a buffer to read into. Without one, asyncio allocates 256 KiB for each read, and
+    where memory has no such piece to hand, that is mapped and unmapped each time. The lines of one
+    event loop may share one: it is filled and read in one go.
+    """
+
+    def __init__(self, max_frame: int, buffer: memoryview, peer: str = "") -> None:
+        self.peer = peer
+        self._reader = FrameReader(max_frame)
+        self._buffer = buffer
+        self._transport: asyncio.Transport
+        self._loop = asyncio.get_running_loop()
+        self._context = copy_context()
+        self._on_frames: OnFrames | None = None
+        self._next_frames: NextFrames
+        self._early = b""
+        self._written = 0
+        self._error: Exception | None = None
+        self._is_due = False
+        self._is_fetching = False
+        self._is_full = False
+        self._changed = Notifier()
+
+    @property
+    def progress(self) -> int:
+        """The bytes that the socket has taken."""
+        return self._written - self._transport.get_write_buffer_size()
+
+    def wake_writer(self, *, at_once: bool = False) -> None:
+        if self._is_full or self._on_frames is None:
+            pass  # it will be fetched when there is room, or when this line runs
+        elif at_once and not self._is_fetching:
+            self._write()
+        elif not self._is_due:
+            self._is_due = True
+            self._loop.call_soon(self._write, context=self._context)
+
+    async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
+        self._on_frames, self._next_frames = on_frames, next_frames
+        if self._early:
+            self._receive(self._early)
+        self._transport.resume_reading()
+        self.wake_writer()
+        try:
+            while self._error is None:
+                await self._changed.wait()
+        finally:
+            if not self._transport.is_closing():
+                self._transport.pause_reading()
+        raise self._error
+
+    async def send(self, frames: Sequence[bytes]) -> None:
+        data = framed(frames)
+        self._written += len(data)
+        self._transport.write(data)
+        while self._is_full and not self._transport.is_closing():
+            await self._changed.wait()
+        if self._transport.is_closing():
+            raise ConnectionLost(f"the connection to {self.peer} broke")
+
+    async def aclose(self) -> None:
+        self._transport.abort()
+        await anyio.lowlevel.cancel_shielded_checkpoint()  # in which the socket is closed
+
+    def _write(self) -> None:
+        self._is_due = False
+        try:
+            while self._error is None and not self._is_full:
+                self._is_fetching = True
+                frames = self._next_frames()
+                self._is_fetching = False
+                if not frames:
+                    break
+                data = framed(frames)
+                self._written += len(data)
+                self._transport.write(data)
+                if len(data) >= CHUNK:  # let others have their turn
+                    self.wake_writer()
+                    break
+        except Exception as exc:
+            self._end(exc)
+
+    def _receive(self, data: bytes) -> None:
+        if self._error is None:
+            assert self._on_frames is not None
+            try:
+                self._on_frames(self._reader.feed(data))
+            except Exception as exc:
+                self._end(exc)
+
+    def _end(self, error: Exception) -> None:
+        if self._error is None:
+            self._error = error
+        self._changed.notify()
+
+    # What the event loop calls
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast("asyncio.Transport", transport)
+        # What is written counts as taken only when the socket has it.
+        self._transport.set_write_buffer_limits(0)
+        if not self.peer:
+            self.peer = _peer_of(transport)
+
+    def get_buffer(self, sizehint: int) -> memoryview:
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        data = bytes(self._buffer[:nbytes])
+        if self._on_frames is None:
+            self._early += data
+            self._transport.pause_reading()
+        else:
+            self._receive(data)
+
+    def eof_received(self) -> bool:
+        how = "in the middle of a message" if self._reader.is_within_frame else "its side"
+        self._end(ConnectionLost(f"{self.peer} closed {how}"))
+        return True  # whoever opened it closes it
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        error = ConnectionLost(f"the connection to {self.peer} broke")
+        error.__cause__ = exc
+        self._end(error)
+
+    def pause_writing(self) -> None:
+        self._is_full = True
+
+    def resume_writing(self) -> None:
+        self._is_full = False
+        self._changed.notify()
+        self.wake_writer()
+
+
+async def dial_tcp(host: str, port: int, max_frame: int, where: str) -> ProtocolLine:
+    """Connect.
+
+    Raises:
+        OSError: Nobody answers.
+    """
+    loop = _loop()
+    settings: dict[str, Any] = {}
+    # Others, such as uvloop, try one address after the other. So must asyncio where tasks begin at
+    # once, as in programs of Textual: before Python 3.12.8 and 3.13.1 it fails with an
+    # AssertionError otherwise (https://github.com/python/cpython/issues/124309).
+    if isinstance(loop, asyncio.BaseEventLoop) and loop.get_task_factory() is None:
+        settings["happy_eyeballs_delay"] = NEXT_ADDRESS
+    made = await loop.create_connection(
+        lambda: ProtocolLine(max_frame, _buffer(), where), host, port, **settings
+    )
+    return made[1]
+
+
+async def dial_unix(path: os.PathLike[str], max_frame: int, where: str) -> ProtocolLine:
+    """Connect.
+
+    Raises:
+        OSError: Nobody answers.
+    """
+    made = await _loop().create_unix_connection(
+        lambda: ProtocolLine(max_frame, _buffer(), where), os.fspath(path)
+    )
+    return made[1]
+
+
+async def accept(
+    listener: Listener[Any],
+    max_frame: int,
+    serve: Callable[[Line], Coroutine[Any, Any, None]],
+    tasks: TaskGroup,
+) -> None:
+    """Serve whoever connects, each in a task of its own, until that cannot be done.
+
+    Raises:
+        OSError: A connection could not be accepted.
+    """
+    loop = _loop()
+    listening = listener.extra(SocketAttribute.raw_socket)
+    buffer = _buffer()
+    while True:
+        accepted, _ = await loop.sock_accept(listening)
+        try:
+            if accepted.family != socket.AF_UNIX:
+                # asyncio does it only where the socket names its protocol, which this does not.
+                accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            made = await loop.connect_accepted_socket(
+                lambda: ProtocolLine(max_frame, buffer), accepted
+            )
+        except BaseException:
+            accepted.close()
+            raise
+        tasks.start_soon(serve, made[1])
+
+
+def _buffer() -> memoryview:
+    return memoryview(bytearray(CHUNK))
+
+
+def _loop() -> asyncio.AbstractEventLoop:
+    """The event loop, whose callbacks from now on are known to be asyncio's."""
+    try:
+        from sniffio import current_async_library_cvar
+    except ImportError:
+        pass  # then anyio sees it by itself
+    else:
+        current_async_library_cvar.set("asyncio")
+    return asyncio.get_running_loop()
+
+
+def _peer_of(transport: asyncio.BaseTransport) -> str:
+    address = transport.get_extra_info("peername")
+    if isinstance(address, tuple):
+        return f"{address[0]}:{address[1]}"
+    # It is not known of a peer that has reset the connection before it was looked at.
+    return "a peer that has left" if address is None else "a local process"
