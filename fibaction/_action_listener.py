@@ -7,12 +7,12 @@ from typing import Any, TypeAlias
 
 import anyio
 
+from fibaction._api import ClientConnection
 from fibaction.action import Action, ActionInfo
 from fibaction.client import ActionClient
-from fibaction._api import ClientConnection
+from fibaction.events import GoalFeedback
 from fibaction.exceptions import ActionError
 from fibaction.goals import GoalInfo
-from fibaction.events import GoalFeedback
 
 PERIOD = 1.0
 """Seconds between two looks for new actions, and the timeout of each look."""

@@ -32,11 +32,11 @@ from fibaction._action_listener import (
     follow_action,
     follow_actions,
 )
-from fibaction.action import ActionInfo
 from fibaction._api import ClientConnection
+from fibaction.action import ActionInfo
+from fibaction.events import GoalFeedback
 from fibaction.exceptions import ActionError
 from fibaction.goals import CancelAnswer, GoalID, GoalInfo
-from fibaction.events import GoalFeedback
 from fibaction.states import GoalStatus
 
 __all__ = [

@@ -10,8 +10,8 @@ import pytest
 import fibaction._action_listener
 from fibaction import ActionInfo, CancelCode, ConnectionLost, GoalID, GoalInfo, GoalStatus
 from fibaction import monitor as monitor_module
-from fibaction.monitor import ActionSnapshot, AnyClient, GoalKey, GoalSnapshot, Monitor
 from fibaction.events import GoalFeedback
+from fibaction.monitor import ActionSnapshot, AnyClient, GoalKey, GoalSnapshot, Monitor
 from tests.cli.served import Heard, Served, counter
 
 ID = GoalID(b"\x01" * 16)

@@ -6,7 +6,6 @@ No other part of fibaction imports it.
 from __future__ import annotations
 
 import os
-import signal
 import sys
 
 NEEDED = ("click", "rich", "yaml", "jsonschema")
@@ -21,8 +20,30 @@ def main() -> None:
     Ctrl-C ends it quietly at any time: before a verb runs and after it has ended by `exit_at_once`,
     meanwhile as the verb says.
     """
-    signal.signal(signal.SIGINT, exit_at_once)
-    # Imported behind the handler: what is imported takes longer than a Ctrl-C.
+    try:
+        # All imports come after the handler, because they take longer than the rest.
+        import signal
+
+        signal.signal(signal.SIGINT, exit_at_once)
+        try:
+            _run()
+        finally:
+            if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+                signal.signal(signal.SIGINT, exit_at_once)
+    except KeyboardInterrupt:  # in the moments in which a verb begins or ends
+        sys.exit(INTERRUPTED)
+
+
+def exit_at_once(_number: int, _frame: object) -> None:
+    """Handle SIGINT where nothing has to be cleaned up.
+
+    A `KeyboardInterrupt` in the middle of an import or of the interpreter's exit would be a
+    traceback.
+    """
+    os._exit(INTERRUPTED)
+
+
+def _run() -> None:
     from importlib.util import find_spec
 
     missing = [name for name in NEEDED if find_spec(name) is None]
@@ -33,19 +54,4 @@ def main() -> None:
         sys.exit(2)
     from fibaction.cli import app
 
-    try:
-        app.main()
-    except KeyboardInterrupt:  # in the moments in which a verb begins or ends
-        sys.exit(INTERRUPTED)
-    finally:
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            signal.signal(signal.SIGINT, exit_at_once)
-
-
-def exit_at_once(_number: int, _frame: object) -> None:
-    """Handle SIGINT where nothing has to be cleaned up.
-
-    A `KeyboardInterrupt` in the middle of an import or of the interpreter's exit would be a
-    traceback.
-    """
-    os._exit(INTERRUPTED)
+    app.main()

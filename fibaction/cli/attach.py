@@ -6,6 +6,7 @@ from functools import partial
 
 import click
 
+from fibaction._api import connect
 from fibaction.cli.completion import ACTION
 from fibaction.cli.exit_codes import ExitCode, run
 from fibaction.cli.goal_lookup import ActionClients, find_goal, goal_digits
@@ -13,7 +14,6 @@ from fibaction.cli.options import full_option, json_option, url_option
 from fibaction.cli.output import note
 from fibaction.cli.render import goal_printer, print_goal
 from fibaction.cli.signals import until_interrupted
-from fibaction._api import connect
 from fibaction.goals import GoalID
 from fibaction.monitor import AnyClient
 

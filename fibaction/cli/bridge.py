@@ -8,6 +8,7 @@ from contextlib import suppress
 import anyio
 import click
 
+from fibaction._api import connect, serve
 from fibaction.abc import Connection, Endpoint
 from fibaction.action import ActionInfo
 from fibaction.cli.action_names import names_of, no_action, shown
@@ -16,9 +17,7 @@ from fibaction.cli.logs import log_events, log_with_time
 from fibaction.cli.options import reject_inproc
 from fibaction.cli.output import note, say
 from fibaction.cli.signals import stop_signals
-from fibaction._api import connect
 from fibaction.exceptions import ServerNotFound, TransportError
-from fibaction._api import serve
 from fibaction.urls import without_settings
 
 LOOK_PAUSE = 0.2

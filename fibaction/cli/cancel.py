@@ -7,6 +7,7 @@ import datetime
 import anyio
 import click
 
+from fibaction._api import connect
 from fibaction.cli.action_names import shown
 from fibaction.cli.completion import ACTION
 from fibaction.cli.escape import clean
@@ -15,7 +16,6 @@ from fibaction.cli.goal_lookup import ActionClients, find_goal, goal_digits, goa
 from fibaction.cli.goal_table import GoalRow
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import note, say, say_json
-from fibaction._api import connect
 from fibaction.exceptions import ActionError, UnknownGoal
 from fibaction.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.monitor import AnyClient

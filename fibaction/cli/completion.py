@@ -12,9 +12,9 @@ import anyio
 import click
 from click.shell_completion import CompletionItem
 
+from fibaction._api import connect
 from fibaction.cli.action_names import shown
 from fibaction.cli.options import url_of
-from fibaction._api import connect
 from fibaction.exceptions import ActionError
 
 if TYPE_CHECKING:

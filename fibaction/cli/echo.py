@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from fibaction._api import ClientConnection, connect
 from fibaction.action import Action, ActionInfo
 from fibaction.cli.action_names import find_action, shown
 from fibaction.cli.completion import ACTION
@@ -19,10 +20,9 @@ from fibaction.cli.options import full_option, json_option, url_option
 from fibaction.cli.output import as_yaml, note, say, say_json
 from fibaction.cli.render import INDENT
 from fibaction.cli.signals import until_interrupted
-from fibaction._api import ClientConnection, connect
+from fibaction.events import GoalFeedback
 from fibaction.goals import GoalID, GoalInfo
 from fibaction.monitor import ActionListener, AnyClient, follow_action, follow_actions
-from fibaction.events import GoalFeedback
 from fibaction.states import GoalStatus
 
 REMEMBERED = 10_000

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import click
 
+from fibaction._api import connect
 from fibaction.cli.completion import TYPE
 from fibaction.cli.exit_codes import ExitCode, run
 from fibaction.cli.list import count_option, print_actions
 from fibaction.cli.options import json_option, url_option
-from fibaction._api import connect
 
 
 @click.command("find", epilog="\b\nExample:\n  fibaction find arduinobot_msgs/action/Fibonacci")

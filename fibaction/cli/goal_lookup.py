@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import anyio
 
+from fibaction._api import ClientConnection
 from fibaction.action import Action, ActionInfo
 from fibaction.cli.action_names import find_action, shown
 from fibaction.cli.exit_codes import ExitCode, Failure, message_of
 from fibaction.cli.goal_table import GoalRow
 from fibaction.cli.output import note
-from fibaction._api import ClientConnection
 from fibaction.exceptions import ActionError
 from fibaction.goals import GoalID
 from fibaction.monitor import AnyClient

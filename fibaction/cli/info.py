@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from fibaction._api import connect
 from fibaction.action import ActionInfo
 from fibaction.cli.action_names import no_action, shown
 from fibaction.cli.completion import ACTION
@@ -12,7 +13,6 @@ from fibaction.cli.exit_codes import ExitCode, run
 from fibaction.cli.list import count_option, types_option, with_type
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import say, say_json
-from fibaction._api import connect
 from fibaction.exceptions import ServerNotFound
 
 

@@ -6,13 +6,13 @@ from collections.abc import Collection
 
 import click
 
+from fibaction._api import connect
 from fibaction.action import ActionInfo
 from fibaction.cli.action_names import shown
 from fibaction.cli.escape import clean
 from fibaction.cli.exit_codes import ExitCode, run
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import say, say_json
-from fibaction._api import connect
 
 types_option = click.option("-t", "--show-types", is_flag=True, help="Show the types, too.")
 count_option = click.option(

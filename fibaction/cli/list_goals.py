@@ -9,6 +9,7 @@ from functools import partial
 import anyio
 import click
 
+from fibaction._api import ClientConnection, connect
 from fibaction.cli.action_names import shown
 from fibaction.cli.completion import ACTION
 from fibaction.cli.echo import EventPrinter, print_events
@@ -18,7 +19,6 @@ from fibaction.cli.goal_table import in_color, in_columns, picture
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import console, note, on_terminal, say, say_json
 from fibaction.cli.signals import until_interrupted
-from fibaction._api import ClientConnection, connect
 from fibaction.exceptions import ActionError
 from fibaction.monitor import AnyClient
 

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 import click
 
 from fibaction.cli.exit_codes import ExitCode, Failure
-from fibaction.urls import without_settings
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
@@ -28,6 +27,8 @@ def reject_inproc(*urls: str) -> None:
         Failure: All of them are `inproc://`.
     """
     if all(url.startswith("inproc://") for url in urls):
+        from fibaction.urls import without_settings  # its imports would slow down --help
+
         raise Failure(
             f"{without_settings(urls[0])} is for clients in the process of the server:"
             f" between processes, use tcp:// or unix://",

@@ -15,9 +15,10 @@ import click
 import msgspec
 from anyio import get_cancelled_exc_class
 
+from fibaction._api import ClientConnection, connect
+from fibaction._tasks import Background
 from fibaction.abc import Endpoint, GoalStream
 from fibaction.action import Action, ActionInfo
-from fibaction._tasks import Background
 from fibaction.cli.action_names import find_action, shown
 from fibaction.cli.completion import ACTION, TYPE
 from fibaction.cli.exit_codes import ExitCode, Failure, message_of, run
@@ -26,7 +27,6 @@ from fibaction.cli.options import full_option, json_option, url_option
 from fibaction.cli.output import note, say
 from fibaction.cli.render import goal_printer, print_goal
 from fibaction.cli.signals import SAME_SIGNAL
-from fibaction._api import ClientConnection, connect
 from fibaction.exceptions import ActionError, GoalRejected
 from fibaction.goals import CancelCode, GoalID
 

@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 import anyio
 import click
 
+from fibaction._api import serve
 from fibaction.abc import StatusStream
 from fibaction.cli.action_names import names_of
 from fibaction.cli.exit_codes import ExitCode, run
@@ -18,7 +19,6 @@ from fibaction.cli.options import reject_inproc, url_of
 from fibaction.cli.output import say
 from fibaction.cli.reload import SAME_STOP, run_reloading, started_by
 from fibaction.cli.signals import stop_signals
-from fibaction._api import serve
 from fibaction.states import GoalStatus
 
 logger = logging.getLogger(__name__)

@@ -11,11 +11,11 @@ from importlib.util import find_spec
 
 import click
 
+from fibaction._api import ClientConnection, connect
 from fibaction._tasks import Background
 from fibaction.cli.exit_codes import ExitCode, Failure, run
 from fibaction.cli.options import url_option
 from fibaction.cli.signals import until_interrupted
-from fibaction._api import ClientConnection, connect
 from fibaction.exceptions import ActionError
 from fibaction.monitor import Monitor
 from fibaction.urls import without_settings

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import click
 
+from fibaction._api import connect
 from fibaction.cli.action_names import find_action, shown
 from fibaction.cli.completion import ACTION
 from fibaction.cli.escape import clean
 from fibaction.cli.exit_codes import ExitCode, Failure, run
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import say, say_json
-from fibaction._api import connect
 
 
 @click.command("type", epilog="\b\nExample:\n  fibaction type fibonacci")

@@ -7,10 +7,10 @@ import re
 import pytest
 
 from fibaction import serve
+from fibaction._api import ClientConnection
 from fibaction.abc import Connection
 from fibaction.cli.exit_codes import ExitCode, Failure
 from fibaction.cli.info import print_info
-from fibaction._api import ClientConnection
 from fibaction.goals import ActionPeers
 from tests.cli.conftest import Invoke, Run
 from tests.cli.robot import servers

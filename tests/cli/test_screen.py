@@ -13,8 +13,8 @@ from textual.widgets import DataTable
 from fibaction import ActionInfo, CancelAnswer, ConnectionLost, GoalID, GoalInfo
 from fibaction.cli.escape import clean
 from fibaction.cli.screen import FeedbackText, TopScreen
-from fibaction.monitor import GoalKey, Monitor
 from fibaction.events import GoalFeedback
+from fibaction.monitor import GoalKey, Monitor
 from fibaction.states import GoalStatus
 from tests.cli.served import Served, counter
 from tests.processes import PATIENCE
