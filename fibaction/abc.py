@@ -22,7 +22,16 @@ import msgspec
 from fibaction._notify import Notifier as Notifier  # an author of streams needs it, too
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import ActionError, UnknownGoal
-from fibaction.goals import UNKNOWN_OUTCOME, ActionPeers, CancelAnswer, GoalID, GoalInfo, Outcome
+from fibaction.goals import (
+    UNKNOWN_OUTCOME,
+    UNKNOWN_SENDER,
+    ActionPeers,
+    CancelAnswer,
+    GoalID,
+    GoalInfo,
+    Outcome,
+    Sender,
+)
 from fibaction.states import GoalStatus
 
 
@@ -236,11 +245,20 @@ class Endpoint(ABC):
         """The action that is served here."""
 
     @abstractmethod
-    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> GoalStream:
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+    ) -> GoalStream:
         """Send a goal, and follow it from its very beginning.
 
         The same ID with the same goal may be sent again: it gets the same answer and runs once.
-        `feedback=False` follows the status and the outcome only.
+        `feedback=False` follows the outcome only. `sender` is the client that sends it, for the
+        goal's record; a connection to a server elsewhere does not pass it on, since that server
+        knows its clients by itself.
 
         Raises:
             GoalRejected: The server did not accept it; `reason` says why.
@@ -251,18 +269,23 @@ class Endpoint(ABC):
         """
 
     def offer_goal(
-        self, goal_id: GoalID, goal: bytes, *, feedback: bool = True, client: str = ""
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
     ) -> GoalStream | Coroutine[Any, Any, GoalStream]:
-        """`send_goal` for the server half of a transport: gives the stream itself if there is
-        nothing to wait for, else a coroutine that waits for it. Begin it in any case, be it only
-        to be canceled: until then the goal is being decided upon, and whoever sends the same one
-        waits. `client` says who has sent the goal, for people to read; what is behind another
-        transport is not told.
+        """Send a goal as `send_goal` does, without waiting where there is nothing to wait for.
+
+        Return the stream if the goal is decided at once, or else a coroutine that waits for it. The
+        coroutine must be awaited or closed; until then the goal counts as undecided, and a retry of
+        it blocks. The server half of a transport calls this, so that most goals need no task there.
 
         Raises:
-            ActionError: What `send_goal` raises, if that is known at once.
+            ActionError: As for `send_goal`, if it is known at once.
         """
-        return self.send_goal(goal_id, goal, feedback=feedback)
+        return self.send_goal(goal_id, goal, feedback=feedback, sender=sender)
 
     @abstractmethod
     async def feedback(

@@ -17,9 +17,10 @@ from fibaction.cli.exit_codes import ExitCode, message_of, run
 from fibaction.cli.goal_table import GoalRow
 from fibaction.cli.logs import log_connection
 from fibaction.cli.options import full_option, json_option, url_option
-from fibaction.cli.output import as_yaml, note, say, say_json
+from fibaction.cli.output import note, say, say_json
 from fibaction.cli.render import INDENT
 from fibaction.cli.signals import until_interrupted
+from fibaction.cli.yaml_text import as_yaml
 from fibaction.events import GoalFeedback
 from fibaction.goals import GoalID, GoalInfo
 from fibaction.monitor import ActionListener, AnyClient, follow_action, follow_actions

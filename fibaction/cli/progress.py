@@ -15,8 +15,8 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
+from fibaction._plain_data import is_list, is_map
 from fibaction.cli.escape import clean
-from fibaction.cli.output import is_list, is_map
 
 PERCENT = ("percent", "percentage", "percent_complete", "percentage_complete", "percent_done")
 FRACTION = ("fraction", "fraction_complete", "fraction_done", "ratio", "completion", "progress")

@@ -12,7 +12,8 @@ from fibaction.action import Action
 from fibaction.cli.escape import clean
 from fibaction.cli.exit_codes import ExitCode
 from fibaction.cli.logs import log_connection
-from fibaction.cli.output import as_yaml, console, note, on_terminal, say, say_json
+from fibaction.cli.output import console, note, on_terminal, say, say_json
+from fibaction.cli.yaml_text import as_yaml
 from fibaction.goals import GoalID, Outcome
 from fibaction.states import GoalStatus
 

@@ -22,7 +22,7 @@ from fibaction.action import Action, ActionInfo
 from fibaction.cli.action_names import find_action, shown
 from fibaction.cli.completion import ACTION, TYPE
 from fibaction.cli.exit_codes import ExitCode, Failure, message_of, run
-from fibaction.cli.goal_text import read_goal
+from fibaction.cli.goal_input import read_goal
 from fibaction.cli.options import full_option, json_option, url_option
 from fibaction.cli.output import note, say
 from fibaction.cli.render import goal_printer, print_goal

@@ -165,7 +165,7 @@ async def test_many_are_canceled_here_too(capsys: pytest.CaptureFixture[str]) ->
     def refuse(_: object) -> None:
         raise CancelRejected("never")
 
-    refusing._on_cancel = refuse
+    refusing._admission._on_cancel = refuse
     refusing._shutdown_timeout = 0.0
     async with serve([willing, refusing], url), connect(url) as connection:
         goal = await connection.client(willing.action).send_goal(1, goal_id=ID)

@@ -77,7 +77,7 @@ def test_in_full_nothing_is_cut(capsys: pytest.CaptureFixture[str]) -> None:
 
     out = capsys.readouterr().out
     assert out.count("- 999\n") == 1
-    assert "# ... and 872 more" in out
+    assert "... and 872 more" in out
 
 
 def test_in_json_each_event_is_an_object(capsys: pytest.CaptureFixture[str]) -> None:

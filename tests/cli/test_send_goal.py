@@ -275,7 +275,7 @@ def test_the_goal_comes_from_one_place(invoke: Invoke, tcp: str, tmp_path: Path)
         (["fibonacci", "order: x"], 'Error: goal.order must be a whole number, not "x"'),
         (["fibonacci"], "Error: goal.order is missing"),
         (["fibonacci", "ordr: 1"], 'Error: goal has no field "ordr"; did you mean order?'),
-        (["fibonacci", "{order: 1"], "Error: the goal is no YAML (line 1, column "),
+        (["fibonacci", "{order: 1"], "Error: the goal is not valid YAML (line 1, column "),
         (["fibonacci", '{"order": 99999999999999999999}'], "Error: the goal cannot be sent: "),
         (["words", '{"words": "\\ud800"}'], "Error: the goal cannot be sent: "),
         (
@@ -385,8 +385,8 @@ def test_50_000_numbers_and_5_megabytes_are_cut_unless_all_is_wanted(
     events = invoke("send_goal", "many", "-f", "--json", url=tcp)
 
     assert len(cut.output) < 5000
-    assert "    # ... and 49872 more\n" in cut.output
-    assert "# ... and 4999000 more characters\n" in cut.output
+    assert "- '... and 49872 more'\n" in cut.output
+    assert "... and 4999000 more characters\n" in cut.output
     assert "    - 49999\n" in full.output
     assert len(full.output) > 5_000_000
     result = json.loads(events.output.splitlines()[-1])
@@ -414,7 +414,7 @@ def deciding() -> tuple[ScriptedServer[Wait, Progress, Waited], anyio.Event, any
         asked.set()
         await decide.wait()
 
-    server._on_goal = think
+    server._admission._on_goal = think
     return server, asked, decide
 
 

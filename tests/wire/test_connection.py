@@ -319,7 +319,7 @@ async def test_what_is_no_message_ends_the_connection_for_good() -> None:
     async with reached(network) as (connection, server):
         await server.channel.send([b"\xc1"])
         await settled()
-        assert "this is no message of a server" in await fails_at_once(connection, ConnectionLost)
+        assert "invalid server message" in await fails_at_once(connection, ConnectionLost)
     assert network.dialed == 1
 
 

@@ -222,7 +222,7 @@ async def test_what_is_no_message_ends_the_session_with_the_reason() -> None:
         await client.channel.send([b"\xc1"])
         goodbye = await client.hear(Goodbye)
         assert goodbye.why == Why.PROTOCOL
-        assert "this is no message of a client" in goodbye.reason
+        assert "invalid client message" in goodbye.reason
         await client.hear_the_end()
 
 

@@ -17,7 +17,7 @@ from fibaction._notify import Notifier
 from fibaction.abc import Connection, Endpoint, GoalStream, StatusStream, Transport
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import ServerNotFound, TransportError
-from fibaction.goals import CancelAnswer, GoalID
+from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
 
 _URL = re.compile(r"inproc://([\w.-]+)", re.ASCII)
 
@@ -117,8 +117,15 @@ class _NamedEndpoint(Endpoint):
     def info(self) -> ActionInfo:
         return self._info
 
-    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> GoalStream:
-        return await self._server.send_goal(goal_id, goal, feedback=feedback)
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+    ) -> GoalStream:
+        return await self._server.send_goal(goal_id, goal, feedback=feedback, sender=sender)
 
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False

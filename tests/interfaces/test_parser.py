@@ -5,46 +5,28 @@ from pathlib import Path
 import pytest
 from hypothesis import given, strategies
 
-from fibaction.interfaces.definitions import Definition, FieldType, InterfaceError
-from fibaction.interfaces.parsing import parse_action, parse_message
+from fibaction.interfaces.definitions import FieldType, InterfaceError, MessageDefinition
+from fibaction.interfaces.parser import parse_action, parse_message
 from fibaction.ros_types import PRIMITIVES
 
 FILE = Path("Lift.msg")
 
 
-def parse(text: str) -> Definition:
+def parse(text: str) -> MessageDefinition:
     return parse_message(text, FILE)
 
 
-def refusal(text: str) -> str:
+def error(text: str) -> str:
     with pytest.raises(InterfaceError) as caught:
         parse(text)
     return str(caught.value)
 
 
 def comments(text: str) -> dict[str, str]:
-    """What is said of the message, and of each of its fields and constants."""
+    """Return the comments on the message, under an empty name, and on its fields and constants."""
     found = parse(text)
     fields = {field.name: field.comment for field in found.fields}
     return {"": found.comment, **fields, **{one.name: one.comment for one in found.constants}}
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("int32", FieldType("int32")),
-        ("string<=5", FieldType("string", characters=5)),
-        ("wstring<=5[<=3]", FieldType("wstring", characters=5, is_array=True, bound=3)),
-        ("float64[9]", FieldType("float64", is_array=True, size=9)),
-        ("byte[]", FieldType("byte", is_array=True)),
-        ("Pose", FieldType("Pose")),
-        ("geometry_msgs/Pose[2]", FieldType("Pose", "geometry_msgs", is_array=True, size=2)),
-    ],
-)
-def test_a_type_is_read(text: str, expected: FieldType) -> None:
-    (field,) = parse(f"{text} name").fields
-
-    assert field.type == expected
 
 
 @pytest.mark.parametrize(
@@ -55,47 +37,48 @@ def test_a_type_is_read(text: str, expected: FieldType) -> None:
         "/Pose", "int32[9999999999]", "int32[2][2]",
     ],
 )  # fmt: skip
-def test_a_type_that_is_none_is_refused(text: str) -> None:
-    assert refusal(f"# x\n{text} name") == (
+def test_an_invalid_type_is_rejected(text: str) -> None:
+    assert error(f"# x\n{text} name") == (
         "Lift.msg:2: expected a type like 'int32', 'string<=10', 'float64[3]' or"
         f" 'geometry_msgs/Pose', found {text!r}"
     )
 
 
-def test_a_type_of_ros_1_is_refused_with_what_ros_2_has() -> None:
-    assert refusal("time stamp") == ("Lift.msg:1: expected 'builtin_interfaces/Time', found 'time'")
-
-
-def test_only_a_string_has_a_bound_without_brackets() -> None:
-    assert refusal("int32<=5 x") == (
-        "Lift.msg:1: expected '<=' behind a string only, or within '[]', found 'int32<=5'"
-    )
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("time stamp", "1: expected 'builtin_interfaces/Time', found 'time'"),
+        (
+            "int32<=5 x",
+            "1: expected '<=' behind a string only, or within '[]', found 'int32<=5'",
+        ),
+        (
+            "Pose pose 1",
+            "1: expected no default, because messages have their own, found '1'",
+        ),
+        (
+            "int32 a\n\nint32\n",
+            "3: expected a type and a name, like 'int32 order', found 'int32'",
+        ),
+        (
+            "int8 a\nint8 b\nint8 a",
+            "3: expected a unique name, found 'a', which line 1 defines",
+        ),
+        (
+            "int8 A=1\nint8 A=1",
+            "2: expected a unique name, found 'A', which line 1 defines",
+        ),
+    ],
+)
+def test_an_invalid_line_is_rejected_with_what_was_expected(text: str, problem: str) -> None:
+    assert error(text) == f"Lift.msg:{problem}"
 
 
 @pytest.mark.parametrize("name", ["Order", "2nd", "a__b", "a_", "_a", "größe", "a.b"])
-def test_a_name_that_ros_does_not_take_is_refused(name: str) -> None:
-    assert refusal(f"int32 {name}") == (
+def test_an_invalid_field_name_is_rejected(name: str) -> None:
+    assert error(f"int32 {name}") == (
         "Lift.msg:1: expected a field's name, like 'frame_id' (lower case, no '__'),"
         f" found {name!r}"
-    )
-
-
-def test_a_field_may_have_a_default() -> None:
-    one, other = parse("int32 order 5\nint32[<=2] few [1, 2]").fields
-
-    assert (one.name, one.default) == ("order", 5)
-    assert (other.name, other.default) == ("few", [1, 2])
-
-
-def test_a_message_has_no_default_in_a_file() -> None:
-    assert refusal("Pose pose 1") == (
-        "Lift.msg:1: expected no default, as messages have their own, found '1'"
-    )
-
-
-def test_a_line_with_a_type_only_is_refused() -> None:
-    assert refusal("int32 a\n\nint32\n") == (
-        "Lift.msg:3: expected a type and a name, like 'int32 order', found 'int32'"
     )
 
 
@@ -110,29 +93,20 @@ def test_a_constant_has_a_type_a_name_and_a_value() -> None:
 
 
 @pytest.mark.parametrize("name", ["most", "MOST_", "A__B", "_A", "A b"])
-def test_a_constant_s_name_that_ros_does_not_take_is_refused(name: str) -> None:
-    assert refusal(f"int8 {name} = 1") == (
+def test_an_invalid_constant_name_is_rejected(name: str) -> None:
+    assert error(f"int8 {name} = 1") == (
         f"Lift.msg:1: expected a constant's name, like 'MAX_SPEED', before the '=', found {name!r}"
     )
 
 
 @pytest.mark.parametrize("kind", ["int8[]", "string<=5", "Pose"])
-def test_a_constant_of_another_type_is_refused(kind: str) -> None:
-    assert refusal(f"{kind} A = 1") == (
+def test_a_constant_that_is_not_a_primitive_is_rejected(kind: str) -> None:
+    assert error(f"{kind} A = 1") == (
         f"Lift.msg:1: expected a constant's type, like 'int32' or 'string', found {kind!r}"
     )
 
 
-def test_a_name_is_there_once() -> None:
-    assert refusal("int8 a\nint8 b\nint8 a") == (
-        "Lift.msg:3: expected a name of its own, found 'a', which line 1 has"
-    )
-    assert refusal("int8 A=1\nint8 A=1") == (
-        "Lift.msg:2: expected a name of its own, found 'A', which line 1 has"
-    )
-
-
-def test_comments_describe_what_they_stand_beside() -> None:
+def test_comments_describe_the_field_beside_them() -> None:
     text = (
         "# The message,\n"
         "#   and more of it.\n"
@@ -146,7 +120,7 @@ def test_comments_describe_what_they_stand_beside() -> None:
         "# and after.\n"
         "int32 MOST=1\n"
         "int32 b\n"
-        "# About nothing.\n"
+        "# Describes nothing.\n"
     )
 
     assert comments(text) == {
@@ -157,51 +131,55 @@ def test_comments_describe_what_they_stand_beside() -> None:
     }
 
 
-def test_an_indented_comment_before_any_field_is_about_nothing() -> None:
-    assert comments("\n  # lost\nint32 a") == {"": "", "a": ""}
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", {"": ""}),
+        ("# Nothing to say.", {"": "Nothing to say."}),
+        ("\n  # lost\nint32 a", {"": "", "a": ""}),
+        ("# a\0b\x1b[1mc", {"": "a b [1mc"}),
+    ],
+    ids=["no comment", "comments only", "indented above all fields", "control characters"],
+)
+def test_comments_at_the_edges_of_the_rule(text: str, expected: dict[str, str]) -> None:
+    assert comments(text) == expected
 
 
-def test_comments_alone_describe_the_message() -> None:
-    assert comments("# Nothing to say.") == {"": "Nothing to say."}
-    assert comments("") == {"": ""}
-
-
-def test_a_comment_has_no_control_characters() -> None:
-    assert comments("# a\0b\x1b[1mc") == {"": "a b [1mc"}
-
-
-def test_a_hash_starts_a_comment_wherever_it_is_as_in_ros() -> None:
-    (field,) = parse('string a "x # y"').fields
-
-    assert field.default == '"x'
-    assert field.comment == 'y"'
-
-
-def test_tabs_and_the_line_ends_of_windows_are_taken() -> None:
-    first, second = parse("int32\ta\t5\r\nint32 b\r\n").fields
-
-    assert (first.name, first.default, second.name) == ("a", 5, "b")
+@pytest.mark.parametrize(
+    ("text", "fields"),
+    [
+        ("int32 order 5\nint32[<=2] few [1, 2]", [("order", 5, ""), ("few", [1, 2], "")]),
+        ("int32\ta\t5\r\nint32 b\r\n", [("a", 5, ""), ("b", None, "")]),
+        ('string a "x # y"', [("a", '"x', 'y"')]),
+    ],
+    ids=["a bounded array", "tabs and line ends of Windows", "a comment within quotes, as in ROS"],
+)
+def test_a_field_has_a_name_a_default_and_a_comment(
+    text: str, fields: list[tuple[str, object, str]]
+) -> None:
+    assert [(one.name, one.default, one.comment) for one in parse(text).fields] == fields
 
 
 def test_an_action_is_a_goal_a_result_and_a_feedback() -> None:
-    text = "# The goal.\nint32 order\n---\n# The result.\nint32 a\n--- \nint32 b\n"
+    text = "# The goal.\nint32 a\n---\n# The result.\nint32 a\n--- \nint32 a\n"
     goal, result, feedback = parse_action(text, Path("Lift.action"))
 
-    assert [part.name for part in (goal, result, feedback)] == [
-        "Lift_Goal",
-        "Lift_Result",
-        "Lift_Feedback",
+    found = [
+        (part.name, part.fields[0].name, part.fields[0].line, part.comment)
+        for part in (goal, result, feedback)
     ]
-    assert [part.fields[0].name for part in (goal, result, feedback)] == ["order", "a", "b"]
-    assert [part.fields[0].line for part in (goal, result, feedback)] == [2, 5, 7]
-    assert [part.comment for part in (goal, result, feedback)] == ["The goal.", "The result.", ""]
+    assert found == [
+        ("Lift_Goal", "a", 2, "The goal."),
+        ("Lift_Result", "a", 5, "The result."),
+        ("Lift_Feedback", "a", 7, ""),
+    ]
 
 
 @pytest.mark.parametrize(
     ("text", "line", "count"),
     [("", 1, 0), ("int32 a\n---\nint32 b", 3, 1), ("---\n---\nint32 a\n---\n", 4, 3)],
 )
-def test_an_action_without_three_parts_is_refused(text: str, line: int, count: int) -> None:
+def test_an_action_without_three_parts_is_rejected(text: str, line: int, count: int) -> None:
     with pytest.raises(InterfaceError) as caught:
         parse_action(text, Path("Lift.action"))
 
@@ -209,12 +187,6 @@ def test_an_action_without_three_parts_is_refused(text: str, line: int, count: i
         f"Lift.action:{line}: expected two lines '---', between goal and result and between"
         f" result and feedback, found {count}"
     )
-
-
-def test_the_parts_of_an_action_have_names_of_their_own() -> None:
-    parts = parse_action("int32 a\n---\nint32 a\n---\nint32 a\n", FILE)
-
-    assert [len(part.fields) for part in parts] == [1, 1, 1]
 
 
 names = strategies.from_regex(r"[a-z](_?[a-z0-9]){0,5}", fullmatch=True)
@@ -245,7 +217,7 @@ def written(kind: FieldType) -> str:
 
 
 @given(types(), names)
-def test_any_field_that_is_written_is_read_again(kind: FieldType, name: str) -> None:
+def test_any_field_is_read_again_from_its_text(kind: FieldType, name: str) -> None:
     (field,) = parse(f"{written(kind)} {name}").fields
 
     assert (field.type, field.name, field.default) == (kind, name, None)
@@ -257,7 +229,7 @@ pieces = strategies.sampled_from(
 
 
 @given(strategies.text() | strategies.lists(pieces).map("".join))
-def test_any_text_is_a_message_or_refused_with_its_line(text: str) -> None:
+def test_any_text_is_a_message_or_an_error_with_a_line(text: str) -> None:
     try:
         parse(text)
     except InterfaceError as exc:
