@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from fibaction.cli.exit_codes import ExitCode, Failure
 from fibaction.cli.escape import clean, clean_json
+from fibaction.cli.exit_codes import ExitCode, Failure
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -16,8 +16,8 @@ from fibaction.cli.cancel import reason_of
 from fibaction.cli.escape import clean
 from fibaction.cli.exit_codes import message_of
 from fibaction.cli.goal_table import STYLES, GoalRow, unambiguous
-from fibaction.cli.yaml_text import as_yaml
 from fibaction.cli.progress import on_one_line
+from fibaction.cli.yaml_text import as_yaml
 from fibaction.exceptions import ActionError
 from fibaction.monitor import GoalKey, GoalSnapshot, Monitor, Snapshot
 
