@@ -6,7 +6,6 @@ So a package that nobody here has heard of can bring a transport of its own.
 from __future__ import annotations
 
 import re
-from importlib.metadata import entry_points
 from typing import Any
 
 from fibaction.abc import Transport
@@ -35,6 +34,8 @@ def transport_for(where: str | Transport, **settings: Any) -> Transport:
     if not separator:
         shown = without_settings(where)
         raise TransportError(f"{shown!r} is no URL: write it like tcp://127.0.0.1:7400")
+    from importlib.metadata import entry_points  # takes longer than all other imports
+
     found = tuple(entry_points(group=GROUP, name=scheme))
     if not found:
         known = ", ".join(sorted({f"{entry.name}://" for entry in entry_points(group=GROUP)}))

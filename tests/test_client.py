@@ -300,6 +300,9 @@ async def test_a_list_of_goals_ends_where_the_server_does() -> None:
             self.items = [GoalInfo(GoalID(bytes(range(16))), 7, GoalStatus.EXECUTING)]
             self.closed = False
 
+        def fail(self, error: ActionError) -> None:
+            raise NotImplementedError
+
         async def receive(self) -> GoalInfo | None:
             return self.items.pop() if self.items else None
 

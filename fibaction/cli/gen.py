@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from fibaction.action_files import action_source
-from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.exit_codes import ExitCode, Failure
 
 
 @click.command(

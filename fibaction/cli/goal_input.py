@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import yaml
 
-from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.exit_codes import ExitCode, Failure
 from fibaction.json_payload import JsonCodec, PayloadError
 
 

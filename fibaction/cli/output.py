@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from fibaction.cli.ending import ExitCode, Failure
-from fibaction.cli.escaping import clean, clean_json
-from fibaction.json_payload import PayloadError, to_json
+from fibaction.cli.escape import clean, clean_json
+from fibaction.cli.exit_codes import ExitCode, Failure
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -61,6 +60,8 @@ def as_json(value: Any) -> str:
     Raises:
         Failure: JSON cannot express it.
     """
+    from fibaction.json_payload import PayloadError, to_json  # its imports would slow down --help
+
     try:
         return clean_json(to_json(value))
     except PayloadError as exc:

@@ -13,7 +13,7 @@ import yaml
 from msgspec.msgpack import Ext
 
 from fibaction._plain_data import is_list, is_map
-from fibaction.cli.escaping import clean_lines
+from fibaction.cli.escape import clean_lines
 
 MAX_ITEMS = 128
 """Items of a list that are shown by default; `ros2 topic echo` shows as many."""

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.exit_codes import ExitCode, Failure
 from fibaction.cli.goal_input import read_goal
 from tests.cli.robot import Pick, Pose
 

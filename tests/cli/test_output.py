@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fibaction.cli import output
-from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.exit_codes import ExitCode, Failure
 
 
 @given(st.text() | st.dictionaries(st.text(), st.lists(st.text())))
