@@ -21,7 +21,9 @@ from fibaction.exceptions import (
     GoalAborted,
     GoalCanceled,
     GoalRejected,
+    LimitReached,
     ProtocolError,
+    ServerFailed,
     ServerNotFound,
     TransportError,
     UnknownGoal,
@@ -53,6 +55,8 @@ _CODES: tuple[tuple[type[ActionError], ExitCode], ...] = (
     (ServerNotFound, ExitCode.UNREACHABLE),
     (ConnectionLost, ExitCode.UNREACHABLE),
     (AuthenticationFailed, ExitCode.UNREACHABLE),
+    (LimitReached, ExitCode.UNREACHABLE),
+    (ServerFailed, ExitCode.UNREACHABLE),
     (TransportError, ExitCode.USAGE),  # what is left of it: a URL that cannot be used
     (ProtocolError, ExitCode.UNREACHABLE),
 )

@@ -109,8 +109,8 @@ def test_a_server_that_does_not_run_is_one_sentence(fibaction: Run, nobody: str)
 @pytest.mark.parametrize(
     ("url", "text"),
     [
-        ("127.0.0.1:7400", "is no URL: write it like tcp://"),
-        ("nonsense://x", "no transport for nonsense:// is installed; there is"),
+        ("127.0.0.1:7400", "is not a URL: write it like tcp://"),
+        ("nonsense://x", "no transport for nonsense:// is installed; installed are inproc://"),
         ("tcp://127.0.0.1:port", "port"),
         ("tcp://127.0.0.1:7400?nonsense=1", "nonsense"),
         ("unix:///nowhere/socket", "/nowhere/socket"),
