@@ -12,16 +12,16 @@ whatever it is built on, `raise ... from exc`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Coroutine
+from collections.abc import AsyncIterator, Coroutine, Sequence
 from contextlib import AbstractAsyncContextManager
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
 import msgspec
 
 from fibaction._notify import Notifier as Notifier  # an author of streams needs it, too
 from fibaction.action import Action, ActionInfo
-from fibaction.exceptions import UnknownGoal
+from fibaction.exceptions import ActionError, UnknownGoal
 from fibaction.goals import UNKNOWN_OUTCOME, ActionPeers, CancelAnswer, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
 
@@ -55,20 +55,38 @@ class _Closing(ABC):
         self.close()
 
 
+GoalUpdate: TypeAlias = FeedbackItem | GoalStatus | Outcome[bytes]
+"""One event in the life of a goal: a feedback message, the active status that the goal has changed
+to, or the end."""
+
+
 class GoalStream(_Closing):
-    """One goal, followed: its feedback in order, its status, and in the end its outcome."""
+    """One goal, followed: a sequence of updates, of which the last is the outcome.
+
+        async for update in stream:
+            match update:
+                case FeedbackItem(number, payload): ...
+                case GoalStatus(): ...
+                case Outcome(status, result, reason): ...
+
+    Updates come in the order in which they happened. A stream that is not read in time misses
+    feedback, and counts it in `dropped`; it never misses the outcome.
+    """
 
     __slots__ = ()
 
     goal_id: GoalID
     stamp: int
-    """When the goal was accepted: nanoseconds since 1970."""
+    """Time at which the goal was accepted: nanoseconds since 1970."""
     latest: bool
-    """Whether a reader who is late wants the newest feedback only: the server's policy."""
-    place: int
-    """The number of the feedback that was taken last, or skipped."""
+    """True if a slow reader gets the newest feedback only: the server's policy."""
+    cursor: int
+    """The number of the feedback that was taken last, or skipped; 0 before the first."""
+    reads: bool
+    """True while feedback and status changes are delivered. After `close()`, or if no feedback was
+    asked for, only the outcome is."""
     news: Notifier
-    """Woken whenever there may be something to take, and when the goal has ended."""
+    """Notified whenever there may be something to take, and when the goal has ended."""
 
     @property
     @abstractmethod
@@ -78,57 +96,53 @@ class GoalStream(_Closing):
     @property
     @abstractmethod
     def dropped(self) -> int:
-        """How many feedback messages this stream has missed, because it was read too slowly."""
+        """The number of feedback messages that this stream has missed."""
 
     @abstractmethod
-    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
-        """What happens next to the goal, as far as it is known: the status that it has changed to,
-        or at most `limit` feedback messages. An empty list if there is nothing now; None if there
-        is no more, which is when the goal has ended or the stream was closed.
+    def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
+        """Return what comes next, as far as it is there: one status change, or at most `limit`
+        feedback messages. Empty if there is nothing now.
+
+        When nothing else is left and the goal has ended, return its `Outcome`, each time.
 
         Raises:
             ConnectionLost: The connection ended, and more was to come.
             TransportError: The server cannot tell the rest, or may not: for instance, a result is
                 larger than this client takes.
-            ProtocolError: What the server tells cannot be read.
+            ProtocolError: The message of the server cannot be read.
         """
 
     @abstractmethod
-    def ended(self) -> Outcome[bytes] | None:
-        """How the goal has ended, if that is known.
+    def known_outcome(self) -> Outcome[bytes] | None:
+        """Return the outcome of the goal, if it is known, whether or not its feedback was read.
 
         Raises:
             ConnectionLost: The connection ended before the goal did.
             TransportError, ProtocolError: As for `take`.
         """
 
-    async def next_event(self) -> FeedbackItem | GoalStatus | None:
-        """Wait for what happens next to the goal: feedback, or the status that it has changed to;
-        None when there is no more. Nothing is lost if the wait is canceled.
+    def __aiter__(self) -> AsyncIterator[GoalUpdate]:
+        """Iterate over the updates, up to the outcome. No update is lost if the wait is canceled.
 
         Raises:
             ConnectionLost, TransportError, ProtocolError: As for `take`.
         """
-        while (event := self.take()) is not None:
-            if isinstance(event, GoalStatus):
-                return event
-            if event:
-                return event[0]
-            await self.news.wait()
-        return None
+        return _Updates(self)
 
     async def receive(self) -> FeedbackItem | None:
-        """The next feedback; None when there is no more.
+        """Return the next feedback; None when no more is delivered.
 
         Raises:
             ConnectionLost, TransportError, ProtocolError: As for `take`.
         """
-        while (event := self.take()) is not None:
-            if isinstance(event, GoalStatus):
-                continue
-            if event:
-                return event[0]
-            await self.news.wait()
+        while self.reads:
+            updates = self.take()
+            if not updates:
+                await self.news.wait()
+            elif isinstance(updates[0], FeedbackItem):
+                return updates[0]
+            elif isinstance(updates[0], Outcome):
+                break
         return None
 
     async def outcome(self) -> Outcome[bytes]:
@@ -137,24 +151,48 @@ class GoalStream(_Closing):
         It is answered also after the server has forgotten the result, or the stream was closed.
 
         Raises:
-            ConnectionLost, TransportError, ProtocolError: As for `ended`.
+            ConnectionLost, TransportError, ProtocolError: As for `known_outcome`.
         """
-        while (outcome := self.ended()) is None:
+        while (outcome := self.known_outcome()) is None:
             await self.news.wait()
         return outcome
 
-    def rewind(self, after: int) -> None:
-        """Go back to what follows the feedback of that number, as far as it is still there. A
-        stream that cannot go back stays where it is.
+    def seek(self, cursor: int) -> None:
+        """Continue behind the feedback of that number, as far as it is still there.
+
+        A stream that cannot be positioned stays where it is.
         """
 
     @abstractmethod
     def hold(self, wanted: bool) -> None:
-        """Say whether the executor is to wait for this stream when it is read slowly.
+        """Make the executor wait for this stream when it is read slowly, or no longer.
 
         Has an effect only for the goal's own client, and only where the server's policy is to lose
         no feedback.
         """
+
+    @abstractmethod
+    def fail(self, error: ActionError) -> None:
+        """End the stream here: from now on, reading and waiting raise an error like this one.
+
+        A goal whose outcome is known keeps it.
+        """
+
+
+class _Updates(AsyncIterator[GoalUpdate]):
+    """An iteration over a stream. No generator: one that is left early has to be closed."""
+
+    def __init__(self, stream: GoalStream) -> None:
+        self._stream = stream
+        self._has_ended = False
+
+    async def __anext__(self) -> GoalUpdate:
+        if self._has_ended:
+            raise StopAsyncIteration
+        while not (updates := self._stream.take()):
+            await self._stream.news.wait()
+        self._has_ended = isinstance(updates[0], Outcome)
+        return updates[0]
 
 
 class StatusStream(_Closing):

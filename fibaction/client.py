@@ -61,10 +61,7 @@ class FeedbackReader(Generic[FeedbackT]):
         if not self._holding:
             self._holding = True
             self._stream.hold(True)
-        event = self._stream.take()  # what is there need not be waited for
-        if isinstance(event, list) and event:
-            return self._codec.decode(event[0].payload)
-        item = None if event is None else await self._stream.receive()
+        item = await self._stream.receive()
         if item is None:
             raise StopAsyncIteration
         return self._codec.decode(item.payload)

@@ -203,3 +203,14 @@ def text_of(exc: BaseException) -> str:
         return f"{type(exc).__name__}: {exc}"
     except Exception:
         return type(exc).__name__
+
+
+def copy_of(error: ActionError) -> ActionError:
+    """Return a new error of the same type, with the same data.
+
+    An error that many tasks wait for is raised once for each: a raised one gathers tracebacks.
+    """
+    copy = type(error).__new__(type(error), *error.args)
+    copy.__dict__.update(error.__dict__)
+    copy.args = error.args
+    return copy

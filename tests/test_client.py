@@ -10,6 +10,7 @@ import pytest
 
 from fibaction import (
     ActionClient,
+    ActionError,
     ActionInfo,
     ActionServer,
     CancelAnswer,
@@ -31,7 +32,7 @@ from fibaction import (
     UnknownGoal,
 )
 from fibaction._notify import Notifier
-from fibaction.abc import FeedbackItem, GoalStream, StatusStream
+from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate, StatusStream
 from fibaction.testing import ScriptedServer
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 
@@ -44,7 +45,8 @@ class BrokenStream(GoalStream):
     goal_id = GoalID(bytes(15) + b"\x01")
     stamp = 7
     latest = False
-    place = 0
+    cursor = 0
+    reads = True
     status = GoalStatus.EXECUTING
     dropped = 0
 
@@ -55,12 +57,12 @@ class BrokenStream(GoalStream):
         self.held: list[bool] = []
         self.news = Notifier()
 
-    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
+    def take(self, limit: int = 1) -> list[GoalUpdate]:
         if self.nonsense:
             return [FeedbackItem(1, b"\xc0")]
         raise ConnectionLost("the line is dead")
 
-    def ended(self) -> Outcome[bytes] | None:
+    def known_outcome(self) -> Outcome[bytes] | None:
         if self.nonsense:
             return Outcome(GoalStatus.SUCCEEDED, b"\xc0")
         if self.unknown:
@@ -72,6 +74,9 @@ class BrokenStream(GoalStream):
 
     def close(self) -> None:
         self.closed += 1
+
+    def fail(self, error: ActionError) -> None:
+        raise NotImplementedError
 
 
 class Broken(Endpoint):

@@ -8,7 +8,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from fibaction.abc import GoalStream
+from fibaction.abc import FeedbackItem, GoalStream
 from fibaction.action import Action
 from fibaction.cli.ending import ExitCode
 from fibaction.cli.escaping import clean
@@ -158,11 +158,11 @@ async def follow(
     log_connection()
     with stream:
         with _live_line(told, live) as shown:
-            while (event := await stream.next_event()) is not None:
-                if isinstance(event, GoalStatus):
-                    shown.status(event)
-                else:
-                    shown.feedback(event.number, action.feedback.decode(event.payload))
+            async for update in stream:
+                if isinstance(update, FeedbackItem):
+                    shown.feedback(update.number, action.feedback.decode(update.payload))
+                elif isinstance(update, GoalStatus):
+                    shown.status(update)
         raw = await stream.outcome()
     if stream.dropped:
         note(

@@ -260,7 +260,7 @@ class Session:
         if ended is not None:
             # It is sent again, because the answer was lost. Its server may have forgotten it by
             # now, and must not run it twice.
-            ended.rewind(0)
+            ended.seek(0)
             self._begin_stream(subscription, endpoint, ended, own=True)
             return
         offered = endpoint.offer_goal(goal_id, message.goal, feedback=feedback, client=self.client)
@@ -300,10 +300,7 @@ class Session:
                 if stream is None:
                     raise
                 if message.after is not None:
-                    stream.rewind(message.after)
-                    # Of a goal that was sent twice, the other call may have had less of it.
-                    while (missing := message.after - stream.place) > 0 and stream.take(missing):
-                        pass
+                    stream.seek(message.after)
             self._begin_stream(subscription, endpoint, stream, own=own)
 
     def _ended(self, goal_id: GoalID, goal: bytes | None = None) -> GoalStream | None:

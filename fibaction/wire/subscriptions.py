@@ -9,7 +9,7 @@ import logging
 from collections.abc import Callable
 
 from fibaction._notify import Notifier
-from fibaction.abc import Endpoint, GoalStream
+from fibaction.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.exceptions import ActionError
 from fibaction.goals import Outcome
 from fibaction.states import GoalStatus
@@ -115,7 +115,7 @@ class GoalSubscription(Subscription):
         self.endpoint, self.stream, self.own = endpoint, stream, own
         # Now, because the statuses that the stream will give begin with this one.
         following = Following(
-            self.request, stream.stamp, stream.status, stream.latest, stream.place
+            self.request, stream.stamp, stream.status, stream.latest, stream.cursor
         )
         self._opening = encode(following)
         if self.closed:
@@ -175,13 +175,14 @@ class GoalSubscription(Subscription):
         if self._opening:
             opening, self._opening = self._opening, b""
             return [opening]
-        event = stream.take(min(self.credit, PIECE))
-        if event is None:
-            end = stream.ended()
-            return [] if end is None else self._end(stream, end)
-        if isinstance(event, GoalStatus):
-            return [encode(StatusChanged(request, event))]
-        frames = [encode(Feedback(request, item.number, item.payload)) for item in event]
+        frames: list[bytes] = []
+        for update in stream.take(min(self.credit, PIECE)):
+            if isinstance(update, FeedbackItem):
+                frames.append(encode(Feedback(request, update.number, update.payload)))
+            elif isinstance(update, GoalStatus):
+                return [encode(StatusChanged(request, update))]
+            else:
+                return self._end(stream, update)
         if max(map(len, frames), default=0) > self._max_frame:
             frames = self._fitting(frames)
         self.credit -= len(frames)
@@ -198,7 +199,7 @@ class GoalSubscription(Subscription):
 
     def _end(self, stream: GoalStream, end: Outcome[bytes]) -> list[bytes]:
         self.leave()
-        ended = Ended(self.request, end.status, end.result, sendable(end.reason), stream.place)
+        ended = Ended(self.request, end.status, end.result, sendable(end.reason), stream.cursor)
         frame = encode(ended)
         if len(frame) > self._max_frame:
             self._fail()

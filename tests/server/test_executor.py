@@ -80,7 +80,7 @@ class Bench:
 
     async def read(self) -> list[int]:
         seen = []
-        while self.stream.place < self.log.count:
+        while self.stream.cursor < self.log.count:
             item = await self.stream.receive()
             assert item is not None
             seen.append(FIBONACCI.feedback.decode(item.payload).partial_sequence[-1])

@@ -338,7 +338,7 @@ async def test_a_peer_that_never_reads_is_dropped_and_costs_no_more_than_its_que
                 yield Feedback([1] * size)
                 most = max(most, *(link._queued for link in queues))
                 followed = followed or streams()
-                taken = max(taken, *(stream.place for stream in followed))
+                taken = max(taken, *(stream.cursor for stream in followed))
                 most_unread = max(most_unread, made - taken)
         except anyio.get_cancelled_exc_class():
             canceled.set()

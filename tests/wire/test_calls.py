@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine, Iterable
+from functools import partial
 from typing import Any, TypeVar, cast
 
 import anyio
 import pytest
 from hypothesis import given, strategies
 
-from fibaction.abc import FeedbackItem
+from fibaction.abc import FeedbackItem, GoalUpdate
 from fibaction.exceptions import (
     ActionError,
     AuthenticationFailed,
@@ -118,7 +119,7 @@ def some_calls() -> list[tuple[Call, Callable[[], Coroutine[Any, Any, Any]]]]:
     return [
         (question, question.answered),
         (unanswered, unanswered.answered),
-        (accepted, accepted.next_event),
+        (accepted, accepted.receive),
         (silent, silent.outcome),
         (begun, begun.receive),
         (begins, begins.answered),
@@ -271,6 +272,10 @@ def test_an_answer_to_another_question_is_the_peers_error(answer: Any) -> None:
 # A goal
 
 
+async def next_update(goal: RemoteGoal) -> GoalUpdate:
+    return await anext(aiter(goal))
+
+
 class Bench:
     """A goal at the other end, and what it posts."""
 
@@ -303,7 +308,8 @@ class Bench:
         assert self.goal.on_message(Ended(ID, status, b"result", "as it was", place))
 
     def next(self) -> FeedbackItem | GoalStatus | None:
-        return at_once(self.goal.next_event())
+        update = at_once(next_update(self.goal))
+        return None if isinstance(update, Outcome) else update
 
     def read(self, count: int) -> list[int]:
         """The numbers of so much feedback, which is there, perhaps behind a status."""
@@ -342,7 +348,7 @@ def test_a_goal_is_sent_as_it_was_given_until_it_is_accepted() -> None:
 async def test_a_goal_is_accepted_when_the_server_knows_it() -> None:
     bench = Bench(accepted=False)
     goal = bench.goal
-    assert (goal.goal_id, goal.status, goal.stamp, goal.place) == (
+    assert (goal.goal_id, goal.status, goal.stamp, goal.cursor) == (
         GOAL_ID,
         GoalStatus.UNKNOWN,
         0,
@@ -354,7 +360,7 @@ async def test_a_goal_is_accepted_when_the_server_knows_it() -> None:
     )
     assert (goal.status, goal.stamp, goal.latest) == (GoalStatus.EXECUTING, STAMP, True)
     assert isinstance(goal.status, GoalStatus)
-    assert (goal.place, goal.dropped) == (3, 0)
+    assert (goal.cursor, goal.dropped) == (3, 0)
 
 
 @pytest.mark.parametrize(
@@ -377,7 +383,7 @@ async def test_a_goal_that_is_refused_was_not_accepted(
 
 async def test_feedback_and_statuses_are_waited_for_and_come_in_order() -> None:
     bench = Bench()
-    next_event = bench.goal.next_event
+    next_event = partial(next_update, bench.goal)
     assert await while_waiting(next_event, lambda: bench.feed(1)) == FeedbackItem(1, b"1")
     status = await while_waiting(
         next_event, lambda: bench.goal.on_message(StatusChanged(ID, GoalStatus.EXECUTING))
@@ -386,31 +392,31 @@ async def test_feedback_and_statuses_are_waited_for_and_come_in_order() -> None:
     assert bench.goal.status is GoalStatus.EXECUTING
     bench.feed(2, 3)
     assert bench.read(2) == [2, 3]
-    assert bench.goal.place == 3
-    assert await while_waiting(next_event, lambda: bench.end(3)) is None
+    assert bench.goal.cursor == 3
+    assert await while_waiting(next_event, lambda: bench.end(3)) == bench.goal.known_outcome()
 
 
 def test_where_no_feedback_is_taken_only_statuses_are_given_and_feedback_is_left() -> None:
     bench = Bench()
     bench.feed(1)
-    assert bench.goal.take(0) == []
+    assert not bench.goal.take(0)
     bench.feed(2)
     bench.goal.on_message(StatusChanged(ID, GoalStatus.CANCELING))
-    assert bench.goal.take(0) is GoalStatus.CANCELING
+    assert bench.goal.take(0) == (GoalStatus.CANCELING,)
     bench.end(2)
-    assert bench.goal.take(0) == []  # there is more, for who wants it
-    assert (bench.goal.place, bench.goal.dropped) == (0, 0)
+    assert not bench.goal.take(0)  # there is more, for who wants it
+    assert (bench.goal.cursor, bench.goal.dropped) == (0, 0)
     assert bench.read(2) == [1, 2]
-    assert bench.goal.take(0) is None
+    assert bench.goal.take(0) == (bench.goal.known_outcome(),)
     assert bench.next() is None
 
 
 def test_as_much_feedback_is_taken_as_is_asked_for_and_there_is() -> None:
     bench = Bench()
-    assert bench.goal.take(5) == []
+    assert not bench.goal.take(5)
     bench.feed(1, 2, 3)
     assert bench.goal.take(2) == [FeedbackItem(1, b"1"), FeedbackItem(2, b"2")]
-    assert bench.goal.place == 2
+    assert bench.goal.cursor == 2
     assert bench.goal.take(5) == [FeedbackItem(3, b"3")]
     assert credits_in(bench.posted) == [2]
 
@@ -430,17 +436,17 @@ def test_what_has_come_before_the_end_is_kept_also_if_nobody_is_to_wait_for_it()
 
 def test_the_end_is_known_without_waiting_as_soon_as_it_has_come() -> None:
     bench = Bench()
-    assert bench.goal.ended() is None
+    assert bench.goal.known_outcome() is None
     bench.end()
     bench.goal.fail(LOST)  # whatever becomes of the connection after that
-    assert bench.goal.ended() == Outcome(GoalStatus.SUCCEEDED, b"result", "as it was")
+    assert bench.goal.known_outcome() == Outcome(GoalStatus.SUCCEEDED, b"result", "as it was")
 
 
 def test_another_goal_of_the_same_id_is_not_taken_for_the_one_that_was_followed() -> None:
     bench = Bench()
     bench.feed(1, 2)
     assert bench.goal.on_message(Following(ID, STAMP + 1, GoalStatus.EXECUTING, False, 0))
-    assert bench.goal.ended() == UNKNOWN_OUTCOME
+    assert bench.goal.known_outcome() == UNKNOWN_OUTCOME
     assert Close(ID) in bench.posted
     items = [FeedbackItem(1, b"1"), FeedbackItem(2, b"2")]
     assert bench.goal.take(5) == items  # what has come, has come
@@ -450,7 +456,7 @@ def test_a_failure_before_the_end_is_known_without_waiting() -> None:
     bench = Bench()
     bench.goal.fail(LOST)
     with pytest.raises(ConnectionLost):
-        bench.goal.ended()
+        bench.goal.known_outcome()
 
 
 def test_everything_that_comes_is_heard_of() -> None:
@@ -573,7 +579,7 @@ def test_an_end_that_is_none_is_the_peers_error(status: GoalStatus) -> None:
     bench = Bench()
     with pytest.raises(ProtocolError, match=f"^a goal has ended as {status.name}$"):
         bench.goal.on_message(Ended(ID, status, None, "", 0))
-    assert bench.goal.ended() is None
+    assert bench.goal.known_outcome() is None
 
 
 # Feedback and credit
@@ -792,7 +798,7 @@ def test_what_the_server_left_out_counts_as_dropped() -> None:
     bench.end(20)
     assert bench.goal.dropped == 2
     assert bench.next() is None
-    assert (bench.goal.place, bench.goal.dropped) == (20, 8)
+    assert (bench.goal.cursor, bench.goal.dropped) == (20, 8)
 
 
 def test_an_end_that_counts_less_than_has_come_changes_nothing() -> None:
@@ -801,7 +807,7 @@ def test_an_end_that_counts_less_than_has_come_changes_nothing() -> None:
     bench.end(0)
     assert bench.read(2) == [1, 2]
     assert bench.next() is None
-    assert (bench.goal.place, bench.goal.dropped) == (2, 0)
+    assert (bench.goal.cursor, bench.goal.dropped) == (2, 0)
 
 
 # Closing
@@ -814,10 +820,10 @@ def test_closing_says_so_once_and_ends_the_stream_but_not_the_goal() -> None:
     bench.goal.close()
     bench.goal.close()
     assert bench.posted == [Close(ID)]
-    assert bench.next() is None
+    assert not bench.goal.take()
     bench.feed(2)
     bench.goal.on_message(StatusChanged(ID, GoalStatus.CANCELING))
-    assert bench.next() is None
+    assert not bench.goal.take()
     assert bench.goal.status is GoalStatus.CANCELING
     bench.end(2)
     assert at_once(bench.goal.outcome()).status is GoalStatus.SUCCEEDED
@@ -843,7 +849,7 @@ def test_what_was_not_read_is_let_go_of_on_closing_and_gives_no_credit() -> None
 
 async def test_closing_wakes_who_reads() -> None:
     bench = Bench()
-    assert await while_waiting(bench.goal.next_event, bench.goal.close) is None
+    assert await while_waiting(bench.goal.receive, bench.goal.close) is None
 
 
 def test_the_end_of_a_block_closes() -> None:
@@ -856,7 +862,7 @@ def test_the_end_of_a_block_closes() -> None:
 def test_a_stream_without_feedback_gives_only_the_outcome_and_need_not_be_closed() -> None:
     bench = Bench(window=0)
     bench.goal.on_message(StatusChanged(ID, GoalStatus.EXECUTING))
-    assert bench.next() is None
+    assert not bench.goal.take()
     assert bench.goal.status is GoalStatus.EXECUTING
     bench.goal.hold(False)
     bench.goal.close()

@@ -1039,7 +1039,7 @@ async def test_each_loss_has_the_whole_time_again() -> None:
 
 
 @in_virtual_time()
-@pytest.mark.parametrize("wait", ["next_event", "outcome"])
+@pytest.mark.parametrize("wait", ["receive", "outcome"])
 async def test_a_goal_whose_server_does_not_come_back_has_lost_its_connection(wait: str) -> None:
     network = Network()
     async with reached(network) as (connection, server):
@@ -1298,7 +1298,7 @@ async def test_a_goal_can_be_followed_behind_any_number(after: int, place: int) 
         with anyio.fail_after(5):
             for _ in range(2):
                 await goal.receive()
-            assert (await endpoint.feedback(GOAL_ID, after=after)).place == place
+            assert (await endpoint.feedback(GOAL_ID, after=after)).cursor == place
 
 
 @pytest.mark.parametrize(

@@ -121,7 +121,7 @@ class Stream(GoalStream):
     """A goal whose events are what a test says."""
 
     def __init__(self, *, latest: bool = False, place: int = 0) -> None:
-        self.goal_id, self.stamp, self.latest, self.place = GOAL_ID, STAMP, latest, place
+        self.goal_id, self.stamp, self.latest, self.cursor = GOAL_ID, STAMP, latest, place
         self.news = Notifier()
         self.now = GoalStatus.ACCEPTED
         self.end: Outcome[bytes] | None = None
@@ -147,25 +147,23 @@ class Stream(GoalStream):
     def dropped(self) -> int:
         raise AssertionError  # the numbers tell it
 
-    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
+    def take(self, limit: int = 1) -> list[Any]:
         self.limits.append(limit)
         if self.error is not None:
             raise self.error
         if self.closed:
-            return None
+            return [] if self.end is None else [self.end]
         if self._events and isinstance(self._events[0], GoalStatus):
-            status = self._events.popleft()
-            assert isinstance(status, GoalStatus)
-            return status
+            return [self._events.popleft()]
         items: list[FeedbackItem] = []
         while len(items) < limit and self._events and isinstance(self._events[0], FeedbackItem):
             item = self._events.popleft()
             assert isinstance(item, FeedbackItem)
             items.append(item)
-            self.place = item.number
-        return None if not items and not self._events and self.end is not None else items
+            self.cursor = item.number
+        return [self.end] if not items and not self._events and self.end is not None else items
 
-    def ended(self) -> Outcome[bytes] | None:
+    def known_outcome(self) -> Outcome[bytes] | None:
         return self.end
 
     def hold(self, wanted: bool) -> None:
@@ -174,6 +172,9 @@ class Stream(GoalStream):
     def close(self) -> None:
         self.closed += 1
         self.news.notify()
+
+    def fail(self, error: ActionError) -> None:
+        raise NotImplementedError
 
 
 ENDPOINT: Endpoint = ScriptedServer(FIBONACCI, [anyio.Event()])
