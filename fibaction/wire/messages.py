@@ -323,18 +323,6 @@ class Peers(_Message, tag=45):
     """Each as the server's log names it."""
 
 
-def check_can_be_sent(token: str) -> None:
-    """See that it is text. What an operating system hands over as text may be none.
-
-    Raises:
-        ValueError: It is not. The token itself is not shown.
-    """
-    try:
-        token.encode()
-    except UnicodeEncodeError:
-        raise ValueError("a token is text, and this one has bytes in it that are none") from None
-
-
 FromClient: TypeAlias = (
     Hello
     | SendGoal
@@ -392,7 +380,7 @@ def decode_from_client(frame: bytes) -> FromClient:
     try:
         return _from_client.decode(frame)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
-        raise ProtocolError(f"this is no message of a client: {exc}") from exc
+        raise ProtocolError(f"invalid client message: {exc}") from exc
 
 
 def decode_from_server(frame: bytes) -> FromServer:
@@ -404,4 +392,4 @@ def decode_from_server(frame: bytes) -> FromServer:
     try:
         return _from_server.decode(frame)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
-        raise ProtocolError(f"this is no message of a server: {exc}") from exc
+        raise ProtocolError(f"invalid server message: {exc}") from exc

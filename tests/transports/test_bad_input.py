@@ -131,7 +131,7 @@ async def test_a_length_beyond_the_limit_is_not_waited_for(data: bytes, problem:
         await here.ends(peer, problem)
 
 
-NO_MESSAGE = "this is no message of a client: "
+NO_MESSAGE = "invalid client message: "
 
 WRONG = {
     "nothing": (b"", NO_MESSAGE + "Input data was truncated"),

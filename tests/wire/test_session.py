@@ -63,8 +63,8 @@ from fibaction.wire.messages import (
     decode_from_server,
     encode,
 )
-from fibaction.wire.session import ServerSettings, Session
-from fibaction.wire.settings import Limits
+from fibaction.wire.session import Session
+from fibaction.wire.settings import Limits, ServerSettings
 from fibaction.wire.subscriptions import PIECE
 from fibaction.wire.wire_server import WireServer
 from tests import fibonacci as fib
@@ -224,7 +224,7 @@ async def test_what_is_no_message_ends_the_session_with_the_reason() -> None:
         await client.channel.send([b"\xc1"])
         goodbye = await client.hear(Goodbye)
         assert goodbye.why == Why.PROTOCOL
-        assert "this is no message of a client" in goodbye.reason
+        assert "invalid client message" in goodbye.reason
         await client.hear_the_end()
 
 
