@@ -45,7 +45,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Install:
         def entry_points(**wanted: Any) -> EntryPoints:
             return installed.select(**wanted)
 
-        monkeypatch.setattr(urls, "entry_points", entry_points)
+        monkeypatch.setattr("importlib.metadata.entry_points", entry_points)
 
     return install
 

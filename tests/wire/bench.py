@@ -30,8 +30,8 @@ from fibaction.wire.messages import (
     decode_from_server,
 )
 from fibaction.wire.ownership import Owners
-from fibaction.wire.session import ServerSettings, Session
-from fibaction.wire.settings import Limits
+from fibaction.wire.session import Session
+from fibaction.wire.settings import Limits, ServerSettings
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.wire import memory

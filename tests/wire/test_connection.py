@@ -34,9 +34,8 @@ from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.connection import (
     DIAL_TIMEOUT,
     LEAVE_TIMEOUT,
-    ClientSettings,
     RemoteConnection,
-    connected,
+    open_connection,
 )
 from fibaction.wire.framing import MAX_FRAME
 from fibaction.wire.link import HIGH_WATER, OVERFULL
@@ -71,8 +70,7 @@ from fibaction.wire.messages import (
     decode_from_client,
     encode,
 )
-from fibaction.wire.session import ServerSettings
-from fibaction.wire.settings import Limits
+from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
 from fibaction.wire.wire_server import WireServer
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
@@ -141,7 +139,7 @@ async def reached(
 ) -> AsyncGenerator[tuple[RemoteConnection, Peer], None]:
     """A connection, and its server."""
     async with Running(lambda: network.accept(heartbeat)) as accepting:
-        async with connected(network.dial, WHERE, keeping) as connection:
+        async with open_connection(network.dial, WHERE, keeping) as connection:
             yield connection, await accepting.answer()
 
 
@@ -244,7 +242,7 @@ async def test_nobody_there_is_an_error_at_once_where_no_other_attempt_is_wanted
     network = Network()
     network.refusal = AWAY
     with anyio.fail_after(5), pytest.raises(ServerNotFound, match="nobody listens"):
-        async with connected(network.dial, WHERE, ONCE):
+        async with open_connection(network.dial, WHERE, ONCE):
             raise AssertionError
     assert network.dialed == 1
 
@@ -255,7 +253,7 @@ async def test_a_client_that_is_not_let_in_is_told_so_and_does_not_try_again() -
     keeping = msgspec.structs.replace(PATIENT, token="s3cret")
     async with Running(lambda: network.answer(goodbye)):
         with anyio.fail_after(5), pytest.raises(AuthenticationFailed) as caught:
-            async with connected(network.dial, WHERE, keeping):
+            async with open_connection(network.dial, WHERE, keeping):
                 raise AssertionError
     assert str(caught.value) == f"{WHERE}: the server wants another token"
     assert network.dialed == 1
@@ -266,7 +264,7 @@ async def test_a_client_that_gave_no_token_where_one_is_wanted_is_told_how(why: 
     network = Network()
     async with Running(lambda: network.answer(Goodbye("the server wants a token", why))):
         with anyio.fail_after(5), pytest.raises(ActionError) as caught:
-            async with connected(network.dial, WHERE, PATIENT):
+            async with open_connection(network.dial, WHERE, PATIENT):
                 raise AssertionError
     hint = ": give one as token=, or behind the URL as ?token=" if why == Why.FORBIDDEN else ""
     assert str(caught.value) == f"{WHERE}: the server wants a token{hint}"
@@ -277,7 +275,7 @@ async def test_a_dial_that_is_not_let_in_does_not_try_again() -> None:
     network = Network()
     network.refusal = AuthenticationFailed("another certificate")
     with anyio.fail_after(5), pytest.raises(AuthenticationFailed, match="another certificate"):
-        async with connected(network.dial, WHERE, PATIENT):
+        async with open_connection(network.dial, WHERE, PATIENT):
             raise AssertionError
     assert network.dialed == 1
 
@@ -296,7 +294,7 @@ async def test_a_server_that_begins_in_a_wrong_way_is_left_for_good(
     network = Network()
     async with Running(lambda: network.answer(message)) as answering:
         with anyio.fail_after(5), pytest.raises(ProtocolError, match=text):
-            async with connected(network.dial, WHERE, PATIENT):
+            async with open_connection(network.dial, WHERE, PATIENT):
                 raise AssertionError
         server = await answering.answer()
         assert server.channel.is_cut
@@ -358,7 +356,7 @@ async def test_calls_before_the_first_connection_fail_at_once() -> None:
     network = Network()
     network.refusal = AWAY
     with anyio.fail_after(5):
-        async with connected(network.dial, WHERE, PATIENT) as connection:
+        async with open_connection(network.dial, WHERE, PATIENT) as connection:
             assert await fails_at_once(connection, ServerNotFound) == "nobody listens"
 
 
@@ -367,7 +365,7 @@ async def test_an_attempt_that_hangs_has_its_time() -> None:
     network = Network()
     network.hangs = True
     start = anyio.current_time()
-    async with connected(network.dial, WHERE, PATIENT) as connection:
+    async with open_connection(network.dial, WHERE, PATIENT) as connection:
         assert anyio.current_time() - start == pytest.approx(DIAL_TIMEOUT)
         text = await fails_at_once(connection, ServerNotFound)
         assert text == f"{WHERE} did not answer within 5 s"
@@ -383,7 +381,7 @@ async def test_a_server_that_does_not_answer_the_hello_is_lost() -> None:
     network = Network()
     keeping = ClientSettings(heartbeat=1, reconnect=False)
     with pytest.raises(ConnectionLost, match=r"has been silent for 4\.5 s"):
-        async with connected(network.dial, WHERE, keeping):
+        async with open_connection(network.dial, WHERE, keeping):
             raise AssertionError
     assert anyio.current_time() < 6
 
@@ -392,7 +390,7 @@ async def test_a_server_that_does_not_answer_the_hello_is_lost() -> None:
 async def test_attempts_are_made_for_as_long_as_it_takes_and_not_too_often() -> None:
     network = Network()
     network.refusal = AWAY
-    async with connected(network.dial, WHERE, PATIENT) as connection:
+    async with open_connection(network.dial, WHERE, PATIENT) as connection:
         await anyio.sleep(3600)
         assert 1800 <= network.dialed <= 3700
         network.refusal = None
@@ -405,7 +403,7 @@ async def test_attempts_are_made_for_as_long_as_it_takes_and_not_too_often() -> 
 async def test_whoever_waits_for_the_server_waits_for_the_first_connection() -> None:
     network = Network()
     network.refusal = AWAY
-    async with connected(network.dial, WHERE, PATIENT) as connection:
+    async with open_connection(network.dial, WHERE, PATIENT) as connection:
         async with Running(endpoint_of(connection).wait_for_server) as waiting:
             assert not waiting.is_done
             network.refusal = None
@@ -420,7 +418,7 @@ async def test_whoever_waits_for_the_server_waits_while_it_is_full() -> None:
     network = Network()
     full = Goodbye("the server is full", Why.LIMIT)
     async with Running(lambda: network.answer(full)):
-        async with connected(network.dial, WHERE, PATIENT) as connection:
+        async with open_connection(network.dial, WHERE, PATIENT) as connection:
             async with Running(endpoint_of(connection).wait_for_server) as waiting:
                 assert not waiting.is_done
                 server = await network.accept()
@@ -1177,7 +1175,7 @@ async def test_nobody_waits_for_a_server_once_a_connection_was_left_that_was_bei
 async def test_leaving_while_there_is_no_connection_does_not_wait() -> None:
     network = Network()
     network.refusal = AWAY
-    async with connected(network.dial, WHERE, PATIENT) as connection:
+    async with open_connection(network.dial, WHERE, PATIENT) as connection:
         pass
     assert "was closed here" in await fails_at_once(connection, ConnectionLost)
 
@@ -1246,7 +1244,7 @@ async def real(
             await anyio.lowlevel.checkpoint()
             return other
 
-        async with connected(dial, WHERE, keeping) as connection:
+        async with open_connection(dial, WHERE, keeping) as connection:
             yield connection.endpoint(FIBONACCI)
 
 

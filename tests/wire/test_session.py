@@ -63,8 +63,8 @@ from fibaction.wire.messages import (
     decode_from_server,
     encode,
 )
-from fibaction.wire.session import ServerSettings, Session
-from fibaction.wire.settings import Limits
+from fibaction.wire.session import Session
+from fibaction.wire.settings import Limits, ServerSettings
 from fibaction.wire.subscriptions import PIECE
 from fibaction.wire.wire_server import WireServer
 from tests import fibonacci as fib

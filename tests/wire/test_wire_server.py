@@ -33,9 +33,8 @@ from fibaction.wire.messages import (
     Why,
     decode_from_server,
 )
-from fibaction.wire.session import ServerSettings
-from fibaction.wire.settings import Limits
-from fibaction.wire.wire_server import LEAVE_TIMEOUT, WireServer, hub
+from fibaction.wire.settings import Limits, ServerSettings
+from fibaction.wire.wire_server import LEAVE_TIMEOUT, WireServer, open_server
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.virtual_time import in_virtual_time
@@ -89,8 +88,8 @@ async def serving(
     limits: Limits | None = None,
 ) -> AsyncGenerator[Bench, None]:
     terms = ServerSettings(LONG, access or AccessPolicy(), limits or Limits(), "keep", LONG)
-    async with hub({"fibonacci": server or Server()}, terms) as (connections, tasks):
-        yield Bench(connections, tasks)
+    async with open_server({"fibonacci": server or Server()}, terms) as connections:
+        yield Bench(connections, connections.tasks)
 
 
 async def send(client: Peer, goal_id: bytes, credit: int) -> None:
