@@ -63,6 +63,7 @@ docs: $(VENV)/.docs  ## Build the documentation into site/
 	$(BIN)/python docs/build.py
 
 docs-serve: $(VENV)/.docs  ## Show the documentation while it is written
+	$(BIN)/python -m tests.promises
 	$(BIN)/zensical serve
 
 # A server of NATS is unpacked rather than installed: as a package, it would start a service.

@@ -1,11 +1,11 @@
-"""Build the documentation into site/, or say what is wrong with it.
+"""Build the documentation into site/, or report its faults.
 
     python docs/build.py
 
-First what is made from the code is made again: docs/states.svg, and the marked parts of
-docs/concepts.md and docs/protocol.md. Then the site is built strictly, and its pages are read once
-more: a link or an anchor that leads nowhere, or something that is fetched from elsewhere, ends with
-exit code 1.
+First the parts that are generated from the code are written: docs/states.svg, and the marked parts
+of docs/concepts.md and docs/protocol.md. Then the site is built strictly, and the built pages are
+checked: a link or an anchor without a target, or a resource from another site, is a fault. The exit
+code is 1 if there are faults.
 """
 
 from __future__ import annotations
@@ -36,22 +36,24 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
         "limits": limits_part,
     },
 }
-"""What is made for each pair of markers in a page."""
+"""Function that makes the part between each pair of markers, by page."""
 
 
 def generate() -> None:
-    """Write docs/states.svg, and the marked parts of the pages."""
+    """Write docs/states.svg, and the generated parts of the pages."""
     (DOCS / "states.svg").write_text(diagram(), encoding="utf-8")
     for name, parts in PARTS.items():
         path = DOCS / name
         path.write_text(with_parts(path.read_text(encoding="utf-8"), parts), encoding="utf-8")
+    # The lists that docs/guarantee_tests.md includes: made from the tests, and not committed.
+    subprocess.run([sys.executable, "-m", "tests.promises"], cwd=ROOT, check=True)
 
 
 _COLORING = re.compile(r"\x1b\[[0-9;]*m")
 
 
 def build() -> str:
-    """Build the site; what is wrong with it, or nothing."""
+    """Build the site, and return its faults; empty if there are none."""
     generate()
     shutil.rmtree(SITE, ignore_errors=True)
     built = subprocess.run(
@@ -65,14 +67,15 @@ def build() -> str:
         return "\n".join(problems(SITE))
     output = _COLORING.sub("", built.stdout + built.stderr)
     if "Aborted because --strict" in output:
-        # The warnings say it all; the traceback is that of the tool.
+        # The warnings name the faults; the traceback is about the tool itself.
         output = output.partition("Traceback (most recent call last)")[0]
     elif unknown := re.search(r"Could not collect '(.+)'", output):
-        output = "".join(f"{place}: there is no {unknown[1]}\n" for place in _asking(unknown[1]))
+        name = unknown[1]
+        output = "".join(f"{place}: {name} does not exist\n" for place in _places_of(name))
     return output
 
 
-def _asking(name: str) -> Iterator[str]:
+def _places_of(name: str) -> Iterator[str]:
     for path in sorted(DOCS.rglob("*.md")):
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
             if line == f"::: {name}":
@@ -82,6 +85,6 @@ def _asking(name: str) -> Iterator[str]:
 if __name__ == "__main__":
     argparse.ArgumentParser(
         prog="python docs/build.py",
-        description="Build the documentation into site/, or say what is wrong with it.",
+        description="Build the documentation into site/, or report its faults.",
     ).parse_args()
     sys.exit(build() or None)

@@ -13,7 +13,7 @@ from fibaction.states import TRANSITIONS, GoalEvent
 
 
 def states_part() -> str:
-    """The picture, and for each status what each event leads to."""
+    """Return the picture, and the table with the next status for each status and event."""
     picture = "The statuses of a goal and the events between them; the table says the same"
     columns = ["Status", *(event.name for event in GoalEvent)]
     rows: list[list[str]] = []
@@ -25,7 +25,7 @@ def states_part() -> str:
 
 
 def errors_part() -> str:
-    """Every error, each with the first sentence of its docstring, as a tree."""
+    """Return the tree of errors, each with the first sentence of its docstring."""
     lines = list(_errors(ActionError, ""))
     width = max(len(name) for name, _ in lines)
     return "\n".join(("```text", *(f"{name:{width}}  {text}" for name, text in lines), "```"))

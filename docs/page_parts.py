@@ -1,4 +1,4 @@
-"""Parts of a page that are made from the code: where they stand, and tables in them."""
+"""Markers around the parts of a page that are made from the code, and tables in Markdown."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 
 def with_parts(page: str, parts: Mapping[str, Callable[[], str]]) -> str:
-    """The page, with what stands between its markers made anew.
+    """Return the page with new text between its markers.
 
     Raises:
         ValueError: A pair of markers is missing.
@@ -22,6 +22,6 @@ def with_parts(page: str, parts: Mapping[str, Callable[[], str]]) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown."""
+    """Return a table in Markdown."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)

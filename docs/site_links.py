@@ -1,6 +1,4 @@
-"""The links of a built site: whether each leads somewhere, and whether anything is loaded from
-elsewhere.
-"""
+"""Check of the links of a built site: broken links, and files loaded from other sites."""
 
 from __future__ import annotations
 
@@ -11,7 +9,7 @@ from urllib.parse import unquote, urlsplit
 
 
 class _Page(HTMLParser):
-    """The places of a page that can be linked to, and what the page itself links to or loads."""
+    """The anchors of a page, and the links and sources in it."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -30,7 +28,7 @@ class _Page(HTMLParser):
 
 
 def problems(site: Path) -> list[str]:
-    """What is wrong with the links of the HTML pages of a site, a line for each."""
+    """Return the faults in the links of the HTML pages of a site, a line for each."""
     pages = {path: _Page(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
     return [
         f"{path.relative_to(site)}:{line}: {link!r} {wrong}"

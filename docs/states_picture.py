@@ -55,7 +55,7 @@ HEAD = f"""\
 
 
 def diagram() -> str:
-    """The state machine as an SVG picture."""
+    """Return the state machine as an SVG picture."""
     parts = [
         HEAD,
         *(_arrow(source, event, target) for (source, event), target in TRANSITIONS.items()),
@@ -79,7 +79,7 @@ def _arrow(source: GoalStatus, event: GoalEvent, target: GoalStatus) -> str:
 
 
 def _border(x: float, y: float, to_x: float, to_y: float) -> tuple[float, float]:
-    """Where a line from the middle of a box leaves it, and a little further."""
+    """Return the point, with a small gap, where a line from the middle of a box leaves it."""
     dx, dy = to_x - x, to_y - y
     scale = min(
         BOX_WIDTH / 2 / abs(dx) if dx else math.inf,

@@ -1,10 +1,10 @@
-"""The promises of docs/guarantees.md, the tests that show them, and what is wrong between the two.
+"""The promises of docs/guarantees.md, the tests that show them, and the faults between the two.
 
     python -m tests.promises
 
-writes the names of the tests into the page. A test says what it shows by its mark:
-`@pytest.mark.promise("FEEDBACK-2")`. No test is imported to find that out, so those that need ROS 2
-are found where there is none.
+writes the lists of tests that docs/guarantee_tests.md includes; docs/build.py does this first. A
+test names what it shows by a mark: `@pytest.mark.promise("FEEDBACK-2")`. The marks are read from
+the source without importing the tests, so the tests that need ROS 2 are found on every machine.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import ast
 import re
+import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
@@ -20,10 +21,14 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "guarantees.md"
+PAGE_OF_TESTS = ROOT / "docs" / "guarantee_tests.md"
+LISTS = ROOT / "build" / "guarantee_tests"
+"""Folder of the lists that the page of tests includes: one file for each group of promises."""
+
 CONTRACT = "tests/contract/"
 ROS = "tests/ros2/"
 LINES = ("tests/transports/", "tests/wire/")
-"""Tests of what ROS 2 does not use."""
+"""Folders of tests for parts that ROS 2 does not use."""
 
 _MARK = "pytest.mark.promise"
 _ROW = re.compile(
@@ -31,10 +36,7 @@ _ROW = re.compile(
     r" \| (?P<text>.+) \| (?P<ros>.+) \|$",
     re.MULTILINE,
 )
-_LIST = re.compile(
-    r"^<!-- tests of (?P<group>[A-Z]+): made by tests/promises\.py -->$.*?^<!-- end of tests -->$",
-    re.DOTALL | re.MULTILINE,
-)
+_SECTION = re.compile(r"^## (?P<heading>.+)$(?P<body>(?:\n(?!## ).*)*)", re.MULTILINE)
 _ON_ROS = re.compile(r"(?P<kind>Yes|In part|No|Does not arise)(?P<more>: .+)?")
 
 
@@ -44,18 +46,18 @@ class Promise(NamedTuple):
     name: str
     text: str
     ros: str
-    """Whether it holds over ROS 2, and by which rule."""
+    """The cell about ROS 2: yes, in part or no, and the reason."""
     anchor: str
-    """What a link to it ends with."""
+    """The fragment of a link to it."""
 
     @property
     def group(self) -> str:
-        """The part of the page that it belongs to: `FEEDBACK` of `FEEDBACK-2`."""
+        """The group that it belongs to: `FEEDBACK` of `FEEDBACK-2`."""
         return self.name.partition("-")[0]
 
     @property
     def number(self) -> int:
-        """Its number there: 2 of `FEEDBACK-2`."""
+        """The number within its group: 2 of `FEEDBACK-2`."""
         return int(self.name.partition("-")[2])
 
 
@@ -64,7 +66,7 @@ class Proof(NamedTuple):
 
     test: str
     file: str
-    """Where it is, from the root."""
+    """The path from the root."""
     promises: tuple[str, ...]
 
     def __str__(self) -> str:
@@ -75,16 +77,25 @@ class Proof(NamedTuple):
 
 
 def promises_of(page: str) -> list[Promise]:
-    """The promises of a page, in order."""
-    rows = _ROW.finditer(_LIST.sub("", page))
+    """Return the promises of a page, in order."""
+    rows = _ROW.finditer(page)
     return [Promise(*row.group("name", "text", "ros", "anchor")) for row in rows]
 
 
+def headings_of(page: str) -> dict[str, str]:
+    """Return the groups of promises of a page, each with the heading that it stands under."""
+    return {
+        promise.group: section["heading"]
+        for section in _SECTION.finditer(page)
+        for promise in promises_of(section["body"])
+    }
+
+
 def proofs_in(source: str, file: str) -> Iterator[Proof]:
-    """The tests of a module, each with the promises that it names, if any.
+    """Yield the tests of a module, each with the promises that it names, if any.
 
     Raises:
-        ValueError: A mark has something else than names.
+        ValueError: An argument of a mark is not a name.
     """
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name[:5] == "test_":
@@ -103,7 +114,7 @@ def _names_in(decorator: ast.expr) -> list[str]:
 
 
 def all_proofs() -> list[Proof]:
-    """All tests of the contract, and all others that name a promise."""
+    """Return all tests of the contract, and all others that name a promise."""
     proofs: list[Proof] = []
     for path in sorted((ROOT / "tests").rglob("test_*.py")):
         file = path.relative_to(ROOT).as_posix()
@@ -115,8 +126,10 @@ def all_proofs() -> list[Proof]:
 
 
 def left_out_over_ros(source: str) -> dict[str, str]:
-    """The tests of the contract that ROS 2 cannot keep, each with the name of the reason: what
-    `EXCLUSIONS` is in tests/ros2/test_contract.py, which cannot be imported without ROS 2.
+    """Return the tests of the contract that ROS 2 cannot keep, each with the name of the reason.
+
+    `source` is the text of tests/ros2/test_contract.py, which cannot be imported without ROS 2; its
+    `EXCLUSIONS` are read.
     """
     for node in ast.parse(source).body:
         match node:
@@ -132,7 +145,7 @@ def left_out_over_ros(source: str) -> dict[str, str]:
 def faults(
     promises: list[Promise], proofs: list[Proof], left_out: Mapping[str, str]
 ) -> Iterator[str]:
-    """What is wrong with the promises and their tests, a line for each."""
+    """Yield the faults between the promises and their tests, a line for each."""
     yield from _faults_of_names(promises)
     known = {promise.name for promise in promises}
     for proof in proofs:
@@ -203,35 +216,30 @@ def _faults_of_what_is_left_out(
 # Writing
 
 
-def with_tests(page: str, proofs: list[Proof]) -> str:
-    """The page, with the names of the tests between its marks made anew.
+def lists_of_tests(promises: Iterable[Promise], proofs: Iterable[Proof]) -> dict[str, str]:
+    """Return for each group of promises, in Markdown, each promise with its tests."""
+    proofs = list(proofs)
+    parts: dict[str, list[str]] = {}
+    for promise in promises:
+        shown_by = [proof for proof in proofs if promise.name in proof.promises]
+        lines = [f"### {promise.name}", "", promise.text, ""]
+        lines += [f"- `{proof.test}` in {proof.file}" for proof in shown_by]
+        parts.setdefault(promise.group, []).append("\n".join([*lines, ""]))
+    return {group: "\n".join(texts) for group, texts in parts.items()}
 
-    Raises:
-        ValueError: A group of promises has no such marks, or marks have no promises.
-    """
-    promises = promises_of(page)
-    groups = list(dict.fromkeys(promise.group for promise in promises))
-    if groups != [found["group"] for found in _LIST.finditer(page)]:
-        raise ValueError("each group of promises has one list of tests, in the same order")
 
-    def make(found: re.Match[str]) -> str:
-        group = [promise.name for promise in promises if promise.group == found["group"]]
-        lines = [f"<!-- tests of {found['group']}: made by tests/promises.py -->", ""]
-        lines += ['<details markdown="1">', "<summary>Tests</summary>", ""]
-        for name in group:
-            lines.append(f"- {name}")
-            shown_by = [proof for proof in proofs if name in proof.promises]
-            lines += [f"    - `{proof.test}` in {proof.file}" for proof in shown_by]
-        lines += ["", "</details>", "", "<!-- end of tests -->"]
-        return "\n".join(lines)
-
-    return _LIST.sub(make, page)
+def write_lists() -> None:
+    """Write the lists that docs/guarantee_tests.md includes."""
+    shutil.rmtree(LISTS, ignore_errors=True)
+    LISTS.mkdir(parents=True)
+    promises = promises_of(PAGE.read_text(encoding="utf-8"))
+    for group, text in lists_of_tests(promises, all_proofs()).items():
+        (LISTS / f"{group}.md").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
     argparse.ArgumentParser(
         prog="python -m tests.promises",
-        description="Write the names of the tests into docs/guarantees.md.",
+        description="Write the lists of tests that docs/guarantee_tests.md includes.",
     ).parse_args()
-    text = PAGE.read_text(encoding="utf-8")
-    PAGE.write_text(with_tests(text, all_proofs()), encoding="utf-8")
+    write_lists()

@@ -15,20 +15,29 @@ from fibaction.abc import (
     Endpoint,
     FeedbackItem,
     GoalStream,
+    GoalUpdate,
     StatusStream,
     Transport,
 )
 from fibaction.action import Action, ActionInfo
-from fibaction.exceptions import ConnectionLost, UnknownGoal
-from fibaction.goals import UNKNOWN_OUTCOME, ActionPeers, CancelAnswer, GoalID, GoalInfo, Outcome
+from fibaction.exceptions import ActionError, ConnectionLost, UnknownGoal
+from fibaction.goals import (
+    UNKNOWN_OUTCOME,
+    UNKNOWN_SENDER,
+    ActionPeers,
+    CancelAnswer,
+    GoalID,
+    GoalInfo,
+    Outcome,
+    Sender,
+)
 from fibaction.states import GoalStatus
 
 KNOWN = GoalID(bytes(range(16)))
 OTHER = GoalID(bytes(range(1, 17)))
 
 
-Event = FeedbackItem | GoalStatus | Exception | None
-"""What `take` gives next; None is the end."""
+Event = GoalUpdate | Exception
 
 
 class OneEnd(GoalStream):
@@ -36,6 +45,7 @@ class OneEnd(GoalStream):
 
     def __init__(self, end: Outcome[bytes] | Exception | None = None, *events: Event) -> None:
         self.closed = 0
+        self.reads = True
         self.news = Notifier()
         self.end = end
         self.events: deque[Event] = deque(events)
@@ -54,16 +64,16 @@ class OneEnd(GoalStream):
     def dropped(self) -> int:
         return 0
 
-    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
+    def take(self, limit: int = 1) -> list[GoalUpdate]:
         self.limits.append(limit)
         if not self.events:
             return []
         event = self.events.popleft()
         if isinstance(event, Exception):
             raise event
-        return [event] if isinstance(event, FeedbackItem) else event
+        return [event]
 
-    def ended(self) -> Outcome[bytes] | None:
+    def known_outcome(self) -> Outcome[bytes] | None:
         if isinstance(self.end, Exception):
             raise self.end
         return self.end
@@ -73,6 +83,9 @@ class OneEnd(GoalStream):
 
     def close(self) -> None:
         self.closed += 1
+
+    def fail(self, error: ActionError) -> None:
+        raise NotImplementedError
 
 
 class OneGoal(Endpoint):
@@ -86,7 +99,14 @@ class OneGoal(Endpoint):
     def info(self) -> ActionInfo:
         return ActionInfo("one")
 
-    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> GoalStream:
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+    ) -> GoalStream:
         self.sent.append((goal_id, goal, feedback))
         return self.stream
 
@@ -138,34 +158,42 @@ async def test_a_stream_is_closed_also_when_the_connection_ends_first() -> None:
 
 ONE, OTHER_ONE = FeedbackItem(1, b"1"), FeedbackItem(2, b"2")
 
-READ = [GoalStream.next_event, GoalStream.receive]
-each_way_to_read = pytest.mark.parametrize("read", READ, ids=["next_event", "receive"])
-Read = Callable[[GoalStream], Awaitable[FeedbackItem | GoalStatus | None]]
+
+async def next_update(stream: GoalStream) -> GoalUpdate:
+    return await anext(aiter(stream))
 
 
-async def all_by(read: Read, stream: OneEnd) -> list[FeedbackItem | GoalStatus]:
-    seen: list[FeedbackItem | GoalStatus] = []
-    while (event := await read(stream)) is not None:
-        seen.append(event)
-    return seen
+each_way_to_read = pytest.mark.parametrize(
+    "read", [next_update, GoalStream.receive], ids=["updates", "receive"]
+)
+Read = Callable[[GoalStream], Awaitable[GoalUpdate | None]]
+END = UNKNOWN_OUTCOME
 
 
 @pytest.mark.asyncio
-async def test_whoever_reads_feedback_only_is_not_told_of_statuses() -> None:
+async def test_a_reader_of_feedback_is_not_told_of_statuses() -> None:
     stream = OneEnd(
         UNKNOWN_OUTCOME,
-        *(GoalStatus.ACCEPTED, GoalStatus.EXECUTING, ONE, OTHER_ONE, GoalStatus.CANCELING, None),
+        *(GoalStatus.ACCEPTED, GoalStatus.EXECUTING, ONE, OTHER_ONE, GoalStatus.CANCELING, END),
     )
     with anyio.fail_after(5):
-        assert await all_by(GoalStream.receive, stream) == [ONE, OTHER_ONE]
+        assert [await stream.receive() for _ in range(3)] == [ONE, OTHER_ONE, None]
 
 
 @pytest.mark.asyncio
-async def test_whoever_reads_events_is_told_of_all_in_their_order() -> None:
-    events = (GoalStatus.EXECUTING, ONE, GoalStatus.CANCELING, OTHER_ONE)
-    stream = OneEnd(UNKNOWN_OUTCOME, *events, None)
+async def test_an_iteration_gives_all_updates_in_their_order_the_outcome_last() -> None:
+    events = (GoalStatus.EXECUTING, ONE, GoalStatus.CANCELING, OTHER_ONE, END)
+    stream = OneEnd(END, *events)
     with anyio.fail_after(5):
-        assert await all_by(GoalStream.next_event, stream) == list(events)
+        assert [update async for update in stream] == list(events)
+
+
+@pytest.mark.asyncio
+async def test_a_stream_that_was_closed_gives_no_more_feedback() -> None:
+    stream = OneEnd(END, ONE)
+    stream.reads = False
+    with anyio.fail_after(5):
+        assert await stream.receive() is None
 
 
 @each_way_to_read
@@ -174,10 +202,11 @@ async def test_a_reader_waits_as_long_as_there_is_nothing_and_goes_on_with_the_n
     read: Read,
 ) -> None:
     stream = OneEnd()
-    seen: list[FeedbackItem | GoalStatus] = []
+    seen: list[GoalUpdate] = []
 
     async def read_all() -> None:
-        while (event := await read(stream)) is not None:
+        while (event := await read(stream)) not in (None, END):
+            assert event is not None
             seen.append(event)
 
     with anyio.fail_after(5):
@@ -188,7 +217,7 @@ async def test_a_reader_waits_as_long_as_there_is_nothing_and_goes_on_with_the_n
                 stream.happen(*happens)
                 await anyio.wait_all_tasks_blocked()
                 assert seen == expected
-            stream.happen(None)
+            stream.happen(END)
     assert set(stream.limits) == {1}, "what is taken beyond the first would be lost"
 
 
@@ -197,7 +226,7 @@ async def test_a_reader_waits_as_long_as_there_is_nothing_and_goes_on_with_the_n
 @pytest.mark.asyncio
 async def test_nothing_is_lost_if_the_wait_is_canceled(read: Read, late: bool) -> None:
     stream = OneEnd()
-    seen: list[FeedbackItem | GoalStatus | None] = []
+    seen: list[GoalUpdate | None] = []
 
     async def read_one() -> None:
         seen.append(await read(stream))
@@ -284,7 +313,7 @@ async def test_a_goal_is_offered_by_sending_it_unless_an_endpoint_knows_better(
 @pytest.mark.asyncio
 async def test_who_sends_a_goal_is_no_affair_of_an_endpoint_that_does_not_ask() -> None:
     endpoint = OneGoal(OneEnd())
-    offered = endpoint.offer_goal(KNOWN, b"goal", client="the arm")
+    offered = endpoint.offer_goal(KNOWN, b"goal", sender=Sender("the arm"))
     assert not isinstance(offered, GoalStream)
     with anyio.fail_after(5):
         await offered
@@ -324,8 +353,8 @@ def test_feedback_has_a_number_and_a_payload() -> None:
 @pytest.mark.parametrize(
     ("interface", "to_write"),
     [
-        (GoalStream, {"status", "dropped", "take", "ended", "hold", "close"}),
-        (StatusStream, {"dropped", "receive", "close"}),
+        (GoalStream, {"status", "dropped", "take", "known_outcome", "hold", "close", "fail"}),
+        (StatusStream, {"dropped", "receive", "close", "fail"}),
         (
             Endpoint,
             {"info", "send_goal", "feedback", "cancel_goals", "status", "wait_for_server"},
@@ -348,7 +377,7 @@ def test_everything_that_the_author_of_a_transport_reads_has_a_docstring() -> No
         for name, value in vars(abc).items()
         if inspect.isclass(value) and value.__module__ == abc.__name__ and name[0] != "_"
     ]
-    assert len(interfaces) == 6
+    assert len(interfaces) == 5
     for interface in interfaces:
         assert inspect.getdoc(interface)
         for name, member in vars(interface).items():
@@ -366,6 +395,9 @@ class SomeGoals(StatusStream):
     @property
     def dropped(self) -> int:
         return 0
+
+    def fail(self, error: ActionError) -> None:
+        raise NotImplementedError
 
     async def receive(self) -> GoalInfo | None:
         return self._infos.popleft() if self._infos else None

@@ -10,6 +10,7 @@ import pytest
 
 from fibaction import (
     ActionClient,
+    ActionError,
     ActionInfo,
     ActionServer,
     CancelAnswer,
@@ -31,7 +32,8 @@ from fibaction import (
     UnknownGoal,
 )
 from fibaction._notify import Notifier
-from fibaction.abc import FeedbackItem, GoalStream, StatusStream
+from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate, StatusStream
+from fibaction.goals import UNKNOWN_SENDER, Sender
 from fibaction.testing import ScriptedServer
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 
@@ -44,7 +46,8 @@ class BrokenStream(GoalStream):
     goal_id = GoalID(bytes(15) + b"\x01")
     stamp = 7
     latest = False
-    place = 0
+    cursor = 0
+    reads = True
     status = GoalStatus.EXECUTING
     dropped = 0
 
@@ -55,12 +58,12 @@ class BrokenStream(GoalStream):
         self.held: list[bool] = []
         self.news = Notifier()
 
-    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
+    def take(self, limit: int = 1) -> list[GoalUpdate]:
         if self.nonsense:
             return [FeedbackItem(1, b"\xc0")]
         raise ConnectionLost("the line is dead")
 
-    def ended(self) -> Outcome[bytes] | None:
+    def known_outcome(self) -> Outcome[bytes] | None:
         if self.nonsense:
             return Outcome(GoalStatus.SUCCEEDED, b"\xc0")
         if self.unknown:
@@ -72,6 +75,9 @@ class BrokenStream(GoalStream):
 
     def close(self) -> None:
         self.closed += 1
+
+    def fail(self, error: ActionError) -> None:
+        raise NotImplementedError
 
 
 class Broken(Endpoint):
@@ -88,7 +94,14 @@ class Broken(Endpoint):
     def info(self) -> ActionInfo:
         return FIBONACCI.info
 
-    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> GoalStream:
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+    ) -> GoalStream:
         if self.sending is not None:
             self.sending.set()
             await anyio.sleep_forever()
@@ -287,6 +300,9 @@ async def test_a_list_of_goals_ends_where_the_server_does() -> None:
             self.items = [GoalInfo(GoalID(bytes(range(16))), 7, GoalStatus.EXECUTING)]
             self.closed = False
 
+        def fail(self, error: ActionError) -> None:
+            raise NotImplementedError
+
         async def receive(self) -> GoalInfo | None:
             return self.items.pop() if self.items else None
 
@@ -355,7 +371,7 @@ async def test_leaving_a_goal_that_refuses_or_is_unknown_does_not_raise(
 
     hold = anyio.Event()
     server = ScriptedServer(FIBONACCI, [hold, Result([])])
-    server._on_cancel = refuse
+    server._admission._on_cancel = refuse
     async with server:
         async with client_of(server).send_goal(Goal(1)):
             pass

@@ -27,6 +27,7 @@ import fibaction
 import fibaction._notify
 import fibaction.abc
 import fibaction.action_files
+import fibaction.json_payload
 import fibaction.testing
 import fibaction.wire.auth
 import fibaction.wire.channel
@@ -332,7 +333,7 @@ def test_the_protocol_page_says_the_version_and_the_longest_frame() -> None:
     page = (DOCS / "protocol.md").read_text(encoding="utf-8")
 
     assert f", version {messages.VERSION}.\n" in page
-    assert f"\nA side that does not say takes {MAX_FRAME // 2**20} MiB.\n" in page
+    assert f"\nA side that does not send this field accepts {MAX_FRAME // 2**20} MiB.\n" in page
 
 
 # What the pages speak of
@@ -377,6 +378,7 @@ def resolve(dotted: str) -> object:
     [
         (fibaction, "connect"),
         (fibaction.action_files, "load_action"),
+        (fibaction.json_payload, "JsonCodec"),
         (fibaction.abc, "GoalStream"),
         (fibaction.testing, "Step"),
         (fibaction._notify, "Notifier"),

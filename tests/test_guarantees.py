@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Callable
 
 import pytest
 
 from tests.promises import (
     CONTRACT,
+    LISTS,
     PAGE,
+    PAGE_OF_TESTS,
     ROOT,
     Promise,
     Proof,
     all_proofs,
     faults,
+    headings_of,
     left_out_over_ros,
+    lists_of_tests,
     promises_of,
     proofs_in,
-    with_tests,
 )
 
 OVER_ROS = (ROOT / "tests/ros2/test_contract.py").read_text(encoding="utf-8")
@@ -64,10 +68,32 @@ def test_every_row_of_the_page_is_a_promise() -> None:
     assert len(rows) == len(promises_of(page))
 
 
-def test_the_page_names_the_tests(proofs: list[Proof]) -> None:
+def test_every_section_links_to_its_tests() -> None:
     page = PAGE.read_text(encoding="utf-8")
 
-    assert page == with_tests(page, proofs), "write them: python -m tests.promises"
+    links = re.findall(r"\(guarantee_tests\.md#([\w-]+)\)", page)
+
+    slugs = [heading.lower().replace(" ", "-") for heading in headings_of(page).values()]
+    assert links == slugs
+
+
+def test_the_page_of_tests_includes_the_list_of_each_section() -> None:
+    folder = LISTS.relative_to(ROOT).as_posix()
+    parts = [
+        f'## {heading}\n\n--8<-- "{folder}/{group}.md"\n'
+        for group, heading in headings_of(PAGE.read_text(encoding="utf-8")).items()
+    ]
+
+    assert PAGE_OF_TESTS.read_text(encoding="utf-8").endswith("\n".join(parts))
+
+
+def test_every_test_of_a_promise_is_in_a_list(proofs: list[Proof]) -> None:
+    lists = lists_of_tests(promises_of(PAGE.read_text(encoding="utf-8")), proofs)
+
+    listed = re.findall(r"^- `(\w+)` in (.+)$", "\n".join(lists.values()), re.MULTILINE)
+    assert sorted(listed) == sorted(
+        (proof.test, proof.file) for proof in proofs for _ in proof.promises
+    )
 
 
 def test_every_module_of_the_contract_is_looked_at(proofs: list[Proof]) -> None:
@@ -225,33 +251,34 @@ def test_what_is_left_out_over_ros_is_read_with_its_reasons() -> None:
         left_out_over_ros("A = 1")
 
 
-PARTS = """\
-| <nobr id="goal-1">GOAL-1</nobr> | It ends. | Yes |
+SECTIONS = """\
+## The goal
 
-<!-- tests of GOAL: made by tests/promises.py -->
-| <nobr id="goal-9">GOAL-9</nobr> | It is old. | Yes |
-- `test_old`
-<!-- end of tests -->
+| <nobr id="goal-1">GOAL-1</nobr> | It ends. | Yes |
+| <nobr id="goal-2">GOAL-2</nobr> | It ends once. | Yes: by a rule of ROS |
+
+## The end
+
+| <nobr id="stop-1">STOP-1</nobr> | It stops. | Yes |
 """
 
 
-def test_the_tests_of_a_promise_are_written_below_it() -> None:
-    page = with_tests(PARTS, SHOWN)
-
-    assert promises_of(page) == promises_of(PARTS) == [ONE]
-    assert (
-        "- GOAL-1\n"
-        "    - `test_it_ends` in tests/contract/test_it.py\n"
-        "    - `test_it_ends_once` in tests/contract/test_it.py\n"
-    ) in page
-    assert "old" not in page
-    assert with_tests(page, SHOWN) == page
+def test_each_group_of_promises_has_the_heading_of_its_section() -> None:
+    assert promises_of(SECTIONS)[:2] == [ONE, TWO]
+    assert headings_of(SECTIONS) == {"GOAL": "The goal", "STOP": "The end"}
 
 
-@pytest.mark.parametrize(
-    "page",
-    [PARTS.replace("tests of GOAL", "tests of STOP"), PARTS.partition("<!--")[0], PARTS + PARTS],
-)
-def test_a_page_without_a_place_for_the_tests_is_refused(page: str) -> None:
-    with pytest.raises(ValueError, match="one list of tests"):
-        with_tests(page, SHOWN)
+def test_a_list_has_each_promise_with_its_tests() -> None:
+    stop = Promise("STOP-1", "It stops.", "Yes", "stop-1")
+
+    assert lists_of_tests([ONE, TWO, stop], SHOWN) == {
+        "GOAL": (
+            "### GOAL-1\n\nIt ends.\n\n"
+            "- `test_it_ends` in tests/contract/test_it.py\n"
+            "- `test_it_ends_once` in tests/contract/test_it.py\n"
+            "\n"
+            "### GOAL-2\n\nIt ends once.\n\n"
+            "- `test_it_ends_once` in tests/contract/test_it.py\n"
+        ),
+        "STOP": "### STOP-1\n\nIt stops.\n\n",
+    }

@@ -1,15 +1,35 @@
 """The feedback and the end of one goal, for any number of followers.
 
-A `FeedbackLog` numbers a goal's feedback and remembers the last of it, once for all its
-followers; each follower is a `FeedbackCursor`, a position in the log. So a slow follower costs no
-memory, and only the stream that sent the goal can make the executor wait. This module knows nothing
-of executors or of the rules on statuses.
+Theory of operation
+-------------------
+
+A goal has one `FeedbackLog`. It numbers the feedback (1, 2, 3 and so on), remembers the last
+`window` messages once for all followers, and knows the statuses that the goal has had and its
+outcome. Each follower has a `FeedbackCursor`: the number of the message that it took last, and how
+many of the statuses it was told. So a follower that does not read costs no memory, and when the log
+has pushed out a message that a cursor has yet to take, the cursor counts it as dropped.
+
+Nothing is copied to followers. `append`, `tell_status` and `finish` notify the cursors, and each
+reader then calls `take`, which gives what comes next: first the statuses that it was not told, then
+feedback, and when no feedback is left and the goal has ended, the outcome.
+
+Back-pressure: only a cursor that *holds* makes the executor wait, and only the stream of the
+client that sent the goal may hold. The log is full when the slowest holding cursor is a window
+behind; that position is computed when a cursor moves (`make_room`) and not at each feedback, since
+feedback is more frequent. A cursor that was not read for the stall timeout stalls: it holds no
+longer, until it has caught up.
+
+A log refers strongly to the cursors that read feedback, and weakly to those that only wait for the
+end. A goal whose feedback nobody reads any more keeps no cursor alive.
+
+This module knows no executors and no rules on statuses.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from itertools import islice
 from typing import TYPE_CHECKING
 from weakref import ref
@@ -17,12 +37,13 @@ from weakref import ref
 import anyio
 
 from fibaction._notify import Notifier
-from fibaction.abc import FeedbackItem, GoalStream
+from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
+from fibaction.exceptions import ActionError, copy_of
 from fibaction.states import GoalStatus
 
 if TYPE_CHECKING:
     from fibaction.goals import Outcome
-    from fibaction.server.registry import Goal
+    from fibaction.server.goal_record import GoalRecord
 
 
 _NOTHING: deque[FeedbackItem] = deque(maxlen=0)
@@ -33,7 +54,6 @@ class FeedbackLog:
 
     __slots__ = (
         "__weakref__",
-        "_ended",
         "_full_at",
         "_items",
         "_others",
@@ -45,55 +65,55 @@ class FeedbackLog:
         "statuses",
     )
 
-    def __init__(self, goal: Goal, *, window: int = 1, latest: bool = False) -> None:
+    def __init__(self, goal: GoalRecord, *, window: int = 1, latest: bool = False) -> None:
         self.goal = goal
         self.latest = latest
-        """Whether a reader who is late wants the newest only."""
+        """True if a slow reader gets the newest feedback only."""
         # Tuples, because most of them have one item or none, and a list is twice as large.
         self.statuses: tuple[GoalStatus, ...] = ()
         """The statuses that the goal has had since its acceptance."""
         self._window = window
         self._items: deque[FeedbackItem] = _NOTHING
         self._readers: tuple[FeedbackCursor, ...] = ()
-        self._others: tuple[ref[FeedbackCursor], ...] = ()  # they want to know of the end only
+        self._others: tuple[ref[FeedbackCursor], ...] = ()  # they wait for the end only
         self._full_at: float = math.inf
         self._room: Notifier | None = None
-        self._ended = Notifier()
 
     @property
     def count(self) -> int:
-        """How many feedback messages there have been; the number of the last one."""
+        """The number of feedback messages so far, which is the number of the last one."""
         return self.goal.feedback_count
 
     @property
     def is_followed(self) -> bool:
-        """Whether anybody reads the feedback."""
+        """True if any cursor reads the feedback."""
         return bool(self._readers)
 
     def append(self, payload: bytes) -> None:
-        """Add feedback. If the log is full, that pushes out the oldest."""
+        """Add feedback. In a full log it pushes out the oldest."""
         number = self.goal.feedback_count = self.goal.feedback_count + 1
         if self._items is _NOTHING:  # a deque is a tenth of what a goal without feedback takes
             self._items = deque(maxlen=self._window)
         self._items.append(FeedbackItem(number, payload))
-        for stream in self._readers:
-            stream.news.notify()
+        for cursor in self._readers:
+            cursor.news.notify()
 
     def tell_status(self) -> None:
-        """The goal has another status."""
+        """Tell the followers the goal's status, which has changed."""
         self.statuses += (self.goal.status,)
-        for stream in self._readers:
-            stream.news.notify()
+        for cursor in self._readers:
+            cursor.news.notify()
 
     @property
     def is_full(self) -> bool:
-        """Whether more feedback would push out some that the goal's own client has yet to read."""
+        """True if more feedback would push out some that the goal's own client has yet to read."""
         return self.goal.feedback_count >= self._full_at
 
     async def wait_for_room(self, seconds: float) -> None:
         """Wait until the log is no longer full, for at most that long.
 
-        A stream that was not read by then no longer holds the executor up, until it has caught up.
+        A cursor that was not read by then no longer makes the executor wait, until it has caught
+        up.
         """
         if self._room is None:
             self._room = Notifier()
@@ -101,113 +121,107 @@ class FeedbackLog:
             while self.is_full:
                 await self._room.wait()
             return
-        for stream in self._readers:
-            if self.count - stream.place >= self._window:
-                stream.stall()
+        for cursor in self._readers:
+            if self.count - cursor.cursor >= self._window:
+                cursor.stall()
 
     def finish(self) -> None:
-        """The goal has its outcome: wake all who wait for that, or for more feedback."""
-        for stream in self._readers:
-            stream.news.notify()
+        """Notify all followers: the goal has its outcome."""
+        for cursor in self._readers:
+            cursor.news.notify()
         for other in self._others:
             if (left := other()) is not None:
                 left.news.notify()
-        self._ended.notify()
-
-    async def outcome(self) -> Outcome[bytes]:
-        """Wait for the end of the goal."""
-        while self.goal.outcome is None:
-            await self._ended.wait()
-        return self.goal.outcome
 
     def follow(
         self, *, feedback: bool = True, hold: bool = False, after: int | None = None
     ) -> FeedbackCursor:
-        """A new stream: from now on, or from what follows the feedback of number `after`."""
-        place = self.count if after is None else min(max(after, 0), self.count)
-        stream = FeedbackCursor(self, place, feedback=feedback, hold=hold and not self.latest)
+        """Return a new cursor: at the end of the log, or behind the feedback of number `after`."""
+        start = self.count if after is None else min(max(after, 0), self.count)
+        cursor = FeedbackCursor(self, start, feedback=feedback, hold=hold and not self.latest)
         if feedback:
-            self._readers += (stream,)
+            self._readers += (cursor,)
             self.make_room()
         else:
-            self._remember(stream)
-        return stream
+            self._remember(cursor)
+        return cursor
 
-    def leave(self, stream: FeedbackCursor) -> None:
-        """The stream reads no more."""
-        if stream in self._readers:
-            self._readers = tuple(one for one in self._readers if one is not stream)
-            self._remember(stream)
+    def leave(self, cursor: FeedbackCursor) -> None:
+        """Let the cursor wait for the end only."""
+        if cursor in self._readers:
+            self._readers = tuple(one for one in self._readers if one is not cursor)
+            self._remember(cursor)
             self.make_room()
 
-    def _remember(self, stream: FeedbackCursor) -> None:
+    def _remember(self, cursor: FeedbackCursor) -> None:
         if self.goal.outcome is None:
             alive = (other for other in self._others if other() is not None)
-            self._others = (*alive, ref(stream))
+            self._others = (*alive, ref(cursor))
 
     def make_room(self) -> None:
-        """Something was read, or is to be waited for no longer: see how much more has room now."""
-        # Here, because it is looked at after each feedback, and changes more rarely.
-        places = [stream.place for stream in self._readers if stream.holding]
-        self._full_at = min(places) + self._window if places else math.inf
+        """Compute anew at which feedback the log is full, since a cursor has moved or left."""
+        starts = [cursor.cursor for cursor in self._readers if cursor.holding]
+        self._full_at = min(starts) + self._window if starts else math.inf
         if self._room is not None:
             self._room.notify()
 
-    def has_after(self, place: int) -> bool:
-        """Whether there still is feedback to read from that place on."""
-        return place < self.count and bool(self._items)
+    def has_after(self, cursor: int) -> bool:
+        """Return whether there still is feedback behind that number."""
+        return cursor < self.count and bool(self._items)
 
-    def after(self, place: int, limit: int) -> list[FeedbackItem]:
-        """What to read from that place on, at most so much: the feedback that there still is, or,
-        if only the latest is wanted, the last.
+    def after(self, cursor: int, limit: int) -> list[FeedbackItem]:
+        """Return the feedback behind that number that is still there, at most `limit` messages; if
+        only the latest is wanted, the last.
         """
-        if limit < 1 or not self.has_after(place):
+        if limit < 1 or not self.has_after(cursor):
             return []
         if self.latest:
             return [self._items[-1]]
-        start = max(0, place - self._items[0].number + 1)
+        start = max(0, cursor - self._items[0].number + 1)
         if limit == 1:
             return [self._items[start]]
         return list(islice(self._items, start, start + limit))
 
 
 class FeedbackCursor(GoalStream):
-    """One follower's place in a goal's log."""
+    """One follower's position in a goal's log."""
 
     __slots__ = (
         "__weakref__",
         "_dropped",
+        "_error",
         "_follows",
         "_log",
         "_may_hold",
-        "_reads",
         "_stalled",
         "_statuses_told",
         "_wanted",
+        "cursor",
         "goal_id",
         "holding",
         "latest",
         "news",
-        "place",
+        "reads",
         "stamp",
     )
 
-    def __init__(self, log: FeedbackLog, place: int, *, feedback: bool, hold: bool) -> None:
+    def __init__(self, log: FeedbackLog, start: int, *, feedback: bool, hold: bool) -> None:
         self.goal_id = log.goal.goal_id
         self.stamp = log.goal.stamp
         self.latest = log.latest
-        self.place = place
-        """The number of the feedback that was read last, or skipped."""
+        self.cursor = start
+        self.reads = feedback
         self.holding = hold
-        """Whether the executor waits for this stream."""
+        """True if the executor waits for this cursor."""
         self.news = Notifier()
         self._log = log
-        self._follows = self._reads = feedback
+        self._follows = feedback
         self._may_hold = hold
         self._wanted = True
         self._stalled = False
         self._dropped = 0
         self._statuses_told = len(log.statuses)
+        self._error: ActionError | None = None
 
     @property
     def status(self) -> GoalStatus:
@@ -217,48 +231,50 @@ class FeedbackCursor(GoalStream):
     def dropped(self) -> int:
         return self._dropped
 
-    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
-        log = self._log
-        if not self._reads:
-            if log.goal.outcome is not None:
-                self._skip_rest()
-            return None
-        while self._statuses_told < len(log.statuses):
-            status = log.statuses[self._statuses_told]
-            self._statuses_told += 1
-            if status.is_active:
-                return status
-        items = log.after(self.place, limit)
-        if items:
-            self._took(items)
-        elif log.goal.outcome is not None and not log.has_after(self.place):
-            self._skip_rest()
-            return None
-        return items
+    def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
+        log, outcome = self._log, self._log.goal.outcome
+        if self._error is not None and outcome is None:
+            raise copy_of(self._error)
+        if self.reads:
+            while self._statuses_told < len(log.statuses):
+                status = log.statuses[self._statuses_told]
+                self._statuses_told += 1
+                if status.is_active:
+                    return (status,)
+            items = log.after(self.cursor, limit)
+            if items:
+                self._took(items)
+                return items
+            if log.has_after(self.cursor):
+                return ()
+        if outcome is None:
+            return ()
+        self._skip_rest()
+        return (outcome,)
 
     def _skip_rest(self) -> None:
-        """What was not read is missed, if it was ever wanted."""
+        """Count what was not read as dropped, if it was ever wanted."""
         if self._follows:
-            self._dropped += self._log.count - self.place
-            self.place = self._log.count
+            self._dropped += self._log.count - self.cursor
+            self.cursor = self._log.count
 
     def _took(self, items: list[FeedbackItem]) -> None:
-        place = items[-1].number
-        self._dropped += place - self.place - len(items)
-        self.place = place
-        if self._stalled and place == self._log.count:
+        last = items[-1].number
+        self._dropped += last - self.cursor - len(items)
+        self.cursor = last
+        if self._stalled and last == self._log.count:
             self._stalled = False
             self._update()
         self._log.make_room()
 
-    def ended(self) -> Outcome[bytes] | None:
-        return self._log.goal.outcome
+    def known_outcome(self) -> Outcome[bytes] | None:
+        outcome = self._log.goal.outcome
+        if self._error is not None and outcome is None:
+            raise copy_of(self._error)
+        return outcome
 
-    async def outcome(self) -> Outcome[bytes]:
-        return await self._log.outcome()
-
-    def rewind(self, after: int) -> None:
-        self.place = min(max(after, 0), self.place)
+    def seek(self, cursor: int) -> None:
+        self.cursor = min(max(cursor, 0), self._log.count)
         self._log.make_room()
 
     def hold(self, wanted: bool) -> None:
@@ -266,12 +282,17 @@ class FeedbackCursor(GoalStream):
         self._update()
 
     def stall(self) -> None:
-        """It was not read for too long."""
+        """Stop making the executor wait, until all feedback has been read."""
         self._stalled = True
         self._update()
 
     def close(self) -> None:
-        self._reads = False
+        self.reads = False
+        self.news.notify()
+        self._log.leave(self)
+
+    def fail(self, error: ActionError) -> None:
+        self._error = error
         self.news.notify()
         self._log.leave(self)
 

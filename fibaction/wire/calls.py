@@ -8,23 +8,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 from fibaction._notify import Notifier
-from fibaction.abc import FeedbackItem, GoalStream, StatusStream
-from fibaction.exceptions import (
-    ActionError,
-    AuthenticationFailed,
-    ConnectionLost,
-    GoalRejected,
-    ProtocolError,
-    ServerNotFound,
-    TransportError,
-    UnknownGoal,
-)
+from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate, StatusStream
+from fibaction.exceptions import ActionError, ProtocolError
 from fibaction.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
+from fibaction.wire.errors import copied, error_of
 from fibaction.wire.messages import (
     Close,
     Credit,
@@ -98,7 +90,7 @@ class Call(ABC):
     def raise_error(self) -> None:
         """Raise what it failed with, if it has; each time a new one, as it may be raised often."""
         if self.error is not None:
-            raise _again(self.error)
+            raise copied(self.error)
 
 
 class PendingRequest(Call):
@@ -114,7 +106,8 @@ class PendingRequest(Call):
 
     def on_message(self, message: Any) -> bool:
         if isinstance(message, Failed):
-            self.fail(error_of(message))
+            goal_id = getattr(self._message, "goal_id", None)
+            self.fail(error_of(message, GoalID(goal_id) if goal_id else None))
         else:
             self._answer = message
             self._is_answered = True
@@ -179,7 +172,7 @@ class RemoteGoal(Call, GoalStream):
         self.goal_id = goal_id
         self.stamp = 0
         self.latest = False
-        self.place = 0
+        self.cursor = 0
         self._opening = opening
         self._window = window
         self._post = post
@@ -193,7 +186,7 @@ class RemoteGoal(Call, GoalStream):
         self._credit = _Credits(opening.id, window, post)
         self._own = isinstance(opening, SendGoal) or opening.own
         self._holds = self._own  # an observer slows nobody down, here neither
-        self._reads = opening.credit is not None
+        self.reads = opening.credit is not None
 
     @property
     def status(self) -> GoalStatus:
@@ -201,7 +194,7 @@ class RemoteGoal(Call, GoalStream):
 
     @property
     def dropped(self) -> int:
-        return self.place - self._start - self._delivered
+        return self.cursor - self._start - self._delivered
 
     @property
     def is_own(self) -> bool:
@@ -216,30 +209,29 @@ class RemoteGoal(Call, GoalStream):
         if self._is_answered and not self._own and self._outcome is None and self.error is None:
             self._post(self.giving_up())
 
-    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
-        if not self._reads:
-            return None
+    def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
         if self._statuses:
-            return self._statuses.popleft()
+            return (self._statuses.popleft(),)
         waiting = self._items
         if not waiting:
-            if self._outcome is not None:
-                self.place = self._last
-                return None
-            self.raise_error()
-            return []
+            if self._outcome is None:
+                self.raise_error()
+                return ()
+            if self.reads:
+                self.cursor = self._last
+            return (self._outcome,)
         if limit == 1:  # what a reader asks for, message by message
             items = [waiting.popleft()]
         else:
             items = [waiting.popleft() for _ in range(min(limit, len(waiting)))]
         if items:
-            self.place = items[-1].number
+            self.cursor = items[-1].number
             self._delivered += len(items)
             if self._outcome is None and not self.latest:
                 self._credit.grant(len(items))
         return items
 
-    def ended(self) -> Outcome[bytes] | None:
+    def known_outcome(self) -> Outcome[bytes] | None:
         if self._outcome is None:
             self.raise_error()
         return self._outcome
@@ -249,8 +241,8 @@ class RemoteGoal(Call, GoalStream):
         self._make_room()
 
     def close(self) -> None:
-        if self._reads:
-            self._reads = False
+        if self.reads:
+            self.reads = False
             self._items.clear()
             self._statuses.clear()
             self.news.notify()
@@ -261,7 +253,7 @@ class RemoteGoal(Call, GoalStream):
         allowed = self._credit.restart(0 if self.latest else len(self._items))
         if not self._is_answered:
             return self._opening
-        credit = allowed if self._reads else None
+        credit = allowed if self.reads else None
         return Follow(self.id, self._opening.action, self.goal_id, self._last, self._own, credit)
 
     def on_message(self, message: Any) -> bool:
@@ -299,14 +291,14 @@ class RemoteGoal(Call, GoalStream):
             self._is_answered = True
             self._status = message.status
             self.stamp, self.latest = message.stamp, message.latest
-            self.place = self._start = self._last = message.place
+            self.cursor = self._start = self._last = message.place
 
     def _take_status(self, status: GoalStatus) -> None:
         # Statuses only ever grow. On a new connection the server says first what it is by now, and
         # may then tell what the last connection has not.
         if status > self._status:
             self._status = status
-            if self._reads and status.is_active:
+            if self.reads and status.is_active:
                 self._statuses.append(status)
 
     def _take_feedback(self, message: Feedback) -> None:
@@ -314,7 +306,7 @@ class RemoteGoal(Call, GoalStream):
             raise ProtocolError(f"feedback {message.number} came after {self._last}")
         self._credit.spend()
         self._last = message.number
-        if self._reads:
+        if self.reads:
             if self.latest:
                 self._items.clear()
                 self._credit.grant()
@@ -424,29 +416,6 @@ class RemoteStatuses(Call, StatusStream):
             raise _unfitting(message)
         self.news.notify()
         return isinstance(message, Finished | Failed)
-
-
-def error_of(message: Failed | Rejected, goal_id: GoalID | None = None) -> ActionError:
-    """What to raise for a refusal."""
-    if isinstance(message, Rejected):
-        return GoalRejected(message.reason, goal_id=goal_id)
-    if message.why == Why.UNKNOWN_GOAL and goal_id is not None:
-        return UnknownGoal(goal_id)
-    errors: dict[int, type[ActionError]] = {
-        Why.SERVER_NOT_FOUND: ServerNotFound,
-        Why.FORBIDDEN: AuthenticationFailed,
-        Why.LIMIT: TransportError,
-        Why.PROTOCOL: ProtocolError,
-    }
-    return errors.get(message.why, ConnectionLost)(message.text)
-
-
-def _again(error: ActionError) -> ActionError:
-    if isinstance(error, GoalRejected):
-        return GoalRejected(error.reason, goal_id=error.goal_id)
-    if isinstance(error, UnknownGoal):
-        return UnknownGoal(error.goal_id)
-    return type(error)(str(error))
 
 
 def _unfitting(message: object) -> ProtocolError:

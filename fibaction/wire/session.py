@@ -23,13 +23,16 @@ from fibaction.exceptions import (
     AuthenticationFailed,
     ConnectionLost,
     GoalRejected,
+    LimitReached,
     ProtocolError,
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.goals import GoalID
+from fibaction.goals import UNKNOWN_SENDER, GoalID, Sender
+from fibaction.server.goal_record import digest_of
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
 from fibaction.wire.channel import CHUNK
+from fibaction.wire.errors import failed, failure_of, fitting, goodbye_of
 from fibaction.wire.framing import MAX_FRAME
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
@@ -57,9 +60,6 @@ from fibaction.wire.subscriptions import (
     GoalSubscription,
     RequestSubscription,
     Subscription,
-    failure,
-    fit,
-    refusal,
 )
 
 logger = logging.getLogger("fibaction.wire")
@@ -103,6 +103,7 @@ class Session:
         self._peer: Peer | None = None
         self.session = b""
         """What the client calls itself on each of its connections, one after another: a secret."""
+        self._sender = UNKNOWN_SENDER
         self._max_frame = MAX_FRAME
         self._left = False
         self._waiting: dict[int, RequestSubscription] = {}
@@ -120,8 +121,8 @@ class Session:
             async with Background() as self._tasks:
                 self._tasks.start_soon(self._expect_hello)
                 error = await self._link.run(self._handle, self._collect)
-                if isinstance(error, ProtocolError | AuthenticationFailed):
-                    await self._link.say_last(encode(_goodbye(error)))
+                if isinstance(error, ProtocolError | AuthenticationFailed | LimitReached):
+                    await self._link.say_last(encode(goodbye_of(error)))
                 return error
         finally:
             self._release()
@@ -151,7 +152,8 @@ class Session:
         handshake = self._terms.limits.handshake
         await sleep(handshake)
         if self._peer is None:
-            self._link.end(_TooLate(f"it has not said hello within {handshake:g} s"))
+            # The line may have been held up, so the client may try again.
+            self._link.end(LimitReached(f"it has not said hello within {handshake:g} s"))
 
     # What arrives
 
@@ -204,6 +206,8 @@ class Session:
             # Or what was under way on the one before could come late, and run a goal once more.
             self._supersede(message.session)
         self.session = message.session
+        owner = digest_of(message.session) if message.session else b""
+        self._sender = Sender(self.client, owner)
         self._max_frame = message.max_frame
         self._link.peer_heartbeat = message.heartbeat
         welcome = Welcome(VERSION, self._terms.heartbeat, self._terms.limits.frame)
@@ -260,10 +264,10 @@ class Session:
         if ended is not None:
             # It is sent again, because the answer was lost. Its server may have forgotten it by
             # now, and must not run it twice.
-            ended.rewind(0)
+            ended.seek(0)
             self._begin_stream(subscription, endpoint, ended, own=True)
             return
-        offered = endpoint.offer_goal(goal_id, message.goal, feedback=feedback, client=self.client)
+        offered = endpoint.offer_goal(goal_id, message.goal, feedback=feedback, sender=self._sender)
         if isinstance(offered, GoalStream):
             self._begin_stream(subscription, endpoint, offered, own=True, goal=message.goal)
         else:
@@ -300,10 +304,7 @@ class Session:
                 if stream is None:
                     raise
                 if message.after is not None:
-                    stream.rewind(message.after)
-                    # Of a goal that was sent twice, the other call may have had less of it.
-                    while (missing := message.after - stream.place) > 0 and stream.take(missing):
-                        pass
+                    stream.seek(message.after)
             self._begin_stream(subscription, endpoint, stream, own=own)
 
     def _ended(self, goal_id: GoalID, goal: bytes | None = None) -> GoalStream | None:
@@ -397,15 +398,16 @@ class Session:
             self._refuse(message, exc)
 
     def _refuse(self, message: SendGoal | Follow | Request, exc: BaseException) -> None:
-        if not isinstance(exc, ActionError):
-            # An endpoint or a callback of somebody else's: that is its fault, and one client's.
+        is_goal = isinstance(message, SendGoal | Follow)
+        if not isinstance(exc, ActionError) or (isinstance(exc, GoalRejected) and not is_goal):
+            # A bug of an endpoint or a callback. It concerns this client only.
             what = type(message).__name__
             logger.error("%s: its %s failed", self._link.peer, what, exc_info=exc)
-            exc = failure(exc)
+            exc = failure_of(exc)
         if message.id in self._goals:
             self._end(self._goals[message.id])
         if self._link.is_open:
-            self._link.post(refusal(message.id, exc, self._max_frame))
+            self._link.post(failed(message.id, exc, self._max_frame))
 
     async def _endpoint(self, action: str, verb: Permission) -> Endpoint:
         assert self._peer is not None
@@ -431,15 +433,4 @@ class Session:
         return endpoint
 
     async def _say(self, answer: Answer) -> None:
-        await self._link.send(fit(answer.id, encode(answer), self._max_frame))
-
-
-class _TooLate(ProtocolError):
-    """It may be the line that was held up, so the client may try again."""
-
-
-def _goodbye(error: ActionError) -> Goodbye:
-    if isinstance(error, AuthenticationFailed):
-        return Goodbye(str(error), Why.FORBIDDEN)
-    why = Why.LIMIT if isinstance(error, _TooLate) else Why.PROTOCOL
-    return Goodbye(f"the server has closed the connection: {error}", why)
+        await self._link.send(fitting(answer.id, encode(answer), self._max_frame))

@@ -3,7 +3,7 @@ from __future__ import annotations
 import gc
 import math
 import weakref
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from functools import partial
 
 import anyio
@@ -11,10 +11,11 @@ import pytest
 import trio.testing
 from hypothesis import given, strategies
 
-from fibaction.abc import FeedbackItem, GoalStream
-from fibaction.goals import GoalID, Outcome
+from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
+from fibaction.exceptions import ConnectionLost
+from fibaction.goals import UNKNOWN_SENDER, GoalID, Outcome
 from fibaction.server.feedback_log import FeedbackCursor, FeedbackLog
-from fibaction.server.registry import Goal
+from fibaction.server.goal_record import GoalRecord
 from fibaction.states import GoalStatus
 
 GOAL_ID = GoalID(bytes(range(16)))
@@ -22,7 +23,7 @@ OUTCOME = Outcome(GoalStatus.SUCCEEDED, b"done")
 
 
 def new_log(window: int = 1000, *, latest: bool = False) -> FeedbackLog:
-    return FeedbackLog(Goal(GOAL_ID, 0, 7), window=window, latest=latest)
+    return FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), window=window, latest=latest)
 
 
 def append(log: FeedbackLog, count: int) -> None:
@@ -180,7 +181,7 @@ async def test_with_latest_a_slow_follower_sees_the_newest() -> None:
 
 @pytest.mark.asyncio
 async def test_feedback_that_the_log_of_an_ended_goal_no_longer_has_counts_as_dropped() -> None:
-    goal = Goal(GOAL_ID, 0, 7)
+    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
     goal.feedback_count = 3
     goal.outcome = OUTCOME
     stream = FeedbackLog(goal).follow(after=1)
@@ -246,12 +247,12 @@ def test_what_a_closed_follower_has_not_read_is_missed_if_it_wanted_any(reads: b
     stream.take()
     stream.close()
     append(log, 1)
-    assert stream.take() is None
+    assert not stream.take()
     assert stream.dropped == 0  # it is told with the end
     end(log)
     for _ in range(2):
-        assert stream.take() is None
-        assert (stream.place, stream.dropped) == ((3, 2) if reads else (0, 0))
+        assert stream.take() == (OUTCOME,)
+        assert (stream.cursor, stream.dropped) == ((3, 2) if reads else (0, 0))
 
 
 def test_who_leaves_a_goal_that_has_ended_is_not_remembered() -> None:
@@ -297,7 +298,7 @@ def test_what_was_read_and_what_was_dropped_is_all_there_was(
         for step in steps:
             if step == "append":
                 append(log, 1)
-            elif stream.place < log.count:
+            elif stream.cursor < log.count:
                 item = await stream.receive()
                 assert item is not None
                 seen.append(item.number)
@@ -314,23 +315,22 @@ def test_what_was_read_and_what_was_dropped_is_all_there_was(
 # What is there already
 
 
-def numbers_of(taken: list[FeedbackItem] | GoalStatus | None) -> list[int]:
-    assert isinstance(taken, list)
-    return [item.number for item in taken]
+def numbers_of(taken: Sequence[GoalUpdate]) -> list[int]:
+    return [update.number for update in taken if isinstance(update, FeedbackItem)]
 
 
 def test_what_is_there_already_is_given_at_once_up_to_a_limit() -> None:
     log = new_log()
     stream = log.follow()
-    assert stream.take(10) == []
+    assert not stream.take(10)
     append(log, 6)
     assert stream.take() == [FeedbackItem(1, b"1")]
     assert numbers_of(stream.take(3)) == [2, 3, 4]
     assert numbers_of(stream.take(10)) == [5, 6]
-    assert stream.take(10) == []
+    assert not stream.take(10)
     append(log, 1)
-    assert stream.take(0) == []
-    assert stream.place == 6
+    assert not stream.take(0)
+    assert stream.cursor == 6
 
 
 def test_larger_pieces_count_what_was_dropped_and_make_room() -> None:
@@ -339,7 +339,7 @@ def test_larger_pieces_count_what_was_dropped_and_make_room() -> None:
     append(log, 10)
     assert log.is_full
     assert numbers_of(stream.take(2)) == [7, 8]
-    assert (stream.dropped, stream.place, log.is_full) == (6, 8, False)
+    assert (stream.dropped, stream.cursor, log.is_full) == (6, 8, False)
     assert numbers_of(stream.take(9)) == [9, 10]
     assert stream.dropped == 6
 
@@ -349,10 +349,10 @@ def test_with_latest_a_piece_is_the_newest_whatever_its_limit(limit: int) -> Non
     log = new_log(latest=True)
     stream = log.follow()
     append(log, 5)
-    assert stream.take(0) == []
+    assert not stream.take(0)
     assert numbers_of(stream.take(limit)) == [5]
     assert stream.dropped == 4
-    assert stream.take(limit) == []
+    assert not stream.take(limit)
 
 
 def test_no_feedback_is_taken_before_a_status_or_after_closing() -> None:
@@ -361,13 +361,13 @@ def test_no_feedback_is_taken_before_a_status_or_after_closing() -> None:
     append(log, 2)
     change(log, GoalStatus.EXECUTING)
     change(log, GoalStatus.CANCELING)
-    assert stream.take(10) is GoalStatus.EXECUTING
-    assert stream.place == 0
-    assert stream.take(10) is GoalStatus.CANCELING
+    assert stream.take(10) == (GoalStatus.EXECUTING,)
+    assert stream.cursor == 0
+    assert stream.take(10) == (GoalStatus.CANCELING,)
     assert numbers_of(stream.take(1)) == [1]
     stream.close()
-    assert stream.take(10) is None
-    assert stream.place == 1
+    assert not stream.take(10)
+    assert stream.cursor == 1
 
 
 def test_statuses_are_taken_also_by_one_who_wants_no_feedback_now() -> None:
@@ -375,12 +375,12 @@ def test_statuses_are_taken_also_by_one_who_wants_no_feedback_now() -> None:
     stream = log.follow()
     append(log, 1)
     change(log, GoalStatus.EXECUTING)
-    assert stream.take(0) is GoalStatus.EXECUTING
-    assert stream.take(0) == []
+    assert stream.take(0) == (GoalStatus.EXECUTING,)
+    assert not stream.take(0)
     assert numbers_of(stream.take(9)) == [1]
     end(log)
     # The last one is not a change to tell: it is the end.
-    assert stream.take(0) is None
+    assert stream.take(0) == (OUTCOME,)
 
 
 @pytest.mark.parametrize("latest", [False, True])
@@ -390,24 +390,24 @@ def test_a_goal_that_has_ended_has_no_end_for_one_who_has_feedback_left_to_take(
     log = new_log(latest=latest)
     stream = log.follow()
     append(log, 1)
-    assert stream.ended() is None
+    assert stream.known_outcome() is None
     end(log)
-    assert stream.take(0) == []
-    assert stream.ended() is OUTCOME
-    assert (stream.place, stream.dropped) == (0, 0)
+    assert not stream.take(0)
+    assert stream.known_outcome() is OUTCOME
+    assert (stream.cursor, stream.dropped) == (0, 0)
     assert numbers_of(stream.take(5)) == [1]
-    assert stream.take(5) is None
-    assert stream.take(0) is None
-    assert (stream.place, stream.dropped) == (1, 0)
+    assert stream.take(5) == (OUTCOME,)
+    assert stream.take(0) == (OUTCOME,)
+    assert (stream.cursor, stream.dropped) == (1, 0)
 
 
 def test_what_an_ended_goal_no_longer_has_counts_as_dropped_also_for_who_takes_nothing() -> None:
-    goal = Goal(GOAL_ID, 0, 7)
+    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
     goal.feedback_count = 3
     goal.outcome = OUTCOME
     stream = FeedbackLog(goal).follow(after=1)
-    assert stream.take(0) is None
-    assert (stream.place, stream.dropped) == (3, 2)
+    assert stream.take(0) == (OUTCOME,)
+    assert (stream.cursor, stream.dropped) == (3, 2)
 
 
 @given(
@@ -428,14 +428,14 @@ def test_pieces_of_any_size_are_in_order_and_leave_nothing_out_but_what_is_count
     def take(limit: int) -> bool:
         nonlocal told
         taken = stream.take(limit)
-        if isinstance(taken, GoalStatus):
+        if taken and isinstance(taken[0], GoalStatus):
             told += 1
         else:
             assert told == statuses
-            assert len(taken or []) <= limit
-            seen.extend(item.number for item in taken or [])
-            assert stream.place == len(seen) + stream.dropped
-        return taken is None
+            assert len(numbers_of(taken)) <= limit
+            seen.extend(numbers_of(taken))
+            assert stream.cursor == len(seen) + stream.dropped
+        return taken == (OUTCOME,)
 
     for step in steps:
         if step == "append":
@@ -489,7 +489,7 @@ def test_who_reads_no_feedback_is_told_of_the_end_and_of_nothing_else(reads: boo
     assert wakes == []
     end(log)
     assert len(wakes) == 1
-    assert stream.ended() is OUTCOME
+    assert stream.known_outcome() is OUTCOME
 
 
 @pytest.mark.asyncio
@@ -522,9 +522,16 @@ def test_a_log_keeps_alive_who_reads_it_and_nobody_else() -> None:
 async def events(stream: FeedbackCursor) -> list[int | str]:
     """The numbers of all feedback and the names of all statuses, up to the end of the stream."""
     seen: list[int | str] = []
-    while (event := await stream.next_event()) is not None:
-        seen.append(event.name if isinstance(event, GoalStatus) else event.number)
+    async for update in stream:
+        if isinstance(update, Outcome):
+            assert update is OUTCOME
+        else:
+            seen.append(update.name if isinstance(update, GoalStatus) else update.number)
     return seen
+
+
+async def next_update(stream: FeedbackCursor) -> GoalUpdate:
+    return await anext(aiter(stream))
 
 
 @pytest.mark.asyncio
@@ -548,7 +555,7 @@ async def test_a_follower_hears_of_each_status_until_the_end_and_of_all_feedback
             ):
                 await anyio.wait_all_tasks_blocked()
                 happens()
-        assert await stream.next_event() is None
+        assert await next_update(stream) is OUTCOME
     assert heard == ["EXECUTING", 1, 2, "CANCELING", 3]
 
 
@@ -582,16 +589,15 @@ async def test_a_follower_hears_of_no_status_before_it_came() -> None:
         lambda log, stream: change(log, GoalStatus.EXECUTING),
         lambda log, stream: append(log, 1),
         lambda log, stream: end(log),
-        lambda log, stream: stream.close(),
     ],
-    ids=["a status", "feedback", "the end", "closing"],
+    ids=["a status", "feedback", "the end"],
 )
 async def test_a_listener_waits_until_something_happens(
     happens: Callable[[FeedbackLog, FeedbackCursor], None],
 ) -> None:
     log = new_log()
     stream = log.follow()
-    await while_waiting(stream.next_event, lambda: happens(log, stream))
+    await while_waiting(lambda: next_update(stream), lambda: happens(log, stream))
 
 
 @pytest.mark.asyncio
@@ -602,12 +608,10 @@ async def test_feedback_that_is_not_asked_for_is_left_for_later() -> None:
     heard: list[GoalStatus] = []
 
     async def listen() -> None:
-        while stream.ended() is None:
+        while stream.known_outcome() is None:
             taken = stream.take(0)
-            if isinstance(taken, GoalStatus):
-                heard.append(taken)
-            else:
-                assert taken == []
+            heard.extend(update for update in taken if isinstance(update, GoalStatus))
+            if not taken:
                 await stream.news.wait()
 
     with anyio.fail_after(5):
@@ -630,10 +634,10 @@ async def test_feedback_that_is_not_asked_for_is_left_for_later() -> None:
 async def test_nothing_is_lost_if_the_wait_is_canceled(late: bool) -> None:
     log = new_log()
     stream = log.follow()
-    heard: list[GoalStatus | FeedbackItem | None] = []
+    heard: list[GoalUpdate] = []
 
     async def listen() -> None:
-        heard.append(await stream.next_event())
+        heard.append(await next_update(stream))
 
     with anyio.fail_after(5):
         async with anyio.create_task_group() as tasks:
@@ -645,28 +649,51 @@ async def test_nothing_is_lost_if_the_wait_is_canceled(late: bool) -> None:
             append(log, 1)
             if late:
                 tasks.cancel_scope.cancel()
-        heard += [await stream.next_event() for _ in range(2 - len(heard))]
+        heard += [await next_update(stream) for _ in range(2 - len(heard))]
     assert heard == [GoalStatus.EXECUTING, FeedbackItem(1, b"1")]
 
 
 @pytest.mark.asyncio
-async def test_a_follower_without_feedback_or_closed_hears_of_nothing() -> None:
+async def test_a_cursor_without_feedback_or_closed_gives_the_outcome_only() -> None:
     log = new_log()
-    without, closed, waiting = log.follow(feedback=False), log.follow(), log.follow()
-    closed.close()
+    cursors = [log.follow(feedback=False), log.follow(), log.follow()]
+    cursors[1].close()
 
-    async def nothing() -> None:
-        assert await waiting.next_event() is None
+    async def only_the_outcome() -> None:
+        for cursor in cursors:
+            assert await next_update(cursor) is OUTCOME
 
     def close_and_go_on() -> None:
-        waiting.close()
+        cursors[2].close()
         change(log, GoalStatus.EXECUTING)
         append(log, 1)
+        end(log)
 
-    await while_waiting(nothing, close_and_go_on)
-    with anyio.fail_after(5):
-        assert await without.next_event() is None
-        assert await closed.next_event() is None
+    await while_waiting(only_the_outcome, close_and_go_on)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("wait", [GoalStream.receive, GoalStream.outcome])
+async def test_a_cursor_that_has_failed_raises_its_error_anew_for_each_wait(
+    wait: Callable[[GoalStream], Awaitable[object]],
+) -> None:
+    log, error = new_log(), ConnectionLost("gone")
+    stream, ended = log.follow(hold=True), log.follow()
+    raised: list[ConnectionLost] = []
+
+    async def fails() -> None:
+        with pytest.raises(ConnectionLost, match=r"^gone$") as caught:
+            await wait(stream)
+        raised.append(caught.value)
+
+    await while_waiting(fails, lambda: stream.fail(error))
+    await fails()
+    assert len({id(one) for one in (*raised, error)}) == 3
+    append(log, 2000)
+    assert not log.is_full
+    end(log)
+    ended.fail(error)
+    assert ended.known_outcome() is OUTCOME, "an outcome that is known stays"
 
 
 @pytest.mark.parametrize("latest", [True, False])
@@ -678,7 +705,7 @@ def test_a_follower_knows_whether_late_readers_want_the_newest_only(latest: bool
 
 
 def test_a_follower_holds_nothing_up_unless_told_to_and_a_log_keeps_one_feedback() -> None:
-    log = FeedbackLog(Goal(GOAL_ID, 0, 7))
+    log = FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER))
     assert not log.follow().holding
     assert log.follow(hold=True).holding
     append(log, 2)
@@ -709,23 +736,21 @@ def test_a_log_gives_what_there_still_is_behind_a_place(
     assert log.has_after(place) is (place < 6)
 
 
-def test_a_follower_goes_back_as_far_as_the_log_remembers_and_never_forward() -> None:
-    log = FeedbackLog(Goal(GOAL_ID, 0, 7), window=3)
+def test_a_cursor_is_set_to_any_number_as_far_as_the_log_remembers() -> None:
+    log = FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), window=3)
     stream = log.follow(after=0)
     for number in range(1, 6):
         log.append(b"%d" % number)
         stream.take()
     for after, first in ((-1, 3), (0, 3), (4, 5)):
-        stream.rewind(after)
-        items = stream.take(9)
-        assert isinstance(items, list)
-        assert [item.number for item in items] == list(range(first, 6))
-    stream.rewind(9)
-    assert stream.place == 5
+        stream.seek(after)
+        assert numbers_of(stream.take(9)) == list(range(first, 6))
+    stream.seek(9)
+    assert stream.cursor == 5
 
 
 def test_a_log_whose_feedback_is_all_gone_has_nothing_behind_any_place() -> None:
-    goal = Goal(GOAL_ID, 0, 7)
+    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
     goal.feedback_count = 3
     log = FeedbackLog(goal)
     assert not log.has_after(0)
@@ -787,7 +812,7 @@ async def test_each_feedback_waits_until_the_one_before_was_read() -> None:
     for number in range(1, 4):
         append(log, 1)
         await while_waiting(lambda: log.wait_for_room(math.inf), lambda: read_one(log, stream))
-        assert stream.place == number
+        assert stream.cursor == number
 
 
 @pytest.mark.asyncio

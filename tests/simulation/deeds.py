@@ -24,6 +24,7 @@ from fibaction import (
     GoalStatus,
     Outcome,
 )
+from fibaction.abc import FeedbackItem
 from tests.simulation.facts import ClientState
 from tests.simulation.invariants import Record
 from tests.simulation.naming import naming
@@ -265,7 +266,7 @@ class Deeds:
         await anyio.sleep(deed.delay)
         after = deed.count if deed.target % 2 else None
         goal = await self._client.attach(goal_id, after=after)
-        view = self._view(goal, start=goal._stream.place, own=False)
+        view = self._view(goal, start=goal._stream.cursor, own=False)
         await self._read(goal, view)
         await self._see_outcome(goal, view)
 
@@ -273,17 +274,18 @@ class Deeds:
         goal_id, _ = self._some_goal(deed)
         after = deed.count if deed.target % 2 else None
         with await self._client.endpoint.feedback(goal_id, after=after) as stream:
-            view = View(self._record, self._state, goal_id, stream.stamp, start=stream.place)
+            view = View(self._record, self._state, goal_id, stream.stamp, start=stream.cursor)
             view.own = False
             told = View(self._record, self._state, goal_id, stream.stamp, start=0)
             told.own = False
-            while (event := await stream.next_event()) is not None:
-                if isinstance(event, GoalStatus):
-                    told.status(event)
+            async for update in stream:
+                if isinstance(update, FeedbackItem):
+                    step = SIMULATED.feedback.decode(update.payload)
+                    view.feedback(step, stream.dropped, update.number)
+                elif isinstance(update, GoalStatus):
+                    told.status(update)
                 else:
-                    step = SIMULATED.feedback.decode(event.payload)
-                    view.feedback(step, stream.dropped, event.number)
-            told.outcome(_decoded(await stream.outcome()))
+                    told.outcome(_decoded(update))
             view.status(stream.status)
             view.end_of_feedback(stream.dropped)
 

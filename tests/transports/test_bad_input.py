@@ -111,8 +111,8 @@ async def scene(
 
 
 def too_long(length: int, looks_like: str = "") -> str:
-    text = f"a frame of {length} bytes was announced, and {MAX_FRAME} are the limit"
-    return f"{text}: it looks like {looks_like}" if looks_like else text
+    text = f"frame of {length} bytes exceeds the limit of {MAX_FRAME} bytes"
+    return f"{text}: this looks like {looks_like}" if looks_like else text
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ async def test_a_length_beyond_the_limit_is_not_waited_for(data: bytes, problem:
         await here.ends(peer, problem)
 
 
-NO_MESSAGE = "this is no message of a client: "
+NO_MESSAGE = "invalid client message: "
 
 WRONG = {
     "nothing": (b"", NO_MESSAGE + "Input data was truncated"),
@@ -187,7 +187,7 @@ async def test_random_bytes_end_the_connection() -> None:
             async with raw(here.url) as peer:
                 await peer.stream.send(b"\x7f" + chance.randbytes(size + 3))
                 last = (await peer.hear_all())[-1]
-                assert "bytes was announced" in last.reason
+                assert "bytes exceeds the limit" in last.reason
         assert await here.is_well()
         assert len(here.heard.warnings) == 86
 
@@ -338,7 +338,7 @@ async def test_a_peer_that_never_reads_is_dropped_and_costs_no_more_than_its_que
                 yield Feedback([1] * size)
                 most = max(most, *(link._queued for link in queues))
                 followed = followed or streams()
-                taken = max(taken, *(stream.place for stream in followed))
+                taken = max(taken, *(stream.cursor for stream in followed))
                 most_unread = max(most_unread, made - taken)
         except anyio.get_cancelled_exc_class():
             canceled.set()

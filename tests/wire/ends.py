@@ -327,7 +327,7 @@ async def numbers_of(goal: Any, count: int | None = None) -> list[int]:
 async def update_of(goal: Any) -> Any:
     """What happens next to a goal."""
     with anyio.fail_after(5):
-        return await goal.next_event()
+        return await anext(aiter(goal))
 
 
 async def outcome_of(goal: Any) -> Any:

@@ -62,9 +62,7 @@ def test_tokens_that_would_let_nobody_or_everybody_in_are_refused(
 
 
 def test_a_token_that_no_client_could_send_is_refused_and_not_shown() -> None:
-    with pytest.raises(
-        ValueError, match=r"^a token is text, and this one has bytes in it"
-    ) as caught:
+    with pytest.raises(ValueError, match=r"^token is not valid text$") as caught:
         AccessPolicy({"sesame": "ali", "secret \udcff": "bob"})
     assert "secret" not in str(caught.value)
     assert caught.value.__suppress_context__

@@ -17,7 +17,11 @@ from fibaction.exceptions import (
     AuthenticationFailed,
     ConnectionLost,
     GoalRejected,
+    InvalidMessage,
+    InvalidURL,
+    LimitReached,
     ProtocolError,
+    ServerFailed,
     ServerNotFound,
     TransportError,
     UnknownGoal,
@@ -159,13 +163,14 @@ async def test_a_first_attempt_that_fails_for_good_is_an_error_at_once(
 
 
 HINT = ": give one as token=, or behind the URL as ?token="
-UNEXPECTED = "a Welcome of version 2 was not expected"
+UNEXPECTED = f"{WHERE}: a Welcome of version 2 was not expected"
+TOO_EARLY = f"{WHERE}: the first message was a Done, no Welcome"
 STARTS: dict[str, tuple[Any, str, type[ActionError], str]] = {
     "no token": (Goodbye("no", Why.FORBIDDEN), "", AuthenticationFailed, f"{WHERE}: no{HINT}"),
     "token": (Goodbye("no", Why.FORBIDDEN), "s3cret", AuthenticationFailed, f"{WHERE}: no"),
-    "a goodbye": (Goodbye("no", Why.PROTOCOL), "", ConnectionLost, f"{WHERE}: no"),
-    "another version": (Welcome(2, LONG), "", ConnectionLost, UNEXPECTED),
-    "no welcome": (Done(1), "", ConnectionLost, "the first message was a Done, no Welcome"),
+    "a goodbye": (Goodbye("no", Why.PROTOCOL), "", ProtocolError, f"{WHERE}: no"),
+    "another version": (Welcome(2, LONG), "", ProtocolError, UNEXPECTED),
+    "no welcome": (Done(1), "", ProtocolError, TOO_EARLY),
 }
 
 
@@ -185,9 +190,9 @@ async def test_a_server_that_says_welcome_twice_is_left_for_good() -> None:
     async with reached(network) as (connection, server):
         async with Running(endpoint_of(connection).wait_for_server) as waiting:
             await server.say(Welcome(VERSION, LONG))
-            with pytest.raises(ConnectionLost, match="a Welcome of version 1 was not expected"):
+            with pytest.raises(ProtocolError, match="a Welcome of version 1 was not expected"):
                 await waiting.answer()
-        await fails_at_once(connection, ConnectionLost)
+        await fails_at_once(connection, ProtocolError)
     assert network.dialed == 1
 
 
@@ -196,7 +201,7 @@ async def test_a_frame_that_is_not_a_message_ends_the_connection_for_good() -> N
     async with reached(network) as (connection, server):
         await server.channel.send([b"\xc1"])
         await settled()
-        await fails_at_once(connection, ConnectionLost)
+        await fails_at_once(connection, ProtocolError)
     assert network.dialed == 1
 
 
@@ -321,12 +326,16 @@ async def test_a_call_that_is_alone_is_sent_at_once_and_those_beside_it_together
 
 # What `Failed` says, by its number; and of a goal, where that differs.
 FAILURES: list[tuple[int, type[ActionError], type[ActionError]]] = [
-    (Why.UNKNOWN_GOAL, ConnectionLost, UnknownGoal),
+    (Why.UNKNOWN_GOAL, ServerFailed, UnknownGoal),
     (Why.SERVER_NOT_FOUND, ServerNotFound, ServerNotFound),
     (Why.CONNECTION_LOST, ConnectionLost, ConnectionLost),
     (Why.FORBIDDEN, AuthenticationFailed, AuthenticationFailed),
-    (Why.LIMIT, TransportError, TransportError),
+    (Why.LIMIT, LimitReached, LimitReached),
     (Why.PROTOCOL, ProtocolError, ProtocolError),
+    (Why.TRANSPORT, TransportError, TransportError),
+    (Why.SERVER_FAILED, ServerFailed, ServerFailed),
+    (Why.INVALID_MESSAGE, InvalidMessage, InvalidMessage),
+    (Why.INVALID_URL, InvalidURL, InvalidURL),
     (0, ConnectionLost, ConnectionLost),
     (99, ConnectionLost, ConnectionLost),
 ]
@@ -419,7 +428,7 @@ async def test_signs_of_life_and_answers_to_no_call_are_ignored() -> None:
 )
 async def test_arguments_that_cannot_be_sent_are_an_error_of_that_call_only(call: Call) -> None:
     async with reached() as (connection, server):
-        with anyio.fail_after(5), pytest.raises(ProtocolError, match="the message cannot be sent"):
+        with anyio.fail_after(5), pytest.raises(InvalidMessage, match="the message cannot be sent"):
             await call(connection)
         await is_used(connection, server)
 
@@ -451,7 +460,7 @@ async def test_a_goal_can_be_followed_behind_any_number(after: int, numbers: lis
 @in_virtual_time()
 async def test_a_request_that_no_server_can_read_is_not_asked_for_ever() -> None:
     async with real(anyio.Event()) as endpoint:
-        with anyio.fail_after(2), pytest.raises(ConnectionLost):
+        with anyio.fail_after(2), pytest.raises(ProtocolError):
             await endpoint.cancel_goals(cast("GoalID", b"short"))
 
 
@@ -572,7 +581,7 @@ async def test_a_goal_that_fails_gives_what_has_come_before(why: int) -> None:
                     await wait(goal)
                 errors.append(caught.value)
             assert {type(error) for error in errors} == {
-                TransportError if why == Why.LIMIT else ServerNotFound
+                LimitReached if why == Why.LIMIT else ServerNotFound
             }
             assert len(set(map(id, errors))) == 3  # each raised for itself
 
@@ -611,7 +620,7 @@ async def test_a_message_that_does_not_fit_a_goal_ends_the_connection_for_good(
                 await server.say(following(sent))
                 goal = await sending.answer()
             await server.say(make(sent.id))
-            with pytest.raises(ConnectionLost, match=f"^{text}$"):
+            with pytest.raises(ProtocolError, match=f"^{WHERE}: {text}$"):
                 await (outcome_of(goal) if accepted else sending.answer())
     assert network.dialed == 1
 
@@ -697,7 +706,7 @@ async def test_a_message_that_does_not_fit_statuses_ends_the_connection_for_good
                 await server.say(Watching(asked.id, 0))
                 statuses = await asking.answer()
             await server.say(make(asked.id))
-            with anyio.fail_after(5), pytest.raises(ConnectionLost, match="does not answer"):
+            with anyio.fail_after(5), pytest.raises(ProtocolError, match="does not answer"):
                 await (asking.answer() if is_early else statuses.receive())
 
 

@@ -570,7 +570,7 @@ async def test_a_server_that_lets_the_client_in_no_more_is_left_for_good() -> No
         async with Running(connection.actions) as asking:
             await server.hear(ListActions)
             await server.say(Goodbye("the token has expired", Why.FORBIDDEN))
-            with pytest.raises(ConnectionLost, match="the token has expired"):
+            with pytest.raises(AuthenticationFailed, match="the token has expired"):
                 await asking.answer()
         with pytest.raises(AuthenticationFailed) as caught:
             await connection.actions()

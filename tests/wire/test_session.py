@@ -583,7 +583,7 @@ def raising(error: BaseException) -> ScriptedServer[fib.Goal, fib.Feedback, fib.
         (AuthenticationFailed("no"), Why.FORBIDDEN, "no"),
         (ServerNotFound("away \udcff"), Why.SERVER_NOT_FOUND, "away ?"),
         (ConnectionLost("the robot is away"), Why.CONNECTION_LOST, "the robot is away"),
-        (ProtocolError("nonsense"), Why.CONNECTION_LOST, "nonsense"),
+        (ProtocolError("nonsense"), Why.PROTOCOL, "nonsense"),
     ],
     ids=lambda value: type(value).__name__,
 )
@@ -603,7 +603,7 @@ async def test_an_error_that_is_a_bug_fails_that_request_and_is_told_by_its_kind
         client = await served.greet()
         with logged() as lines:
             failed = await client.ask(WatchStatus(1, "fibonacci", 1), Failed)
-        assert failed == Failed(1, Why.SERVER_NOT_FOUND, "the server failed: ValueError")
+        assert failed == Failed(1, Why.SERVER_FAILED, "the server failed: ValueError")
         assert texts(lines) == [(logging.ERROR, "the client: its WatchStatus failed")]
         assert lines[0].exc_info is not None
         await client.send(1)
@@ -620,7 +620,7 @@ async def test_a_permission_that_awaits_a_canceled_task_fails_that_request_only(
     async with serving(held(), access=AccessPolicy(authorize=authorize)) as served:
         client = await served.greet()
         failed = await client.ask(WatchStatus(1, "fibonacci", ANY), Failed)
-        assert failed == Failed(1, Why.SERVER_NOT_FOUND, "the server failed: CancelledError")
+        assert failed == Failed(1, Why.SERVER_FAILED, "the server failed: CancelledError")
         await client.send(1)
 
 
@@ -630,7 +630,7 @@ async def test_a_permission_that_awaits_a_canceled_task_fails_that_request_only(
         (ConnectionLost("the robot is away"), Why.CONNECTION_LOST, "the robot is away", []),
         (
             ValueError("a secret"),
-            Why.SERVER_NOT_FOUND,
+            Why.SERVER_FAILED,
             "the server failed: ValueError",
             [(logging.ERROR, "the stream of a goal failed")],
         ),

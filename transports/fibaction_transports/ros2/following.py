@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 from fibaction._notify import Notifier
-from fibaction.abc import FeedbackItem, GoalStream
-from fibaction.exceptions import ConnectionLost, ProtocolError
+from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
+from fibaction.exceptions import ActionError, copy_of
 from fibaction.goals import GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
 
@@ -47,21 +48,21 @@ class RosGoal(GoalStream):
         self.goal_id = goal_id
         self.stamp = 0
         self.latest = False
-        self.place = 0
+        self.cursor = 0
         self.reading = reading
         self.asked: list[int] = []
         """The numbers of the requests for its result."""
         self.servers: frozenset[bytes] = frozenset()
         """Who served when it was accepted: one of them has the goal."""
         self.news = Notifier()
-        self._reads = reads
+        self.reads = reads
         self._items: deque[FeedbackItem] = deque(maxlen=depth)
         self._statuses: deque[GoalStatus] = deque()
         self._status = GoalStatus.UNKNOWN
         self._received = 0
         self._delivered = 0
         self._outcome: Outcome[bytes] | None = None
-        self._error: ConnectionLost | ProtocolError | None = None
+        self._error: ActionError | None = None
 
     @property
     def status(self) -> GoalStatus:
@@ -69,7 +70,7 @@ class RosGoal(GoalStream):
 
     @property
     def dropped(self) -> int:
-        return self.place - self._delivered
+        return self.cursor - self._delivered
 
     @property
     def has_begun(self) -> bool:
@@ -91,7 +92,7 @@ class RosGoal(GoalStream):
     def arrive(self, message: bytes) -> None:
         """Feedback has arrived."""
         self._received += 1
-        if self._reads and not self.is_over:
+        if self.reads and not self.is_over:
             self._items.append(FeedbackItem(self._received, message))
             self.news.notify()
 
@@ -99,7 +100,7 @@ class RosGoal(GoalStream):
         """The goal has another status."""
         if self.has_begun and status > self._status:  # statuses only ever grow
             self._status = status
-            if self._reads and status.is_active:
+            if self.reads and status.is_active:
                 self._statuses.append(status)
                 self.news.notify()
 
@@ -110,7 +111,7 @@ class RosGoal(GoalStream):
             self._status = outcome.status
             self.news.notify()
 
-    def fail(self, error: ConnectionLost | ProtocolError) -> None:
+    def fail(self, error: ActionError) -> None:
         """Nothing more will arrive, or nothing that could be read."""
         if not self.is_over:
             self._error = error
@@ -118,26 +119,25 @@ class RosGoal(GoalStream):
 
     # What is read
 
-    def take(self, limit: int = 1) -> list[FeedbackItem] | GoalStatus | None:
-        if not self._reads:
-            return None
+    def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
         if self._statuses:
-            return self._statuses.popleft()
-        items = [self._read() for _ in range(min(limit, len(self._items)))]
-        if not items and limit > 0:
-            self._raise_error()
-            if self._outcome is not None:
-                self.place = self._received
-                return None
-        return items
+            return (self._statuses.popleft(),)
+        if self._items:
+            return [self._read() for _ in range(min(limit, len(self._items)))]
+        self._raise_error()
+        if self._outcome is None:
+            return ()
+        if self.reads:
+            self.cursor = self._received
+        return (self._outcome,)
 
     def _read(self) -> FeedbackItem:
         item = self._items.popleft()
-        self.place = item.number
+        self.cursor = item.number
         self._delivered += 1
         return FeedbackItem(item.number, self.reading.feedback(item.payload))
 
-    def ended(self) -> Outcome[bytes] | None:
+    def known_outcome(self) -> Outcome[bytes] | None:
         self._raise_error()
         return self._outcome
 
@@ -145,11 +145,11 @@ class RosGoal(GoalStream):
         """It has no effect: in ROS, nobody can make a server wait."""
 
     def close(self) -> None:
-        self._reads = False
+        self.reads = False
         self._items.clear()
         self._statuses.clear()
         self.news.notify()
 
     def _raise_error(self) -> None:
         if self._error is not None:
-            raise type(self._error)(str(self._error))
+            raise copy_of(self._error)

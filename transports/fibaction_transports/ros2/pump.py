@@ -8,7 +8,7 @@ from typing import Any
 import anyio
 
 from fibaction._notify import Notifier
-from fibaction.abc import GoalStream
+from fibaction.abc import FeedbackItem, GoalStream
 from fibaction.exceptions import ActionError
 from fibaction.goals import GoalInfo, Outcome
 from fibaction.states import GoalStatus
@@ -44,24 +44,24 @@ class Pump:
         """Publish all feedback, then say how the goal ended; UNKNOWN if that cannot be known."""
         with self.stream as stream:
             try:
-                while await self._publish_some(stream):
+                while (outcome := await self._publish_some(stream)) is None:
                     await anyio.lowlevel.checkpoint()
-                return await stream.outcome()
+                return outcome
             except ActionError as exc:  # a gateway has lost the server behind it
                 return Outcome(GoalStatus.UNKNOWN, reason=str(exc))
 
-    async def _publish_some(self, stream: GoalStream) -> bool:
-        event = stream.take(BATCH)
-        if event is None:
-            return False
-        if isinstance(event, GoalStatus):
-            self._tell(GoalInfo(stream.goal_id, stream.stamp, event))
-        else:
-            for item in event:
-                await self._publish(item.payload)
-            if not event:
-                await stream.news.wait()
-        return True
+    async def _publish_some(self, stream: GoalStream) -> Outcome[bytes] | None:
+        updates = stream.take(BATCH)
+        for update in updates:
+            if isinstance(update, FeedbackItem):
+                await self._publish(update.payload)
+            elif isinstance(update, GoalStatus):
+                self._tell(GoalInfo(stream.goal_id, stream.stamp, update))
+            else:
+                return update
+        if not updates:
+            await stream.news.wait()
+        return None
 
     @property
     def is_owed(self) -> bool:
