@@ -233,7 +233,7 @@ class FeedbackCursor(GoalStream):
 
     def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
         log, outcome = self._log, self._log.goal.outcome
-        if self._error is not None and outcome is None:
+        if self._error is not None:
             raise copy_of(self._error)
         if self.reads:
             while self._statuses_told < len(log.statuses):
@@ -269,7 +269,7 @@ class FeedbackCursor(GoalStream):
 
     def known_outcome(self) -> Outcome[bytes] | None:
         outcome = self._log.goal.outcome
-        if self._error is not None and outcome is None:
+        if self._error is not None:
             raise copy_of(self._error)
         return outcome
 
@@ -292,7 +292,8 @@ class FeedbackCursor(GoalStream):
         self._log.leave(self)
 
     def fail(self, error: ActionError) -> None:
-        self._error = error
+        if self._log.goal.outcome is None:
+            self._error = error
         self.news.notify()
         self._log.leave(self)
 

@@ -268,6 +268,22 @@ def invoke() -> Invoke:
     return run
 
 
+@pytest.fixture(scope="session")
+def here(invoke: Invoke) -> Run:
+    """Runs the command in this process, and gives what came of it as if it were a process."""
+
+    def run(
+        *arguments: str,
+        url: str | None = None,
+        input: str | None = None,
+        env: Mapping[str, str] | None = None,
+    ) -> Finished:
+        result = invoke(*arguments, url=url, input=input, env=env)
+        return Finished(result.exit_code, result.stdout, result.stderr)
+
+    return run
+
+
 # The command in a terminal
 
 
