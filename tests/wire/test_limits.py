@@ -31,6 +31,7 @@ from fibaction.testing import ScriptedServer
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.connection import ClientSettings
 from fibaction.wire.framing import MAX_FRAME, header
+from fibaction.wire.link import Link
 from fibaction.wire.messages import (
     VERSION,
     Actions,
@@ -63,6 +64,7 @@ from fibaction.wire.subscriptions import PIECE
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.virtual_time import in_virtual_time
+from tests.wire import memory
 from tests.wire.ends import (
     ANN,
     ANY,
@@ -603,6 +605,16 @@ async def test_the_last_word_to_a_client_that_does_not_read_is_given_up_after_a_
         assert not client.channel.is_cut
         await anyio.sleep(0.2)
         assert client.channel.is_cut
+
+
+async def test_a_link_that_was_ended_before_it_ran_does_not_run() -> None:
+    end, other = memory.pair()
+    link, error = Link(end, LONG), ConnectionLost("never mind")
+    link.post(b"one")
+    link.end(error)
+    link.end(ConnectionLost("later"))  # the first reason counts
+    assert await link.run(lambda frame: None) is error
+    assert other.writes == []
 
 
 class TricklingStream(ByteStream):

@@ -11,7 +11,9 @@ import pytest
 from fibaction.exceptions import (
     ActionError,
     AuthenticationFailed,
+    CancelRejected,
     ConnectionLost,
+    GoalAborted,
     GoalRejected,
     ProtocolError,
     ServerNotFound,
@@ -71,6 +73,7 @@ from tests.wire.ends import (
     follow,
     held,
     kinds,
+    real,
     running,
     scripted,
     send,
@@ -228,7 +231,7 @@ async def test_a_goal_that_is_rejected_is_told_with_the_reason(reason: str) -> N
 
 
 # As `os.fsdecode` makes it of a file name that is not UTF-8.
-@pytest.mark.parametrize("error", [GoalRejected, ValueError])
+@pytest.mark.parametrize("error", [GoalRejected, GoalAborted])
 async def test_a_reason_that_is_not_unicode_is_told_as_far_as_it_is(error: type[Exception]) -> None:
     async with serving(scripted(error("no file \udcff"))) as served:
         client = await served.greet()
@@ -431,13 +434,17 @@ async def test_a_cancel_of_all_by_time_that_finds_none_is_answered() -> None:
 
 async def test_the_reason_of_a_cancel_that_is_not_unicode_is_told_as_far_as_it_is() -> None:
     def on_cancel(*args: Any) -> Any:
-        raise ValueError("no \udcff")
+        raise CancelRejected("no \udcff")
 
-    server = ActionServer(FIBONACCI, lambda goal: held()._play(goal), on_cancel=on_cancel)
-    async with serving(server) as served:
+    async def forever(goal: Any) -> Any:
+        await anyio.sleep_forever()
+        yield
+
+    async with serving(ActionServer(FIBONACCI, forever, on_cancel=on_cancel)) as served:
         client = await served.greet()
-        await client.say(send(1, credit=None), CancelGoals(2, "fibonacci", A, None))
-        assert Failed not in kinds((await client.hear_by_id())[2])
+        await client.ask(send(1, credit=None), Following)
+        answer = await client.ask(CancelGoals(2, "fibonacci", A, None), CancelAnswered)
+        assert (answer.return_code, answer.reason) == (CancelCode.REJECTED, "no ?")
 
 
 async def test_the_actions_that_are_served_are_listed() -> None:
@@ -937,6 +944,19 @@ async def test_a_server_that_has_closed_holds_no_executor_up() -> None:
             served.endpoints["fibonacci"] = server
             await (await served.greet()).send(1, credit=1)
         await has_succeeded(server)
+
+
+async def test_a_goal_is_told_through_a_gateway_as_far_as_there_is_credit() -> None:
+    go = anyio.Event()
+    async with real(*feedback(1, 2, 3), go, fib.Result([])) as endpoint, serving() as gateway:
+        gateway.endpoints["fibonacci"] = endpoint
+        client = await gateway.greet()
+        await client.ask(send(1, credit=2), Following)
+        assert [message.number for message in await client.hear_all()] == [1, 2]
+        await client.say(CancelGoals(2, "fibonacci", A, None), Credit(1, 5))
+        heard = await client.hear_by_id()
+        assert kinds(heard[1]) == [StatusChanged, Feedback, Ended]
+        assert kinds(heard[2]) == [CancelAnswered]
 
 
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])
