@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from fibaction import urls
 from fibaction.abc import Connection, Endpoint, Transport
 from fibaction.exceptions import TransportError
 from fibaction.urls import GROUP, transport_for, without_settings
