@@ -1,4 +1,4 @@
-"""The marked parts of docs/protocol.md: messages, descriptions of actions, and limits."""
+"""Generated parts of docs/protocol.md: messages, descriptions of actions, and limits."""
 
 from __future__ import annotations
 
@@ -18,46 +18,48 @@ from fibaction.wire import messages
 from fibaction.wire.settings import Limits
 
 GOLDEN = Path(__file__).resolve().parent.parent / "tests" / "golden.py"
-"""The bytes of a message of each type, by which the tests pin the format."""
+"""Bytes of one message of each type: with these the tests pin the format."""
 
 MEANINGS = {
-    "id": "The request that this is, or belongs to.",
-    "action": "The action's name.",
-    "goal_id": "The goal's ID.",
-    "goal": "The goal itself: a payload.",
-    "credit": "How many `GoalChanged` may come before more credit.",
-    "stamp": "When the goal was accepted: nanoseconds since 1970, by the server's clock.",
-    "status": "A [goal status](#statuses).",
-    "reason": "Why, for a person to read; may be empty.",
-    "text": "A sentence, for a person to read.",
-    "version": "Of the protocol: 1.",
-    "heartbeat": "Seconds: at least so often this side will send something.",
-    "count": "How much more credit there is.",
-    "number": "The feedback's place among all feedback of the goal: 1, 2, 3 and so on.",
-    "payload": "The feedback itself.",
+    "id": "ID of the request that this message makes or belongs to.",
+    "action": "Name of the action.",
+    "goal_id": "ID of the goal.",
+    "goal": "The goal, a payload.",
+    "credit": "`GoalChanged` messages that the server may send before more credit.",
+    "stamp": "Time when the goal was accepted: nanoseconds since 1970, by the server's clock.",
+    "status": "[Goal status](#statuses).",
+    "reason": "Explanation for a person; may be empty.",
+    "text": "Explanation for a person.",
+    "version": "Version of the protocol: 1.",
+    "heartbeat": "Longest time between two messages of this side, in seconds.",
+    "count": "Messages that the server may send in addition to those already granted.",
+    "number": "Number of the feedback message among all feedback of the goal, from 1.",
+    "payload": "The feedback message, a payload.",
     "result": "The result, a payload; nil if there is none.",
-    "return_code": "A [return code](#return-codes).",
-    "goals": "The goals whose cancel was accepted: ID, stamp, status.",
-    "actions": "Each action that is served here.",
-    "name": "The action's name.",
-    "type_name": "Its ROS 2 type, or empty.",
-    "feedback": "The JSON Schema of a feedback message.",
-    "latest": "Whether a reader who is late wants the newest feedback only: the server's policy.",
-    "after": "Begin behind the feedback of that number; nil: with what comes from now on.",
-    "CancelGoals.goal_id": "The goal it is about; nil or zeros: see below.",
-    "CancelGoals.stamp": "Goals accepted at or before it; nil or 0: see below.",
-    "Ended.status": "4, 5 or 6: a [goal status](#statuses); 0: the server does not know.",
-    "Ended.place": "The number of the feedback that was sent last, or skipped.",
-    "GoalChanged.stamp": "When it was accepted; 0 if `status` is 0.",
-    "GoalChanged.status": "A [goal status](#statuses); 0: the server has forgotten the goal.",
-    "ActionInfo.goal": "The JSON Schema of a goal.",
-    "ActionInfo.result": "The JSON Schema of a result.",
+    "return_code": "[Return code](#return-codes).",
+    "goals": "Goals whose cancel was accepted: ID, stamp and status of each.",
+    "actions": "Description of each action.",
+    "name": "Name of the action.",
+    "type_name": "ROS 2 type of the action; empty if it has none.",
+    "feedback": "JSON Schema of a feedback message.",
+    "latest": "True if the server's policy gives a slow reader the newest feedback only.",
+    "after": "Number of the feedback after which the stream begins; nil: with the next feedback.",
+    "CancelGoals.goal_id": "ID of a goal; nil or zeros: see [canceling](#canceling).",
+    "CancelGoals.stamp": "Latest stamp of the goals; nil or 0: see [canceling](#canceling).",
+    "Ended.status": "Last [goal status](#statuses): 4, 5 or 6; 0 if the server does not know it.",
+    "Ended.place": "Number of the last feedback that was sent or left out.",
+    "GoalChanged.stamp": "Time when the goal was accepted, as in `Following`; 0 if `status` is 0.",
+    "GoalChanged.status": "[Goal status](#statuses); 0 if the server has forgotten the goal.",
+    "ActionInfo.goal": "JSON Schema of a goal.",
+    "ActionInfo.result": "JSON Schema of a result.",
 }
-"""What a field is, by its name; its own docstring counts unless the message is named here, too."""
+"""Meaning of each field that has no docstring, by its name.
+
+An entry with the name of a message overrides the docstring."""
 
 
 def messages_part() -> str:
-    """Every message: its form, its fields, and the bytes of one."""
+    """Return the section on every message: its form, its fields, and the bytes of an example."""
     client, server = get_args(messages.FromClient), get_args(messages.FromServer)
     groups = {
         "From either side": [kind for kind in client if kind in server],
@@ -72,7 +74,7 @@ def messages_part() -> str:
 
 
 def golden_bytes() -> dict[type, str]:
-    """For each message type the bytes of one message, in hexadecimal: what the tests check."""
+    """Return the pinned bytes of one message of each type, in hexadecimal."""
     spec = importlib.util.spec_from_file_location("golden", GOLDEN)
     assert spec is not None
     assert spec.loader is not None
@@ -113,7 +115,7 @@ def _default(field: types.Field) -> object:
 
 
 def _docs_of_fields(kind: type) -> dict[str, str]:
-    """What stands below each field in the source; nothing for a field that says it all."""
+    """Return the docstring of each field in the source; empty for a field without one."""
     (described,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     assert isinstance(described, ast.ClassDef)
     docs: dict[str, str] = {}
@@ -134,7 +136,7 @@ def _prose(text: str | None) -> str:
 
 
 def _wire(described: types.Type) -> str:
-    """A type, as the peer sees it."""
+    """Return the name of a type on the wire."""
     match described:
         case types.NoneType():
             return "nil"
@@ -163,7 +165,7 @@ def _wire(described: types.Type) -> str:
             return "[action descriptions](#descriptions-of-actions)"
         case types.DictType():
             return "map"
-    raise TypeError(f"no message had a {described} before: say how it looks on the wire")
+    raise TypeError(f"a field of type {described} is new in a message: name it here")
 
 
 def _range(described: types.IntType | types.FloatType) -> str:
@@ -179,7 +181,7 @@ def _range(described: types.IntType | types.FloatType) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A decoded value, in the notation of RFC 8949: byte strings are like h'00ff'."""
+    """Return a decoded value in the notation of RFC 8949, where byte strings are like h'00ff'."""
     if isinstance(value, bytes):
         return f"h'{value.hex()}'"
     if isinstance(value, list):
@@ -190,10 +192,10 @@ def _shown(value: Any) -> str:
 
 
 def descriptions_part() -> str:
-    """The keys of the description of an action."""
+    """Return the table of the keys of an action's description."""
     return _fields(ActionInfo, "Key")
 
 
 def limits_part() -> str:
-    """What a server of fibaction lets a client use, if nothing else is said."""
+    """Return the table of the default limits of a server of fibaction."""
     return _fields(Limits, "Limit")

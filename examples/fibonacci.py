@@ -1,6 +1,6 @@
 """The Fibonacci action: its messages, its rule for goals, its executor.
 
-The other Fibonacci examples share it. It knows nothing of how it is served or called.
+The other Fibonacci examples share it. It does not depend on how it is served or called.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ import msgspec
 from fibaction import Action, ActionServer, GoalCanceled, GoalHandle, GoalRejected
 
 URL = "tcp://127.0.0.1:7400"
-"""Where server and client meet, unless they are told otherwise."""
+"""The default URL of server and client."""
 
 MAX_ORDER = 46
-"""The last term that fits the `int32[]` of the ROS 2 action: 1836311903."""
+"""The index of the last number that fits the `int32[]` of the ROS 2 action: 1836311903."""
 
 
 class Goal(msgspec.Struct):
-    """Asks for the Fibonacci numbers 0, 1, 1, 2, 3 and so on."""
+    """A request for the Fibonacci numbers 0, 1, 1, 2, 3 and so on."""
 
     order: int
-    """The index of the last number; that of the first is 0."""
+    """The index of the last number; the first has index 0."""
 
 
 class Feedback(msgspec.Struct):
@@ -34,7 +34,7 @@ class Feedback(msgspec.Struct):
 
 
 class Result(msgspec.Struct):
-    """All numbers that were asked for; those so far, if the goal was canceled."""
+    """All numbers that were requested; after a cancel, the numbers so far."""
 
     sequence: list[int]
 
@@ -52,7 +52,7 @@ def on_goal(goal: Goal) -> None:
     """Accept an order from 0 to `MAX_ORDER`.
 
     Raises:
-        GoalRejected: It is another one.
+        GoalRejected: The order is out of range.
     """
     if goal.order < 0:
         raise GoalRejected(f"order is {goal.order}, and the index of a number is 0 or more")
@@ -65,7 +65,7 @@ def on_goal(goal: Goal) -> None:
 async def fibonacci(
     goal: GoalHandle[Goal], period: float = 1.0
 ) -> AsyncGenerator[Feedback | Result, None]:
-    """Compute one number every `period` seconds; the first two are there at once."""
+    """Compute one number every `period` seconds; the first two take no time."""
     order = goal.request.order
     sequence = [0, 1][: order + 1]
     try:
@@ -79,5 +79,5 @@ async def fibonacci(
 
 
 def make_server(period: float = 1.0) -> ActionServer[Goal, Feedback, Result]:
-    """A server of the action, which takes `period` seconds for each number."""
+    """Return a server of the action that takes `period` seconds for each number."""
     return ActionServer(FIBONACCI, partial(fibonacci, period=period), on_goal=on_goal)

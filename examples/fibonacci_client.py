@@ -1,7 +1,7 @@
-"""Sends one Fibonacci goal, and prints what becomes of it. Ctrl-C cancels the goal.
+"""A client that sends one Fibonacci goal and prints its progress. Ctrl-C cancels the goal.
 
 Exit codes: 0 succeeded, 1 aborted, 3 canceled, 4 rejected, 6 no server or connection lost,
-2 the command line or the URL cannot be used.
+2 the command line or the URL is invalid.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ UNUSABLE, CANCELED, REJECTED, UNREACHABLE = 2, 3, 4, 6
 EXIT_CODES = {
     GoalStatus.SUCCEEDED: 0,
     GoalStatus.ABORTED: 1,
-    GoalStatus.UNKNOWN: 1,  # the server has forgotten it: nothing was achieved
+    GoalStatus.UNKNOWN: 1,  # the server has forgotten the goal
     GoalStatus.CANCELED: CANCELED,
 }
 
@@ -43,12 +43,12 @@ async def run_goal(
     cancel_after: int | None = None,
     goal_id: GoalID | None = None,
 ) -> int:
-    """Send one goal, print all that is heard of it, and give the exit code for its end.
+    """Send one goal, print its events, and return the exit code for its end.
 
-    With `cancel_after` the goal is canceled after that many feedback messages.
+    With `cancel_after`, the goal is canceled after that many feedback messages.
 
     Raises:
-        ServerNotFound: Nobody serves the action.
+        ServerNotFound: No server serves the action.
         ConnectionLost: The connection ended before the goal did.
     """
     tell("goal", f"order {order}")
@@ -74,28 +74,28 @@ async def run_goal(
 
 
 def tell_cancel(answer: CancelAnswer) -> None:
-    """Print what the server says to a cancel."""
-    refusal = answer.reason or answer.return_code.name
-    tell("cancel", "accepted" if answer.accepted else f"refused: {refusal}")
+    """Print the server's answer to a cancel."""
+    reason = answer.reason or answer.return_code.name
+    tell("cancel", "accepted" if answer.accepted else f"rejected: {reason}")
 
 
 def tell(what: str, more: object = "") -> None:
-    """Print one line, at once."""
+    """Print one line without delay."""
     print(f"{what:<10}{more}".rstrip(), flush=True)
 
 
 def numbers(sequence: Iterable[int]) -> str:
-    """Write numbers with spaces between them."""
+    """Return the numbers as text, with spaces between them."""
     return " ".join(map(str, sequence))
 
 
 async def main(url: str, order: int, cancel_after: int | None) -> int:
-    """Run one goal at that URL, and give the exit code."""
+    """Run one goal at the URL, and return the exit code."""
     code = CANCELED
     goal_id = GoalID.random()
     try:
         async with connect(url, FIBONACCI) as client, anyio.create_task_group() as tasks:
-            # Not earlier: until there is a connection, Ctrl-C is to end the program as usual.
+            # Until the connection is open, Ctrl-C ends the program as usual.
             with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
                 tasks.start_soon(cancel_on_signal, signals, client, goal_id, tasks.cancel_scope)
                 code = await run_goal(client, order, cancel_after=cancel_after, goal_id=goal_id)
@@ -115,7 +115,7 @@ async def cancel_on_signal(
     goal_id: GoalID,
     scope: anyio.CancelScope,
 ) -> None:
-    """At the first signal cancel the goal, at the second do not even wait for its end."""
+    """Cancel the goal at the first signal, and stop waiting for its end at the second."""
     await anext(signals)
     tell_cancel(await client.cancel_goals(goal_id))
     await anext(signals)
@@ -123,7 +123,7 @@ async def cancel_on_signal(
 
 
 def complain(errors: ExceptionGroup[TransportError]) -> None:
-    """Print the first error, as one line. The goal's task and the signals' may have one each."""
+    """Print the first error on one line. The tasks of the goal and of the signals may both fail."""
     print(f"error: {errors.exceptions[0]}", file=sys.stderr)
 
 
@@ -131,7 +131,7 @@ def int32(text: str) -> int:
     """Read an integer that fits the `int32 order` of the ROS 2 action.
 
     Raises:
-        ValueError: It is something else.
+        ValueError: The text is something else.
     """
     value = int(text)
     if not -(2**31) <= value < 2**31:
@@ -143,7 +143,7 @@ def count(text: str) -> int:
     """Read an integer, 0 or more.
 
     Raises:
-        ValueError: It is something else.
+        ValueError: The text is something else.
     """
     value = int(text)
     if value < 0:
@@ -152,9 +152,9 @@ def count(text: str) -> int:
 
 
 if __name__ == "__main__":
-    # Without a usage an error is one line; --help lists the options all the same.
+    # Without a usage, an error is one line; --help still lists the options.
     parser = argparse.ArgumentParser(description=__doc__, usage=argparse.SUPPRESS)
-    parser.add_argument("--url", default=URL, help="where the server is (default: %(default)s)")
+    parser.add_argument("--url", default=URL, help="URL of the server (default: %(default)s)")
     parser.add_argument(
         "--order", type=int32, default=10, help="index of the last number (default: %(default)d)"
     )

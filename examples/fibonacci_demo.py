@@ -1,4 +1,4 @@
-"""A server in a process of its own, and three goals over TCP: canceled, succeeded, rejected."""
+"""A server in its own process, and three goals over TCP: canceled, succeeded, rejected."""
 
 from __future__ import annotations
 
@@ -24,38 +24,38 @@ STOP_TIMEOUT = 7.0  # seconds: more than the server gives its executors to clean
 
 
 async def main() -> None:
-    """Start the server, run three goals one after the other, stop the server."""
+    """Start the server, run three goals one after the other, and stop the server."""
     async with server_process() as url, connect(url, FIBONACCI) as client:
         print(f"The server is another process, at {url}.")
-        print("\n1. A goal that is canceled half-way ends with what there was by then.\n")
+        print("\n1. A goal that is canceled half-way ends with the numbers so far.\n")
         await run_goal(client, 10, cancel_after=5)
-        print("\n2. A goal that is left alone ends with all of it.\n")
+        print("\n2. A goal that is not canceled ends with all numbers.\n")
         await run_goal(client, 10)
-        print("\n3. A goal that cannot be met is rejected, and the server says why.\n")
+        print("\n3. A goal that the server cannot compute is rejected with a reason.\n")
         await run_goal(client, MAX_ORDER + 1)
 
 
 @asynccontextmanager
 async def server_process() -> AsyncGenerator[str, None]:
-    """Run the server while the block lasts; gives its URL."""
+    """Run the server for the duration of the block, and yield its URL."""
     command = [sys.executable, str(SERVER), "--url", ANY_PORT, "--period", str(PERIOD)]
-    # A session of its own: Ctrl-C is for this process, which then stops the server in good order.
+    # In its own session, the server does not get Ctrl-C; this process stops it in good order.
     started = await anyio.open_process(command, stderr=subprocess.PIPE, start_new_session=True)
     async with started as process:
         try:
             yield await url_of(process)
         finally:
-            with suppress(ProcessLookupError):  # it has ended by itself
+            with suppress(ProcessLookupError):  # it has already ended
                 process.terminate()
             with anyio.move_on_after(STOP_TIMEOUT, shield=True):
                 await process.wait()
 
 
 async def url_of(process: Process) -> str:
-    """Read where the server is from the first line that it prints.
+    """Return the server's URL, which is in the first line that it prints.
 
     Raises:
-        RuntimeError: It has ended instead; the text is what it says about that.
+        RuntimeError: The server has ended instead; the text is its error.
     """
     assert process.stdout is not None
     assert process.stderr is not None
@@ -70,7 +70,7 @@ async def url_of(process: Process) -> str:
 
 
 if __name__ == "__main__":
-    # A kill or a terminal that is closed must not leave the server behind, either.
+    # After a kill or a closed terminal, too, the server must not be left running.
     for other in (SIGTERM, SIGHUP):
         signal(other, lambda number, frame: raise_signal(SIGINT))
     try:

@@ -1,6 +1,6 @@
-"""Serves the Fibonacci action until Ctrl-C or SIGTERM.
+"""A server of the Fibonacci action, which runs until Ctrl-C or SIGTERM.
 
-Exit codes: 0 stopped, 2 the command line or the URL cannot be used.
+Exit codes: 0 stopped, 2 the command line or the URL is invalid.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ logger = logging.getLogger("fibonacci")
 
 
 async def main(url: str, period: float) -> None:
-    """Serve until a signal comes, then let the goals end and tell their clients.
+    """Serve until a signal arrives, then end the goals, so that their clients get an outcome.
 
     Raises:
-        TransportError: The URL cannot be used.
+        TransportError: The URL is invalid or cannot be served at.
     """
     server = make_server(period)
     with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
@@ -32,15 +32,15 @@ async def main(url: str, period: float) -> None:
             tasks.start_soon(log_goals, await server.status())
             print(f"serving {FIBONACCI.name} at {where}, Ctrl-C stops it", flush=True)
             await anext(signals)
-            # Ends the stream of statuses too, behind the last one, and with it the task above.
+            # This also ends the stream of statuses, after the last one, and so the task above.
             await server.stop()
 
 
 async def log_goals(changes: StatusStream) -> None:
-    """Log each change of each goal's status, until the server stops."""
+    """Log each status change of each goal until the server stops."""
     with changes:
         while (goal := await changes.receive()) is not None:
-            if goal.status is not GoalStatus.UNKNOWN:  # it was logged when it ended
+            if goal.status is not GoalStatus.UNKNOWN:  # its end has been logged before
                 logger.info("goal %s %s", goal.goal_id, goal.status.name)
 
 
@@ -48,7 +48,7 @@ def seconds(text: str) -> float:
     """Read a finite number of seconds, 0 or more.
 
     Raises:
-        ValueError: It is something else.
+        ValueError: The text is something else.
     """
     value = float(text)
     if not 0 <= value < math.inf:
@@ -57,9 +57,9 @@ def seconds(text: str) -> float:
 
 
 if __name__ == "__main__":
-    # Without a usage an error is one line; --help lists the options all the same.
+    # Without a usage, an error is one line; --help still lists the options.
     parser = argparse.ArgumentParser(description=__doc__, usage=argparse.SUPPRESS)
-    parser.add_argument("--url", default=URL, help="where to serve (default: %(default)s)")
+    parser.add_argument("--url", default=URL, help="URL to serve at (default: %(default)s)")
     parser.add_argument(
         "--period", type=seconds, default=1.0, help="seconds per number (default: %(default)g)"
     )

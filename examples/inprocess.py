@@ -1,5 +1,5 @@
 """One action, from its definition to a result and to a cancel, all in one process."""
-# ruff: noqa: D101, D103 - here the names say it all
+# ruff: noqa: D101, D103 - the names here need no explanation
 
 from collections.abc import AsyncGenerator
 
@@ -26,7 +26,7 @@ WALK = Action("walk", goal=Goal, feedback=Feedback, result=Result)
 
 async def walk(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
     for metre in range(1, goal.request.metres + 1):
-        await anyio.sleep(0.2)  # where a cancel is raised
+        await anyio.sleep(0.2)  # a cancel is raised here
         yield Feedback(walked=metre)
     yield Result(total=goal.request.metres)
 

@@ -1,8 +1,8 @@
-"""Why actions exist: an arm is on its way to a pen when the pen rolls off the table.
+"""A cancel in practice: an arm is on its way to a pen when the pen rolls off the table.
 
-Two components in one process. The vision finds the pen, sends the arm there, tracks the pen while
-the arm moves, and cancels the goal when the pen is gone. The arm serves the action `pick`, says all
-the way how far it has to go, and cleans up after a cancel.
+There are two components in one process. The vision finds the pen, sends the arm there, tracks the
+pen while the arm moves, and cancels the goal when the pen is gone. The arm serves the action
+`pick`, reports its distance to the target all the way, and cleans up after a cancel.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ URL = "inproc://robot"
 FRAME = 1 / 20  # seconds between two frames of the camera
 STEP = 0.2  # seconds between two commands to the arm, each of which makes one feedback
 SPEED = 0.4  # metres per second, of the gripper
-NEAR = 0.001  # metres from a place at which the gripper counts as being there
+NEAR = 0.001  # metres: the gripper has arrived when it is this close
 EDGE = 0.38  # metres from the arm's base to the left edge of the table
 
 
@@ -41,20 +41,20 @@ HOME = Position(0.10, 0.00, 0.30)
 
 
 class Goal(Struct):
-    """Asks to pick what is at the target."""
+    """A request to pick the object at the target."""
 
     target: Position
 
 
 class Feedback(Struct):
-    """How the arm gets on; `distance` is in metres, from the gripper to the target."""
+    """The progress of the arm; `distance` is in metres, from the gripper to the target."""
 
     phase: str
     distance: float
 
 
 class Result(Struct):
-    """What became of it; `reached` is how many metres the gripper came before any retreat."""
+    """The end of a pick; `reached` is how far the gripper got before any retreat, in metres."""
 
     gripped: bool
     reached: float
@@ -71,21 +71,21 @@ class Pen:
         self._rolls_at = time.monotonic() + rolls_after
 
     def look(self) -> Position | None:
-        """Where the pen is now, None if it is not on the table: what one frame shows."""
+        """Return the position of the pen in one frame; None if it is not on the table."""
         rolled = 0.3 * max(0.0, time.monotonic() - self._rolls_at)  # at 0.3 m/s
         position = self._lies_at._replace(y=self._lies_at.y + rolled)
         return position if position.y < EDGE else None
 
 
 class Arm:
-    """The manipulation: a gripper that moves in straight lines. It has no eyes."""
+    """The manipulation: a gripper that moves in straight lines and cannot see."""
 
     def __init__(self, pen: Pen) -> None:
         self._gripper = HOME
-        self._pen = pen  # for the fingers to feel
+        self._pen = pen  # felt by the fingers
 
     async def pick(self, goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-        """Go above the target, go down and grip; if canceled, go home first."""
+        """Move above the target, descend and grip; after a cancel, move home first."""
         target = goal.request.target
         way = {"approach": target._replace(z=target.z + 0.1), "descend": target}
         try:
@@ -95,7 +95,7 @@ class Arm:
                     yield Feedback(phase, math.dist(self._gripper, target))
             await anyio.sleep(STEP)  # the fingers close
         except anyio.get_cancelled_exc_class():
-            # The cancellation comes only once, so there is time to clean up.
+            # The cancellation is raised only once, so there is time to clean up.
             reached = round(math.dist(HOME, self._gripper), 2)
             while math.dist(self._gripper, HOME) > NEAR:
                 await self._move(HOME)
@@ -111,7 +111,7 @@ class Arm:
 
 
 async def track(pen: Pen, place: Position, goal: ClientGoal[Feedback, Result]) -> None:
-    """The vision: watch the pen, frame by frame, and cancel the goal when the pen is gone."""
+    """Track the pen, frame by frame, and cancel the goal when the pen is gone."""
     while (seen := pen.look()) is not None:
         if math.dist(seen, place) > 0.05:
             print(f"vision  the pen rolls, it is at {seen}")

@@ -6,13 +6,13 @@ from collections.abc import AsyncGenerator, Iterable, Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
+import anyio
 from anyio import create_task_group
 
-from fibaction.abc import Connection, Endpoint, Transport
+from fibaction.abc import Connection, Endpoint, Startable, Transport
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.client import ActionClient
 from fibaction.goals import ActionPeers
-from fibaction.server import ActionServer
 from fibaction.urls import transport_for, without_settings
 from fibaction.wire.settings import ClientKeywords, ServerKeywords
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 
 class _RosKeywords(TypedDict, total=False):
-    node_name: str | None
     namespace: str
     domain_id: int | None
     arguments: Sequence[str] | None
@@ -50,12 +49,15 @@ class ClientConnection(Connection):
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
+        self._clients: list[ActionClient[Any, Any, Any]] = []
 
     def client(
         self, action: Action[GoalT, FeedbackT, ResultT]
     ) -> ActionClient[GoalT, FeedbackT, ResultT]:
-        """A client of one action over this connection."""
-        return ActionClient(self.endpoint(action), action)
+        """Return a client of one action over this connection."""
+        client = ActionClient(self.endpoint(action), action)
+        self._clients.append(client)
+        return client
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
         """The endpoint of an action, for instance to serve it somewhere else."""
@@ -64,6 +66,16 @@ class ClientConnection(Connection):
     async def actions(self) -> list[ActionInfo]:
         """What can be reached now: see `Connection.actions`."""
         return await self._connection.actions()
+
+    async def leave(self) -> None:
+        """Cancel the goals of `call`, and of blocks of `send_goal`, that have not ended. Leaving
+        the block of `connect` does so, before the connection is closed.
+        """
+        # Shielded: if the block was canceled, the goals must be canceled all the same.
+        with anyio.CancelScope(shield=True):
+            async with create_task_group() as tasks:
+                for client in self._clients:
+                    tasks.start_soon(client.leave)
 
     async def peers(self, action: str) -> ActionPeers:
         """Who serves an action and who uses it: see `Connection.peers`."""
@@ -114,8 +126,12 @@ def _check_is_action(action: object) -> None:
 
 @asynccontextmanager
 async def _connected(transport: Transport) -> AsyncGenerator[ClientConnection, None]:
-    async with transport.connect() as connection:
-        yield ClientConnection(connection)
+    async with transport.connect() as opened:
+        connection = ClientConnection(opened)
+        try:
+            yield connection
+        finally:
+            await connection.leave()
 
 
 @asynccontextmanager
@@ -153,14 +169,14 @@ async def serve(
             " it to an ActionClient"
         )
     transports = [transport_for(one, **settings) for one in where]
-    servers: list[ActionServer[Any, Any, Any]] = [
-        one for one in chosen if isinstance(one, ActionServer) and not one.is_running
-    ]
+    started: list[Startable] = []
     async with AsyncExitStack() as stack:
-        for server in servers:
-            await stack.enter_async_context(server)
+        for one in chosen:
+            if isinstance(one, Startable) and not one.is_running:
+                await stack.enter_async_context(one)
+                started.append(one)
         urls = [await stack.enter_async_context(one.serve(*chosen)) for one in transports]
-        stack.push_async_callback(_stop, servers)
+        stack.push_async_callback(_stop, started)
         yield tuple(urls)
 
 
@@ -181,7 +197,7 @@ def _chosen(endpoints: Endpoint | Iterable[Endpoint]) -> tuple[Endpoint, ...]:
     return tuple(chosen)
 
 
-async def _stop(servers: Iterable[ActionServer[Any, Any, Any]]) -> None:
+async def _stop(servers: Iterable[Startable]) -> None:
     async with create_task_group() as tasks:
         for server in servers:
             tasks.start_soon(server.stop)

@@ -10,7 +10,6 @@ import decimal
 import re
 import uuid
 from collections.abc import Iterator
-from importlib.metadata import entry_points
 from typing import Any, Generic, TypeGuard, TypeVar, cast, get_origin
 
 import msgspec
@@ -45,13 +44,15 @@ class Codec(Generic[T]):
         action 'dock'`; empty for what clients send.
 
         Raises:
-            TypeError: msgspec cannot decode such a type.
+            TypeError: msgspec cannot encode and decode such a type.
         """
         self.type = message_type
         """The type, as it was given."""
         self._sent = sent
         self._decoder = msgspec.msgpack.Decoder(message_type)
-        self.classes = tuple(_runtime_classes(inspect.type_info(message_type)))
+        info = inspect.type_info(message_type)
+        _check_can_be_encoded(info, set())
+        self.classes = tuple(_runtime_classes(info))
         """The classes that a value of this type is an instance of; `object` for any."""
 
     def holds(self, value: object) -> TypeGuard[T]:
@@ -195,6 +196,8 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
 
 def _interface(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
     """The types of a ROS 2 action, from whatever package knows how to make them."""
+    from importlib.metadata import entry_points  # takes longer than all other imports
+
     found = tuple(entry_points(group=INTERFACES, name="ros2"))
     if not found:
         raise TransportError(
@@ -247,6 +250,29 @@ _CLASSES: dict[type[inspect.Type], tuple[type, ...]] = {
     inspect.RawType: (msgspec.Raw,),
     inspect.ExtType: (msgspec.msgpack.Ext,),
 }
+
+
+def _check_can_be_encoded(info: object, seen: set[int]) -> None:
+    """Look for a class that msgspec would hand to a hook, wherever it is nested.
+
+    Raises:
+        TypeError: There is one.
+    """
+    if id(info) in seen:  # a type may contain itself
+        return
+    seen.add(id(info))
+    if isinstance(info, inspect.CustomType) and info.cls is not object:
+        raise TypeError(
+            f"{info.cls.__qualname__} cannot be encoded: make it a msgspec.Struct, a dataclass, an"
+            f" attrs class or a TypedDict"
+        )
+    if isinstance(info, inspect.Field):
+        _check_can_be_encoded(info.type, seen)
+    elif isinstance(info, inspect.Type):
+        for name in info.__struct_fields__:
+            value = getattr(info, name)
+            for part in value if isinstance(value, tuple) else (value,):
+                _check_can_be_encoded(part, seen)
 
 
 def _runtime_classes(info: inspect.Type) -> Iterator[type]:

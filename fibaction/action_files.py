@@ -1,10 +1,10 @@
-"""Actions from ROS 2 interface files, with no ROS and no build step.
+"""Actions from ROS 2 interface files, without ROS and without a build step.
 
     from fibaction.action_files import load_action
 
     FIBONACCI = load_action("arduinobot_msgs/action/Fibonacci.action")
 
-The same as a module that type checkers can read is what `fibaction gen` writes.
+`fibaction gen` writes the same types as a module, which type checkers can read.
 """
 
 from __future__ import annotations
@@ -14,10 +14,13 @@ from collections.abc import Iterable
 from typing import Any
 
 from fibaction.action import Action
-from fibaction.interfaces.definitions import InterfaceError
-from fibaction.interfaces.files import ActionFile, read_action
-from fibaction.interfaces.source import python_source
-from fibaction.interfaces.structs import make_structs
+from fibaction.interfaces import (
+    ActionFile,
+    InterfaceError,
+    make_structs,
+    python_source,
+    read_action,
+)
 
 __all__ = ["InterfaceError", "action_source", "load_action"]
 
@@ -34,20 +37,20 @@ def load_action(
     Its types are structs with the fields, defaults and limits of the file, constants as attributes
     of the class, and comments as descriptions: `action.goal.type(order=3)`.
 
-    `name` is that of the action; without one it is that of the file, `navigate_to_pose` for
-    `NavigateToPose.action`. `type_name` is the ROS 2 type; it is known without being given if the
-    file lies in `package/action/`.
+    `name` is the name of the action; by default it is that of the file, for example
+    `navigate_to_pose` for `NavigateToPose.action`. `type_name` is the ROS 2 type; by default it is
+    known from the folders if the file lies in `package/action/`.
 
-    Messages that it nests are looked for beside the file, in the packages beside its own, in each
-    folder of `search`, and where ROS has its own, if `setup.bash` has been sourced or ROS is in
-    this virtual environment. Such a folder holds packages (`package/msg/Type.msg`), is one, or
-    holds `.msg` files. The two messages of `builtin_interfaces` need no file.
+    Nested messages are searched for beside the file, in the packages beside its own, in each folder
+    of `search`, and in the folders of ROS, if `setup.bash` has been sourced or ROS is installed in
+    this virtual environment. A folder of `search` holds packages (`package/msg/Type.msg`), is a
+    package, or holds `.msg` files. The two messages of `builtin_interfaces` need no file.
 
     Raises:
-        InterfaceError: A file is malformed, or a nested message is nowhere; the text names the
+        InterfaceError: A file is malformed, or a nested message is not found; the text names the
             file, the line and what was expected.
         OSError: The file cannot be read.
-        ValueError: The name or the type name breaks the rule for such.
+        ValueError: The name or the type name is invalid.
     """
     return _made(read_action(path, name=name, type_name=type_name, search=search))
 
@@ -59,17 +62,18 @@ def action_source(
     search: Iterable[str | os.PathLike[str]] = (),
     type_name: str = "",
 ) -> str:
-    """Write the source of a Python module with the types that `load_action` makes, and the action.
+    """Return the source of a Python module with the types that `load_action` makes, and the action.
 
     The action is a constant with its name in capitals. The module needs neither the file nor ROS.
+    The source has one field per line, however long; run your formatter over it.
 
     Raises:
-        InterfaceError: As for `load_action`, as are all others.
+        InterfaceError: A file is malformed, or a nested message is not found.
         OSError: The file cannot be read.
-        ValueError: The name or the type name breaks the rule for such.
+        ValueError: The name or the type name is invalid.
     """
     action = read_action(path, name=name, type_name=type_name, search=search)
-    _made(action)  # so that what it cannot be made from is told of now
+    _made(action)  # raises now what the module would raise on import
     return python_source(action)
 
 

@@ -172,7 +172,14 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
 class SendingGoal(Generic[FeedbackT, ResultT]):
     """A goal on its way: `await` it, or use it in `async with`. See `ActionClient.send_goal`."""
 
-    def __init__(self, sending: Coroutine[Any, Any, ClientGoal[FeedbackT, ResultT]]) -> None:
+    def __init__(
+        self,
+        client: ActionClient[Any, FeedbackT, ResultT],
+        goal_id: GoalID,
+        sending: Coroutine[Any, Any, ClientGoal[FeedbackT, ResultT]],
+    ) -> None:
+        self._client = client
+        self._goal_id = goal_id
         self._sending = sending
         self._goal: ClientGoal[FeedbackT, ResultT] | None = None
 
@@ -180,7 +187,12 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
         return self._sending.__await__()
 
     async def __aenter__(self) -> ClientGoal[FeedbackT, ResultT]:
-        self._goal = await self._sending
+        self._client._blocks.add(self)
+        try:
+            self._goal = await self._sending
+        except BaseException:
+            self._client._blocks.discard(self)
+            raise
         return self._goal
 
     async def __aexit__(
@@ -189,20 +201,28 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        goal = self._goal
-        assert goal is not None
-        goal.close()
-        if goal.status.is_terminal:
-            return
+        assert self._goal is not None
+        self._goal.close()
+        if self in self._client._blocks:  # else the connection was left, and has canceled the goal
+            self._client._blocks.discard(self)
+            await self.leave()
+
+    async def leave(self) -> None:
+        """Cancel the goal if it has not ended, and wait for the answer; log it if it runs on."""
+        goal_id = self._goal_id
+        if self._goal is not None:
+            if self._goal.status.is_terminal:
+                return
+            goal_id = self._goal.goal_id
         with anyio.move_on_after(LEAVE_TIMEOUT, shield=True) as patience:
             try:
-                answer = await goal.cancel()
+                answer = await self._client.endpoint.cancel_goals(goal_id)
                 if not answer.accepted and answer.reason:
-                    logger.warning("%r was left, but runs on: %s", goal, answer.reason)
+                    logger.warning("goal %s was left, but runs on: %s", goal_id, answer.reason)
             except ActionError as error:
-                logger.warning("%r was left, but could not be canceled: %s", goal, error)
+                logger.warning("goal %s was left, but could not be canceled: %s", goal_id, error)
         if patience.cancelled_caught:
-            logger.warning("%r was left, but its server does not answer the cancel", goal)
+            logger.warning("goal %s was left, but its server does not answer the cancel", goal_id)
 
 
 class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
@@ -210,8 +230,9 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
     def __init__(self, endpoint: Endpoint, action: Action[GoalT, FeedbackT, ResultT]) -> None:
         self.endpoint = endpoint
-        """Where the goals go."""
+        """The endpoint that the goals are sent to."""
         self.action = action
+        self._blocks: set[SendingGoal[FeedbackT, ResultT]] = set()
 
     def send_goal(
         self, goal: GoalT, *, goal_id: GoalID | None = None
@@ -235,7 +256,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         if goal_id is None:
             goal_id = GoalID.random()
         _check_is_id(goal_id)
-        return SendingGoal(self._send(goal, goal_id))
+        return SendingGoal(self, goal_id, self._send(goal, goal_id))
 
     async def call(
         self,
@@ -251,8 +272,9 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
                 TypeError, OverflowError: As for `send_goal`.
             GoalAborted, GoalCanceled, UnknownGoal, TransportError: As for `ClientGoal.result`.
         """
-        sending = self._send(goal, GoalID.random(), feedback=on_feedback is not None)
-        async with SendingGoal(sending) as sent:
+        goal_id = GoalID.random()
+        sending = self._send(goal, goal_id, feedback=on_feedback is not None)
+        async with SendingGoal(self, goal_id, sending) as sent:
             if on_feedback is not None:
                 async for feedback in sent.feedback:
                     answer = on_feedback(feedback)
@@ -326,6 +348,15 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         with anyio.move_on_after(timeout):
             return await self.endpoint.wait_for_server()
         raise ServerNotFound(f"nobody served the action {self.action.name!r} within {timeout:g} s")
+
+    async def leave(self) -> None:
+        """Cancel the goals whose block of `send_goal`, or whose `call`, has not ended. Leaving the
+        block of `connect` does so before the connection is closed.
+        """
+        blocks, self._blocks = self._blocks, set()
+        async with anyio.create_task_group() as tasks:
+            for block in blocks:
+                tasks.start_soon(block.leave)
 
     async def _send(
         self, goal: GoalT, goal_id: GoalID, *, feedback: bool = True

@@ -6,6 +6,7 @@ Plain values: they know nothing of who sends them or how.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from enum import IntEnum
 from typing import Any, Generic, TypeVar
 
@@ -57,6 +58,24 @@ class GoalID(bytes):
 
     def __repr__(self) -> str:
         return f"GoalID.parse('{self.hex()}')"
+
+
+NO_GOAL = GoalID(bytes(16))
+"""The ID that names no goal; in a cancel it means that no goal is named."""
+
+
+class Sender(msgspec.Struct, frozen=True):
+    """The client that sends a goal, as its transport knows it."""
+
+    name: str = ""
+    """Its name, for people to read; empty if it is unknown."""
+    owner: bytes = b""
+    """A digest that is the same on each connection of that client, and of no other client; empty if
+    the transport cannot recognise its clients."""
+
+
+UNKNOWN_SENDER = Sender()
+"""A client of which the transport knows nothing."""
 
 
 class GoalInfo(msgspec.Struct, frozen=True):
@@ -112,9 +131,30 @@ class CancelAnswer(msgspec.Struct, frozen=True):
     goals_canceling: tuple[GoalInfo, ...] = ()
     """The goals whose cancel was accepted, each with the status it had just after."""
     reason: str = ""
-    """Why a cancel was refused; several reasons are joined with `; `."""
+    """Why a cancel was rejected; several reasons are joined with `; `."""
 
     @property
     def accepted(self) -> bool:
-        """Whether any goal is canceling because of it."""
+        """True if any goal is canceling because of it."""
         return bool(self.goals_canceling)
+
+    @classmethod
+    def merged(cls, answers: Iterable[CancelAnswer]) -> CancelAnswer:
+        """Return one answer for one cancel that several servers have answered.
+
+        A goal that is canceling anywhere makes it NONE; otherwise a rejection counts most, then a
+        goal that has ended, then a cancel of all that found no goal. Only if no server knows the
+        goal, it is unknown. Without any answer it is NONE, as if there were no goals.
+        """
+        answers = tuple(answers)
+        goals = tuple(info for answer in answers for info in answer.goals_canceling)
+        reasons = "; ".join(dict.fromkeys(answer.reason for answer in answers if answer.reason))
+        codes = {answer.return_code for answer in answers}
+        weights = (
+            CancelCode.REJECTED,
+            CancelCode.GOAL_TERMINATED,
+            CancelCode.NONE,
+            CancelCode.UNKNOWN_GOAL_ID,
+        )
+        code = next((code for code in weights if code in codes), CancelCode.NONE)
+        return cls(CancelCode.NONE if goals else code, goals, reasons)

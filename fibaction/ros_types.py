@@ -1,7 +1,6 @@
-"""The types that fields of ROS 2 messages have, as types of msgspec with ROS's limits.
+"""The types of fields of ROS 2 messages, as types of msgspec with ROS's limits.
 
-One rule for all who make structs from ROS: from interface files, or from ROS's own classes.
-Needs no ROS, and knows neither files nor those classes.
+Both sources of structs use them: interface files and ROS's own classes. Needs no ROS.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ Int64: TypeAlias = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
 UInt8: TypeAlias = Annotated[int, Meta(ge=0, le=2**8 - 1)]
 UInt16: TypeAlias = Annotated[int, Meta(ge=0, le=2**16 - 1)]
 UInt32: TypeAlias = Annotated[int, Meta(ge=0, le=2**32 - 1)]
-# msgspec has no limits above that of an int64, and msgpack has nothing above a uint64.
+# msgspec has no limits above an int64, and msgpack no integers above a uint64.
 UInt64: TypeAlias = Annotated[int, Meta(ge=0)]
 Byte: TypeAlias = UInt8
 Char: TypeAlias = UInt8
@@ -45,26 +44,26 @@ PRIMITIVES: dict[str, Any] = {
 }
 """The types of single values, by their names in interface files."""
 
-_LIST: Any = list  # to be given types that are known at run time only
+_LIST: Any = list  # type checkers reject arguments that are known at run time only
 
 _encode = msgspec.msgpack.Encoder().encode
 
 
 def string(bound: int | None = None) -> Any:
-    """A `string` or `wstring`; `bound` is its greatest length in characters."""
+    """Return the type of a `string` or `wstring` of at most `bound` characters."""
     return str if bound is None else Annotated[str, Meta(max_length=bound)]
 
 
 def array(element: Any, *, size: int | None = None, bound: int | None = None) -> Any:
-    """An array of a fixed size, a sequence with a greatest length, or one of any length.
+    """Return the type of an array of a fixed size, of at most `bound` elements, or of any length.
 
-    Those of `byte`, `char` and `uint8` are `bytes`, all others lists.
+    Arrays of `byte`, `char` and `uint8` are `bytes`, all others lists.
     """
     return limited(bytes if element == UInt8 else _LIST[element], size=size, bound=bound)
 
 
 def limited(collection: Any, *, size: int | None = None, bound: int | None = None) -> Any:
-    """A type of collections, of which each has a fixed size or at most so many elements."""
+    """Return a type of collections with a fixed size, or with at most `bound` elements."""
     most = bound if size is None else size
     if most is None:
         return collection
@@ -79,11 +78,11 @@ def struct(
     doc: str,
     constants: Mapping[str, Any],
 ) -> type[msgspec.Struct]:
-    """A struct for a message, with its constants as attributes of the class.
+    """Make a struct for a message, with its constants as attributes of the class.
 
-    `fields` are names, types and defaults, these as plain data: a nested struct as a dict, `{}`
-    for the one with its own defaults. A field that is called like a word of Python is an attribute
-    with `_` behind it, and keeps its name in payloads.
+    `fields` are names, types and defaults. A default is plain data, a nested struct a dict, `{}`
+    for one with its own defaults. A field whose name is a keyword of Python is an attribute with
+    `_` behind the name, and keeps its name in payloads.
     """
     return msgspec.defstruct(
         name,
@@ -96,12 +95,12 @@ def struct(
 
 
 def attribute(field: str) -> str:
-    """The attribute of a struct in which a field is."""
+    """Return the name of the attribute that holds a field."""
     return f"{field}_" if keyword.iskeyword(field) else field
 
 
 def default(field: str, kind: Any, plain: Any) -> Any:
-    """What `msgspec.defstruct` takes as the default of a field; see `struct` for `plain`."""
+    """Return the default of a field for `msgspec.defstruct`; see `struct` for `plain`."""
     name = field if keyword.iskeyword(field) else None
     if isinstance(plain, (bool, int, float, str, bytes)):
         return msgspec.field(default=plain, name=name)

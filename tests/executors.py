@@ -169,7 +169,7 @@ ABORTED: list[tuple[Callable[[GoalHandle[Goal]], Items], str, list[int] | None]]
     (aborts_in_a_task_group, "the object is too heavy", [1]),
     (
         aborts_with_a_wrong_part,
-        WRONG + "it raised GoalAborted with a list as its result",
+        "the object is too heavy (its result is left out: a list is not of the result's type)",
         None,
     ),
     (
@@ -179,13 +179,13 @@ ABORTED: list[tuple[Callable[[GoalHandle[Goal]], Items], str, list[int] | None]]
     ),
     (
         says_canceled_though_nobody_asked,
-        "the executor ended as canceled, but nobody had asked for that",
+        "the executor ended as canceled, but no cancel was asked for",
         [1],
     ),
     (says_canceled_with_a_reason, "no light", None),
     (raises_what_only_python_does, "GeneratorExit: by hand", None),
-    (is_no_generator, WRONG + "it is no async generator: it returned a coroutine", None),
-    (returns_its_feedback, WRONG + "it is no async generator: it returned a list", None),
+    (is_no_generator, WRONG + "it is not an async generator: it returned a coroutine", None),
+    (returns_its_feedback, WRONG + "it is not an async generator: it returned a list", None),
     (raises_instead_of_making_one, "ValueError: at once", None),
 ]
 """(executor, reason, partial result)"""

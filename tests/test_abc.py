@@ -21,7 +21,16 @@ from fibaction.abc import (
 )
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import ActionError, ConnectionLost, UnknownGoal
-from fibaction.goals import UNKNOWN_OUTCOME, ActionPeers, CancelAnswer, GoalID, GoalInfo, Outcome
+from fibaction.goals import (
+    UNKNOWN_OUTCOME,
+    UNKNOWN_SENDER,
+    ActionPeers,
+    CancelAnswer,
+    GoalID,
+    GoalInfo,
+    Outcome,
+    Sender,
+)
 from fibaction.states import GoalStatus
 
 KNOWN = GoalID(bytes(range(16)))
@@ -90,7 +99,14 @@ class OneGoal(Endpoint):
     def info(self) -> ActionInfo:
         return ActionInfo("one")
 
-    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> GoalStream:
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+    ) -> GoalStream:
         self.sent.append((goal_id, goal, feedback))
         return self.stream
 
@@ -297,7 +313,7 @@ async def test_a_goal_is_offered_by_sending_it_unless_an_endpoint_knows_better(
 @pytest.mark.asyncio
 async def test_who_sends_a_goal_is_no_affair_of_an_endpoint_that_does_not_ask() -> None:
     endpoint = OneGoal(OneEnd())
-    offered = endpoint.offer_goal(KNOWN, b"goal", client="the arm")
+    offered = endpoint.offer_goal(KNOWN, b"goal", sender=Sender("the arm"))
     assert not isinstance(offered, GoalStream)
     with anyio.fail_after(5):
         await offered
@@ -338,7 +354,7 @@ def test_feedback_has_a_number_and_a_payload() -> None:
     ("interface", "to_write"),
     [
         (GoalStream, {"status", "dropped", "take", "known_outcome", "hold", "close", "fail"}),
-        (StatusStream, {"dropped", "receive", "close"}),
+        (StatusStream, {"dropped", "receive", "close", "fail"}),
         (
             Endpoint,
             {"info", "send_goal", "feedback", "cancel_goals", "status", "wait_for_server"},
@@ -361,7 +377,7 @@ def test_everything_that_the_author_of_a_transport_reads_has_a_docstring() -> No
         for name, value in vars(abc).items()
         if inspect.isclass(value) and value.__module__ == abc.__name__ and name[0] != "_"
     ]
-    assert len(interfaces) == 6
+    assert len(interfaces) == 5
     for interface in interfaces:
         assert inspect.getdoc(interface)
         for name, member in vars(interface).items():
@@ -379,6 +395,9 @@ class SomeGoals(StatusStream):
     @property
     def dropped(self) -> int:
         return 0
+
+    def fail(self, error: ActionError) -> None:
+        raise NotImplementedError
 
     async def receive(self) -> GoalInfo | None:
         return self._infos.popleft() if self._infos else None

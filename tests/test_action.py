@@ -555,8 +555,26 @@ def test_a_description_does_not_change() -> None:
 
 
 def test_a_type_without_a_schema_allows_anything() -> None:
-    assert Codec(Stranger).schema() == {}
-    assert Action("a", goal=Stranger, feedback=int, result=str).info.goal == {}
+    extension = msgspec.msgpack.Ext
+    assert Codec(extension).schema() == {}
+    assert Action("a", goal=extension, feedback=int, result=str).info.goal == {}
+
+
+class Recursive(msgspec.Struct):
+    parts: list[Recursive]
+
+
+@pytest.mark.parametrize("message_type", [Stranger, list[Stranger], dict[str, Stranger | None]])
+def test_a_class_that_cannot_be_encoded_is_rejected_when_the_action_is_made(
+    message_type: Any,
+) -> None:
+    with pytest.raises(TypeError) as caught:
+        Action("a", goal=message_type, feedback=int, result=str)
+    assert str(caught.value) == (
+        "Stranger cannot be encoded: make it a msgspec.Struct, a dataclass, an attrs class or a"
+        " TypedDict"
+    )
+    Action("a", goal=Recursive, feedback=int, result=str)
 
 
 def test_a_description_says_no_more_than_the_name_unless_told() -> None:
@@ -623,7 +641,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Install:
         ]
         if value is not None:
             entries.append(EntryPoint(name="ros2", value=value, group=INTERFACES))
-        monkeypatch.setattr("fibaction.action.entry_points", EntryPoints(entries).select)
+        monkeypatch.setattr("importlib.metadata.entry_points", EntryPoints(entries).select)
 
     return install
 

@@ -20,7 +20,7 @@ def load(**settings: Any) -> Any:
     return load_action(COUNT, search=[FILES], **settings)
 
 
-def test_an_action_is_made_of_a_file() -> None:
+def test_an_action_is_made_from_a_file() -> None:
     action = load()
 
     assert action.name == "count"
@@ -30,13 +30,13 @@ def test_an_action_is_made_of_a_file() -> None:
     assert msgspec.to_builtins(action.result.type()) == {"sequence": []}
 
 
-def test_an_action_has_the_name_and_the_type_that_are_given() -> None:
+def test_a_given_name_and_type_are_used() -> None:
     action = load(name="arm/count", type_name="robot_msgs/action/Count")
 
     assert (action.name, action.type_name) == ("arm/count", "robot_msgs/action/Count")
 
 
-def test_an_action_in_a_package_has_its_type() -> None:
+def test_an_action_in_a_package_has_the_type_of_the_package() -> None:
     action = load_action(str(FILES / "robot_msgs/action/PickUp.action"))
 
     assert (action.name, action.type_name) == ("pick_up", "robot_msgs/action/PickUp")
@@ -63,7 +63,7 @@ async def test_a_loaded_action_is_served_and_checks_its_limits() -> None:
     assert result.sequence == [0, 1, 2]
 
 
-def test_the_source_of_a_module_is_that_of_the_same_action() -> None:
+def test_the_source_makes_the_same_action() -> None:
     source = action_source(COUNT, name="tally", search=[FILES], type_name="a/action/Count")
     names: dict[str, Any] = {"__name__": "tally_types"}
     exec(compile(source, "tally_types.py", "exec", dont_inherit=True), names)
@@ -73,7 +73,7 @@ def test_the_source_of_a_module_is_that_of_the_same_action() -> None:
 
 
 @pytest.mark.parametrize("make", [load_action, action_source])
-def test_a_malformed_file_is_refused(make: Any, tmp_path: Path) -> None:
+def test_a_malformed_file_is_rejected(make: Any, tmp_path: Path) -> None:
     path = tmp_path / "Lift.action"
     path.write_text("int32 order\nint33 size\n---\n---\n")
 
@@ -87,7 +87,7 @@ def test_a_malformed_file_is_refused(make: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("make", [load_action, action_source])
-def test_a_wrong_name_or_type_is_refused(make: Any) -> None:
+def test_an_invalid_name_or_type_is_rejected(make: Any) -> None:
     with pytest.raises(ValueError, match="an action's name is like"):
         make(COUNT, name="2 much", search=[FILES])
     with pytest.raises(ValueError, match="a type name is like"):

@@ -33,6 +33,7 @@ from fibaction import (
 )
 from fibaction._notify import Notifier
 from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate, StatusStream
+from fibaction.goals import UNKNOWN_SENDER, Sender
 from fibaction.testing import ScriptedServer
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 
@@ -93,7 +94,14 @@ class Broken(Endpoint):
     def info(self) -> ActionInfo:
         return FIBONACCI.info
 
-    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> GoalStream:
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+    ) -> GoalStream:
         if self.sending is not None:
             self.sending.set()
             await anyio.sleep_forever()
@@ -292,6 +300,9 @@ async def test_a_list_of_goals_ends_where_the_server_does() -> None:
             self.items = [GoalInfo(GoalID(bytes(range(16))), 7, GoalStatus.EXECUTING)]
             self.closed = False
 
+        def fail(self, error: ActionError) -> None:
+            raise NotImplementedError
+
         async def receive(self) -> GoalInfo | None:
             return self.items.pop() if self.items else None
 
@@ -360,7 +371,7 @@ async def test_leaving_a_goal_that_refuses_or_is_unknown_does_not_raise(
 
     hold = anyio.Event()
     server = ScriptedServer(FIBONACCI, [hold, Result([])])
-    server._on_cancel = refuse
+    server._admission._on_cancel = refuse
     async with server:
         async with client_of(server).send_goal(Goal(1)):
             pass

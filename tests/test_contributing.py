@@ -49,6 +49,7 @@ def test_the_layers_on_the_page_are_all_modules() -> None:
     there = {
         each.stem
         for each in (ROOT / "fibaction").iterdir()
-        if (each.suffix == ".py" or (each / "__init__.py").exists()) and each.stem != "__init__"
+        if (each.suffix == ".py" or (each / "__init__.py").exists())
+        and not each.stem.startswith("_")
     }
     assert set(named) == there

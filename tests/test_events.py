@@ -22,6 +22,7 @@ from fibaction import (
     UnknownGoal,
 )
 from fibaction.abc import GoalStream, StatusStream
+from fibaction.exceptions import ActionError
 from fibaction.testing import ScriptedServer
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
@@ -167,6 +168,9 @@ class Statuses(StatusStream):
     @property
     def dropped(self) -> int:
         return 7
+
+    def fail(self, error: ActionError) -> None:
+        raise NotImplementedError
 
     async def receive(self) -> GoalInfo | None:
         await anyio.lowlevel.checkpoint()

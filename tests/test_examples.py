@@ -92,18 +92,18 @@ def test_the_demo_shows_a_cancel_a_success_and_a_rejection(
     assert lines[0].startswith("The server is another process, at tcp://127.0.0.1:")
     feedback = ["feedback  " + " ".join(map(str, NUMBERS[:n])) for n in range(3, 12)]
     assert lines[1:] == [
-        "1. A goal that is canceled half-way ends with what there was by then.",
+        "1. A goal that is canceled half-way ends with the numbers so far.",
         "goal      order 10",
         *feedback[:5],
         "cancel    accepted",
         "canceled",
         "result    0 1 1 2 3 5 8",
-        "2. A goal that is left alone ends with all of it.",
+        "2. A goal that is not canceled ends with all numbers.",
         "goal      order 10",
         *feedback,
         "succeeded",
         "result    0 1 1 2 3 5 8 13 21 34 55",
-        "3. A goal that cannot be met is rejected, and the server says why.",
+        "3. A goal that the server cannot compute is rejected with a reason.",
         "goal      order 47",
         "rejected  order is 47, and the numbers after index 46 do not fit int32",
     ]
@@ -325,7 +325,7 @@ async def test_a_cancel_that_comes_too_late_is_told(capsys: pytest.CaptureFixtur
             goal = await client.send_goal(Goal(1))
             await goal.outcome()
             fibonacci_client.tell_cancel(await goal.cancel())
-    assert capsys.readouterr().out == "cancel    refused: GOAL_TERMINATED\n"
+    assert capsys.readouterr().out == "cancel    rejected: GOAL_TERMINATED\n"
 
 
 @pytest.fixture

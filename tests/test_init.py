@@ -9,12 +9,12 @@ import types
 import pytest
 
 import fibaction
-from fibaction import exceptions
+from fibaction import _public, exceptions
 
 PUBLIC = sorted(
     name
-    for name, value in vars(fibaction).items()
-    if name[0] != "_" and not isinstance(value, types.ModuleType)
+    for name, value in vars(_public).items()
+    if name[0] != "_" and name != "annotations" and not isinstance(value, types.ModuleType)
 )
 
 
@@ -37,6 +37,21 @@ def test_the_list_of_public_names_is_sorted_and_has_no_name_twice() -> None:
 
 def test_the_list_of_public_names_is_complete() -> None:
     assert fibaction.__all__ == PUBLIC
+    assert set(PUBLIC) <= set(dir(fibaction))
+
+
+def test_a_name_that_is_not_public_is_an_attribute_error() -> None:
+    for name in ("ActionSever", "_private"):
+        with pytest.raises(AttributeError, match=f"module 'fibaction' has no attribute '{name}'"):
+            getattr(fibaction, name)
+
+
+def test_public_names_are_imported_at_their_first_use() -> None:
+    before = modules_after("import fibaction")
+    assert {name for name in before if name.startswith("fibaction")} == {"fibaction"}
+    assert {"anyio", "msgspec", "importlib.metadata"}.isdisjoint(before)
+    assert "fibaction.client" in modules_after("from fibaction import *")
+    assert "importlib.metadata" not in modules_after("from fibaction import *")
 
 
 def test_every_error_is_public() -> None:
@@ -66,13 +81,13 @@ def test_a_public_name_and_its_members_have_docstrings(name: str) -> None:
 
 
 def test_an_import_brings_no_parser_of_action_files_which_has_a_module_of_its_own() -> None:
-    imported = modules_after("import fibaction")
+    imported = modules_after("from fibaction import *")
     assert {name for name in imported if name.startswith("fibaction.interfaces")} == set()
     assert "fibaction.interfaces" in modules_after("from fibaction.action_files import load_action")
 
 
 def test_an_import_brings_no_transport_no_ros_and_no_event_loop() -> None:
-    imported = modules_after("import fibaction, fibaction.testing")
+    imported = modules_after("import fibaction.testing; from fibaction import *")
     assert "fibaction.server" in imported
     assert {name.partition(".")[0] for name in imported}.isdisjoint(
         {"fibaction_transports", "rclpy", "asyncio", "trio"}

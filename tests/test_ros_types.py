@@ -4,7 +4,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given, strategies
 from msgspec import Struct
 
 from fibaction.ros_types import (
@@ -28,7 +27,7 @@ INTEGERS = {
 
 
 def fits(value: object, kind: Any) -> bool:
-    """Whether it comes back from a payload of that type."""
+    """Return whether the value is decoded from a payload of that type."""
     try:
         return bool(msgspec.msgpack.decode(msgspec.msgpack.encode(value), type=kind) == value)
     except (msgspec.ValidationError, OverflowError):
@@ -41,22 +40,15 @@ def make(*fields: tuple[str, Any, Any], **constants: Any) -> type[Struct]:
 
 @pytest.mark.parametrize("name", INTEGERS)
 def test_an_integer_has_the_limits_of_its_width(name: str) -> None:
-    least, most = INTEGERS[name]
+    low, high = INTEGERS[name]
 
-    assert fits(least, PRIMITIVES[name])
-    assert fits(most, PRIMITIVES[name])
-    assert not fits(least - 1, PRIMITIVES[name])
-    assert not fits(most + 1, PRIMITIVES[name])
-
-
-@given(strategies.integers(-(2**63), 2**64 - 1), strategies.sampled_from(sorted(INTEGERS)))
-def test_an_integer_fits_if_it_is_within_the_limits(number: int, name: str) -> None:
-    least, most = INTEGERS[name]
-
-    assert fits(number, PRIMITIVES[name]) == (least <= number <= most)
+    fitting = [
+        number for number in (low - 1, low, 0, high, high + 1) if fits(number, PRIMITIVES[name])
+    ]
+    assert fitting == [low, 0, high]
 
 
-def test_the_other_primitives_are_those_of_python() -> None:
+def test_other_primitives_are_types_of_python() -> None:
     others = {name: kind for name, kind in PRIMITIVES.items() if name not in INTEGERS}
 
     assert others == {
@@ -89,7 +81,7 @@ def test_an_array_of_anything_else_is_a_list() -> None:
 
 
 @pytest.mark.parametrize("length", range(5))
-def test_an_array_has_the_size_or_the_bound_that_is_asked_for(length: int) -> None:
+def test_an_array_has_its_size_or_bound(length: int) -> None:
     assert fits([1] * length, array(Int32, size=2)) == (length == 2)
     assert fits([1] * length, array(Int32, bound=2)) == (length <= 2)
 
@@ -106,7 +98,7 @@ def test_a_struct_has_fields_defaults_constants_and_a_docstring() -> None:
         msgspec.convert({"other": 1}, made)
 
 
-def test_two_structs_share_no_default() -> None:
+def test_two_structs_do_not_share_a_default() -> None:
     point: Any = make(("x", float, 0.0))
     made: Any = make(
         ("empty", list[Int32], []),
@@ -129,7 +121,7 @@ def test_two_structs_share_no_default() -> None:
     }
 
 
-def test_a_field_called_like_a_word_of_python_keeps_its_name_in_payloads() -> None:
+def test_a_field_named_as_a_keyword_keeps_its_name_in_payloads() -> None:
     made: Any = make(("from", Int32, 1), ("import", list[Int32], []), ("class", list[Int32], [3]))
 
     assert attribute("from") == "from_"

@@ -1,12 +1,12 @@
 """The command `fibaction`: actions from a shell. Its parts need the extra `fibaction[cli]`.
 
-Nothing else of fibaction knows of it.
+No other part of fibaction imports it.
 """
 
 from __future__ import annotations
 
+import os
 import sys
-from importlib.util import find_spec
 
 NEEDED = ("click", "rich", "yaml", "jsonschema")
 """The modules that the extra brings."""
@@ -15,16 +15,43 @@ INTERRUPTED = 130
 
 
 def main() -> None:
-    """Run the command line, and exit with its code."""
+    """Run the command line, and exit with its code.
+
+    Ctrl-C ends it quietly at any time: before a verb runs and after it has ended by `exit_at_once`,
+    meanwhile as the verb says.
+    """
+    try:
+        # All imports come after the handler, because they take longer than the rest.
+        import signal
+
+        signal.signal(signal.SIGINT, exit_at_once)
+        try:
+            _run()
+        finally:
+            if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+                signal.signal(signal.SIGINT, exit_at_once)
+    except KeyboardInterrupt:  # in the moments in which a verb begins or ends
+        sys.exit(INTERRUPTED)
+
+
+def exit_at_once(_number: int, _frame: object) -> None:
+    """Handle SIGINT where nothing has to be cleaned up.
+
+    A `KeyboardInterrupt` in the middle of an import or of the interpreter's exit would be a
+    traceback.
+    """
+    os._exit(INTERRUPTED)
+
+
+def _run() -> None:
+    from importlib.util import find_spec
+
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
         sys.stderr.write(
             f"The command fibaction needs {', '.join(missing)}: pip install 'fibaction[cli]'\n"
         )
         sys.exit(2)
-    try:
-        from fibaction.cli import app
+    from fibaction.cli import app
 
-        app.main()
-    except KeyboardInterrupt:  # while modules are imported; the verbs handle their own
-        sys.exit(INTERRUPTED)
+    app.main()

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from fibaction.action_files import action_source
-from fibaction.cli.ending import ExitCode, Failure
+from fibaction.cli.exit_codes import ExitCode, Failure
 
 
 @click.command(
@@ -32,23 +32,25 @@ Examples:
     "--search",
     multiple=True,
     type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Where packages with nested messages are, or .msg files; may be given several times.",
+    help="A folder with packages of nested messages, or .msg files; can be repeated.",
 )
 @click.option(
     "-o",
     "--output",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="The file to write, instead of stdout. It is left alone if anything is wrong.",
+    help="The file to write, instead of stdout. It is not changed after an error.",
 )
 def gen_command(
     file: Path, name: str, type_name: str, search: tuple[Path, ...], output: Path | None
 ) -> None:
     """Write the types of an .action FILE as a Python module.
 
-    It has a class for each message, which type checkers understand, and the action in capitals.
-    Messages that the file nests are looked for beside it, in its package and the neighbours of
-    that, under --search, and where ROS has its own: as setup.bash says if it has been sourced, or
-    in this virtual environment.
+    The module has a class for each message, which type checkers understand, and the action in
+    capitals. Its lines may be long: run your formatter over it.
+
+    Nested messages are searched for beside the file, in its package and the packages beside that,
+    in the folders of --search, and in those of ROS, if setup.bash has been sourced or ROS is
+    installed in this virtual environment.
     """
     try:
         source = action_source(file, name=name, search=search, type_name=type_name)

@@ -1,5 +1,5 @@
-"""The feedback of a goal on a terminal: one line that changes, with a bar if the feedback has a
-number that says how far the goal has come.
+"""The feedback of a goal on one line of a terminal, with a bar if the feedback has a number for the
+progress of the goal.
 """
 
 from __future__ import annotations
@@ -15,34 +15,34 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from fibaction.cli.escaping import clean
-from fibaction.cli.output import is_list, is_map
+from fibaction._plain_data import is_list, is_map
+from fibaction.cli.escape import clean
 
 PERCENT = ("percent", "percentage", "percent_complete", "percentage_complete", "percent_done")
 FRACTION = ("fraction", "fraction_complete", "fraction_done", "ratio", "completion", "progress")
-"""Fields that tell how far a goal has come: of 100, and of 1. Those of 1 are of 100 as soon as one
-is larger, since people count `progress` both ways."""
+"""Names of fields for the progress of a goal, from 0 to 100 and from 0 to 1. A field of the second
+kind counts to 100 as soon as it is larger than 1, since `progress` is used both ways."""
 
 BAR_SHARE = 4
-"""How many times as wide as its bar a terminal is."""
+"""Width of the terminal, in widths of the bar."""
 MOST_CHARACTERS = 500
-"""Of a text: more than a terminal is wide."""
+"""Characters of a text that are shown: more than a terminal is wide."""
 MOST_ITEMS = 8
-"""Of a list: its last ones, because many lists of feedback grow."""
+"""Items of a list that are shown: its last ones, because many lists of feedback grow."""
 
 _WORDS = {None: "null", False: "false", True: "true"}
 
 
 class Meter:
-    """Finds out how far a goal has come, from one feedback after the other."""
+    """Finds the progress of a goal in its feedback."""
 
     def __init__(self) -> None:
         self.field = ""
-        """The field that has told it last; empty if none has."""
+        """The field of the last feedback that has told it; empty if none has."""
         self._of_hundred = False
 
     def read(self, feedback: Any) -> float | None:
-        """How far, from 0 to 1; None if the feedback does not tell."""
+        """Return the progress, from 0 to 1; None if the feedback does not tell."""
         self.field = ""
         if not is_map(feedback):
             return None
@@ -64,7 +64,7 @@ def _within(fraction: float) -> float | None:
 
 
 class LiveLine:
-    """One line on a terminal, which is there until the end of the block."""
+    """One line on a terminal, until the end of the block."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -72,13 +72,13 @@ class LiveLine:
         self._spinner = Spinner("line")
         self._latest: tuple[int, Any] | None = None
         self._done: float | None = None
-        # It draws from a thread of its own, ten times a second, whatever is then the latest.
+        # It draws the latest feedback ten times a second, from a thread of its own.
         self._live = Live(
             console=console,
             transient=True,
             refresh_per_second=10,
             get_renderable=self._line,
-            redirect_stderr=sys.stderr.isatty(),  # what goes to a file is in nobody's way
+            redirect_stderr=sys.stderr.isatty(),  # output to a file does not disturb the line
         )
 
     def __enter__(self) -> Self:
@@ -94,15 +94,15 @@ class LiveLine:
         self._live.stop()
 
     def show(self, number: int, feedback: Any) -> None:
-        """Show a feedback instead of the one before."""
+        """Show a feedback in place of the one before."""
         done = self._meter.read(feedback)
-        if done is not None:  # the bar says it
+        if done is not None:  # the bar shows it
             feedback = {name: feedback[name] for name in feedback if name != self._meter.field}
         self._latest, self._done = (number, feedback), done
 
     def _line(self) -> Table:
         line = Table.grid(padding=(0, 2, 0, 0), expand=True)
-        # What a terminal shows of a Ctrl-C must not begin another line: this one is to be erased.
+        # A terminal prints ^C at Ctrl-C. If that began another line, this one could not be erased.
         line.width = self._console.width - len("^C^C")
         line.add_column(no_wrap=True)
         line.add_column(no_wrap=True)
@@ -122,7 +122,7 @@ class LiveLine:
 
 
 def on_one_line(feedback: Any) -> str:
-    """A feedback on one line, which is not all of it if it is large."""
+    """Return a feedback on one line; large feedback is cut."""
     if is_map(feedback):
         return "  ".join(f"{clean(str(name))}: {_brief(feedback[name])}" for name in feedback)
     return _brief(feedback)

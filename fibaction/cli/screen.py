@@ -1,9 +1,9 @@
-"""The screen of `fibaction top`, drawn from a `Board` a few times a second."""
+"""The screen of `fibaction top`, drawn from a `Monitor` a few times a second."""
 
 from __future__ import annotations
 
 import time
-from typing import ClassVar, cast
+from typing import Any, ClassVar, NamedTuple, Self, cast
 
 from rich.text import Text
 from textual.app import App, ComposeResult
@@ -11,34 +11,49 @@ from textual.binding import Binding, BindingType
 from textual.containers import VerticalScroll
 from textual.widgets import DataTable, Footer, Static
 
-from fibaction.cli.app import shown
-from fibaction.cli.board import Board, GoalKey, GoalLine
-from fibaction.cli.ending import sentence_of
-from fibaction.cli.escaping import clean
-from fibaction.cli.goal_list import unambiguous
-from fibaction.cli.reaching import reason_of
-from fibaction.cli.watching import STYLES
+from fibaction.cli.action_names import shown
+from fibaction.cli.cancel import reason_of
+from fibaction.cli.escape import clean
+from fibaction.cli.exit_codes import message_of
+from fibaction.cli.goal_table import STYLES, GoalRow, unambiguous
+from fibaction.cli.progress import on_one_line
+from fibaction.cli.yaml_text import as_yaml
 from fibaction.exceptions import ActionError
+from fibaction.monitor import GoalKey, GoalSnapshot, Monitor, Snapshot
 
 PERIOD = 0.5
 """Seconds between two pictures."""
 SETTLING = 2
-"""Pictures with goals in which a cursor that was not moved stays at the top: those that there are
-come one after another, and nobody has chosen one of them yet."""
+"""Pictures with goals in which a cursor that was not moved stays at the top: the goals that there
+are arrive one by one, and the user has not chosen one of them yet."""
 MOST = 200
-"""Goals that are shown. Nobody scrolls further, and each costs time at every picture."""
+"""Goals that are shown: each costs time at every picture."""
 WIDE = 110
-"""Columns from which on there is room for the client, too."""
+"""Width of a screen with room for the client, too."""
 NUMBERS = ("ACTIVE", "ENDED", "FEEDBACK/S", "AGE", "FEEDBACK", "/S")
-"""Columns that are set to the right."""
+"""Columns that are aligned to the right."""
 PADDING = 2
-"""Blanks that a table puts around each cell."""
+"""Spaces that a table puts around each cell."""
 LEAST = 10
-"""Columns of the feedback, at least; a table that is too wide can be scrolled."""
+"""Least width of the feedback; a table that is too wide can be scrolled."""
 
 
-class Screen(App[None]):
-    """Actions above, goals below, and the feedback of one of them where that is wanted."""
+class FeedbackText(NamedTuple):
+    """Feedback as text."""
+
+    line: str
+    """On one line; large feedback is cut."""
+    yaml: str
+    """As YAML; large feedback is cut."""
+
+    @classmethod
+    def of(cls, feedback: Any) -> Self:
+        """Make the texts of a feedback."""
+        return cls(on_one_line(feedback), as_yaml(feedback))
+
+
+class TopScreen(App[None]):
+    """Actions above, goals below, and on demand the feedback of one goal."""
 
     TITLE = "fibaction top"
     ENABLE_COMMAND_PALETTE = False
@@ -57,13 +72,13 @@ class Screen(App[None]):
         Binding("q,ctrl+c", "quit", "Quit", key_display="q", priority=True),
     ]
 
-    def __init__(self, board: Board, where: str) -> None:
-        """`where` is the server, for the first line."""
+    def __init__(self, monitor: Monitor, where: str) -> None:
+        """Make the screen of a monitor. `where` is the server, for the first line."""
         super().__init__()
-        self._board = board
+        self._monitor = monitor
         self._where = where
         self._keys: list[GoalKey] = []
-        self._followed: GoalLine | None = None
+        self._followed: GoalSnapshot | None = None
         self._settling = SETTLING
 
     def compose(self) -> ComposeResult:
@@ -87,73 +102,70 @@ class Screen(App[None]):
     # Drawing
 
     def draw(self) -> None:
-        """Draw what is on the board now."""
+        """Draw the state of the monitor now."""
         if not self.query("#state"):
-            return  # the screen is being taken down, and its clock has ticked once more
-        self._board.sample()
+            return  # the screen is closing, and its timer has fired once more
+        snapshot = self._monitor.snapshot(MOST)
         with self.batch_update():
-            self._draw_state()
-            self._draw_actions()
-            self._draw_goals()
+            self._draw_state(snapshot)
+            self._draw_actions(snapshot)
+            self._draw_goals(snapshot.goals)
             self._draw_followed()
 
-    def _draw_state(self) -> None:
+    def _draw_state(self, snapshot: Snapshot) -> None:
         state = self.query_one("#state", Static)
-        away = self._board.away
+        away, actions = message_of(snapshot.away), snapshot.actions
         state.set_class(bool(away), "away")
         if away:
             state.update(f"{clean(self._where)}  the server is away: {clean(away)}")
             return
-        actions = self._board.actions.values()
         active, ended = sum(one.active for one in actions), sum(one.ended for one in actions)
-        rate = sum(one.rate.per_second for one in actions)
+        rate = sum(one.feedback_rate for one in actions)
         state.update(f"{clean(self._where)}  {active} active, {ended} ended, {rate:.1f} feedback/s")
 
-    def _draw_actions(self) -> None:
+    def _draw_actions(self, snapshot: Snapshot) -> None:
         rows = [
             [
-                Text(clean(shown(name))),
+                Text(clean(shown(one.info.name))),
                 _right(f"{one.active}"),
                 _right(f"{one.ended}"),
-                _right(f"{one.rate.per_second:.1f}"),
-                Text(f"away: {clean(one.away)}", "red")
+                _right(f"{one.feedback_rate:.1f}"),
+                Text(f"away: {clean(message_of(one.away))}", "red")
                 if one.away
                 else Text(clean(one.info.type_name)),
             ]
-            # Where something is going on comes first, if not all of them fit.
-            for name, one in sorted(
-                self._board.actions.items(), key=lambda item: (not item[1].active, item[0])
-            )
+            # Actions with active goals come first, if not all of them fit.
+            for one in sorted(snapshot.actions, key=lambda one: (not one.active, one.info.name))
         ]
         self._fill("actions", ["ACTION", "ACTIVE", "ENDED", "FEEDBACK/S", "TYPE"], rows)
 
-    def _draw_goals(self) -> None:
-        lines = self._board.ordered(MOST)
-        now, digits = time.time(), unambiguous(line.row.goal_id for line in lines)
+    def _draw_goals(self, goals: list[GoalSnapshot]) -> None:
+        lines = [(goal, GoalRow(goal.action, goal.info)) for goal in goals]
+        now, digits = time.time(), unambiguous(row.goal_id for _, row in lines)
         wide = self.size.width >= WIDE
         heads = ["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "/S"]
         heads += ["CLIENT", "LATEST"] if wide else ["LATEST"]
         rows = [
             [
-                Text(line.row.goal_id[:digits]),
-                Text(clean(shown(line.row.action))),
-                Text(line.status.name, STYLES.get(line.status, "")),
-                _right(line.row.age(now)),
-                _right(line.row.feedback),
-                _right(f"{line.rate.per_second:.1f}" if line.status.is_active else ""),
-                *([Text(line.row.client)] if wide else []),
-                Text(line.line, no_wrap=True, overflow="ellipsis"),
+                Text(row.goal_id[:digits]),
+                Text(clean(shown(row.action))),
+                Text(row.info.status.name, STYLES.get(row.info.status, "")),
+                _right(row.age(now)),
+                _right(row.feedback),
+                _right(f"{goal.feedback_rate:.1f}" if row.info.status.is_active else ""),
+                *([Text(row.client)] if wide else []),
+                Text(goal.latest.line if goal.latest else "", no_wrap=True, overflow="ellipsis"),
             ]
-            for line in lines
+            for goal, row in lines
         ]
         selected = self._selected()
-        self._keys = [line.key for line in lines]
+        self._keys = [goal.key for goal in goals]
         is_at_top = self._table("goals").cursor_row == 0
         self._fill("goals", heads, rows)
         if is_at_top and self._settling:
             self._settling -= bool(lines)
         elif selected is not None and selected in self._keys:
-            # The cursor stays at its goal, wherever that is now.
+            # The cursor stays at its goal when the goal moves.
             self._table("goals").move_cursor(row=self._keys.index(selected), scroll=False)
 
     def _fill(self, name: str, heads: list[str], rows: list[list[Text]]) -> None:
@@ -177,17 +189,18 @@ class Screen(App[None]):
 
     def _draw_followed(self) -> None:
         panel = self.query_one("#followed")
-        line = self._followed
-        panel.display = line is not None
-        if line is not None:
-            status = (
-                line.status.name if line.key in self._board.goals else "forgotten by the server"
-            )
-            panel.border_title = Text(  # what is only a `str` is obeyed as markup
-                f"{clean(shown(line.row.action))} {line.row.goal_id} {status}"
+        panel.display = self._followed is not None
+        if self._followed is not None:
+            now = self._monitor.goal(self._followed.key)
+            self._followed = goal = now or self._followed
+            status = goal.info.status.name if now else "forgotten by the server"
+            panel.border_title = Text(  # a `str` would be read as markup
+                f"{clean(shown(goal.action))} {goal.info.goal_id} {status}"
             )
             self.query_one("#feedback", Static).update(
-                line.text or "No feedback has come while this screen was open."
+                goal.latest.yaml
+                if goal.latest
+                else "No feedback has come while this screen was open."
             )
 
     # Keys
@@ -197,18 +210,20 @@ class Screen(App[None]):
         return self._keys[place] if 0 <= place < len(self._keys) else None
 
     def on_data_table_row_selected(self) -> None:
-        """Enter, or a click at the goal that the cursor is at."""
+        """Follow the goal at the cursor, at Enter or a click."""
         self.action_follow()
 
     def action_follow(self) -> None:
-        """Show the feedback of the goal at the cursor; if it is that already, no more."""
+        """Show the feedback of the goal at the cursor, or hide it if it is shown."""
         key = self._selected()
-        line = self._board.goals.get(key) if key is not None else None
-        self._followed = None if line is self._followed else line
+        if key is None or (self._followed is not None and key == self._followed.key):
+            self._followed = None
+        else:
+            self._followed = self._monitor.goal(key)
         self.draw()
 
     def action_follow_none(self) -> None:
-        """Show no goal's feedback."""
+        """Hide the feedback."""
         self._followed = None
         self.draw()
 
@@ -221,9 +236,9 @@ class Screen(App[None]):
     async def _cancel(self, key: GoalKey) -> None:
         goal = f"{str(key.goal_id)[:8]} of {clean(shown(key.action))}"
         try:
-            answer = await self._board.cancel(key)
+            answer = await self._monitor.cancel(key)
         except ActionError as exc:
-            self.notify(clean(sentence_of(exc)), severity="error", markup=False)
+            self.notify(clean(message_of(exc)), severity="error", markup=False)
             return
         if answer.accepted:
             self.notify(f"Canceling the goal {goal}", markup=False)

@@ -1,4 +1,4 @@
-"""`fibaction top`: all actions and goals on a live screen. It needs the extra `fibaction[tui]`."""
+"""`fibaction top`: show all actions and goals on a live screen, with the extra `fibaction[tui]`."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import click
 
 from fibaction._api import ClientConnection, connect
 from fibaction._tasks import Background
-from fibaction.cli.app import run, url_option
-from fibaction.cli.board import Board
-from fibaction.cli.ending import ExitCode, Failure
-from fibaction.cli.observing import observe, until_interrupted
+from fibaction.cli.exit_codes import ExitCode, Failure, run
+from fibaction.cli.options import url_option
+from fibaction.cli.signals import until_interrupted
 from fibaction.exceptions import ActionError
+from fibaction.monitor import Monitor
 from fibaction.urls import without_settings
 
 MOST_LINES = 100
-"""Of the log that are kept while a screen is shown: more would scroll away in the end."""
+"""Lines of the log that are kept while the screen is shown: more would scroll away in the end."""
 
 
 @click.command(
@@ -38,7 +38,7 @@ def top_command(url: str) -> None:
     """Watch all actions and goals on a live screen: rates, and the latest feedback."""
     if find_spec("textual") is None:
         raise Failure("fibaction top needs textual: pip install 'fibaction[tui]'", ExitCode.USAGE)
-    # It is stderr that textual draws on.
+    # Textual draws on stderr.
     if not all(stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr)):
         raise Failure(
             "fibaction top needs a terminal, on stderr as well; fibaction goals --watch does not",
@@ -48,32 +48,32 @@ def top_command(url: str) -> None:
 
 
 async def top(url: str) -> int:
-    """Show the screen until somebody quits.
+    """Show the screen until the user quits.
 
     Raises:
-        ActionError: The server cannot be reached; or it is lost, and will not be looked for.
+        ActionError: The server cannot be reached; or the connection is lost and is not reopened.
     """
     async with connect(url) as connection:
-        await connection.actions()  # what is wrong is told before the screen is taken
+        await connection.actions()  # raises an error before the screen is taken
         await show(connection, url)
     return ExitCode.SUCCEEDED
 
 
 async def show(connection: ClientConnection, url: str) -> None:
-    """Show what happens at that connection.
+    """Show the actions of a connection.
 
     Raises:
-        ActionError: It is lost, and will not be opened again.
+        ActionError: It is lost and is not reopened.
     """
-    from fibaction.cli.screen import Screen
+    from fibaction.cli.screen import FeedbackText, TopScreen
 
-    board = Board()
-    screen = Screen(board, without_settings(url))
+    monitor = Monitor(summarize=FeedbackText.of)
+    screen = TopScreen(monitor, without_settings(url))
     lost: list[BaseException] = []
 
     async def feed() -> None:
         try:
-            await observe(connection, board, feedback=True)
+            await monitor.run(connection)
         except* ActionError as errors:
             lost.append(errors)
             screen.exit()
@@ -81,7 +81,6 @@ async def show(connection: ClientConnection, url: str) -> None:
     with log_held_back():
         async with Background() as tasks:
             tasks.start_soon(feed)
-            tasks.start_soon(board.keep)
             await until_interrupted(screen.run_async)
     if lost:
         raise lost[0]
@@ -89,10 +88,11 @@ async def show(connection: ClientConnection, url: str) -> None:
 
 @contextmanager
 def log_held_back() -> Generator[None, None, None]:
-    """Keep what is logged until the block ends, and write it then: while there is a screen, textual
-    takes what is written to stderr, and shows it to nobody.
+    """Keep the log until the block ends, and write it then.
+
+    While there is a screen, textual takes what is written to stderr and does not show it.
     """
-    root, kept = logging.getLogger(), _Kept()
+    root, kept = logging.getLogger(), _RecentRecords()
     before = root.handlers[:]
     root.handlers[:] = [kept]
     try:
@@ -103,8 +103,8 @@ def log_held_back() -> Generator[None, None, None]:
             root.callHandlers(record)
 
 
-class _Kept(logging.Handler):
-    """What was logged last."""
+class _RecentRecords(logging.Handler):
+    """Keeps the last records of the log."""
 
     def __init__(self) -> None:
         super().__init__()

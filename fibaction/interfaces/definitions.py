@@ -1,7 +1,4 @@
-"""What an interface file says, line by line, and how it is told that a line is wrong.
-
-Knows neither the grammar nor the types of Python.
-"""
+"""Parsed interface files, and the error for a malformed line."""
 
 from __future__ import annotations
 
@@ -12,9 +9,9 @@ from fibaction.ros_types import PRIMITIVES
 
 
 class InterfaceError(ValueError):
-    """A `.action` or `.msg` file that ROS could not read either, or that names what is not there.
+    """An error in a `.action` or `.msg` file, or in the search for a nested message.
 
-    The text names the file, the line, and what was expected.
+    The text names the file, the line, and what was expected there.
     """
 
     def __init__(self, path: Path, line: int, problem: str) -> None:
@@ -27,37 +24,37 @@ class InterfaceError(ValueError):
 
 
 class FieldType(NamedTuple):
-    """The type of a field: `string<=5[<=3]`."""
+    """The type of a field, for example `string<=5[<=3]`."""
 
     base: str
     """A name in `fibaction.ros_types.PRIMITIVES`, or that of a message, without the package."""
     package: str = ""
-    """The package of a message; empty where that of the file is meant."""
+    """The package of a message; empty for the package of the file."""
     characters: int | None = None
-    """The greatest length of a string."""
+    """The maximum length of a string."""
     is_array: bool = False
     size: int | None = None
-    """How many elements an array has; None if that varies."""
+    """The number of elements of an array; None if it varies."""
     bound: int | None = None
-    """How many elements it has at most."""
+    """The maximum number of elements."""
 
     @property
     def is_message(self) -> bool:
         return self.base not in PRIMITIVES
 
 
-class Field(NamedTuple):
+class FieldDefinition(NamedTuple):
     """A field of a message."""
 
     line: int
     type: FieldType
     name: str
     default: Any
-    """In plain data, `bytes` for arrays of bytes; None if the file gives none."""
+    """Plain data, `bytes` for arrays of bytes; None if the file gives no default."""
     comment: str
 
 
-class Constant(NamedTuple):
+class ConstantDefinition(NamedTuple):
     """A constant of a message."""
 
     line: int
@@ -67,23 +64,23 @@ class Constant(NamedTuple):
     comment: str
 
 
-class Definition(NamedTuple):
-    """A message as its file has it; an action has three."""
+class MessageDefinition(NamedTuple):
+    """A message as its file defines it; an action consists of three."""
 
     path: Path
     name: str
-    fields: tuple[Field, ...]
-    constants: tuple[Constant, ...]
+    fields: tuple[FieldDefinition, ...]
+    constants: tuple[ConstantDefinition, ...]
     comment: str
 
 
-class Line(NamedTuple):
-    """A line of a file, and where it is."""
+class SourceLine(NamedTuple):
+    """A line of a file, with its position."""
 
     path: Path
     number: int
     text: str
 
-    def expected(self, what: str, found: str) -> InterfaceError:
-        """The error that tells what should be in this line."""
-        return InterfaceError(self.path, self.number, f"expected {what}, found {found!r}")
+    def error(self, expected: str, found: str) -> InterfaceError:
+        """Return the error for a line that holds something else than expected."""
+        return InterfaceError(self.path, self.number, f"expected {expected}, found {found!r}")

@@ -1,7 +1,7 @@
-"""Where interface files lie, and an action with all messages that it nests.
+"""The search for interface files, and an action with all messages that it nests.
 
-A package may be laid out as ROS has it, `package/action/Type.action` and `package/msg/Type.msg`, in
-a workspace or installed; or files just lie in a folder. Knows nothing of Python types.
+A package has the layout of ROS, `package/action/Type.action` and `package/msg/Type.msg`, in a
+workspace or installed; or files lie in a folder side by side.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from fibaction.interfaces.definitions import Definition, Field, InterfaceError
-from fibaction.interfaces.parsing import parse_action, parse_message
+from fibaction.interfaces.definitions import FieldDefinition, InterfaceError, MessageDefinition
+from fibaction.interfaces.parser import parse_action, parse_message
 
 _PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", re.ASCII)
 _TYPE = re.compile(r"[A-Z][A-Za-z0-9]*", re.ASCII)
@@ -41,41 +41,41 @@ _BUILTIN = {
 }
 
 
-class Message(NamedTuple):
-    """A message of an action, or one that is nested in it."""
+class InterfaceMessage(NamedTuple):
+    """A message of an action, or a message that is nested in one."""
 
     class_name: str
-    """What its Python class is called."""
+    """The name of its Python class."""
     full_name: str
-    """What it is called in a sentence."""
+    """Its name in a sentence, for example "the goal of `Fibonacci`"."""
     package: str
-    """Empty if it is not known."""
-    definition: Definition
-    nested: dict[str, Message]
-    """The messages in its fields, by the names of these."""
+    """Empty if unknown."""
+    definition: MessageDefinition
+    nested: dict[str, InterfaceMessage]
+    """The messages in its fields, by field name."""
 
 
 class ActionFile(NamedTuple):
-    """An `.action` file, and what it nests."""
+    """An `.action` file, with the messages that it nests."""
 
     path: Path
     name: str
     type_name: str
-    """Empty if it is not known."""
-    goal: Message
-    result: Message
-    feedback: Message
+    """Empty if unknown."""
+    goal: InterfaceMessage
+    result: InterfaceMessage
+    feedback: InterfaceMessage
 
-    def messages(self) -> list[Message]:
-        """All messages, each once, and after those that it nests."""
-        found: dict[str, Message] = {}
+    def messages(self) -> list[InterfaceMessage]:
+        """Return all messages, each once, and each after those that it nests."""
+        found: dict[str, InterfaceMessage] = {}
         for part in (self.goal, self.result, self.feedback):
             for message in _inside_out(part):
                 found.setdefault(message.class_name, message)
         return list(found.values())
 
 
-def _inside_out(message: Message) -> Iterator[Message]:
+def _inside_out(message: InterfaceMessage) -> Iterator[InterfaceMessage]:
     for nested in message.nested.values():
         yield from _inside_out(nested)
     yield message
@@ -91,18 +91,18 @@ def read_action(
     """Read an `.action` file and the `.msg` files that it needs; see `load_action`.
 
     Raises:
-        InterfaceError: A file is malformed, or a message is nowhere.
+        InterfaceError: A file is malformed, or a nested message is not found.
         OSError: The file cannot be read.
     """
     path = Path(path)
     text = _text_of(path)
     if not _TYPE.fullmatch(path.stem):
-        problem = f"expected a file that is called like 'Fibonacci.action', found {path.name!r}"
+        problem = f"expected a file name like 'Fibonacci.action', found {path.name!r}"
         raise InterfaceError(path, 1, problem)
-    package = type_name.partition("/")[0] if type_name else _package_of(path, "action")
+    package = type_name.partition("/")[0] if type_name else _package_of(path)
     if package and not type_name:
         type_name = f"{package}/action/{path.stem}"
-    found = _Messages(package, [*_around(path, "action"), *map(Path, search), *_of_ros()])
+    found = _Messages(package, [*_around(path), *map(Path, search), *_of_ros()])
     definitions = parse_action(text, path)
     found.read(definitions)
     goal, result, feedback = (
@@ -113,33 +113,34 @@ def read_action(
 
 
 def _snake(name: str) -> str:
-    """`NavigateToPose` as `navigate_to_pose`."""
+    """Return a name in snake case: `navigate_to_pose` for `NavigateToPose`."""
     parts = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name)
     return parts.lower()
 
 
-def _package_of(path: Path, folder: str) -> str:
-    """The package that a file is of, from the folders that it lies in."""
+def _package_of(path: Path) -> str:
+    """Return the package of an action file by its folders; empty if they are not a package's."""
     here = path.absolute().parent
     package = here.parent.name
-    return package if here.name == folder and _PACKAGE.fullmatch(package) else ""
+    return package if here.name == "action" and _PACKAGE.fullmatch(package) else ""
 
 
-def _around(path: Path, folder: str) -> list[Path]:
-    """Where a file's own package and its neighbours are."""
+def _around(path: Path) -> list[Path]:
+    """Return the folders with a file's own package, and the packages beside it."""
     here = path.absolute().parent
-    return [here.parent.parent, here] if _package_of(path, folder) else [here]
+    return [here.parent.parent, here] if _package_of(path) else [here]
 
 
 def _of_ros() -> Iterator[Path]:
-    """Where ROS has the interfaces that are installed: those of the setup.bash that has been
-    sourced, and those of wheels in the environment of this Python.
+    """Yield the folders of ROS's installed interfaces.
+
+    They are those of a sourced `setup.bash`, and those of wheels in the environment of this Python.
     """
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         if prefix:
             yield Path(prefix, "share")
     share = Path(sys.prefix, "share")
-    if (share / "ament_index").is_dir():  # or an error would name a folder that is not of ROS
+    if (share / "ament_index").is_dir():  # else errors would name a folder without ROS
         yield share
 
 
@@ -153,48 +154,50 @@ def _text_of(path: Path) -> str:
 
 
 class _Messages:
-    """The messages that are nested somewhere in an action."""
+    """The messages that are nested in an action, at any depth."""
 
     def __init__(self, package: str, roots: list[Path]) -> None:
         self._package = package
         self._roots = roots
-        self._definitions: dict[tuple[str, str], Definition] = {}
-        self._made: dict[tuple[str, str], Message] = {}
+        self._definitions: dict[tuple[str, str], MessageDefinition] = {}
+        self._made: dict[tuple[str, str], InterfaceMessage] = {}
         self._namesakes: Counter[str] = Counter()
 
-    def read(self, definitions: Iterable[Definition]) -> None:
-        """Read the files of all that these nest."""
+    def read(self, definitions: Iterable[MessageDefinition]) -> None:
+        """Read the files of all messages that the definitions nest."""
         for definition in definitions:
             self._read(definition, self._package, ())
         self._namesakes = Counter(name for _, name in self._definitions)
 
     def _read(
-        self, definition: Definition, package: str, above: tuple[tuple[str, str], ...]
+        self, definition: MessageDefinition, package: str, above: tuple[tuple[str, str], ...]
     ) -> None:
         for field in definition.fields:
             if not field.type.is_message:
                 continue
             key = (field.type.package or package, field.type.base)
             if key in above:
-                text = f"expected no message that is nested in itself, found {_full(*key)!r}"
+                text = f"expected a message that does not contain itself, found {_full(*key)!r}"
                 raise InterfaceError(definition.path, field.line, text)
             if key not in self._definitions:
                 nested = self._definition(definition.path, field, *key)
                 self._read(nested, key[0], (*above, key))
                 self._definitions[key] = nested
 
-    def _definition(self, user: Path, field: Field, package: str, name: str) -> Definition:
+    def _definition(
+        self, user: Path, field: FieldDefinition, package: str, name: str
+    ) -> MessageDefinition:
         for path in self._places(package, name):
             if path.is_file():
                 return parse_message(_text_of(path), path)
         if package == "builtin_interfaces" and name in _BUILTIN:
             return parse_message(_BUILTIN[name], Path(package, "msg", f"{name}.msg"))
-        looked = ", ".join(dict.fromkeys(map(str, self._roots)))
+        roots = ", ".join(dict.fromkeys(map(str, self._roots)))
         raise InterfaceError(
             user,
             field.line,
             f"expected {_full(package, name)!r} on the search path, found no"
-            f" {Path(package, 'msg', f'{name}.msg')} and no {name}.msg in {looked}",
+            f" {Path(package, 'msg', f'{name}.msg')} and no {name}.msg in {roots}",
         )
 
     def _places(self, package: str, name: str) -> Iterator[Path]:
@@ -205,13 +208,15 @@ class _Messages:
             own = root.absolute()
             if own.name == package or not package:
                 yield root / "msg" / file
-            # A folder `msg` of another package has another message of that name.
+            # The folder `msg` of another package may have another message of that name.
             if own.name != "msg" or own.parent.name == package or not package:
                 yield root / file
 
-    def message(self, definition: Definition, package: str, full_name: str = "") -> Message:
-        """A message with all that it nests; `read` has been here before."""
-        nested: dict[str, Message] = {}
+    def message(
+        self, definition: MessageDefinition, package: str, full_name: str = ""
+    ) -> InterfaceMessage:
+        """Return a message with all that it nests, which `read` has read before."""
+        nested: dict[str, InterfaceMessage] = {}
         for field in definition.fields:
             if field.type.is_message:
                 key = (field.type.package or package, field.type.base)
@@ -222,7 +227,7 @@ class _Messages:
         if self._namesakes[name] > 1 and not full_name:
             name = f"{package}_{name}"
         full_name = full_name or f"`{_full(package, definition.name)}`"
-        return Message(name, full_name, package, definition, nested)
+        return InterfaceMessage(name, full_name, package, definition, nested)
 
 
 def _full(package: str, name: str) -> str:

@@ -1,7 +1,6 @@
 """The values of defaults and constants, read as ROS 2 reads them.
 
-But that quotes which do not match are refused in arrays, where ROS makes something of them, and so
-are `nan` and `inf`, with which ROS makes code that does not work.
+Stricter than ROS in two cases: unbalanced quotes in arrays, and `nan` and `inf`, are errors.
 """
 
 from __future__ import annotations
@@ -11,25 +10,26 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
-from fibaction.interfaces.definitions import FieldType, Line
+from fibaction.interfaces.definitions import FieldType, SourceLine
 
 T = TypeVar("T")
 
 STRINGS = ("string", "wstring")
 _OCTETS = ("byte", "char", "uint8")
 _BOOLS = {"true": True, "1": True, "false": False, "0": False}
+_STRING = re.compile(r""" *(?:"((?:\\"|[^"])*)"|'((?:\\'|[^'])*)'|([^, "'][^,]*)) *(?:,|$)""")
 
 
-def read_value(line: Line, kind: FieldType, text: str) -> Any:
-    """A default, in plain data; `bytes` for an array of bytes.
+def read_value(line: SourceLine, kind: FieldType, text: str) -> Any:
+    """Read a default as plain data; an array of bytes as `bytes`.
 
     Raises:
-        InterfaceError: It is no value of this type.
+        InterfaceError: The text is not a value of this type.
     """
     if not kind.is_array:
         return read_single(line, kind, text)
     if not (text.startswith("[") and text.endswith("]")):
-        raise line.expected("an array like '[1, 2]'", text)
+        raise line.error("an array like '[1, 2]'", text)
     inner = text[1:-1]
     values: list[Any]
     if kind.base in STRINGS:
@@ -37,21 +37,41 @@ def read_value(line: Line, kind: FieldType, text: str) -> Any:
     else:
         values = [read_single(line, kind, one.strip()) for one in inner.split(",")] if inner else []
     if kind.size is not None and len(values) != kind.size:
-        raise line.expected(f"{kind.size} elements", text)
+        raise line.error(f"{kind.size} elements", text)
     if kind.bound is not None and len(values) > kind.bound:
-        raise line.expected(f"at most {kind.bound} elements", text)
+        raise line.error(f"at most {kind.bound} elements", text)
     return bytes(values) if kind.base in _OCTETS else values
 
 
-_STRING = re.compile(r""" *(?:"((?:\\"|[^"])*)"|'((?:\\'|[^'])*)'|([^, "'][^,]*)) *(?:,|$)""")
+def read_single(line: SourceLine, kind: FieldType, text: str) -> Any:
+    """Read a single value; `kind` may be the type of its array.
+
+    Raises:
+        InterfaceError: The text is not a value of this type.
+    """
+    if kind.base in STRINGS:
+        value = _unquoted(line, text)
+        if kind.characters is not None and len(value) > kind.characters:
+            raise line.error(f"a string of at most {kind.characters} characters", value)
+        return value
+    if kind.base == "bool":
+        if text.lower() not in _BOOLS:
+            raise line.error("'true' or 'false'", text)
+        return _BOOLS[text.lower()]
+    if kind.base.startswith("float"):
+        number = _number(float, text)
+        if number is None or not math.isfinite(number):
+            raise line.error(f"a {kind.base}, like '1.5'", text)
+        return number
+    return _integer(line, kind, text)
 
 
-def _strings(line: Line, kind: FieldType, text: str) -> Iterator[str]:
+def _strings(line: SourceLine, kind: FieldType, text: str) -> Iterator[str]:
     start = 0
     while text[start:].strip():
         found = _STRING.match(text, start)
         if found is None:
-            raise line.expected('strings like \'["one", "two"]\'', text[start:])
+            raise line.error('strings like \'["one", "two"]\'', text[start:])
         double, single, bare = found.groups()
         if double is not None:
             value = double.replace('\\"', '"')
@@ -59,33 +79,17 @@ def _strings(line: Line, kind: FieldType, text: str) -> Iterator[str]:
             value = single.replace("\\'", "'")
         else:
             value = bare
-        yield read_single(line, kind, value.strip())  # strip, and unquote once more, as ROS does
+        yield read_single(line, kind, value.strip())  # ROS, too, strips and unquotes once more
         start = found.end()
 
 
-def read_single(line: Line, kind: FieldType, text: str) -> Any:
-    """A single value; `kind` may be that of the array that it is in.
-
-    Raises:
-        InterfaceError: It is no value of this type.
-    """
-    if kind.base in STRINGS:
-        return _short_enough(line, kind, _unquoted(line, text))
-    if kind.base == "bool":
-        if text.lower() not in _BOOLS:
-            raise line.expected("'true' or 'false'", text)
-        return _BOOLS[text.lower()]
-    if kind.base.startswith("float"):
-        value = _read(float, text)
-        if value is None or not math.isfinite(value):
-            raise line.expected(f"a {kind.base}, like '1.5'", text)
-        return value
-    least, most = _limits(kind.base)
-    value = _read(int, text)
+def _integer(line: SourceLine, kind: FieldType, text: str) -> int:
+    low, high = _limits(kind.base)
+    value = _number(int, text)
     if value is None:
-        value = _read(lambda digits: int(digits, 0), text)  # 0x1F
-    if value is None or not least <= value <= most:
-        raise line.expected(f"{kind.base} from {least} to {most}", text)
+        value = _number(lambda digits: int(digits, 0), text)  # 0x1F
+    if value is None or not low <= value <= high:
+        raise line.error(f"{kind.base} from {low} to {high}", text)
     return value
 
 
@@ -98,24 +102,18 @@ def _limits(base: str) -> tuple[int, int]:
     return -half, half - 1
 
 
-def _read(number: Callable[[str], T], text: str) -> T | None:
+def _number(convert: Callable[[str], T], text: str) -> T | None:
     try:
-        return number(text)
+        return convert(text)
     except ValueError:
         return None
 
 
-def _unquoted(line: Line, text: str) -> str:
+def _unquoted(line: SourceLine, text: str) -> str:
     for quote in ('"', "'"):
         if text.startswith(quote) and text.endswith(quote):
             inner = text[1:-1]
             if re.search(rf"(?<!\\){quote}", inner):
-                raise line.expected(rf"\{quote} for a quote within a string", text)
+                raise line.error(rf"\{quote} for a quote within a string", text)
             return inner.replace(f"\\{quote}", quote)
-    return text
-
-
-def _short_enough(line: Line, kind: FieldType, text: str) -> str:
-    if kind.characters is not None and len(text) > kind.characters:
-        raise line.expected(f"a string of at most {kind.characters} characters", text)
     return text

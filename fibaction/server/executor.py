@@ -1,56 +1,74 @@
 """Runs one executor, a user's async generator, from its first step to its end.
 
-It hands over feedback as it is yielded, lets the generator be canceled wherever it is, and says in
-the end how the generator left off. What that means for the goal is not decided here: this module
-knows no rules on statuses, no clients and no other goals.
+Theory of operation
+-------------------
+
+An `Execution` iterates over the user's generator. A value of the feedback's type is encoded and
+appended to the goal's log; a value of the result's type is kept as the result, and must be the last
+one. After each feedback there is a cancellation point, unless nothing calls for one: the pause is
+skipped when no cancellation is pending, the log has room, and the executor has not yet used up its
+slice of time. That is what makes thousands of goals without an `await` cheap.
+
+A cancellation that arrives in the pause is thrown into the generator at its `yield`, so the
+executor sees it there as it would at any `await`. `_interruption` makes it arrive once.
+
+How the generator leaves off becomes an `Ending`:
+
+- it returned after a result: RESULT;
+- the cancellation came out of it, or it raised `GoalCanceled`: CANCELED, with a partial result if
+  there is one;
+- it raised `GoalAborted`: FAILED, with the reason and the partial result;
+- it raised anything else, or broke a rule of executors (`_Misuse`): FAILED, with the error as the
+  reason, and a traceback in the log `fibaction.server`.
+
+Which status that is for the goal is not decided here: this module knows no rules on statuses, no
+clients and no other goals.
 """
 
 from __future__ import annotations
 
 import logging
-import math
-from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Generator
-from contextvars import Context, copy_context
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
+from contextvars import copy_context
 from time import perf_counter
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, cast
 
-from anyio import current_effective_deadline, get_cancelled_exc_class
+from anyio import get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import GoalAborted, GoalCanceled, text_of
-from fibaction.server._task_pool import SLICE, Life
-from fibaction.server.registry import Ending, EndKind
+from fibaction.server._interruption import CancelOnce, Steps
+from fibaction.server.goal_record import Ending, EndKind
 from fibaction.states import GoalStatus
 
 if TYPE_CHECKING:
     from fibaction.goals import GoalID
     from fibaction.server.feedback_log import FeedbackLog
-    from fibaction.server.registry import Goal
+    from fibaction.server.goal_record import GoalRecord
 
 logger = logging.getLogger("fibaction.server")
 
 
 class GoalHandle(Generic[GoalT]):
-    """What an executor knows of its goal."""
+    """One goal, as its executor sees it."""
 
-    __slots__ = ("_goal", "_server_stops", "request")
+    __slots__ = ("_goal", "_stop_reason", "request")
 
-    def __init__(self, goal: Goal, request: GoalT, server_stops: Callable[[], bool]) -> None:
+    def __init__(self, goal: GoalRecord, request: GoalT) -> None:
         self.request = request
         """The goal that the client sent."""
         self._goal = goal
-        self._server_stops = server_stops
+        self._stop_reason = ""
 
     @property
     def goal_id(self) -> GoalID:
-        """The goal's name, made by the client."""
+        """The goal's ID, made by the client."""
         return self._goal.goal_id
 
     @property
     def stamp(self) -> int:
-        """When the goal was accepted: nanoseconds since 1970."""
+        """Time of the acceptance: nanoseconds since 1970."""
         return self._goal.stamp
 
     @property
@@ -60,28 +78,28 @@ class GoalHandle(Generic[GoalT]):
 
     @property
     def cancel_requested(self) -> bool:
-        """Whether the goal is to stop: its cancel was accepted, or the server is stopping."""
-        return self._goal.status is GoalStatus.CANCELING or self._server_stops()
+        """True if the goal is to stop: its cancel was accepted, or the server ends it."""
+        return self._goal.status is GoalStatus.CANCELING or bool(self._stop_reason)
 
     def __repr__(self) -> str:
         return f"<GoalHandle {self.goal_id} {self.status.name}>"
 
 
 Executor: TypeAlias = Callable[[GoalHandle[GoalT]], AsyncGenerator[FeedbackT | ResultT, None]]
-"""Takes a goal, yields feedback, and yields the result last."""
+"""An async generator function: it takes a goal, yields feedback, and yields the result last."""
 
 
 class Execution(Generic[GoalT, FeedbackT, ResultT]):
-    """One goal's executor at work. `run` it once."""
+    """One run of one goal's executor."""
 
     __slots__ = (
         "_action",
         "_context",
         "_executor",
         "_is_interrupted",
-        "_life",
         "_log",
         "_result",
+        "_scopes",
         "_stall_timeout",
         "_steps",
         "handle",
@@ -101,16 +119,21 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._log = log
         self._stall_timeout = stall_timeout
         self._result: bytes | None = None
-        # The variables of whoever sent the goal, as a task of its own would have them.
+        # The context variables of the call that sent the goal, as a task of its own would have.
         self._context = copy_context()
         self._is_interrupted = False
-        self._life: Life | None = None
-        self._steps: _Steps
+        self._scopes: CancelOnce | None = None
+        self._steps: Steps[Ending]
 
-    def run(self, life: Life) -> Awaitable[Ending]:
-        """Run the executor to its end, and say how it left off."""
-        self._life = life
-        self._steps = _Steps(self._run(), life, self._context)
+    @property
+    def stop_reason(self) -> str:
+        """Why the server ends the goal; empty if it does not."""
+        return self.handle._stop_reason
+
+    def run(self, scopes: CancelOnce) -> Awaitable[Ending]:
+        """Run the executor to its end, and return how it left off. To be called once."""
+        self._scopes = scopes
+        self._steps = Steps(self._run(), scopes, self._context)
         if self._is_interrupted:
             self._steps.interrupt()
         return self._steps
@@ -121,13 +144,18 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         """
         if not self._is_interrupted:
             self._is_interrupted = True
-            if self._life is not None:
+            if self._scopes is not None:
                 self._steps.interrupt()
 
+    def stop(self, reason: str) -> None:
+        """Interrupt the executor because the server ends the goal, for that reason."""
+        self.handle._stop_reason = reason
+        self.interrupt()
+
     def kill(self) -> None:
-        """End the clean-up too: from now on, whatever is awaited is canceled."""
-        if self._life is not None:
-            self._life.kill()
+        """End the clean-up, too: from now on, every `await` is canceled."""
+        if self._scopes is not None:
+            self._scopes.kill()
 
     async def _run(self) -> Ending:
         try:
@@ -139,19 +167,19 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         except BaseException as exc:
             return self._ended_by(exc)
         finally:
-            self._life = None
+            self._scopes = None
             del self._steps  # it and this object hold each other
         if self._result is None:
             return self._failed(_Misuse("it ended without yielding a result"))
         return Ending(EndKind.RESULT, self._result)
 
     def _ended_by(self, exc: BaseException) -> Ending:
-        # In a frame of its own: what goes wrong holds the frames that it came through, and one of
-        # them that held it, too, would keep the whole goal until Python looks for such circles.
+        # In a frame of its own: a traceback references its frames. If one of those also referenced
+        # the exception, the cycle would keep the goal alive until the garbage collector runs.
         cause = _cause(exc)
         if cause is None:
-            assert self._life is not None
-            self._life.is_spent = True  # somebody may have canceled the task itself
+            assert self._scopes is not None
+            self._scopes.is_spent = True  # the task itself may have been canceled
             return Ending(EndKind.CANCELED, self._result)
         if isinstance(cause, GoalCanceled):
             return self._part(EndKind.CANCELED, cause)
@@ -165,8 +193,8 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         items: Any = self._executor(self.handle)
         if not isinstance(items, AsyncGenerator):
             if isinstance(items, Coroutine):
-                items.close()  # or Python warns that nobody awaited it
-            raise _Misuse(f"it is no async generator: it returned {_a(cast('object', items))}")
+                items.close()  # or Python warns that it was never awaited
+            raise _Misuse(f"it is not an async generator: it returned {_a(cast('object', items))}")
         return cast("AsyncGenerator[FeedbackT | ResultT, None]", items)
 
     async def _consume(self, items: AsyncGenerator[FeedbackT | ResultT, None]) -> None:
@@ -211,9 +239,11 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         if exc.result is None:
             return Ending(kind, self._result, exc.reason)
         if not result.holds(exc.result):
-            return self._failed(
-                _Misuse(f"it raised {type(exc).__name__} with {_a(exc.result)} as its result")
-            )
+            # Mostly the error of another goal, which the executor has sent and did not catch.
+            left_out = f"its result is left out: {_a(exc.result)} is not of the result's type"
+            reason = f"{exc.reason} ({left_out})" if exc.reason else left_out
+            self._log_failure(f"{type(exc).__name__}: {reason}", exc)
+            return Ending(kind, self._result, reason)
         try:
             return Ending(kind, result.encode(exc.result), exc.reason)
         except Exception as bad:  # encoding runs the user's own code, which may raise anything
@@ -223,120 +253,25 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         reason = text_of(exc)
         if isinstance(exc, _Misuse):
             reason = f"the executor is wrong: {exc}"
+        self._log_failure(reason, exc)
+        return Ending(EndKind.FAILED, self._result, reason)
+
+    def _log_failure(self, reason: str, exc: BaseException) -> None:
         logger.error(
-            "goal %s of action %r is aborted: %s",
+            "goal %s of action %r failed: %s",
             self.handle.goal_id,
             self._action.name,
             reason,
             exc_info=exc,
         )
-        return Ending(EndKind.FAILED, self._result, reason)
 
 
 class _Misuse(Exception):
-    """An executor that does not do what an executor does."""
-
-
-class _Steps(Generator[Any, Any, Ending]):
-    """Awaits a coroutine, and watches how it is resumed and suspended.
-
-    So it knows how long the coroutine has gone on without awaiting, and sees a cancellation arrive.
-    anyio and trio cancel by level: once a scope is canceled, every `await` in it raises. Here the
-    first raises; as soon as the coroutine waits again, which is its clean-up, it is shielded.
-    Inside a task group of the executor's own the backend's rule holds: the group is canceled with
-    all that is in it, and clean-up there needs a shield. (On trio, a nursery that is open around
-    clean-up keeps the cancellation to itself.)
-    """
-
-    __slots__ = (
-        "_arrived",
-        "_by_outcome",
-        "_context",
-        "_coroutine",
-        "_life",
-        "pending",
-        "slice_end",
-    )
-
-    def __init__(
-        self, coroutine: Coroutine[Any, Any, Ending], life: Life, context: Context
-    ) -> None:
-        self.pending = False
-        """Whether an interruption is on its way and has not arrived."""
-        self._coroutine = coroutine
-        self._life = life
-        self._context = context
-        self._arrived = False
-        self._by_outcome = False
-        self.slice_end = 0.0
-        """When the coroutine, if it has not waited until then, has gone on for too long."""
-
-    def interrupt(self) -> None:
-        """Cancel the coroutine, once."""
-        self.pending = True
-        self._life.interrupt()
-
-    def __await__(self) -> Generator[Any, Any, Ending]:
-        return self
-
-    def __next__(self) -> Any:
-        return self.send(None)
-
-    def send(self, value: Any) -> Any:
-        if value is not None:
-            # trio resumes a task with an `outcome.Error`, and raises what is in it further inside.
-            self._by_outcome = True
-            self._look_at(getattr(value, "error", None))
-        self.slice_end = perf_counter() + SLICE
-        try:
-            return self._suspend(self._context.run(self._coroutine.send, value))
-        finally:
-            del value  # see `throw`
-
-    def throw(
-        self,
-        typ: type[BaseException] | BaseException,
-        val: BaseException | object = None,
-        tb: TracebackType | None = None,
-    ) -> Any:
-        # With one argument it is the exception itself; the other two are deprecated.
-        assert isinstance(typ, BaseException)
-        self._look_at(typ)
-        self.slice_end = perf_counter() + SLICE
-        # A bare cancellation, as of the task itself: a scope inside would take anyio's for its own.
-        error = type(typ)() if self._arrived else typ
-        try:
-            return self._suspend(self._context.run(self._coroutine.throw, error))
-        finally:
-            # It holds the frames that it comes through, and they this one, since Python 3.12.
-            del typ, error
-
-    def close(self) -> None:
-        self._coroutine.close()
-
-    def _look_at(self, error: BaseException | None) -> None:
-        if self.pending and isinstance(error, get_cancelled_exc_class()):
-            self.pending = False
-            self._arrived = True
-
-    def _suspend(self, waiting_for: Any) -> Any:
-        self._life.on_wait()
-        if self._arrived:
-            rest = self._life.rest
-            rest.shield = True
-            self._arrived = self._by_outcome and self._is_unwinding()
-            rest.shield = not self._arrived
-        return waiting_for
-
-    def _is_unwinding(self) -> bool:
-        """Whether what waits is, in all likelihood, a nursery that the cancellation passes on its
-        way out. It must see that the cancellation comes from outside, or it would keep it.
-        """
-        return current_effective_deadline() == -math.inf and not self._life.rest.cancel_called
+    """A rule of executors that the user's generator broke."""
 
 
 def _cause(exc: BaseException) -> BaseException | None:
-    """What went wrong, out of any exception group around it; None if that is a cancellation."""
+    """Return the error, out of any exception group around it; None if it is a cancellation."""
     canceled = get_cancelled_exc_class()
     if isinstance(exc, canceled):
         return None

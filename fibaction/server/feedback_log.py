@@ -43,7 +43,7 @@ from fibaction.states import GoalStatus
 
 if TYPE_CHECKING:
     from fibaction.goals import Outcome
-    from fibaction.server.registry import Goal
+    from fibaction.server.goal_record import GoalRecord
 
 
 _NOTHING: deque[FeedbackItem] = deque(maxlen=0)
@@ -65,7 +65,7 @@ class FeedbackLog:
         "statuses",
     )
 
-    def __init__(self, goal: Goal, *, window: int = 1, latest: bool = False) -> None:
+    def __init__(self, goal: GoalRecord, *, window: int = 1, latest: bool = False) -> None:
         self.goal = goal
         self.latest = latest
         """True if a slow reader gets the newest feedback only."""

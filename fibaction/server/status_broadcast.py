@@ -7,36 +7,36 @@ from collections.abc import Callable, Iterable
 
 from fibaction._notify import Notifier
 from fibaction.abc import StatusStream
-from fibaction.exceptions import ConnectionLost
+from fibaction.exceptions import ActionError, copy_of
 from fibaction.goals import GoalInfo
 
 
 class StatusBroadcast:
-    """Tells every change of a goal's status to whoever follows them."""
+    """The changes of all goals' statuses, for any number of followers."""
 
     def __init__(self, limit: int = 10_000) -> None:
-        """`limit` is how many changes are kept for a follower that does not read."""
+        """Keep at most `limit` changes for a follower that does not read."""
         self._limit = limit
         self._streams: list[StatusSubscription] = []
 
     def publish(self, info: GoalInfo) -> None:
-        """Tell a change."""
+        """Tell a change to all followers."""
         for stream in self._streams:
             stream.put(info)
 
     def follow(self, known: Iterable[GoalInfo]) -> StatusSubscription:
-        """A new stream, which begins with what is known by now."""
+        """Return a new stream, which begins with the goals that are known."""
         stream = StatusSubscription(known, self.leave, self._limit)
         self._streams.append(stream)
         return stream
 
     def leave(self, stream: StatusSubscription) -> None:
-        """The stream reads no more."""
+        """Remove the stream."""
         if stream in self._streams:
             self._streams.remove(stream)
 
     def finish(self) -> None:
-        """No more changes are to come: every stream ends when it has been read."""
+        """End every stream, once it has been read: there will be no more changes."""
         for stream in tuple(self._streams):
             stream.close()
 
@@ -45,7 +45,7 @@ class StatusBroadcast:
 
 
 class StatusSubscription(StatusStream):
-    """One follower of all statuses, wherever they come from."""
+    """One follower of all statuses, of a server here or elsewhere."""
 
     def __init__(
         self,
@@ -53,15 +53,15 @@ class StatusSubscription(StatusStream):
         leave: Callable[[StatusSubscription], None],
         limit: int = 10_000,
     ) -> None:
-        """`leave` is called when it reads no more; `limit` is how many changes are kept if they are
-        not read, behind what is known by now.
+        """Begin with the goals that are `known`, and keep at most `limit` changes behind them that
+        are not read. `leave` is called when the stream is closed.
         """
         self._items = deque(known)
         self.known = len(self._items)
         self._limit = limit + self.known
         self._leave = leave
         self._open = True
-        self._error: ConnectionLost | None = None
+        self._error: ActionError | None = None
         self._dropped = 0
         self._news = Notifier()
 
@@ -70,15 +70,15 @@ class StatusSubscription(StatusStream):
         return self._dropped
 
     def put(self, info: GoalInfo) -> None:
-        """Add a change; a stream that is not read loses the oldest."""
+        """Add a change. A stream that is not read loses the oldest."""
         if len(self._items) >= self._limit:
             self._items.popleft()
             self._dropped += 1
         self._items.append(info)
         self._news.notify()
 
-    def fail(self, error: ConnectionLost) -> None:
-        """Nothing more will arrive, for that reason."""
+    def fail(self, error: ActionError) -> None:
+        """End the stream here: what has arrived can be read, and then the error is raised."""
         self._error = error
         self._news.notify()
 
@@ -87,7 +87,7 @@ class StatusSubscription(StatusStream):
             if not self._open:
                 return None
             if self._error is not None:
-                raise ConnectionLost(str(self._error))
+                raise copy_of(self._error)
             await self._news.wait()
         return self._items.popleft()
 

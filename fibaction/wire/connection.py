@@ -33,7 +33,15 @@ from fibaction.exceptions import (
     ProtocolError,
     ServerNotFound,
 )
-from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.goals import (
+    UNKNOWN_SENDER,
+    ActionPeers,
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    Sender,
+)
 from fibaction.wire.calls import Call, PendingRequest, RemoteGoal, RemoteStatuses
 from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.errors import copied, error_of_goodbye
@@ -376,7 +384,14 @@ class RemoteEndpoint(Endpoint):
     def info(self) -> ActionInfo:
         return self._info
 
-    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> RemoteGoal:
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+    ) -> RemoteGoal:
         return await self._connection.follow(
             goal_id,
             lambda call_id, credit: SendGoal(

@@ -1,6 +1,6 @@
-"""Frames in a stream of bytes: the length in four bytes, big-endian, and then so many bytes.
+"""Frames in a stream of bytes: each is its length in four bytes, big-endian, and its content.
 
-Sans-I/O: bytes in, frames out. What is in a frame is not looked at.
+Sans-I/O: bytes in, frames out. The content of a frame is not examined.
 """
 
 from __future__ import annotations
@@ -11,24 +11,25 @@ from struct import Struct
 from fibaction.exceptions import ProtocolError
 
 HEADER = 4
+"""Length of the header of a frame, in bytes."""
 MAX_FRAME = 16 * 2**20
-"""Larger than any sensible message, smaller than memory."""
+"""Default limit of a frame, in bytes: larger than any sensible message, smaller than memory."""
 
 _LENGTH = Struct(">I")
 _pack, _unpack = _LENGTH.pack, _LENGTH.unpack_from
 
 
 _OTHERS = {b"\x16\x03": "TLS", b"GET ": "HTTP", b"POST": "HTTP", b"HEAD": "HTTP"}
-"""How those begin who take this for something else."""
+"""First bytes of other protocols, to give a helpful error."""
 
 
 def header(length: int) -> bytes:
-    """What comes before a frame of that length."""
+    """Return the header of a frame of that length."""
     return _pack(length)
 
 
 def framed(frames: Iterable[bytes]) -> bytes:
-    """The frames as they are sent, one behind the other."""
+    """Return the frames as they are sent: one after another, each after its header."""
     parts: list[bytes] = []
     for frame in frames:
         parts += (_pack(len(frame)), frame)
@@ -36,20 +37,20 @@ def framed(frames: Iterable[bytes]) -> bytes:
 
 
 class FrameReader:
-    """Cuts frames out of bytes that arrive in pieces of any size."""
+    """Parser of frames, which may arrive in pieces of any size."""
 
     def __init__(self, limit: int = MAX_FRAME) -> None:
-        """`limit` is the length of the largest frame that is let through."""
+        """Accept frames of at most `limit` bytes."""
         self._limit = limit
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take more bytes, and give the frames that are complete by now.
+        """Add received bytes, and return the frames that are now complete.
 
-        It never holds more than one frame that is not complete.
+        At most one incomplete frame is kept.
 
         Raises:
-            ProtocolError: A frame is longer than the limit. The stream is of no use any more.
+            ProtocolError: A frame is longer than the limit. The stream cannot be read any further.
         """
         buffer, limit = self._buffer, self._limit
         pending: bytes | bytearray = data
@@ -62,7 +63,7 @@ class FrameReader:
             length: int = _unpack(pending, start)[0]
             if length > limit:
                 raise ProtocolError(
-                    f"a frame of {length} bytes was announced, and {limit} are the limit"
+                    f"frame of {length} bytes exceeds the limit of {limit} bytes"
                     f"{_looks_like(_pack(length))}"
                 )
             if body + length > end:
@@ -71,18 +72,18 @@ class FrameReader:
             frames.append(bytes(pending[body:start]))
         if pending is buffer:
             del buffer[:start]
-        else:  # most often all of it is used, and never copied
+        else:  # usually all bytes are consumed, and none are copied
             buffer += pending[start:]
         return frames
 
     @property
     def is_within_frame(self) -> bool:
-        """Whether part of a frame has arrived, and the rest has not."""
+        """True if part of a frame has arrived, and the rest has not."""
         return bool(self._buffer)
 
 
 def _looks_like(first: bytes) -> str:
     for start, name in _OTHERS.items():
         if first.startswith(start):
-            return f": it looks like {name}"
+            return f": this looks like {name}"
     return ""

@@ -1,10 +1,10 @@
-"""The messages between the two halves of a connection, and their form as bytes.
+"""Messages of the wire protocol, and their encoding.
 
-Each is a msgpack array whose first item tells which it is; `docs/protocol.md` has them all. New
-fields are added at the end, with a default, and a peer that does not know them ignores them.
-Payloads are byte strings, put together by whoever made them and opened by whoever needs them.
+Each message is a msgpack array that begins with the tag of its type; `docs/protocol.md` lists all
+messages. New fields are added at the end, with a default, and a peer that does not know them
+ignores them. A payload is a byte string, encoded by its sender and decoded by its receiver.
 
-Sans-I/O, and no rule on who may say what when: that is in `fibaction.wire`.
+Sans-I/O. The rules on which message may follow which are in the session and the client connection.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from fibaction.states import GoalStatus
 from fibaction.wire.framing import MAX_FRAME
 
 VERSION = 1
-"""Of the protocol. Peers of different versions do not talk."""
+"""Version of the protocol. A peer of another version is rejected."""
 LARGEST = 2**63 - 1
-"""The largest number that a message has room for; as a stamp, a time that nobody will see."""
+"""Largest number that a message can contain; as a stamp, later than every goal."""
 
 ID: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
-"""Names a request, and all that follows from it. The client chooses it, and uses it once."""
+"""ID of a request and of all messages that belong to it; the client uses each number once."""
 GoalBytes: TypeAlias = Annotated[bytes, msgspec.Meta(min_length=16, max_length=16)]
 Stamp: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
@@ -34,7 +34,7 @@ Seconds: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=3600)]
 
 
 class _Message(msgspec.Struct, array_like=True, gc=False):
-    """A message. None refers to another one, so the garbage collector need not look."""
+    """Base of all messages. A message cannot be part of a cycle: it needs no garbage collector."""
 
 
 # Either side
@@ -42,16 +42,16 @@ class _Message(msgspec.Struct, array_like=True, gc=False):
 
 @final
 class Ping(_Message, tag=0):
-    """A sign of life, where there was nothing else to say."""
+    """Heartbeat of a side that has nothing else to send. Not answered."""
 
 
 @final
 class Goodbye(_Message, tag=1):
-    """The last message of a side: why it closes the connection, in a sentence."""
+    """Last message of a side, with the reason why it closes the connection. Not answered."""
 
     reason: str
     why: int = 0
-    """One of the `Why` numbers, or 0: nothing is wrong."""
+    """One of the `Why` numbers; 0 if there is no error."""
 
 
 # From the client
@@ -59,19 +59,19 @@ class Goodbye(_Message, tag=1):
 
 @final
 class Hello(_Message, tag=16):
-    """The client's first message."""
+    """First message of the client. Answered by `Welcome` or `Goodbye`."""
 
     version: int
     heartbeat: Seconds
-    """At least so often the client will send something."""
+    """Longest time between two messages of the client, in seconds."""
     token: str = ""
-    """What it knows that others do not."""
+    """The client's access token; empty if it has none."""
     session: bytes = b""
-    """The same on all connections of one client, and known to nobody else: by it the server knows
-    whose goals are whose. A connection of the same session that is still open is ended, and what
-    was under way on it goes on here."""
+    """Secret ID of the client, the same on all its connections; empty if it does not resume goals.
+    It identifies the owner of a goal. The server ends an older connection of the same session, so
+    that its goals can be resumed on this one."""
     max_frame: FrameSize = MAX_FRAME
-    """Bytes of the largest message that the client takes."""
+    """Length of the largest frame that the client accepts, in bytes."""
 
     def __repr__(self) -> str:
         return f"Hello(version={self.version})"  # a token has no place in a log
@@ -79,33 +79,33 @@ class Hello(_Message, tag=16):
 
 @final
 class SendGoal(_Message, tag=17):
-    """Send a goal, and follow it. Answered by `Following`, `Rejected` or `Failed`."""
+    """Request to send a goal and to follow it. Answered by `Following`, `Rejected` or `Failed`."""
 
     id: ID
     action: str
     goal_id: GoalBytes
     goal: bytes
     credit: Count | None
-    """How many feedback messages may come before more credit; nil: only the outcome is wanted."""
+    """Feedback messages that the server may send before more credit; nil for the outcome only."""
 
 
 @final
 class Follow(_Message, tag=18):
-    """Follow a goal that was sent before. Answered by `Following` or `Failed`."""
+    """Request to follow a goal that was sent before. Answered by `Following` or `Failed`."""
 
     id: ID
     action: str
     goal_id: GoalBytes
     after: Stamp | None
     own: bool
-    """Whether this is the goal's own client, which goes on after a connection was lost."""
+    """True if this client owns the goal: it sent the goal, and resumes after a lost connection."""
     credit: Count | None
-    """As for `SendGoal`."""
+    """As in `SendGoal`."""
 
 
 @final
 class CancelGoals(_Message, tag=19):
-    """Ask to cancel. Answered by `CancelAnswered` or `Failed`."""
+    """Request to cancel one goal or several. Answered by `CancelAnswered` or `Failed`."""
 
     id: ID
     action: str
@@ -115,7 +115,7 @@ class CancelGoals(_Message, tag=19):
 
 @final
 class WatchStatus(_Message, tag=20):
-    """Follow the statuses of all goals. Answered by `Watching`, then `GoalChanged`, or `Failed`."""
+    """Request to follow the statuses of all goals. Answered by `Watching` or `Failed`."""
 
     id: ID
     action: str
@@ -124,7 +124,7 @@ class WatchStatus(_Message, tag=20):
 
 @final
 class AwaitServer(_Message, tag=21):
-    """Wait until somebody serves the action. Answered by `Done` or `Failed`."""
+    """Request to wait until the action is served. Answered by `Done` or `Failed`."""
 
     id: ID
     action: str
@@ -132,14 +132,14 @@ class AwaitServer(_Message, tag=21):
 
 @final
 class ListActions(_Message, tag=22):
-    """Ask what is served here. Answered by `Actions`."""
+    """Request for the actions that are served. Answered by `Actions` or `Failed`."""
 
     id: ID
 
 
 @final
 class Credit(_Message, tag=23):
-    """So many more messages may come."""
+    """Grant of more credit for a request. Not answered."""
 
     id: ID
     count: Count
@@ -147,16 +147,20 @@ class Credit(_Message, tag=23):
 
 @final
 class Close(_Message, tag=24):
-    """No more feedback or status changes are wanted; the outcome still is."""
+    """End of the client's interest in the feedback and the status changes of a request.
+
+    The outcome of a goal still comes. `WatchStatus` is answered by `Finished`.
+    """
 
     id: ID
 
 
 @final
 class Received(_Message, tag=25):
-    """`Ended` has arrived. Until then the server keeps what it has of a goal for its client.
+    """Confirmation that `Ended` has arrived. Not answered.
 
-    Of a goal that is not the client's own it may come sooner: the client does not wait for the end.
+    Until then the server keeps the end of a goal for the client that owns it. For a goal that the
+    client does not own, it may be sent before `Ended`: the client then gets no further message.
     """
 
     id: ID
@@ -164,7 +168,7 @@ class Received(_Message, tag=25):
 
 @final
 class AskPeers(_Message, tag=26):
-    """Ask who else uses an action. Answered by `Peers` or `Failed`."""
+    """Request for the clients that use an action. Answered by `Peers` or `Failed`."""
 
     id: ID
     action: str
@@ -175,29 +179,32 @@ class AskPeers(_Message, tag=26):
 
 @final
 class Welcome(_Message, tag=32):
-    """The server's first message."""
+    """First message of the server, but for `Ping`. Answers `Hello`."""
 
     version: int
     heartbeat: Seconds
     max_frame: FrameSize = MAX_FRAME
-    """Bytes of the largest message that the server takes."""
+    """Length of the largest frame that the server accepts, in bytes."""
 
 
 @final
 class Following(_Message, tag=33):
-    """The goal is accepted, or known; its feedback, status changes and outcome follow."""
+    """Acceptance of a goal, or the state of a known goal. Answers `SendGoal` and `Follow`.
+
+    `Feedback`, `StatusChanged` and `Ended` follow.
+    """
 
     id: ID
     stamp: Stamp
     status: GoalStatus
     latest: bool
     place: Stamp
-    """The number of the feedback after which the stream begins."""
+    """Number of the feedback after which the stream begins; 0 if it begins with the first."""
 
 
 @final
 class Rejected(_Message, tag=34):
-    """The goal was not accepted."""
+    """Rejection of a goal. Answers `SendGoal`; the last message of that ID."""
 
     id: ID
     reason: str
@@ -205,7 +212,7 @@ class Rejected(_Message, tag=34):
 
 @final
 class Failed(_Message, tag=35):
-    """The request could not be answered."""
+    """Error of a request. Answers any request; the last message of that ID."""
 
     id: ID
     why: int
@@ -214,7 +221,7 @@ class Failed(_Message, tag=35):
 
 
 class Why:
-    """The reasons of `Failed` and `Goodbye`."""
+    """Numbers for the reasons of `Failed` and `Goodbye`."""
 
     UNKNOWN_GOAL = 1
     SERVER_NOT_FOUND = 2
@@ -230,7 +237,7 @@ class Why:
 
 @final
 class Feedback(_Message, tag=36):
-    """One feedback message; it uses up one credit."""
+    """One feedback message of a goal. Uses up one credit."""
 
     id: ID
     number: Stamp
@@ -239,7 +246,7 @@ class Feedback(_Message, tag=36):
 
 @final
 class StatusChanged(_Message, tag=37):
-    """The goal has another status, and has not ended."""
+    """New status of a goal that has not ended."""
 
     id: ID
     status: GoalStatus
@@ -247,19 +254,19 @@ class StatusChanged(_Message, tag=37):
 
 @final
 class Ended(_Message, tag=38):
-    """The goal has ended. The last message of that ID; the client answers with `Received`."""
+    """End of a goal. The last message of that ID; answered by `Received`."""
 
     id: ID
     status: GoalStatus
     result: bytes | None
     reason: str
     place: Stamp
-    """The number of the last feedback: what has not come by now is lost."""
+    """Number of the last feedback; feedback that has not arrived before this message is lost."""
 
 
 @final
 class CancelAnswered(_Message, tag=39):
-    """The answer to a cancel, as `action_msgs/srv/CancelGoal` has it, with a reason."""
+    """Fields of a response of `action_msgs/srv/CancelGoal`, and a reason. Answers `CancelGoals`."""
 
     id: ID
     return_code: Annotated[int, msgspec.Meta(ge=0, le=3)]
@@ -269,37 +276,37 @@ class CancelAnswered(_Message, tag=39):
 
 @final
 class GoalChanged(_Message, tag=40):
-    """A goal and its status; it uses up one credit."""
+    """A goal and its current status. Uses up one credit of a `WatchStatus`."""
 
     id: ID
     goal_id: GoalBytes
     stamp: Stamp
     status: GoalStatus
     dropped: Stamp
-    """How many of these were left out so far, because they were not taken in time."""
+    """Messages of this type left out so far, because the client read too slowly."""
     feedback_count: Stamp = 0
-    """How many feedback messages of the goal there have been."""
+    """Feedback messages of the goal so far."""
     client: str = ""
-    """Who sent the goal, as far as the server knows."""
+    """Name of the client that sent the goal; empty if the server does not know it."""
 
 
 @final
 class Done(_Message, tag=41):
-    """What was waited for is there."""
+    """The server is now available. Answers `AwaitServer`; the last message of that ID."""
 
     id: ID
 
 
 @final
 class Finished(_Message, tag=42):
-    """There will be no more `GoalChanged`. The last message of that ID."""
+    """End of the `GoalChanged` of a `WatchStatus`. The last message of that ID."""
 
     id: ID
 
 
 @final
 class Actions(_Message, tag=43):
-    """What is served here."""
+    """The actions that are served. Answers `ListActions`; the last message of that ID."""
 
     id: ID
     actions: list[ActionInfo]
@@ -307,20 +314,23 @@ class Actions(_Message, tag=43):
 
 @final
 class Watching(_Message, tag=44):
-    """The statuses follow: first those of the goals that there are, then each change."""
+    """Start of the statuses. Answers `WatchStatus`.
+
+    `GoalChanged` follows: one for each known goal, then one for each change.
+    """
 
     id: ID
     known: Stamp
-    """How many goals there are."""
+    """Number of known goals."""
 
 
 @final
 class Peers(_Message, tag=45):
-    """Who uses the action."""
+    """The clients that use an action. Answers `AskPeers`; the last message of that ID."""
 
     id: ID
     clients: list[str]
-    """Each as the server's log names it."""
+    """Name of each client, as in the server's log."""
 
 
 FromClient: TypeAlias = (
@@ -361,21 +371,21 @@ FromServer: TypeAlias = (
 def _plain(value: object) -> bytes:
     if isinstance(value, GoalID):
         return bytes(value)
-    raise TypeError(f"no message holds a {type(value).__name__}")
+    raise TypeError(f"a message cannot contain a {type(value).__name__}")
 
 
 encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
-"""A message as bytes."""
+"""Encode a message as bytes."""
 
 _from_client: msgspec.msgpack.Decoder[FromClient] = msgspec.msgpack.Decoder(FromClient)
 _from_server: msgspec.msgpack.Decoder[FromServer] = msgspec.msgpack.Decoder(FromServer)
 
 
 def decode_from_client(frame: bytes) -> FromClient:
-    """Read what a client sent.
+    """Decode a message that a client sent.
 
     Raises:
-        ProtocolError: It is no such message.
+        ProtocolError: The frame is not a valid message of a client.
     """
     try:
         return _from_client.decode(frame)
@@ -384,10 +394,10 @@ def decode_from_client(frame: bytes) -> FromClient:
 
 
 def decode_from_server(frame: bytes) -> FromServer:
-    """Read what a server sent.
+    """Decode a message that a server sent.
 
     Raises:
-        ProtocolError: It is no such message.
+        ProtocolError: The frame is not a valid message of a server.
     """
     try:
         return _from_server.decode(frame)

@@ -12,6 +12,7 @@ from anyio.abc import TaskGroup
 from fibaction.abc import Endpoint, GoalStream
 from fibaction.exceptions import GoalRejected
 from fibaction.goals import GoalID
+from fibaction.server.goal_record import digest_of
 from fibaction.server.registry import ID_IN_USE
 
 logger = logging.getLogger("fibaction.wire")
@@ -22,8 +23,8 @@ class _Owned(NamedTuple):
 
     stream: GoalStream
     session: bytes
-    goal: int | None
-    """Enough to tell that another goal is sent; None if it was sent before this server knew it."""
+    digest: bytes | None
+    """Digest of the goal; None if it was sent before this server knew it."""
 
     def is_of(self, session: bytes) -> bool:
         """Whether it is the goal of a client of that session."""
@@ -61,15 +62,15 @@ class Owners:
         False, and nothing else, if the goal is that of a client of another session.
         """
         before = self._owned.get(stream.goal_id)
-        sent = None if goal is None else hash(goal)
+        digest = None if goal is None else digest_of(goal)
         if before is not None:
             if not before.is_of(session):
                 return False
-            sent = before.goal if sent is None else sent
+            digest = before.digest if digest is None else digest
             # One that nobody waits for is that of another call on the same connection: it goes on.
             if self._wait_no_more(stream.goal_id) and before.stream is not stream:
                 before.stream.close()
-        self._owned[stream.goal_id] = _Owned(stream, session, sent)
+        self._owned[stream.goal_id] = _Owned(stream, session, digest)
         return True
 
     def ended(
@@ -84,7 +85,7 @@ class Owners:
         owned = self._owned.get(goal_id)
         if owned is None or not owned.stream.status.is_terminal or not owned.is_of(session):
             return None
-        if goal is not None and owned.goal != hash(goal):
+        if goal is not None and owned.digest != digest_of(goal):
             raise GoalRejected(ID_IN_USE, goal_id=goal_id)
         return owned.stream
 

@@ -26,7 +26,8 @@ from fibaction.exceptions import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.goals import GoalID
+from fibaction.goals import UNKNOWN_SENDER, GoalID, Sender
+from fibaction.server.goal_record import digest_of
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.errors import failed, failure_of, fitting, goodbye_of
@@ -87,6 +88,7 @@ class Session:
         self._peer: Peer | None = None
         self.session = b""
         """What the client calls itself on each of its connections, one after another: a secret."""
+        self._sender = UNKNOWN_SENDER
         self._max_frame = MAX_FRAME
         self._left = False
         self._waiting: dict[int, RequestSubscription] = {}
@@ -189,6 +191,8 @@ class Session:
             # Or what was under way on the one before could come late, and run a goal once more.
             self._supersede(message.session)
         self.session = message.session
+        owner = digest_of(message.session) if message.session else b""
+        self._sender = Sender(self.client, owner)
         self._max_frame = message.max_frame
         self._link.peer_heartbeat = message.heartbeat
         welcome = Welcome(VERSION, self._terms.heartbeat, self._terms.limits.frame)
@@ -248,7 +252,7 @@ class Session:
             ended.seek(0)
             self._begin_stream(subscription, endpoint, ended, own=True)
             return
-        offered = endpoint.offer_goal(goal_id, message.goal, feedback=feedback, client=self.client)
+        offered = endpoint.offer_goal(goal_id, message.goal, feedback=feedback, sender=self._sender)
         if isinstance(offered, GoalStream):
             self._begin_stream(subscription, endpoint, offered, own=True, goal=message.goal)
         else:

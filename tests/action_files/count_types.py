@@ -16,7 +16,7 @@ class Step(Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 class Count_Goal(Struct, forbid_unknown_fields=True, kw_only=True):
-    r"""Counts what matches \d+, as C:\temp does not."""
+    """Counts what matches \\d+, as C:\\temp does not."""
 
     order: Int32 = 0
     step: Step = field(default_factory=Step)
@@ -40,4 +40,9 @@ class Count_Feedback(Struct, forbid_unknown_fields=True, kw_only=True):
     used: Gripper = field(default_factory=Gripper)
 
 
-COUNT = Action("count", goal=Count_Goal, feedback=Count_Feedback, result=Count_Result)
+COUNT = Action(
+    "count",
+    goal=Count_Goal,
+    feedback=Count_Feedback,
+    result=Count_Result,
+)

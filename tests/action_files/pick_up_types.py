@@ -7,7 +7,7 @@ Change that file, not this one.
 from typing import Annotated, ClassVar
 
 from fibaction import Action
-from fibaction.ros_types import Int8, Int32, UInt8, UInt16, UInt32, UInt64
+from fibaction.ros_types import Int32, Int8, UInt16, UInt32, UInt64, UInt8
 from msgspec import Meta, Struct, field
 
 
@@ -24,9 +24,7 @@ class robot_msgs_Gripper(Struct, forbid_unknown_fields=True, kw_only=True):
     FINGERS: ClassVar[int] = 2
 
     width: float = 0.1
-    pads: Annotated[list[Pad], Meta(min_length=2, max_length=2)] = field(
-        default_factory=lambda: [Pad() for _ in range(2)],
-    )
+    pads: Annotated[list[Pad], Meta(min_length=2, max_length=2)] = field(default_factory=lambda: [Pad() for _ in range(2)])
 
 
 class other_msgs_Gripper(Struct, forbid_unknown_fields=True, kw_only=True):
@@ -39,20 +37,14 @@ class Time(Struct, forbid_unknown_fields=True, kw_only=True):
     """A point in time, counted from 1970 (UTC), or in a simulation from its start."""
 
     sec: Annotated[Int32, Meta(description="Seconds, valid over all int32 values.")] = 0
-    nanosec: Annotated[
-        UInt32,
-        Meta(description="Nanoseconds to be added, in the range [0, 1e9)."),
-    ] = 0
+    nanosec: Annotated[UInt32, Meta(description="Nanoseconds to be added, in the range [0, 1e9).")] = 0
 
 
 class Duration(Struct, forbid_unknown_fields=True, kw_only=True):
     """A span of time."""
 
     sec: Annotated[Int32, Meta(description="Seconds, valid over all int32 values.")] = 0
-    nanosec: Annotated[
-        UInt32,
-        Meta(description="Nanoseconds to be added, in the range [0, 1e9)."),
-    ] = 0
+    nanosec: Annotated[UInt32, Meta(description="Nanoseconds to be added, in the range [0, 1e9).")] = 0
 
 
 class PickUp_Goal(Struct, forbid_unknown_fields=True, kw_only=True):
@@ -67,26 +59,14 @@ class PickUp_Goal(Struct, forbid_unknown_fields=True, kw_only=True):
 
     manner: Annotated[Int8, Meta(description="How to do it: CAREFUL or HASTY.")] = 1
     thing: Annotated[str, Meta(max_length=20)] = 'a "box"'
-    gripper: Annotated[
-        robot_msgs_Gripper,
-        Meta(description="what to hold it with"),
-    ] = field(default_factory=robot_msgs_Gripper)
-    spare: Annotated[
-        list[other_msgs_Gripper],
-        Meta(min_length=2, max_length=2),
-    ] = field(default_factory=lambda: [other_msgs_Gripper() for _ in range(2)])
-    where: Annotated[list[float], Meta(min_length=3, max_length=3)] = field(
-        default_factory=lambda: [0.5, -0.5, 0.0],
-    )
-    speeds: Annotated[list[float], Meta(max_length=4)] = field(
-        default_factory=lambda: [1.5],
-    )
-    ports: Annotated[list[UInt16], Meta(min_length=2, max_length=2)] = field(
-        default_factory=lambda: [0] * 2,
-    )
+    gripper: Annotated[robot_msgs_Gripper, Meta(description="what to hold it with")] = field(default_factory=robot_msgs_Gripper)
+    spare: Annotated[list[other_msgs_Gripper], Meta(min_length=2, max_length=2)] = field(default_factory=lambda: [other_msgs_Gripper() for _ in range(2)])
+    where: Annotated[list[float], Meta(min_length=3, max_length=3)] = field(default_factory=lambda: [0.5, -0.5, 0.0])
+    speeds: Annotated[list[float], Meta(max_length=4)] = field(default_factory=lambda: [1.5])
+    ports: Annotated[list[UInt16], Meta(min_length=2, max_length=2)] = field(default_factory=lambda: [0] * 2)
     names: list[str] = field(default_factory=lambda: ["one", "two, and three"])
-    address: Annotated[bytes, Meta(min_length=4, max_length=4)] = b"\x00\x00\x00\x00"
-    token: bytes = b"\x01\x02\xff"
+    address: Annotated[bytes, Meta(min_length=4, max_length=4)] = b'\x00\x00\x00\x00'
+    token: bytes = b'\x01\x02\xff'
     labels: Annotated[list[Annotated[str, Meta(max_length=5)]], Meta(max_length=3)] = []
     start: Time = field(default_factory=Time)
     pauses: list[Duration] = []
@@ -100,10 +80,7 @@ class PickUp_Result(Struct, forbid_unknown_fields=True, kw_only=True):
 class PickUp_Feedback(Struct, forbid_unknown_fields=True, kw_only=True):
     """Between 0 and 1."""
 
-    progress: Annotated[
-        float,
-        Meta(description="It may go back\nwhen something falls."),
-    ] = 0.0
+    progress: Annotated[float, Meta(description="It may go back\nwhen something falls.")] = 0.0
     lost: bool = False
 
 

@@ -126,11 +126,11 @@ def nobody(unused_tcp_port: int) -> str:
 
 @pytest.fixture(autouse=True)
 def level_of_the_log() -> Iterator[None]:
-    """The log of lost connections as it was: commands that follow goals turn it on."""
-    log = logging.getLogger("fibaction.wire")
-    level = log.level
+    """The levels that commands lower, as they were."""
+    before = {name: logging.getLogger(name).level for name in ("", "fibaction.wire")}
     yield
-    log.setLevel(level)
+    for name, level in before.items():
+        logging.getLogger(name).setLevel(level)
 
 
 # A module of the user's

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from importlib.metadata import version
@@ -12,7 +13,7 @@ import pytest
 
 import fibaction.cli
 from fibaction.cli import INTERRUPTED, app
-from fibaction.cli.ending import ExitCode
+from fibaction.cli.exit_codes import ExitCode
 from tests.cli.conftest import Run
 
 
@@ -52,25 +53,49 @@ def test_without_the_extra_one_line_says_how_to_get_it(
     )
 
 
-def test_ctrl_c_before_there_is_a_verb_ends_as_shells_expect(
+def test_ctrl_c_in_the_moment_in_which_a_verb_begins_ends_as_shells_expect(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def interrupted() -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(app, "main", interrupted)
-
     with pytest.raises(SystemExit) as exit:
         fibaction_main()
 
     assert exit.value.code == INTERRUPTED == ExitCode.INTERRUPTED
+    assert signal.getsignal(signal.SIGINT) is fibaction.cli.exit_at_once, "the exit takes time, too"
 
 
-def test_ctrl_c_while_modules_are_imported_is_no_traceback(fibaction: Run, tmp_path: Path) -> None:
-    (tmp_path / "click.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
+def test_the_handler_of_a_verb_that_has_ended_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    def ending() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    monkeypatch.setattr(app, "main", ending)
+    fibaction_main()
+
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def test_ctrl_c_without_a_verb_exits_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    codes: list[int] = []
+    monkeypatch.setattr(os, "_exit", codes.append)
+    fibaction.cli.exit_at_once(signal.SIGINT, None)
+
+    assert codes == [INTERRUPTED]
+
+
+@pytest.mark.parametrize("module", ["anyio", "msgspec", "click", "difflib"])
+def test_ctrl_c_while_modules_are_imported_is_quiet(
+    fibaction: Run, tmp_path: Path, nobody: str, module: str
+) -> None:
+    (tmp_path / f"{module}.py").write_text(
+        "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n"
+    )
     path = os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))
 
-    assert fibaction("list", env={"PYTHONPATH": path}) == (130, "", "")
+    assert fibaction("goals", url=nobody, env={"PYTHONPATH": path}) == (130, "", "")
 
 
 def test_what_is_needed_is_what_the_extra_brings_and_help_imports_little_of_it() -> None:

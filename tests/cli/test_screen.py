@@ -11,10 +11,10 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable
 
 from fibaction import ActionInfo, CancelAnswer, ConnectionLost, GoalID, GoalInfo
-from fibaction.cli.board import Board, GoalKey
-from fibaction.cli.escaping import clean
-from fibaction.cli.screen import Screen
+from fibaction.cli.escape import clean
+from fibaction.cli.screen import FeedbackText, TopScreen
 from fibaction.events import GoalFeedback
+from fibaction.monitor import GoalKey, Monitor
 from fibaction.states import GoalStatus
 from tests.cli.served import Served, counter
 from tests.processes import PATIENCE
@@ -22,23 +22,23 @@ from tests.processes import PATIENCE
 FIRST, SECOND = GoalID(b"\x11" * 16), GoalID(b"\x22" * 16)
 
 
-def filled() -> Board:
-    """A board with two actions, and two goals of the first."""
+def filled() -> Monitor:
+    """A monitor with two actions, and two goals of the first."""
     server = counter("arm/pick")
-    board = Board()
+    monitor = Monitor(summarize=FeedbackText.of)
     pick = ActionInfo("arm/pick", "arm/action/Pick")
-    board.reached([pick, ActionInfo("wait")], "")
-    board.found(pick, Served(server).connection.client(server.action))
-    board.gone("wait", "its server has stopped")
-    board.told("arm/pick", GoalInfo(FIRST, 2, GoalStatus.EXECUTING, 0, "somebody at 1.2.3.4:5"))
-    board.told("arm/pick", GoalInfo(SECOND, 1, GoalStatus.EXECUTING, 0, "me"))
-    board.told("arm/pick", GoalFeedback(FIRST, 41, {"progress": 0.5, "step": "reach " * 30}))
-    return board
+    monitor.on_actions([pick, ActionInfo("wait")], "")
+    monitor.on_action_found(pick, Served(server).connection.client(server.action))
+    monitor.on_action_lost("wait", "its server has stopped")
+    monitor.on_event("arm/pick", GoalInfo(FIRST, 2, GoalStatus.EXECUTING, 0, "lab at 1.2.3.4:5"))
+    monitor.on_event("arm/pick", GoalInfo(SECOND, 1, GoalStatus.EXECUTING, 0, "me"))
+    monitor.on_event("arm/pick", GoalFeedback(FIRST, 41, {"progress": 0.5, "step": "reach " * 30}))
+    return monitor
 
 
 @asynccontextmanager
-async def shown(board: Board, columns: int = 80) -> AsyncGenerator[Pilot[None], None]:
-    screen = Screen(board, "tcp://robot:7400")
+async def shown(monitor: Monitor, columns: int = 80) -> AsyncGenerator[Pilot[None], None]:
+    screen = TopScreen(monitor, "tcp://robot:7400")
     async with screen.run_test(size=(columns, 24), notifications=True) as pilot:
         with anyio.fail_after(PATIENCE):
             while "Quit" not in lines(pilot)[-1]:  # the keys come last, a moment later
@@ -84,15 +84,15 @@ async def test_everything_fits_the_width(columns: int) -> None:
 @pytest.mark.asyncio
 @pytest.mark.parametrize("key", ["f", "enter"])
 async def test_a_goal_is_followed_until_it_is_no_more(key: str) -> None:
-    board = filled()
-    async with shown(board) as pilot:
+    monitor = filled()
+    async with shown(monitor) as pilot:
         await pilot.press(key)
         await pilot.pause()
         assert find(pilot, f"/arm/pick {FIRST} EXECUTING")
         assert find(pilot, "progress: 0.5")
-        board.told("arm/pick", GoalInfo(FIRST, 2, GoalStatus.UNKNOWN))
+        monitor.on_event("arm/pick", GoalInfo(FIRST, 2, GoalStatus.UNKNOWN))
         pilot.app.query_one(DataTable)
-        assert isinstance(pilot.app, Screen)
+        assert isinstance(pilot.app, TopScreen)
         pilot.app.draw()
         await pilot.pause()
         assert find(pilot, f"{FIRST} forgotten by the server")
@@ -111,10 +111,10 @@ async def test_a_goal_is_followed_until_it_is_no_more(key: str) -> None:
 @pytest.mark.parametrize("name", ["[red]pick", "[/pick]", "[@click=app.quit]pick[/]", "pick\x1b"])
 async def test_an_action_may_have_any_name(name: str) -> None:
     server = counter("pick")
-    board = Board()
-    board.found(ActionInfo(name), Served(server).connection.client(server.action))
-    board.told(name, GoalInfo(FIRST, 2, GoalStatus.EXECUTING))
-    async with shown(board) as pilot:
+    monitor = Monitor(summarize=FeedbackText.of)
+    monitor.on_action_found(ActionInfo(name), Served(server).connection.client(server.action))
+    monitor.on_event(name, GoalInfo(FIRST, 2, GoalStatus.EXECUTING))
+    async with shown(monitor) as pilot:
         await pilot.press("f")
         await pilot.pause()
         assert find(pilot, f"/{clean(name)} {FIRST} EXECUTING")
@@ -122,13 +122,13 @@ async def test_an_action_may_have_any_name(name: str) -> None:
 
 @pytest.mark.asyncio
 async def test_the_cursor_stays_at_its_goal() -> None:
-    board = filled()
-    async with shown(board) as pilot:
+    monitor = filled()
+    async with shown(monitor) as pilot:
         await pilot.press("down")
         screen = pilot.app
-        assert isinstance(screen, Screen)
+        assert isinstance(screen, TopScreen)
         assert screen._selected() == GoalKey("arm/pick", SECOND)
-        board.told("arm/pick", GoalInfo(GoalID(b"\x33" * 16), 3, GoalStatus.ACCEPTED))
+        monitor.on_event("arm/pick", GoalInfo(GoalID(b"\x33" * 16), 3, GoalStatus.ACCEPTED))
         screen.draw()
         await pilot.pause()
         assert screen._selected() == GoalKey("arm/pick", SECOND)
@@ -140,19 +140,19 @@ async def test_the_cursor_stays_at_its_goal() -> None:
 @pytest.mark.asyncio
 async def test_the_cursor_is_at_the_top_when_the_goals_that_there_are_have_come() -> None:
     server = counter("arm/pick")
-    board = Board()
-    board.found(server.info, Served(server).connection.client(server.action))
-    async with shown(board) as pilot:
+    monitor = Monitor(summarize=FeedbackText.of)
+    monitor.on_action_found(server.info, Served(server).connection.client(server.action))
+    async with shown(monitor) as pilot:
         screen = pilot.app
-        assert isinstance(screen, Screen)
-        board.told("arm/pick", GoalInfo(FIRST, 1, GoalStatus.CANCELED))
+        assert isinstance(screen, TopScreen)
+        monitor.on_event("arm/pick", GoalInfo(FIRST, 1, GoalStatus.CANCELED))
         screen.draw()
-        board.told("arm/pick", GoalInfo(SECOND, 2, GoalStatus.EXECUTING))
+        monitor.on_event("arm/pick", GoalInfo(SECOND, 2, GoalStatus.EXECUTING))
         screen.draw()
         await pilot.pause()
         assert screen._selected() == GoalKey("arm/pick", SECOND)
         third = GoalID(b"\x33" * 16)
-        board.told("arm/pick", GoalInfo(third, 3, GoalStatus.EXECUTING))
+        monitor.on_event("arm/pick", GoalInfo(third, 3, GoalStatus.EXECUTING))
         screen.draw()
         assert screen._selected() == GoalKey("arm/pick", SECOND), "somebody may have chosen it"
 
@@ -160,13 +160,13 @@ async def test_the_cursor_is_at_the_top_when_the_goals_that_there_are_have_come(
 @pytest.mark.asyncio
 async def test_the_goal_under_the_cursor_is_canceled(monkeypatch: pytest.MonkeyPatch) -> None:
     server = counter("arm/pick")
-    board = Board()
-    board.found(server.info, Served(server).connection.client(server.action))
-    async with server, shown(board) as pilot:
+    monitor = Monitor(summarize=FeedbackText.of)
+    monitor.on_action_found(server.info, Served(server).connection.client(server.action))
+    async with server, shown(monitor) as pilot:
         await pilot.press("c", "f")  # there is none
         goal = await Served(server).connection.client(server.action).send_goal(1, goal_id=FIRST)
-        board.told("arm/pick", GoalInfo(FIRST, 1, GoalStatus.EXECUTING))
-        assert isinstance(pilot.app, Screen)
+        monitor.on_event("arm/pick", GoalInfo(FIRST, 1, GoalStatus.EXECUTING))
+        assert isinstance(pilot.app, TopScreen)
         pilot.app.draw()
         await pilot.press("c")
         await pilot.app.workers.wait_for_complete()
@@ -184,9 +184,9 @@ async def test_what_is_not_canceled_is_told_of(
     error: ConnectionLost | None, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server = counter("arm/pick")
-    board = Board()
-    board.found(server.info, Served(server).connection.client(server.action))
-    board.told("arm/pick", GoalInfo(FIRST, 1, GoalStatus.EXECUTING))
+    monitor = Monitor(summarize=FeedbackText.of)
+    monitor.on_action_found(server.info, Served(server).connection.client(server.action))
+    monitor.on_event("arm/pick", GoalInfo(FIRST, 1, GoalStatus.EXECUTING))
 
     async def cancel(*_: object) -> CancelAnswer:
         if error is not None:
@@ -196,7 +196,7 @@ async def test_what_is_not_canceled_is_told_of(
         return CancelAnswer(CancelCode.REJECTED, reason="never")
 
     monkeypatch.setattr(server, "cancel_goals", cancel)
-    async with shown(board, 160) as pilot:
+    async with shown(monitor, 160) as pilot:
         await pilot.press("c")
         await pilot.app.workers.wait_for_complete()
         await pilot.pause()
@@ -205,10 +205,10 @@ async def test_what_is_not_canceled_is_told_of(
 
 @pytest.mark.asyncio
 async def test_a_server_that_is_away_is_shown_at_the_top() -> None:
-    board = filled()
-    async with shown(board) as pilot:
-        board.reached(None, "it does not answer\x1b")
-        assert isinstance(pilot.app, Screen)
+    monitor = filled()
+    async with shown(monitor) as pilot:
+        monitor.on_actions(None, "it does not answer\x1b")
+        assert isinstance(pilot.app, TopScreen)
         pilot.app.draw()
         await pilot.pause()
         assert lines(pilot)[0].startswith(
@@ -220,7 +220,7 @@ async def test_a_server_that_is_away_is_shown_at_the_top() -> None:
 @pytest.mark.asyncio
 async def test_a_screen_that_is_being_taken_down_is_drawn_no_more() -> None:
     async with shown(filled()) as pilot:
-        assert isinstance(pilot.app, Screen)
+        assert isinstance(pilot.app, TopScreen)
         await pilot.app.query_one("#state").remove()
         pilot.app.draw()
 

@@ -11,11 +11,11 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import ConnectionLost, serve
-from fibaction.cli import observing, top
-from fibaction.cli.ending import ExitCode
+from fibaction import ConnectionLost, _action_listener, serve
+from fibaction.cli import top
+from fibaction.cli.exit_codes import ExitCode
 from fibaction.cli.output import LogHandler
-from fibaction.cli.screen import Screen
+from fibaction.cli.screen import TopScreen
 from tests.cli.conftest import Invoke, Open, Robot, Run
 from tests.cli.served import Served, counter
 
@@ -84,7 +84,9 @@ def test_a_connection_that_is_lost_for_good_ends_it(
     assert "Traceback" not in shown.text
 
 
-def test_nobody_there_is_told_before_the_screen_is_taken(terminal: Open, nobody: str) -> None:
+def test_a_server_that_does_not_run_is_an_error_before_the_screen_is_taken(
+    terminal: Open, nobody: str
+) -> None:
     shown = terminal("top", url=nobody)
 
     assert shown.ends() == ExitCode.UNREACHABLE
@@ -158,20 +160,20 @@ def test_the_command_runs_the_screen(
 @pytest.fixture
 def without_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     """The screen is drawn, but nowhere."""
-    run_async = Screen.run_async
+    run_async = TopScreen.run_async
 
-    async def run(self: Screen, **_: Any) -> None:
+    async def run(self: TopScreen, **_: Any) -> None:
         await run_async(self, headless=True)
 
-    monkeypatch.setattr(Screen, "run_async", run)
-    monkeypatch.setattr(observing, "LOOK", 0.05)
+    monkeypatch.setattr(TopScreen, "run_async", run)
+    monkeypatch.setattr(_action_listener, "PERIOD", 0.05)
 
 
 @pytest.mark.asyncio
 @pytest.mark.usefixtures("without_terminal")
 async def test_a_signal_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = anyio.Event()
-    monkeypatch.setattr(Screen, "on_mount", lambda _: drawn.set())
+    monkeypatch.setattr(TopScreen, "on_mount", lambda _: drawn.set())
     async with serve(counter("one"), "inproc://top"):
         with anyio.fail_after(20):
             async with anyio.create_task_group() as tasks:
@@ -189,13 +191,13 @@ async def test_what_is_logged_meanwhile_is_written_when_the_screen_is_gone(
     monkeypatch.setattr(root, "handlers", [handler])
     before: list[str] = []
 
-    def on_mount(screen: Screen) -> None:
+    def on_mount(screen: TopScreen) -> None:
         for number in range(top.MOST_LINES + 1):
             logging.getLogger("fibaction.wire").warning("line %d is bad", number)
         before.append(capsys.readouterr().err)
         screen.exit()
 
-    monkeypatch.setattr(Screen, "on_mount", on_mount)
+    monkeypatch.setattr(TopScreen, "on_mount", on_mount)
     with anyio.fail_after(20):
         await top.show(Served(counter("one")).connection, "inproc://top")
 

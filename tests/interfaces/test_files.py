@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from fibaction.interfaces.definitions import InterfaceError
-from fibaction.interfaces.files import ActionFile, read_action
+from fibaction.interfaces.files import read_action
 
 FILES = Path(__file__).parent.parent / "action_files"
 
@@ -17,18 +17,29 @@ def no_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "venv"))
 
 
+@pytest.fixture
+def lift(tmp_path: Path) -> Path:
+    return tmp_path / "Lift.action"
+
+
 def write(path: Path, text: str) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
     return path
 
 
-def nested(action: ActionFile, field: str) -> Path:
-    """The file that the message in a field of the goal was found in."""
-    return action.goal.nested[field].definition.path
+def with_goal(path: Path, fields: str) -> Path:
+    """Write an action whose goal has these fields."""
+    return write(path, f"{fields}\n---\n---\n")
 
 
-def refusal(path: Path, *search: Path) -> str:
+def found(path: Path, *search: Path) -> Path:
+    """Return the file of the first message in the goal of an action."""
+    (nested, *_) = read_action(path, search=search).goal.nested.values()
+    return nested.definition.path
+
+
+def error(path: Path, *search: Path) -> str:
     with pytest.raises(InterfaceError) as caught:
         read_action(path, search=search)
     return str(caught.value)
@@ -43,134 +54,104 @@ def refusal(path: Path, *search: Path) -> str:
         ("Lift2Floors", "lift2_floors"),
     ],
 )
-def test_an_action_is_called_like_its_file(stem: str, name: str, tmp_path: Path) -> None:
-    action = read_action(write(tmp_path / f"{stem}.action", "---\n---\n"))
+def test_an_action_has_the_name_of_its_file(stem: str, name: str, tmp_path: Path) -> None:
+    action = read_action(with_goal(tmp_path / f"{stem}.action", ""))
 
-    assert action.name == name
-    assert action.type_name == ""
+    assert (action.name, action.type_name) == (name, "")
 
 
-def test_the_name_and_the_type_may_be_given(tmp_path: Path) -> None:
-    path = write(tmp_path / "Lift.action", "---\n---\n")
-    action = read_action(str(path), name="arm/lift", type_name="robot_msgs/action/Lift")
+def test_the_name_and_the_type_can_be_given(lift: Path) -> None:
+    path = str(with_goal(lift, ""))
+    action = read_action(path, name="arm/lift", type_name="robot_msgs/action/Lift")
 
     assert (action.name, action.type_name) == ("arm/lift", "robot_msgs/action/Lift")
     assert action.goal.package == "robot_msgs"
 
 
-def test_the_type_is_known_from_the_folders() -> None:
-    assert read_action(FILES / "robot_msgs/action/PickUp.action").type_name == (
-        "robot_msgs/action/PickUp"
-    )
+@pytest.mark.parametrize(
+    ("folder", "type_name"), [("arm_msgs", "arm_msgs/action/Lift"), ("My Robot", "")]
+)
+def test_the_type_is_known_from_the_folder_of_a_package(
+    folder: str, type_name: str, tmp_path: Path
+) -> None:
+    path = with_goal(tmp_path / folder / "action" / "Lift.action", "")
 
-
-def test_a_folder_that_cannot_be_a_package_makes_no_type(tmp_path: Path) -> None:
-    path = write(tmp_path / "My Robot" / "action" / "Lift.action", "---\n---\n")
-
-    assert read_action(path).type_name == ""
+    assert read_action(path).type_name == type_name
 
 
 def test_messages_are_found_in_the_package_and_beside_it() -> None:
-    action = read_action(FILES / "robot_msgs/action/PickUp.action")
+    nested = read_action(FILES / "robot_msgs/action/PickUp.action").goal.nested
 
-    assert nested(action, "gripper") == FILES / "robot_msgs/msg/Gripper.msg"
-    assert nested(action, "spare") == FILES / "other_msgs/msg/Gripper.msg"
+    assert nested["gripper"].definition.path == FILES / "robot_msgs/msg/Gripper.msg"
+    assert nested["spare"].definition.path == FILES / "other_msgs/msg/Gripper.msg"
 
 
 def test_messages_are_found_beside_the_file() -> None:
-    action = read_action(FILES / "plain/Count.action", search=[FILES])
-
-    assert nested(action, "step") == FILES / "plain/Step.msg"
+    assert found(FILES / "plain/Count.action", FILES) == FILES / "plain/Step.msg"
 
 
 @pytest.mark.parametrize("root", [".", "robot_msgs", "robot_msgs/msg"])
-def test_the_search_path_has_packages_a_package_or_its_messages(root: str, tmp_path: Path) -> None:
-    path = write(tmp_path / "Lift.action", "robot_msgs/Gripper gripper\n---\n---\n")
+def test_the_search_path_has_packages_a_package_or_its_messages(root: str, lift: Path) -> None:
+    path = with_goal(lift, "robot_msgs/Gripper gripper")
 
-    assert nested(read_action(path, search=[FILES / root]), "gripper") == (
-        FILES / root / "robot_msgs/msg/Gripper.msg"
-        if root == "."
-        else FILES / "robot_msgs/msg/Gripper.msg"
-    )
+    assert found(path, FILES / root).samefile(FILES / "robot_msgs/msg/Gripper.msg")
 
 
-def test_a_message_without_a_package_is_found_in_any_folder(tmp_path: Path) -> None:
-    path = write(tmp_path / "Lift.action", "Gripper gripper\n---\n---\n")
+@pytest.mark.parametrize("root", ["robot_msgs", "robot_msgs/msg"])
+def test_a_message_without_a_package_is_found_in_any_folder(root: str, lift: Path) -> None:
+    path = with_goal(lift, "Gripper gripper")
 
-    for root in (FILES / "robot_msgs", FILES / "robot_msgs" / "msg"):
-        assert nested(read_action(path, search=[root]), "gripper") == (
-            FILES / "robot_msgs/msg/Gripper.msg"
-        )
+    assert found(path, FILES / root) == FILES / "robot_msgs/msg/Gripper.msg"
 
 
-def test_the_first_folder_counts(tmp_path: Path) -> None:
-    path = write(tmp_path / "here" / "Lift.action", "Step step\n---\n---\n")
+def test_the_first_folder_on_the_search_path_counts(tmp_path: Path) -> None:
+    path = with_goal(tmp_path / "here" / "Lift.action", "Step step")
     first = write(tmp_path / "first" / "Step.msg", "")
 
-    assert nested(read_action(path, search=[first.parent, FILES / "plain"]), "step") == first
+    assert found(path, first.parent, FILES / "plain") == first
 
 
-def test_a_message_of_another_package_is_not_taken(tmp_path: Path) -> None:
-    path = write(tmp_path / "Lift.action", "more_msgs/Gripper gripper\n---\n---\n")
+def test_a_message_of_another_package_is_not_used(lift: Path) -> None:
+    path = with_goal(lift, "more_msgs/Gripper gripper")
     elsewhere = FILES / "other_msgs"
 
-    assert refusal(path, elsewhere, elsewhere / "msg") == (
+    assert error(path, elsewhere, elsewhere / "msg") == (
         f"{path}:1: expected 'more_msgs/Gripper' on the search path, found no"
-        f" more_msgs/msg/Gripper.msg and no Gripper.msg in {tmp_path}, {elsewhere},"
+        f" more_msgs/msg/Gripper.msg and no Gripper.msg in {lift.parent}, {elsewhere},"
         f" {elsewhere / 'msg'}"
     )
 
 
-def test_a_missing_message_without_a_package_is_told_of(tmp_path: Path) -> None:
-    path = write(tmp_path / "Lift.action", "---\n\nGripper gripper\n---\n")
-
-    assert refusal(path) == (
-        f"{path}:3: expected 'Gripper' on the search path, found no msg/Gripper.msg and no"
-        f" Gripper.msg in {tmp_path}"
+def test_a_missing_message_is_reported_with_the_file_that_nests_it(lift: Path) -> None:
+    path = with_goal(lift, "\nStep step")
+    assert error(path) == (
+        f"{path}:2: expected 'Step' on the search path, found no msg/Step.msg and no"
+        f" Step.msg in {lift.parent}"
     )
 
-
-def test_a_message_that_a_message_misses_is_told_of_with_that_file(tmp_path: Path) -> None:
-    path = write(tmp_path / "Lift.action", "Step step\n---\n---\n")
-    step = write(tmp_path / "Step.msg", "int32 a\nFoot foot\n")
-
-    assert refusal(path).startswith(f"{step}:2: expected 'Foot' on the search path")
+    step = write(lift.with_name("Step.msg"), "int32 a\nFoot foot\n")
+    assert error(path).startswith(f"{step}:2: expected 'Foot' on the search path")
 
 
-def test_the_interfaces_of_an_installed_ros_are_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_interfaces_of_an_installed_ros_come_before_those_of_wheels(
+    lift: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = write(tmp_path / "Lift.action", "geometry_msgs/Point point\n---\n---\n")
-    point = write(tmp_path / "ros/share/geometry_msgs/msg/Point.msg", "float64 x\n")
-    monkeypatch.setenv("AMENT_PREFIX_PATH", f":{tmp_path / 'other'}:{tmp_path / 'ros'}")
-
-    assert nested(read_action(path), "point") == point
-
-
-def test_the_interfaces_of_ros_from_wheels_are_found_behind_those_of_an_installed_ros(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = write(tmp_path / "Lift.action", "geometry_msgs/Point point\n---\n---\n")
-    share = tmp_path / "venv/share"
+    path = with_goal(lift, "geometry_msgs/Point point")
+    share = lift.parent / "venv/share"
     of_wheels = write(share / "geometry_msgs/msg/Point.msg", "float64 x\n")
+    # Without ROS, `share` of the environment is not searched.
+    assert error(path).endswith(f"Point.msg in {lift.parent}")
     (share / "ament_index").mkdir()
+    assert found(path) == of_wheels
 
-    assert nested(read_action(path), "point") == of_wheels
-    installed = write(tmp_path / "ros/share/geometry_msgs/msg/Point.msg", "float64 x\n")
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "ros"))
-    assert nested(read_action(path), "point") == installed
-
-
-def test_what_is_beside_a_python_without_ros_is_no_place_to_look(tmp_path: Path) -> None:
-    path = write(tmp_path / "Lift.action", "geometry_msgs/Point point\n---\n---\n")
-    write(tmp_path / "venv/share/geometry_msgs/msg/Point.msg", "float64 x\n")
-
-    assert refusal(path).endswith(f"Point.msg in {tmp_path}")
+    installed = write(lift.parent / "ros/share/geometry_msgs/msg/Point.msg", "float64 x\n")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f":{lift.parent / 'other'}:{lift.parent / 'ros'}")
+    assert found(path) == installed
 
 
 @pytest.mark.parametrize("name", ["Time", "Duration"])
-def test_the_builtin_interfaces_need_no_file(name: str, tmp_path: Path) -> None:
-    path = write(tmp_path / "Lift.action", f"builtin_interfaces/{name} it\n---\n---\n")
+def test_the_builtin_interfaces_need_no_file(name: str, lift: Path) -> None:
+    path = with_goal(lift, f"builtin_interfaces/{name} it")
     fields = read_action(path).goal.nested["it"].definition.fields
 
     assert [(field.type.base, field.name) for field in fields] == [
@@ -179,30 +160,30 @@ def test_the_builtin_interfaces_need_no_file(name: str, tmp_path: Path) -> None:
     ]
 
 
-def test_a_file_of_the_builtin_interfaces_counts_for_more(tmp_path: Path) -> None:
-    path = write(tmp_path / "Lift.action", "builtin_interfaces/Time it\n---\n---\n")
-    time = write(tmp_path / "builtin_interfaces/msg/Time.msg", "int64 ticks\n")
+def test_a_file_comes_before_a_builtin_interface(lift: Path) -> None:
+    path = with_goal(lift, "builtin_interfaces/Time it")
+    time = write(lift.parent / "builtin_interfaces/msg/Time.msg", "int64 ticks\n")
 
-    assert nested(read_action(path), "it") == time
-
-
-def test_there_are_no_other_builtin_interfaces(tmp_path: Path) -> None:
-    path = write(tmp_path / "Lift.action", "builtin_interfaces/Date it\n---\n---\n")
-
-    assert "expected 'builtin_interfaces/Date' on the search path" in refusal(path)
+    assert found(path) == time
 
 
-def test_a_message_that_is_nested_in_itself_is_refused(tmp_path: Path) -> None:
-    path = write(tmp_path / "Lift.action", "Tree tree\n---\n---\n")
-    write(tmp_path / "Tree.msg", "Branch[] branches\n")
-    branch = write(tmp_path / "Branch.msg", "int32 a\nTree[] trees\n")
+def test_there_are_no_other_builtin_interfaces(lift: Path) -> None:
+    path = with_goal(lift, "builtin_interfaces/Date it")
 
-    assert refusal(path) == (
-        f"{branch}:2: expected no message that is nested in itself, found 'Tree'"
+    assert "expected 'builtin_interfaces/Date' on the search path" in error(path)
+
+
+def test_a_message_that_contains_itself_is_rejected(lift: Path) -> None:
+    path = with_goal(lift, "Tree tree")
+    write(lift.with_name("Tree.msg"), "Branch[] branches\n")
+    branch = write(lift.with_name("Branch.msg"), "int32 a\nTree[] trees\n")
+
+    assert error(path) == (
+        f"{branch}:2: expected a message that does not contain itself, found 'Tree'"
     )
 
 
-def test_messages_of_one_name_are_called_by_their_packages_too() -> None:
+def test_classes_of_messages_with_one_name_have_the_package_in_theirs() -> None:
     action = read_action(FILES / "robot_msgs/action/PickUp.action")
 
     assert [message.class_name for message in action.messages()] == [
@@ -217,37 +198,33 @@ def test_messages_of_one_name_are_called_by_their_packages_too() -> None:
     ]
 
 
-def test_a_message_is_read_once(tmp_path: Path) -> None:
-    path = write(tmp_path / "Lift.action", "Step a\nStep b\n---\nStep c\n---\n")
-    write(tmp_path / "Step.msg", "")
-    action = read_action(path)
+def test_a_message_is_read_once(lift: Path) -> None:
+    write(lift.with_name("Step.msg"), "")
+    action = read_action(write(lift, "Step a\nStep b\n---\nStep c\n---\n"))
 
-    assert action.goal.nested["a"] is action.goal.nested["b"]
-    assert action.goal.nested["a"] is action.result.nested["c"]
+    assert action.goal.nested["a"] is action.goal.nested["b"] is action.result.nested["c"]
 
 
-def test_a_file_that_is_not_there_is_an_os_error(tmp_path: Path) -> None:
+def test_a_missing_file_is_an_os_error(lift: Path) -> None:
     with pytest.raises(FileNotFoundError):
-        read_action(tmp_path / "Lift.action")
+        read_action(lift)
 
 
-def test_a_file_that_ros_would_not_take_by_its_name_is_refused(tmp_path: Path) -> None:
-    path = write(tmp_path / "my-lift.action", "---\n---\n")
+def test_a_file_name_that_ros_does_not_allow_is_rejected(lift: Path) -> None:
+    path = with_goal(lift.with_name("my-lift.action"), "")
 
-    assert refusal(path) == (
-        f"{path}:1: expected a file that is called like 'Fibonacci.action', found 'my-lift.action'"
+    assert error(path) == (
+        f"{path}:1: expected a file name like 'Fibonacci.action', found 'my-lift.action'"
     )
 
 
-def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "Lift.action"
-    path.write_bytes(b"int32 a\n\n# gr\xf6\xdfe\n")
+def test_a_file_that_is_not_utf_8_is_rejected(lift: Path) -> None:
+    lift.write_bytes(b"int32 a\n\n# gr\xf6\xdfe\n")
 
-    assert refusal(path).startswith(f"{path}:3: expected text in UTF-8, found ")
+    assert error(lift).startswith(f"{lift}:3: expected text in UTF-8, found ")
 
 
-def test_a_mark_of_the_byte_order_is_passed_over(tmp_path: Path) -> None:
-    path = tmp_path / "Lift.action"
-    path.write_bytes(b"\xef\xbb\xbfint32 a\n---\n---\n")
+def test_a_byte_order_mark_is_ignored(lift: Path) -> None:
+    lift.write_bytes(b"\xef\xbb\xbfint32 a\n---\n---\n")
 
-    assert read_action(path).goal.definition.fields[0].name == "a"
+    assert read_action(lift).goal.definition.fields[0].name == "a"

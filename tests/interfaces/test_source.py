@@ -1,4 +1,4 @@
-"""The modules in `tests/action_files` are generated: so linters and type checkers see such."""
+"""The modules in `tests/action_files` are generated, so that type checkers and linters see some."""
 
 from __future__ import annotations
 
@@ -34,7 +34,6 @@ def source_of(path: Path) -> str:
 
 def run(source: str) -> ModuleType:
     module = ModuleType("generated_types")
-    # This file's `from __future__` is not that of the module.
     exec(compile(source, "generated_types.py", "exec", dont_inherit=True), module.__dict__)
     return module
 
@@ -45,7 +44,7 @@ def action_in(module: ModuleType) -> Action[Any, Any, Any]:
 
 
 def unindented(thing: Any) -> Any:
-    """A schema without the indent that Python, before 3.13, leaves in docstrings."""
+    """Return a schema without the indent that Python before 3.13 leaves in docstrings."""
     if isinstance(thing, dict):
         return {
             key: inspect.cleandoc(value)
@@ -60,7 +59,7 @@ def constants(kind: type) -> dict[str, Any]:
     return {name: value for name, value in vars(kind).items() if name.isupper()}
 
 
-def check_that_they_agree(one: Action[Any, Any, Any], other: Action[Any, Any, Any]) -> None:
+def assert_equal_actions(one: Action[Any, Any, Any], other: Action[Any, Any, Any]) -> None:
     assert unindented(msgspec.to_builtins(one.info)) == unindented(msgspec.to_builtins(other.info))
     for part in ("goal", "feedback", "result"):
         left, right = getattr(one, part).type, getattr(other, part).type
@@ -73,7 +72,7 @@ def check_that_they_agree(one: Action[Any, Any, Any], other: Action[Any, Any, An
 
 
 @every_file
-def test_the_source_is_what_linters_and_type_checkers_have_seen(name: str) -> None:
+def test_the_source_is_the_checked_module(name: str) -> None:
     file = GENERATED[name].__file__
     assert file is not None
 
@@ -82,17 +81,17 @@ def test_the_source_is_what_linters_and_type_checkers_have_seen(name: str) -> No
 
 @every_file
 def test_the_module_and_the_loaded_action_agree(name: str) -> None:
-    check_that_they_agree(action_in(GENERATED[name]), load_action(FILES / name, search=[FILES]))
+    assert_equal_actions(action_in(GENERATED[name]), load_action(FILES / name, search=[FILES]))
 
 
-def test_what_comes_from_a_module_is_typed() -> None:
+def test_values_of_a_generated_module_are_typed() -> None:
     goal: pick_up_types.PickUp_Goal = pick_up_types.PICK_UP.goal.decode(b"\x80")
 
     assert goal.gripper.pads[1].wear == 0
     assert pick_up_types.PickUp_Goal.HASTY == 2
 
 
-def test_a_constant_of_the_module_is_called_as_no_class(tmp_path: Path) -> None:
+def test_the_constant_and_a_class_never_share_a_name(tmp_path: Path) -> None:
     path = tmp_path / "Imu.action"
     path.write_text("IMU imu\n---\n---\n")
     (tmp_path / "IMU.msg").write_text("")
@@ -103,16 +102,10 @@ def test_a_constant_of_the_module_is_called_as_no_class(tmp_path: Path) -> None:
     assert module.IMU_.goal.type().imu == module.IMU()
 
 
-def test_a_name_with_slashes_makes_a_constant() -> None:
-    action = read_action(FILES / "plain/Count.action", name="~/arm/count", search=[FILES])
-
-    assert run(python_source(action)).ARM_COUNT.name == "~/arm/count"
-
-
 names = strategies.from_regex(r"[a-z](_?[a-z0-9]){0,8}", fullmatch=True) | strategies.sampled_from(
     ["int", "str", "bytes", "list", "field", "from", "class", "range", "msgspec", "self", "cls"]
 )
-# What a line of a file can hold: `splitlines` knows more ends of lines than `\n`.
+# A line of a file; `splitlines` has more line ends than `\n`.
 texts = strategies.text(max_size=200).map(lambda text: " ".join(text.split()))
 integers = ["int8", "uint8", "int32", "uint64", "byte", "char"]
 bases = [*integers, "bool", "float32", "float64", "string", "wstring<=5", "Step", "string<=1000"]
@@ -151,4 +144,4 @@ def test_any_module_agrees_with_the_loaded_action(text: str) -> None:
         path.write_text(text, encoding="utf-8")
         loaded = load_action(path, search=[FILES / "plain"])
         module = run(python_source(read_action(path, search=[FILES / "plain"])))
-    check_that_they_agree(module.LIFT, loaded)
+    assert_equal_actions(module.LIFT, loaded)

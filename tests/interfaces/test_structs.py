@@ -1,3 +1,7 @@
+"""Limits of values. For names, defaults, constants and comments, `test_source` compares the structs
+with the modules in `tests/action_files`.
+"""
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -18,42 +22,6 @@ def made() -> dict[str, Any]:
     return make_structs(PICK_UP)
 
 
-def properties(kind: Any) -> dict[str, Any]:
-    """The JSON Schemas of a struct's fields."""
-    schema = msgspec.json.schema(kind)
-    found: dict[str, Any] = schema["$defs"][kind.__name__]["properties"]
-    return found
-
-
-def test_fields_have_the_defaults_of_the_file_or_those_of_ros(made: dict[str, Any]) -> None:
-    gripper = {"width": 0.1, "pads": [{"wear": 0, "pressure": []}] * 2}
-
-    assert msgspec.to_builtins(made["PickUp_Goal"](), builtin_types=(bytes,)) == {
-        "manner": 1,
-        "thing": 'a "box"',
-        "gripper": gripper,
-        "spare": [{"name": ""}, {"name": ""}],
-        "where": [0.5, -0.5, 0.0],
-        "speeds": [1.5],
-        "ports": [0, 0],
-        "names": ["one", "two, and three"],
-        "address": bytes(4),
-        "token": b"\x01\x02\xff",
-        "labels": [],
-        "start": {"sec": 0, "nanosec": 0},
-        "pauses": [],
-        "large": 2**64 - 1,
-    }
-
-
-def test_constants_are_attributes_of_the_class(made: dict[str, Any]) -> None:
-    goal = made["PickUp_Goal"]
-
-    assert (goal.CAREFUL, goal.HASTY, goal.GREETING, goal.HALF) == (1, 2, "hello", 0.5)
-    assert goal.ALWAYS is True
-    assert made["robot_msgs_Gripper"].FINGERS == 2
-
-
 @pytest.mark.parametrize(
     ("goal", "where"),
     [
@@ -72,7 +40,7 @@ def test_constants_are_attributes_of_the_class(made: dict[str, Any]) -> None:
         ({"thin": "a"}, "thin"),
     ],
 )
-def test_what_is_out_of_its_limits_is_refused_by_the_name_of_its_field(
+def test_a_value_out_of_its_limits_is_rejected_with_the_name_of_its_field(
     goal: dict[str, Any], where: str, made: dict[str, Any]
 ) -> None:
     with pytest.raises(msgspec.ValidationError) as caught:
@@ -81,34 +49,6 @@ def test_what_is_out_of_its_limits_is_refused_by_the_name_of_its_field(
     assert f"`{where}`" in str(caught.value)
 
 
-def test_comments_are_descriptions_in_the_schema(made: dict[str, Any]) -> None:
-    goal = msgspec.json.schema(made["PickUp_Goal"])["$defs"]
-    feedback = msgspec.json.schema(made["PickUp_Feedback"])["$defs"]["PickUp_Feedback"]
-
-    assert goal["PickUp_Goal"]["description"] == "Pick something up, and bring it somewhere."
-    assert properties(made["PickUp_Goal"])["manner"]["description"] == (
-        "How to do it: CAREFUL or HASTY."
-    )
-    assert goal["robot_msgs_Gripper"]["description"] == "What it holds things with."
-    assert feedback["properties"]["progress"]["description"] == (
-        "It may go back\nwhen something falls."
-    )
-
-
-def test_what_has_no_comment_is_described_by_what_it_is(made: dict[str, Any]) -> None:
-    assert made["PickUp_Result"].__doc__ == "The result of `PickUp`."
-    assert made["other_msgs_Gripper"].__doc__ == "`other_msgs/Gripper`."
-    assert "description" not in properties(made["PickUp_Goal"])["where"]
-
-
-def test_a_long_line_of_a_comment_is_broken(tmp_path: Path) -> None:
-    path = tmp_path / "Lift.action"
-    path.write_text(f"# {'word ' * 20}\n#\n# A short one.\n---\n---\n")
-    lines = make_structs(read_action(path))["Lift_Goal"].__doc__
-
-    assert lines == f"{'word ' * 14}word\n{'word ' * 4}word\n\nA short one."
-
-
-def test_structs_have_the_package_for_a_module(made: dict[str, Any]) -> None:
+def test_the_module_of_a_struct_is_its_package(made: dict[str, Any]) -> None:
     assert made["other_msgs_Gripper"].__module__ == "other_msgs"
     assert made["PickUp_Goal"].__module__ == "robot_msgs"

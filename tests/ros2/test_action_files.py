@@ -15,9 +15,9 @@ from hypothesis import given, strategies
 
 from fibaction import Action, ActionServer, GoalHandle, connect, serve
 from fibaction.action_files import load_action
-from fibaction.interfaces.definitions import Definition, FieldType, InterfaceError
+from fibaction.interfaces.definitions import FieldType, InterfaceError, MessageDefinition
 from fibaction.interfaces.files import read_action
-from fibaction.interfaces.parsing import parse_action, parse_message
+from fibaction.interfaces.parser import parse_action, parse_message
 from fibaction.interfaces.structs import make_structs
 from fibaction_transports.ros2.messages import RosAction
 from fibaction_transports.ros2.mirror import message_kind
@@ -103,7 +103,7 @@ def like_ros(kind: FieldType, package: str) -> str:
     return f"{text}[{'' if length is None else length}]"
 
 
-def described(found: Definition) -> Any:
+def described(found: MessageDefinition) -> Any:
     def plain(value: Any) -> Any:
         return list(value) if isinstance(value, bytes) else value
 

@@ -13,13 +13,13 @@ from weakref import ref
 import anyio
 import pytest
 
-from fibaction import GoalCanceled, GoalHandle, GoalID, GoalStatus
+from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalStatus
 from fibaction.abc import FeedbackItem
-from fibaction.server._task_pool import Life
-from fibaction.server.executor import Execution, Executor, _Steps
+from fibaction.goals import UNKNOWN_SENDER
+from fibaction.server._interruption import CancelOnce, Steps
+from fibaction.server.executor import Execution, Executor
 from fibaction.server.feedback_log import FeedbackLog
-from fibaction.server.registry import Ending, EndKind
-from fibaction.server.registry import Goal as KeptGoal
+from fibaction.server.goal_record import Ending, EndKind, GoalRecord
 from fibaction.states import GoalEvent, transition
 from tests.executors import ABORTED, Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -43,20 +43,19 @@ class Bench:
         window: int = 1000,
         stall_timeout: float = math.inf,
     ) -> None:
-        self.goal = KeptGoal(GoalID.random(), 0, 1)
+        self.goal = GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER)
         self.goal.status = GoalStatus.EXECUTING
         self.log = FeedbackLog(self.goal, window=window)
         self.stream = self.log.follow(hold=True)
-        self.stops = False
-        handle = GoalHandle(self.goal, Goal(order), lambda: self.stops)
+        handle = GoalHandle(self.goal, Goal(order))
         self.execution = Execution(FIBONACCI, executor, handle, self.log, stall_timeout)
         self.ending: Ending | None = None
 
     async def run(self) -> Ending:
-        life = Life(lambda: None)
-        with anyio.CancelScope() as scope, life.rest, anyio.fail_after(5):
-            life.run_by(scope)
-            self.ending = await self.execution.run(life)
+        scopes = CancelOnce(lambda: None)
+        with anyio.CancelScope() as scope, scopes.rest, anyio.fail_after(5):
+            scopes.run_by(scope)
+            self.ending = await self.execution.run(scopes)
         assert self.ending is not None
         return self.ending
 
@@ -120,6 +119,21 @@ async def test_a_goal_can_be_canceled_without_a_part() -> None:
         yield Result([])
 
     assert await Bench(says_so).run() == Ending(EndKind.CANCELED, None, "nothing was done")
+
+
+@pytest.mark.parametrize("error", [GoalAborted, GoalCanceled])
+async def test_the_error_of_another_goal_that_passes_through_keeps_its_reason(
+    error: type[GoalAborted] | type[GoalCanceled], caplog: pytest.LogCaptureFixture
+) -> None:
+    async def passes_on(goal: GoalHandle[Goal]) -> Items:
+        raise error("half", result={"of": "another type"}, goal_id=goal.goal_id)
+        yield Result([])
+
+    ending = await Bench(passes_on).run()
+    reason = "half (its result is left out: a dict is not of the result's type)"
+    kind = EndKind.FAILED if error is GoalAborted else EndKind.CANCELED
+    assert ending == Ending(kind, None, reason)
+    assert f"{error.__name__}: {reason}" in caplog.text
 
 
 async def is_stuck(goal: GoalHandle[Goal]) -> Items:
@@ -412,11 +426,12 @@ async def test_the_handle_tells_what_the_executor_may_know() -> None:
     assert handle.status is GoalStatus.EXECUTING
     assert repr(handle) == f"<GoalHandle {bench.goal.goal_id} EXECUTING>"
     assert not handle.cancel_requested
-    bench.stops = True
-    assert handle.cancel_requested
-    bench.stops = False
     bench.goal.status = GoalStatus.CANCELING
     assert handle.cancel_requested
+    bench.goal.status = GoalStatus.EXECUTING
+    bench.execution.stop("the lights are out")
+    assert handle.cancel_requested
+    assert bench.execution.stop_reason == "the lights are out"
 
 
 class Suspend:
@@ -437,7 +452,7 @@ async def test_steps_that_are_dropped_half_way_close_their_coroutine() -> None:
         raise AssertionError("it was resumed")
 
     async def main() -> Ending:
-        return await _Steps(waits(), Life(lambda: None), copy_context())
+        return await Steps(waits(), CancelOnce(lambda: None), copy_context())
 
     running = main()
     assert running.send(None) == "waiting"

@@ -13,9 +13,9 @@ from hypothesis import given, strategies
 
 from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.exceptions import ConnectionLost
-from fibaction.goals import GoalID, Outcome
+from fibaction.goals import UNKNOWN_SENDER, GoalID, Outcome
 from fibaction.server.feedback_log import FeedbackCursor, FeedbackLog
-from fibaction.server.registry import Goal
+from fibaction.server.goal_record import GoalRecord
 from fibaction.states import GoalStatus
 
 GOAL_ID = GoalID(bytes(range(16)))
@@ -23,7 +23,7 @@ OUTCOME = Outcome(GoalStatus.SUCCEEDED, b"done")
 
 
 def new_log(window: int = 1000, *, latest: bool = False) -> FeedbackLog:
-    return FeedbackLog(Goal(GOAL_ID, 0, 7), window=window, latest=latest)
+    return FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), window=window, latest=latest)
 
 
 def append(log: FeedbackLog, count: int) -> None:
@@ -181,7 +181,7 @@ async def test_with_latest_a_slow_follower_sees_the_newest() -> None:
 
 @pytest.mark.asyncio
 async def test_feedback_that_the_log_of_an_ended_goal_no_longer_has_counts_as_dropped() -> None:
-    goal = Goal(GOAL_ID, 0, 7)
+    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
     goal.feedback_count = 3
     goal.outcome = OUTCOME
     stream = FeedbackLog(goal).follow(after=1)
@@ -402,7 +402,7 @@ def test_a_goal_that_has_ended_has_no_end_for_one_who_has_feedback_left_to_take(
 
 
 def test_what_an_ended_goal_no_longer_has_counts_as_dropped_also_for_who_takes_nothing() -> None:
-    goal = Goal(GOAL_ID, 0, 7)
+    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
     goal.feedback_count = 3
     goal.outcome = OUTCOME
     stream = FeedbackLog(goal).follow(after=1)
@@ -705,7 +705,7 @@ def test_a_follower_knows_whether_late_readers_want_the_newest_only(latest: bool
 
 
 def test_a_follower_holds_nothing_up_unless_told_to_and_a_log_keeps_one_feedback() -> None:
-    log = FeedbackLog(Goal(GOAL_ID, 0, 7))
+    log = FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER))
     assert not log.follow().holding
     assert log.follow(hold=True).holding
     append(log, 2)
@@ -737,7 +737,7 @@ def test_a_log_gives_what_there_still_is_behind_a_place(
 
 
 def test_a_cursor_is_set_to_any_number_as_far_as_the_log_remembers() -> None:
-    log = FeedbackLog(Goal(GOAL_ID, 0, 7), window=3)
+    log = FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), window=3)
     stream = log.follow(after=0)
     for number in range(1, 6):
         log.append(b"%d" % number)
@@ -750,7 +750,7 @@ def test_a_cursor_is_set_to_any_number_as_far_as_the_log_remembers() -> None:
 
 
 def test_a_log_whose_feedback_is_all_gone_has_nothing_behind_any_place() -> None:
-    goal = Goal(GOAL_ID, 0, 7)
+    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
     goal.feedback_count = 3
     log = FeedbackLog(goal)
     assert not log.has_after(0)

@@ -19,16 +19,19 @@ from hypothesis.stateful import (
 )
 
 from fibaction.exceptions import GoalRejected, InvalidTransition
-from fibaction.goals import CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
-from fibaction.server.registry import (
+from fibaction.goals import (
     NO_GOAL,
-    Admission,
-    Cancellation,
-    Ending,
-    EndKind,
-    Goal,
-    GoalRegistry,
+    UNKNOWN_SENDER,
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    Outcome,
+    Sender,
 )
+from fibaction.server.cancellation import Cancellation
+from fibaction.server.goal_record import Ending, EndKind, GoalRecord
+from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.states import GoalEvent, GoalStatus
 
 
@@ -41,34 +44,46 @@ IN_USE = "its ID is in use by another goal"
 
 
 def accepted(
-    protocol: GoalRegistry,
+    registry: GoalRegistry,
     goal_id: GoalID,
     *,
     stamp: int = 1,
     payload: bytes = b"",
     now: float = 0.0,
-) -> Goal:
-    assert protocol.admit(goal_id, payload, now=now) is Admission.DECIDE
-    return protocol.accept(goal_id, stamp=stamp)
+) -> GoalRecord:
+    assert registry.admit(goal_id, payload, now=now) is Verdict.DECIDE
+    return registry.accept(goal_id, stamp=stamp, sender=UNKNOWN_SENDER)
 
 
-def executing(protocol: GoalRegistry, goal_id: GoalID, *, stamp: int = 1) -> Goal:
-    goal = accepted(protocol, goal_id, stamp=stamp)
-    protocol.execute(goal)
+def executing(registry: GoalRegistry, goal_id: GoalID, *, stamp: int = 1) -> GoalRecord:
+    goal = accepted(registry, goal_id, stamp=stamp)
+    registry.execute(goal)
     return goal
 
 
-def canceling(protocol: GoalRegistry, goal_id: GoalID, *, stamp: int = 1) -> Goal:
-    goal = executing(protocol, goal_id, stamp=stamp)
-    cancellation = protocol.cancel(goal_id, None, now=0.0)
+def canceling(registry: GoalRegistry, goal_id: GoalID, *, stamp: int = 1) -> GoalRecord:
+    goal = executing(registry, goal_id, stamp=stamp)
+    cancellation = registry.cancel(goal_id, None, now=0.0)
     assert cancellation.accept(goal)
     return goal
 
 
-def ended(protocol: GoalRegistry, goal_id: GoalID, *, stamp: int = 1, now: float = 0.0) -> Goal:
-    goal = executing(protocol, goal_id, stamp=stamp)
-    protocol.finish(goal, Ending(EndKind.RESULT, b"done"), now=now)
+def ended(
+    registry: GoalRegistry, goal_id: GoalID, *, stamp: int = 1, now: float = 0.0
+) -> GoalRecord:
+    goal = executing(registry, goal_id, stamp=stamp)
+    finish(registry, goal, Ending(EndKind.RESULT, b"done"), now=now)
     return goal
+
+
+def finish(
+    registry: GoalRegistry, goal: GoalRecord, ending: Ending, *, now: float
+) -> Outcome[bytes]:
+    outcome = registry.outcome_for(goal, ending)
+    assert goal.outcome is None, "nothing changes before it is kept"
+    registry.finish(goal, outcome, now=now, stamp=100)
+    assert goal.ended_at == 100
+    return outcome
 
 
 def candidates(cancellation: Cancellation) -> list[GoalID]:
@@ -81,9 +96,9 @@ def all_accept(cancellation: Cancellation) -> CancelAnswer:
     return cancellation.answer()
 
 
-def rejection_of(protocol: GoalRegistry, goal_id: GoalID, payload: bytes, *, now: float) -> str:
+def rejection_of(registry: GoalRegistry, goal_id: GoalID, payload: bytes, *, now: float) -> str:
     with pytest.raises(GoalRejected) as caught:
-        protocol.admit(goal_id, payload, now=now)
+        registry.admit(goal_id, payload, now=now)
     assert caught.value.goal_id == goal_id
     return caught.value.reason
 
@@ -92,32 +107,32 @@ def rejection_of(protocol: GoalRegistry, goal_id: GoalID, payload: bytes, *, now
 
 
 def test_a_new_goal_is_to_be_decided_and_is_then_accepted() -> None:
-    protocol = GoalRegistry()
-    assert protocol.admit(A, b"x", now=0.0) is Admission.DECIDE
-    assert protocol.is_undecided(A)
-    assert protocol.statuses() == []
-    goal = protocol.accept(A, stamp=7)
-    assert not protocol.is_undecided(A)
+    registry = GoalRegistry()
+    assert registry.admit(A, b"x", now=0.0) is Verdict.DECIDE
+    assert registry.is_undecided(A)
+    assert registry.statuses() == []
+    goal = registry.accept(A, stamp=7, sender=UNKNOWN_SENDER)
+    assert not registry.is_undecided(A)
     assert goal.info == GoalInfo(A, 7, GoalStatus.ACCEPTED)
     assert goal.outcome is None
     assert goal.feedback_count == 0
-    assert protocol.find(A, now=0.0) is goal
-    assert protocol.statuses() == [goal.info]
+    assert registry.find(A, now=0.0) is goal
+    assert registry.statuses() == [goal.info]
 
 
 def test_the_list_of_goals_tells_who_sent_each_as_far_as_that_is_known() -> None:
-    protocol = GoalRegistry()
-    accepted(protocol, A)
-    protocol.admit(B, b"x", now=0.0)
-    protocol.accept(B, stamp=1, client="10.0.0.7:51234")
-    assert [info.client for info in protocol.statuses()] == ["", "10.0.0.7:51234"]
+    registry = GoalRegistry()
+    accepted(registry, A)
+    registry.admit(B, b"x", now=0.0)
+    registry.accept(B, stamp=1, sender=Sender("10.0.0.7:51234"))
+    assert [info.client for info in registry.statuses()] == ["", "10.0.0.7:51234"]
 
 
 def test_the_list_of_goals_tells_how_many_feedback_messages_each_had() -> None:
-    protocol = GoalRegistry()
-    goal = executing(protocol, A)
+    registry = GoalRegistry()
+    goal = executing(registry, A)
     goal.feedback_count += 2
-    assert [info.feedback_count for info in protocol.statuses()] == [2]
+    assert [info.feedback_count for info in registry.statuses()] == [2]
 
 
 def test_a_goal_takes_no_more_memory_than_what_is_known_of_it_needs() -> None:
@@ -125,105 +140,105 @@ def test_a_goal_takes_no_more_memory_than_what_is_known_of_it_needs() -> None:
 
 
 def test_a_goal_sent_again_waits_for_the_decision_on_the_first() -> None:
-    protocol = GoalRegistry()
-    protocol.admit(A, b"x", now=0.0)
-    assert protocol.admit(A, b"x", now=0.0) is Admission.WAIT
-    assert rejection_of(protocol, A, b"other", now=0.0) == IN_USE
-    assert protocol.is_undecided(A)
+    registry = GoalRegistry()
+    registry.admit(A, b"x", now=0.0)
+    assert registry.admit(A, b"x", now=0.0) is Verdict.WAIT
+    assert rejection_of(registry, A, b"other", now=0.0) == IN_USE
+    assert registry.is_undecided(A)
 
 
 @pytest.mark.parametrize("reach", [accepted, executing, canceling, ended])
 def test_an_accepted_goal_sent_again_is_repeated_whatever_its_status(
-    reach: Callable[[GoalRegistry, GoalID], Goal],
+    reach: Callable[[GoalRegistry, GoalID], GoalRecord],
 ) -> None:
-    protocol = GoalRegistry(result_timeout=10.0)
-    reach(protocol, A)
-    before = protocol.statuses()
-    assert protocol.admit(A, b"", now=9.9) is Admission.REPEAT
-    assert rejection_of(protocol, A, b"other", now=9.9) == IN_USE
-    assert protocol.statuses() == before
-    assert not protocol.is_undecided(A)
+    registry = GoalRegistry(result_timeout=10.0)
+    reach(registry, A)
+    before = registry.statuses()
+    assert registry.admit(A, b"", now=9.9) is Verdict.REPEAT
+    assert rejection_of(registry, A, b"other", now=9.9) == IN_USE
+    assert registry.statuses() == before
+    assert not registry.is_undecided(A)
 
 
 def test_a_rejected_goal_sent_again_gets_the_same_reason() -> None:
-    protocol = GoalRegistry(result_timeout=10.0)
-    protocol.admit(A, b"x", now=0.0)
-    protocol.reject(A, "too far", now=1.0)
-    assert not protocol.is_undecided(A)
-    assert protocol.find(A, now=1.0) is None
-    assert rejection_of(protocol, A, b"x", now=10.9) == "too far"
-    assert rejection_of(protocol, A, b"other", now=10.9) == IN_USE
+    registry = GoalRegistry(result_timeout=10.0)
+    registry.admit(A, b"x", now=0.0)
+    registry.reject(A, "too far", now=1.0)
+    assert not registry.is_undecided(A)
+    assert registry.find(A, now=1.0) is None
+    assert rejection_of(registry, A, b"x", now=10.9) == "too far"
+    assert rejection_of(registry, A, b"other", now=10.9) == IN_USE
 
 
 def test_a_rejection_is_forgotten_as_a_result_is() -> None:
-    protocol = GoalRegistry(result_timeout=10.0)
-    protocol.admit(A, b"x", now=0.0)
-    protocol.reject(A, "too far", now=1.0)
-    assert protocol.admit(A, b"x", now=11.0) is Admission.DECIDE
+    registry = GoalRegistry(result_timeout=10.0)
+    registry.admit(A, b"x", now=0.0)
+    registry.reject(A, "too far", now=1.0)
+    assert registry.admit(A, b"x", now=11.0) is Verdict.DECIDE
 
 
 def test_a_rejection_that_is_forgotten_takes_no_memory_any_more() -> None:
     class Reason(str):
         """Unlike a plain `str` it can be watched."""
 
-    protocol = GoalRegistry(result_timeout=10.0)
-    protocol.admit(A, b"x", now=0.0)
+    registry = GoalRegistry(result_timeout=10.0)
+    registry.admit(A, b"x", now=0.0)
     reason = Reason("too far")
     watched = weakref.ref(reason)
-    protocol.reject(A, reason, now=1.0)
+    registry.reject(A, reason, now=1.0)
     del reason
-    protocol.expire(10.9)
+    registry.expire(10.9)
     assert watched() is not None
-    protocol.expire(11.0)
+    registry.expire(11.0)
     assert watched() is None
 
 
 def test_only_so_many_rejections_are_remembered() -> None:
-    protocol = GoalRegistry(result_timeout=math.inf, max_results=2)
+    registry = GoalRegistry(result_timeout=math.inf, max_results=2)
     for number in (A, B, C):
-        protocol.admit(number, b"x", now=0.0)
-        protocol.reject(number, "too far", now=0.0)
-    assert rejection_of(protocol, B, b"x", now=0.0) == "too far"
-    assert rejection_of(protocol, C, b"x", now=0.0) == "too far"
-    assert protocol.admit(A, b"x", now=0.0) is Admission.DECIDE
+        registry.admit(number, b"x", now=0.0)
+        registry.reject(number, "too far", now=0.0)
+    assert rejection_of(registry, B, b"x", now=0.0) == "too far"
+    assert rejection_of(registry, C, b"x", now=0.0) == "too far"
+    assert registry.admit(A, b"x", now=0.0) is Verdict.DECIDE
 
 
 def test_a_goal_rejected_anew_counts_as_the_latest_rejection() -> None:
-    protocol = GoalRegistry(result_timeout=10.0, max_results=2)
+    registry = GoalRegistry(result_timeout=10.0, max_results=2)
     for number, now in ((A, 0.0), (B, 5.0), (A, 10.0), (C, 10.0)):
-        assert protocol.admit(number, b"x", now=now) is Admission.DECIDE
-        protocol.reject(number, "too far", now=now)
-    assert rejection_of(protocol, A, b"x", now=10.0) == "too far"
-    assert protocol.admit(B, b"x", now=10.0) is Admission.DECIDE
+        assert registry.admit(number, b"x", now=now) is Verdict.DECIDE
+        registry.reject(number, "too far", now=now)
+    assert rejection_of(registry, A, b"x", now=10.0) == "too far"
+    assert registry.admit(B, b"x", now=10.0) is Verdict.DECIDE
 
 
 def test_no_rejection_is_remembered_with_a_result_timeout_of_zero() -> None:
-    protocol = GoalRegistry(result_timeout=0.0)
-    protocol.admit(A, b"x", now=5.0)
-    protocol.reject(A, "too far", now=5.0)
-    assert protocol.admit(A, b"x", now=5.0) is Admission.DECIDE
+    registry = GoalRegistry(result_timeout=0.0)
+    registry.admit(A, b"x", now=5.0)
+    registry.reject(A, "too far", now=5.0)
+    assert registry.admit(A, b"x", now=5.0) is Verdict.DECIDE
 
 
 def test_a_withdrawn_goal_is_decided_anew() -> None:
-    protocol = GoalRegistry()
-    protocol.admit(A, b"x", now=0.0)
-    protocol.withdraw(A)
-    assert not protocol.is_undecided(A)
-    assert protocol.admit(A, b"other", now=0.0) is Admission.DECIDE
+    registry = GoalRegistry()
+    registry.admit(A, b"x", now=0.0)
+    registry.withdraw(A)
+    assert not registry.is_undecided(A)
+    assert registry.admit(A, b"other", now=0.0) is Verdict.DECIDE
 
 
 @pytest.mark.promise("ACCEPT-12")
 def test_a_goal_id_of_zeros_is_rejected() -> None:
-    protocol = GoalRegistry()
-    assert rejection_of(protocol, NO_GOAL, b"x", now=0.0) == "a goal ID of zeros names no goal"
-    assert not protocol.is_undecided(NO_GOAL)
+    registry = GoalRegistry()
+    assert rejection_of(registry, NO_GOAL, b"x", now=0.0) == "a goal ID of zeros names no goal"
+    assert not registry.is_undecided(NO_GOAL)
 
 
 @pytest.mark.promise("ACCEPT-9")
 def test_stamps_increase_even_if_the_clock_is_set_back() -> None:
-    protocol = GoalRegistry()
+    registry = GoalRegistry()
     stamps = [
-        accepted(protocol, goal_id(number), stamp=stamp).stamp
+        accepted(registry, goal_id(number), stamp=stamp).stamp
         for number, stamp in enumerate([100, 100, 50, 103, 1, 2000], start=1)
     ]
     assert stamps == [100, 101, 102, 103, 104, 2000]
@@ -233,19 +248,19 @@ def test_stamps_increase_even_if_the_clock_is_set_back() -> None:
 
 
 def test_a_goal_is_executed_once() -> None:
-    protocol = GoalRegistry()
-    goal = executing(protocol, A)
+    registry = GoalRegistry()
+    goal = executing(registry, A)
     assert goal.status is GoalStatus.EXECUTING
     with pytest.raises(InvalidTransition):
-        protocol.execute(goal)
+        registry.execute(goal)
 
 
 def test_a_goal_that_is_canceling_is_not_executed() -> None:
-    protocol = GoalRegistry()
-    goal = accepted(protocol, A)
-    all_accept(protocol.cancel(A, None, now=0.0))
+    registry = GoalRegistry()
+    goal = accepted(registry, A)
+    all_accept(registry.cancel(A, None, now=0.0))
     with pytest.raises(InvalidTransition):
-        protocol.execute(goal)
+        registry.execute(goal)
 
 
 @pytest.mark.parametrize(
@@ -259,12 +274,12 @@ def test_a_goal_that_is_canceling_is_not_executed() -> None:
 def test_how_a_goal_ends_depends_on_its_status_before(
     kind: EndKind, from_executing: GoalStatus, from_canceling: GoalStatus
 ) -> None:
-    protocol = GoalRegistry()
+    registry = GoalRegistry()
     for goal, status in (
-        (executing(protocol, A), from_executing),
-        (canceling(protocol, B), from_canceling),
+        (executing(registry, A), from_executing),
+        (canceling(registry, B), from_canceling),
     ):
-        outcome = protocol.finish(goal, Ending(kind, b"partial", "a reason"), now=0.0)
+        outcome = finish(registry, goal, Ending(kind, b"partial", "a reason"), now=0.0)
         assert outcome == Outcome(status, b"partial", "a reason")
         assert goal.outcome is outcome
         assert goal.status is status
@@ -278,33 +293,33 @@ def test_what_an_executor_left_behind_does_not_change() -> None:
 
 
 def test_a_goal_that_was_never_executed_cannot_end_and_goes_on() -> None:
-    protocol = GoalRegistry()
-    goal = accepted(protocol, A)
+    registry = GoalRegistry()
+    goal = accepted(registry, A)
     with pytest.raises(InvalidTransition):
-        protocol.finish(goal, Ending(EndKind.FAILED), now=0.0)
+        finish(registry, goal, Ending(EndKind.FAILED), now=0.0)
     assert goal.outcome is None
-    assert protocol.statuses() == [GoalInfo(A, 1, GoalStatus.ACCEPTED)]
+    assert registry.statuses() == [GoalInfo(A, 1, GoalStatus.ACCEPTED)]
 
 
 def test_a_goal_ends_once() -> None:
-    protocol = GoalRegistry(result_timeout=10.0)
-    goal = ended(protocol, A, now=0.0)
+    registry = GoalRegistry(result_timeout=10.0)
+    goal = ended(registry, A, now=0.0)
     first = goal.outcome
     with pytest.raises(InvalidTransition) as caught:
-        protocol.finish(goal, Ending(EndKind.FAILED), now=5.0)
+        finish(registry, goal, Ending(EndKind.FAILED), now=5.0)
     assert (caught.value.status, caught.value.event) == (GoalStatus.SUCCEEDED, GoalEvent.ABORT)
     assert goal.outcome is first
-    assert protocol.next_expiry == 10.0
+    assert registry.next_expiry == 10.0
 
 
 # Cancelling: the four rules of `action_msgs/srv/CancelGoal`
 
 
-def three_goals(protocol: GoalRegistry) -> None:
+def three_goals(registry: GoalRegistry) -> None:
     """A of stamp 10 is executing, B of stamp 20 is accepted, C of stamp 30 is executing."""
-    executing(protocol, A, stamp=10)
-    accepted(protocol, B, stamp=20)
-    executing(protocol, C, stamp=30)
+    executing(registry, A, stamp=10)
+    accepted(registry, B, stamp=20)
+    executing(registry, C, stamp=30)
 
 
 @pytest.mark.promise("CANCEL-14")
@@ -328,16 +343,16 @@ def three_goals(protocol: GoalRegistry) -> None:
 def test_a_cancel_is_about_the_goals_that_ros_says(
     named: GoalID | None, stamp: int | None, about: list[GoalID]
 ) -> None:
-    protocol = GoalRegistry()
-    three_goals(protocol)
-    cancellation = protocol.cancel(named, stamp, now=0.0)
+    registry = GoalRegistry()
+    three_goals(registry)
+    cancellation = registry.cancel(named, stamp, now=0.0)
     assert candidates(cancellation) == about
     answer = all_accept(cancellation)
     assert answer.return_code is CancelCode.NONE
     assert [info.goal_id for info in answer.goals_canceling] == about
     assert {info.status for info in answer.goals_canceling} <= {GoalStatus.CANCELING}
     assert [
-        info.goal_id for info in protocol.statuses() if info.status is GoalStatus.CANCELING
+        info.goal_id for info in registry.statuses() if info.status is GoalStatus.CANCELING
     ] == about
 
 
@@ -345,73 +360,73 @@ def test_a_cancel_is_about_the_goals_that_ros_says(
 def test_a_cancel_of_many_leaves_out_what_has_ended(
     named: GoalID | None, stamp: int | None
 ) -> None:
-    protocol = GoalRegistry()
-    ended(protocol, A, stamp=10)
-    cancellation = protocol.cancel(named, stamp, now=0.0)
+    registry = GoalRegistry()
+    ended(registry, A, stamp=10)
+    cancellation = registry.cancel(named, stamp, now=0.0)
     assert candidates(cancellation) == []
     assert cancellation.answer() == CancelAnswer(CancelCode.NONE)
 
 
 def test_a_cancel_of_an_unknown_goal_says_so() -> None:
-    protocol = GoalRegistry()
-    three_goals(protocol)
-    cancellation = protocol.cancel(D, None, now=0.0)
+    registry = GoalRegistry()
+    three_goals(registry)
+    cancellation = registry.cancel(D, None, now=0.0)
     assert candidates(cancellation) == []
     assert cancellation.answer() == CancelAnswer(CancelCode.UNKNOWN_GOAL_ID)
 
 
 def test_a_cancel_of_an_ended_goal_says_so_until_it_is_forgotten() -> None:
-    protocol = GoalRegistry(result_timeout=10.0)
-    ended(protocol, A, now=0.0)
-    late = protocol.cancel(A, None, now=9.9)
+    registry = GoalRegistry(result_timeout=10.0)
+    ended(registry, A, now=0.0)
+    late = registry.cancel(A, None, now=9.9)
     assert candidates(late) == []
     assert late.answer() == CancelAnswer(CancelCode.GOAL_TERMINATED)
-    too_late = protocol.cancel(A, None, now=10.0)
+    too_late = registry.cancel(A, None, now=10.0)
     assert too_late.answer() == CancelAnswer(CancelCode.UNKNOWN_GOAL_ID)
 
 
 def test_a_cancel_of_a_canceling_goal_is_accepted_again() -> None:
-    protocol = GoalRegistry()
-    goal = canceling(protocol, A)
-    answer = all_accept(protocol.cancel(A, None, now=0.0))
+    registry = GoalRegistry()
+    goal = canceling(registry, A)
+    answer = all_accept(registry.cancel(A, None, now=0.0))
     assert answer == CancelAnswer(CancelCode.NONE, (goal.info,))
     assert goal.status is GoalStatus.CANCELING
 
 
-def test_a_refused_cancel_leaves_the_goal_as_it_was() -> None:
-    protocol = GoalRegistry()
-    goal = executing(protocol, A)
-    cancellation = protocol.cancel(A, None, now=0.0)
-    cancellation.refuse("nearly done")
+def test_a_rejected_cancel_leaves_the_goal_as_it_was() -> None:
+    registry = GoalRegistry()
+    goal = executing(registry, A)
+    cancellation = registry.cancel(A, None, now=0.0)
+    cancellation.reject("nearly done")
     assert cancellation.answer() == CancelAnswer(CancelCode.REJECTED, (), "nearly done")
     assert goal.status is GoalStatus.EXECUTING
 
 
 def test_one_goal_that_agrees_makes_the_cancel_accepted_and_reasons_are_told() -> None:
-    protocol = GoalRegistry()
-    three_goals(protocol)
-    cancellation = protocol.cancel(None, None, now=0.0)
-    cancellation.refuse("too late")
+    registry = GoalRegistry()
+    three_goals(registry)
+    cancellation = registry.cancel(None, None, now=0.0)
+    cancellation.reject("too late")
     assert cancellation.accept(cancellation.candidates[1])
-    cancellation.refuse("not now")
+    cancellation.reject("not now")
     assert cancellation.answer() == CancelAnswer(
         CancelCode.NONE, (GoalInfo(B, 20, GoalStatus.CANCELING),), "too late; not now"
     )
 
 
 def test_a_reason_that_all_goals_share_is_told_once() -> None:
-    protocol = GoalRegistry()
-    three_goals(protocol)
-    cancellation = protocol.cancel(None, None, now=0.0)
+    registry = GoalRegistry()
+    three_goals(registry)
+    cancellation = registry.cancel(None, None, now=0.0)
     for reason in ("busy", "late", "busy"):
-        cancellation.refuse(reason)
+        cancellation.reject(reason)
     assert cancellation.answer() == CancelAnswer(CancelCode.REJECTED, (), "busy; late")
 
 
 def test_the_answer_lists_goals_by_acceptance_in_whatever_order_they_agreed() -> None:
-    protocol = GoalRegistry()
-    three_goals(protocol)
-    cancellation = protocol.cancel(None, None, now=0.0)
+    registry = GoalRegistry()
+    three_goals(registry)
+    cancellation = registry.cancel(None, None, now=0.0)
     for goal in reversed(cancellation.candidates):
         assert cancellation.accept(goal)
     assert [info.goal_id for info in cancellation.answer().goals_canceling] == [A, B, C]
@@ -421,21 +436,21 @@ def test_the_answer_lists_goals_by_acceptance_in_whatever_order_they_agreed() ->
 
 
 def test_a_goal_that_ends_while_its_cancel_is_decided_counts_as_terminated() -> None:
-    protocol = GoalRegistry()
-    goal = executing(protocol, A)
-    cancellation = protocol.cancel(A, None, now=0.0)
-    protocol.finish(goal, Ending(EndKind.RESULT, b"done"), now=0.0)
+    registry = GoalRegistry()
+    goal = executing(registry, A)
+    cancellation = registry.cancel(A, None, now=0.0)
+    finish(registry, goal, Ending(EndKind.RESULT, b"done"), now=0.0)
     assert not cancellation.accept(goal)
     assert cancellation.answer() == CancelAnswer(CancelCode.GOAL_TERMINATED)
     assert goal.status is GoalStatus.SUCCEEDED
 
 
 def test_a_goal_that_ends_while_the_cancel_of_all_is_decided_is_left_out() -> None:
-    protocol = GoalRegistry()
-    three_goals(protocol)
-    cancellation = protocol.cancel(None, None, now=0.0)
+    registry = GoalRegistry()
+    three_goals(registry)
+    cancellation = registry.cancel(None, None, now=0.0)
     first, *others = cancellation.candidates
-    protocol.finish(first, Ending(EndKind.FAILED), now=0.0)
+    finish(registry, first, Ending(EndKind.FAILED), now=0.0)
     assert [cancellation.accept(goal) for goal in (first, *others)] == [False, True, True]
     answer = cancellation.answer()
     assert answer.return_code is CancelCode.NONE
@@ -443,21 +458,21 @@ def test_a_goal_that_ends_while_the_cancel_of_all_is_decided_is_left_out() -> No
 
 
 def test_a_goal_accepted_after_the_request_is_not_canceled_by_it() -> None:
-    protocol = GoalRegistry()
-    three_goals(protocol)
-    cancellation = protocol.cancel(None, None, now=0.0)
-    later = accepted(protocol, D, stamp=40)
+    registry = GoalRegistry()
+    three_goals(registry)
+    cancellation = registry.cancel(None, None, now=0.0)
+    later = accepted(registry, D, stamp=40)
     answer = all_accept(cancellation)
     assert [info.goal_id for info in answer.goals_canceling] == [A, B, C]
     assert later.status is GoalStatus.ACCEPTED
 
 
 def test_the_answer_tells_the_status_just_after_the_cancel_even_if_the_goal_ended_since() -> None:
-    protocol = GoalRegistry()
-    goal = executing(protocol, A, stamp=10)
-    cancellation = protocol.cancel(A, None, now=0.0)
+    registry = GoalRegistry()
+    goal = executing(registry, A, stamp=10)
+    cancellation = registry.cancel(A, None, now=0.0)
     assert cancellation.accept(goal)
-    protocol.finish(goal, Ending(EndKind.CANCELED), now=0.0)
+    finish(registry, goal, Ending(EndKind.CANCELED), now=0.0)
     assert cancellation.answer() == CancelAnswer(
         CancelCode.NONE, (GoalInfo(A, 10, GoalStatus.CANCELING),)
     )
@@ -465,11 +480,11 @@ def test_the_answer_tells_the_status_just_after_the_cancel_even_if_the_goal_ende
 
 
 def test_two_cancels_of_one_goal_are_decided_each_by_itself() -> None:
-    protocol = GoalRegistry()
-    goal = executing(protocol, A)
-    one = protocol.cancel(A, None, now=0.0)
-    other = protocol.cancel(A, None, now=0.0)
-    other.refuse("no")
+    registry = GoalRegistry()
+    goal = executing(registry, A)
+    one = registry.cancel(A, None, now=0.0)
+    other = registry.cancel(A, None, now=0.0)
+    other.reject("no")
     assert one.accept(goal)
     assert one.answer().return_code is CancelCode.NONE
     assert other.answer().return_code is CancelCode.REJECTED
@@ -479,14 +494,14 @@ def test_two_cancels_of_one_goal_are_decided_each_by_itself() -> None:
 
 
 def test_a_status_list_has_the_ended_goals_by_their_end_then_the_active_ones() -> None:
-    protocol = GoalRegistry()
-    three_goals(protocol)
+    registry = GoalRegistry()
+    three_goals(registry)
     for number in (C, A):
-        goal = protocol.find(number, now=0.0)
+        goal = registry.find(number, now=0.0)
         assert goal is not None
-        protocol.finish(goal, Ending(EndKind.RESULT), now=0.0)
-    accepted(protocol, D, stamp=40)
-    assert [(info.goal_id, info.status.name) for info in protocol.statuses()] == [
+        finish(registry, goal, Ending(EndKind.RESULT), now=0.0)
+    accepted(registry, D, stamp=40)
+    assert [(info.goal_id, info.status.name) for info in registry.statuses()] == [
         (C, "SUCCEEDED"),
         (A, "SUCCEEDED"),
         (B, "ACCEPTED"),
@@ -496,103 +511,103 @@ def test_a_status_list_has_the_ended_goals_by_their_end_then_the_active_ones() -
 
 @pytest.mark.promise("RESULT-3")
 def test_an_ended_goal_is_known_for_the_result_timeout_from_its_end() -> None:
-    protocol = GoalRegistry(result_timeout=10.0)
-    goal = ended(protocol, A, now=100.0)
-    assert protocol.next_expiry == 110.0
-    assert protocol.find(A, now=109.9) is goal
-    assert protocol.expire(109.9) == []
+    registry = GoalRegistry(result_timeout=10.0)
+    goal = ended(registry, A, now=100.0)
+    assert registry.next_expiry == 110.0
+    assert registry.find(A, now=109.9) is goal
+    assert registry.expire(109.9) == []
     # Exact to the moment, whether or not `expire` was called.
-    assert protocol.find(A, now=110.0) is None
-    assert protocol.expire(110.0) == [A]
-    assert protocol.statuses() == []
-    assert protocol.next_expiry == math.inf
+    assert registry.find(A, now=110.0) is None
+    assert registry.expire(110.0) == [A]
+    assert registry.statuses() == []
+    assert registry.next_expiry == math.inf
 
 
 @pytest.mark.promise("RESULT-4")
 def test_unless_told_a_thousand_ended_goals_are_known_for_ten_seconds() -> None:
-    protocol = GoalRegistry()
+    registry = GoalRegistry()
     for number in range(1, 1003):
-        ended(protocol, goal_id(number), now=0.0)
-    assert protocol.next_expiry == 10.0
-    assert protocol.expire(0.0) == [A, B]
-    assert protocol.find(C, now=9.9) is not None
+        ended(registry, goal_id(number), now=0.0)
+    assert registry.next_expiry == 10.0
+    assert registry.expire(0.0) == [A, B]
+    assert registry.find(C, now=9.9) is not None
 
 
 def test_an_active_goal_is_never_forgotten() -> None:
-    protocol = GoalRegistry(result_timeout=10.0, max_results=1)
-    goal = executing(protocol, A)
-    assert protocol.next_expiry == math.inf
-    assert protocol.expire(1e9) == []
-    assert protocol.find(A, now=1e9) is goal
+    registry = GoalRegistry(result_timeout=10.0, max_results=1)
+    goal = executing(registry, A)
+    assert registry.next_expiry == math.inf
+    assert registry.expire(1e9) == []
+    assert registry.find(A, now=1e9) is goal
 
 
 def test_goals_are_forgotten_in_the_order_of_their_ends() -> None:
-    protocol = GoalRegistry(result_timeout=10.0)
+    registry = GoalRegistry(result_timeout=10.0)
     for number, now in ((B, 0.0), (A, 1.0), (C, 2.0)):
-        ended(protocol, number, now=now)
-    assert protocol.next_expiry == 10.0
-    assert protocol.expire(11.0) == [B, A]
-    assert protocol.next_expiry == 12.0
-    assert protocol.find(C, now=11.0) is not None
+        ended(registry, number, now=now)
+    assert registry.next_expiry == 10.0
+    assert registry.expire(11.0) == [B, A]
+    assert registry.next_expiry == 12.0
+    assert registry.find(C, now=11.0) is not None
 
 
 def test_with_a_result_timeout_of_zero_an_ended_goal_is_unknown_at_once() -> None:
-    protocol = GoalRegistry(result_timeout=0.0)
-    ended(protocol, A, now=5.0)
-    assert protocol.find(A, now=5.0) is None
-    assert protocol.next_expiry == 5.0
-    assert protocol.expire(5.0) == [A]
+    registry = GoalRegistry(result_timeout=0.0)
+    ended(registry, A, now=5.0)
+    assert registry.find(A, now=5.0) is None
+    assert registry.next_expiry == 5.0
+    assert registry.expire(5.0) == [A]
 
 
 def test_with_an_infinite_result_timeout_an_ended_goal_is_known_for_ever() -> None:
-    protocol = GoalRegistry(result_timeout=math.inf)
-    goal = ended(protocol, A, now=0.0)
-    assert protocol.next_expiry == math.inf
-    assert protocol.expire(1e300) == []
-    assert protocol.find(A, now=1e300) is goal
+    registry = GoalRegistry(result_timeout=math.inf)
+    goal = ended(registry, A, now=0.0)
+    assert registry.next_expiry == math.inf
+    assert registry.expire(1e300) == []
+    assert registry.find(A, now=1e300) is goal
 
 
 def test_only_so_many_ended_goals_are_kept_and_the_oldest_give_way() -> None:
-    protocol = GoalRegistry(result_timeout=math.inf, max_results=2)
+    registry = GoalRegistry(result_timeout=math.inf, max_results=2)
     for number in (B, A, C, D):
-        ended(protocol, number)
-    assert protocol.expire(0.0) == [B, A]
-    assert [info.goal_id for info in protocol.statuses()] == [C, D]
-    assert protocol.expire(0.0) == []
+        ended(registry, number)
+    assert registry.expire(0.0) == [B, A]
+    assert [info.goal_id for info in registry.statuses()] == [C, D]
+    assert registry.expire(0.0) == []
 
 
 def test_no_ended_goal_is_kept_if_none_may_be() -> None:
-    protocol = GoalRegistry(result_timeout=math.inf, max_results=0)
-    ended(protocol, A)
-    assert protocol.expire(0.0) == [A]
+    registry = GoalRegistry(result_timeout=math.inf, max_results=0)
+    ended(registry, A)
+    assert registry.expire(0.0) == [A]
 
 
 def test_expiry_frees_the_goal_id_for_another_goal() -> None:
-    protocol = GoalRegistry(result_timeout=10.0)
-    first = ended(protocol, A, now=0.0)
-    protocol.expire(10.0)
-    second = accepted(protocol, A, payload=b"other", now=10.0)
+    registry = GoalRegistry(result_timeout=10.0)
+    first = ended(registry, A, now=0.0)
+    registry.expire(10.0)
+    second = accepted(registry, A, payload=b"other", now=10.0)
     assert second is not first
     assert second.stamp > first.stamp
 
 
 def test_a_goal_id_used_again_before_its_expiry_was_noticed_is_not_listed_as_gone() -> None:
-    protocol = GoalRegistry(result_timeout=10.0)
-    ended(protocol, A, now=0.0)
-    again = accepted(protocol, A, now=10.0)
-    assert protocol.statuses() == [again.info]
-    assert protocol.expire(10.0) == []
+    registry = GoalRegistry(result_timeout=10.0)
+    ended(registry, A, now=0.0)
+    again = accepted(registry, A, now=10.0)
+    assert registry.statuses() == [again.info]
+    assert registry.expire(10.0) == []
 
 
 def test_a_goal_id_used_again_does_not_keep_later_goals_from_being_forgotten() -> None:
-    protocol = GoalRegistry(result_timeout=10.0)
-    ended(protocol, A, now=0.0)
-    ended(protocol, B, now=5.0)
-    again = accepted(protocol, A, now=10.0)
-    protocol.execute(again)
-    protocol.finish(again, Ending(EndKind.RESULT), now=10.0)
-    assert protocol.next_expiry == 15.0
-    assert protocol.expire(15.0) == [B]
+    registry = GoalRegistry(result_timeout=10.0)
+    ended(registry, A, now=0.0)
+    ended(registry, B, now=5.0)
+    again = accepted(registry, A, now=10.0)
+    registry.execute(again)
+    finish(registry, again, Ending(EndKind.RESULT), now=10.0)
+    assert registry.next_expiry == 15.0
+    assert registry.expire(15.0) == [B]
 
 
 # Random histories against a plain model
@@ -637,7 +652,7 @@ an_end = strategies.sampled_from(EndKind)
 
 
 class ProtocolMachine(RuleBasedStateMachine):
-    """Goals and cancels in any order; after each step the protocol knows what the model knows."""
+    """Goals and cancels in any order; after each step the registry knows what the model knows."""
 
     cancels: Bundle[ModelCancel] = Bundle("cancels")
 
@@ -658,7 +673,7 @@ class ProtocolMachine(RuleBasedStateMachine):
     def start(self, result_timeout: float, max_results: int) -> None:
         self.result_timeout = result_timeout
         self.max_results = max_results
-        self.protocol = GoalRegistry(result_timeout=result_timeout, max_results=max_results)
+        self.registry = GoalRegistry(result_timeout=result_timeout, max_results=max_results)
 
     def known(self, goal_id: GoalID) -> ModelGoal | None:
         for goal in self.active + self.ended:
@@ -687,7 +702,7 @@ class ProtocolMachine(RuleBasedStateMachine):
     def send(self, goal_id: GoalID, payload: bytes) -> None:
         expected = self.expected_admission(goal_id, payload)
         try:
-            answer = self.protocol.admit(goal_id, payload, now=self.now).name
+            answer = self.registry.admit(goal_id, payload, now=self.now).name
         except GoalRejected as exc:
             answer = exc.reason
         assert answer == expected
@@ -702,7 +717,7 @@ class ProtocolMachine(RuleBasedStateMachine):
     def accept(self, number: int, step: int) -> None:
         goal_id = self.any_undecided(number)
         self.wall += step
-        goal = self.protocol.accept(goal_id, stamp=self.wall)
+        goal = self.registry.accept(goal_id, stamp=self.wall, sender=UNKNOWN_SENDER)
         assert goal.stamp > self.stamps[-1]
         assert goal.stamp == self.wall or self.wall <= self.stamps[-1]
         self.stamps.append(goal.stamp)
@@ -715,7 +730,7 @@ class ProtocolMachine(RuleBasedStateMachine):
     @rule(number=a_number, reason=a_reason)
     def reject(self, number: int, reason: str) -> None:
         goal_id = self.any_undecided(number)
-        self.protocol.reject(goal_id, reason, now=self.now)
+        self.registry.reject(goal_id, reason, now=self.now)
         payload = self.undecided.pop(goal_id)
         until = self.now + self.result_timeout
         self.rejections = [one for one in self.rejections if one.goal_id != goal_id]
@@ -726,7 +741,7 @@ class ProtocolMachine(RuleBasedStateMachine):
     @rule(number=a_number)
     def withdraw(self, number: int) -> None:
         goal_id = self.any_undecided(number)
-        self.protocol.withdraw(goal_id)
+        self.registry.withdraw(goal_id)
         del self.undecided[goal_id]
 
     @precondition(lambda self: self.active or self.ended)
@@ -735,11 +750,11 @@ class ProtocolMachine(RuleBasedStateMachine):
         goals = self.active + self.ended
         goal = goals[number % len(goals)]
         if goal.status == "ACCEPTED":
-            self.protocol.execute(goal.real)
+            self.registry.execute(goal.real)
             goal.status = "EXECUTING"
         else:
             with pytest.raises(InvalidTransition):
-                self.protocol.execute(goal.real)
+                self.registry.execute(goal.real)
 
     @precondition(lambda self: self.active or self.ended)
     @rule(
@@ -754,14 +769,14 @@ class ProtocolMachine(RuleBasedStateMachine):
         ending = Ending(kind, result, reason)
         if goal.status not in ("EXECUTING", "CANCELING"):
             with pytest.raises(InvalidTransition):
-                self.protocol.finish(goal.real, ending, now=self.now)
+                finish(self.registry, goal.real, ending, now=self.now)
             return
         status = "ABORTED"
         if kind.name == "RESULT":
             status = "SUCCEEDED"
         elif kind.name == "CANCELED" and goal.status == "CANCELING":
             status = "CANCELED"
-        outcome = self.protocol.finish(goal.real, ending, now=self.now)
+        outcome = finish(self.registry, goal.real, ending, now=self.now)
         goal.status = status
         goal.outcome = (status, result, reason)
         goal.forgotten_at = self.now + self.result_timeout
@@ -789,7 +804,7 @@ class ProtocolMachine(RuleBasedStateMachine):
     def begin_cancel(self, goal_id: GoalID | None, stamp: int | None, after: int) -> ModelCancel:
         if stamp:
             stamp = self.stamps[stamp % len(self.stamps)] + after
-        cancellation = self.protocol.cancel(goal_id, stamp, now=self.now)
+        cancellation = self.registry.cancel(goal_id, stamp, now=self.now)
         named = goal_id if goal_id and any(goal_id) else None
         otherwise = "NONE"
         if named is None and not stamp:
@@ -810,7 +825,7 @@ class ProtocolMachine(RuleBasedStateMachine):
             return
         goal = cancel.to_decide.pop(number % len(cancel.to_decide))
         if not agrees:
-            cancel.real.refuse(reason)
+            cancel.real.reject(reason)
             cancel.reasons.append(reason)
         elif goal.outcome is not None:
             assert not cancel.real.accept(goal.real)
@@ -861,17 +876,17 @@ class ProtocolMachine(RuleBasedStateMachine):
         kept = [goal for goal in self.ended if goal.forgotten_at > self.now]
         kept = kept[max(0, len(kept) - self.max_results) :]
         gone = [goal.goal_id for goal in self.ended if goal not in kept]
-        assert self.protocol.expire(self.now) == gone
+        assert self.registry.expire(self.now) == gone
         self.ended = kept
         self.forget_rejections()
 
     @invariant()
     def the_lists_agree(self) -> None:
-        assert self.protocol.statuses() == [
+        assert self.registry.statuses() == [
             GoalInfo(goal.goal_id, goal.stamp, GoalStatus[goal.status])
             for goal in self.ended + self.active
         ]
-        assert self.protocol.next_expiry == min(
+        assert self.registry.next_expiry == min(
             (goal.forgotten_at for goal in self.ended), default=math.inf
         )
 
@@ -879,8 +894,8 @@ class ProtocolMachine(RuleBasedStateMachine):
     def each_goal_is_found_as_it_is(self) -> None:
         for goal_id in GOAL_IDS:
             goal = self.known(goal_id)
-            assert self.protocol.find(goal_id, now=self.now) is (goal and goal.real)
-            assert self.protocol.is_undecided(goal_id) == (goal_id in self.undecided)
+            assert self.registry.find(goal_id, now=self.now) is (goal and goal.real)
+            assert self.registry.is_undecided(goal_id) == (goal_id in self.undecided)
 
     @invariant()
     def a_goal_has_an_outcome_exactly_if_it_has_ended(self) -> None:

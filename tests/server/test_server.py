@@ -29,9 +29,10 @@ from fibaction import (
     UnknownGoal,
 )
 from fibaction.abc import FeedbackItem, GoalStream
-from fibaction.server._task_pool import Life
-from fibaction.server.registry import Ending, EndKind
-from fibaction.server.server import EXPIRY_STEP, RECENT_TIME
+from fibaction.goals import Sender
+from fibaction.server._interruption import CancelOnce
+from fibaction.server.goal_record import Ending, EndKind
+from fibaction.server.runs import EXPIRY_STEP, RECENT_TIME
 from tests.executors import Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.virtual_time import in_virtual_time
@@ -425,14 +426,15 @@ async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on() -> None:
 
     # asyncio ends its loop at once on a SystemExit, so that the wire is cut on trio only; here the
     # executor is run by hand, and both must let it through.
-    run_goal = server._run_goal
+    runs = server._runs
+    run_goal = runs._run
 
-    async def run_and_catch(run: Any, life: Life) -> None:
+    async def run_and_catch(run: Any, scopes: CancelOnce) -> None:
         with pytest.raises(SystemExit):
-            await run_goal(run, life)
+            await run_goal(run, scopes)
         scope.cancel()
 
-    server._run_goal = run_and_catch  # type: ignore[method-assign]  # see above
+    runs._run = run_and_catch  # type: ignore[method-assign]  # see above
     with anyio.CancelScope() as scope:
         await serve()
     assert await streams[0].outcome() == Outcome(GoalStatus.ABORTED, None, "SystemExit")
@@ -750,6 +752,9 @@ async def test_a_goal_whose_decision_is_not_awaited_yet_is_rejected_by_the_stop(
             await asking
 
 
+ARM, LEG = Sender("the arm"), Sender("the leg")
+
+
 async def test_who_has_sent_a_goal_is_told_with_each_of_its_statuses() -> None:
     gate = Gate()
     async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:
@@ -757,9 +762,9 @@ async def test_who_has_sent_a_goal_is_told_with_each_of_its_statuses() -> None:
             assert statuses.known == 0
             goal_id = GoalID.random()
             gate.open.set()
-            stream = await waited_for(server.offer_goal(goal_id, packed(2), client="the arm"))
+            stream = await waited_for(server.offer_goal(goal_id, packed(2), sender=ARM))
             # Whoever sends it again has not sent it.
-            again = at_once(server.offer_goal(goal_id, packed(2), client="the leg"))
+            again = at_once(server.offer_goal(goal_id, packed(2), sender=LEG))
             assert again.stamp == stream.stamp
             await stream.outcome()
             told = [await statuses.receive() for _ in range(3)]
@@ -772,7 +777,7 @@ async def test_whoever_waited_for_the_decision_and_then_decides_is_the_one_who_s
     gate = Gate()
     async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:
         goal_id = GoalID.random()
-        first = waited_for(server.offer_goal(goal_id, packed(2), client="the arm"))
+        first = waited_for(server.offer_goal(goal_id, packed(2), sender=ARM))
         scope = anyio.CancelScope()
         streams: list[GoalStream] = []
 
@@ -787,7 +792,7 @@ async def test_whoever_waited_for_the_decision_and_then_decides_is_the_one_who_s
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(give_up)
                 await anyio.wait_all_tasks_blocked()
-                again = server.offer_goal(goal_id, packed(2), feedback=False, client="the leg")
+                again = server.offer_goal(goal_id, packed(2), feedback=False, sender=LEG)
                 tasks.start_soon(wait, waited_for(again))
                 await anyio.wait_all_tasks_blocked()
                 scope.cancel()
@@ -848,8 +853,8 @@ async def test_a_goal_that_ends_before_its_turn_comes_to_be_canceled_is_passed_o
 
     def end_the_other(goal: GoalHandle[Goal]) -> None:
         asked.append(goal.goal_id)
-        (other,) = (run for key, run in server._runs.items() if key != goal.goal_id)
-        server._finish(other, Ending(EndKind.RESULT, FIBONACCI.result.encode(Result([]))))
+        (other,) = (run for key, run in server._runs._runs.items() if key != goal.goal_id)
+        server._runs._finish(other, Ending(EndKind.RESULT, FIBONACCI.result.encode(Result([]))))
 
     async with ActionServer(FIBONACCI, executor, on_cancel=end_the_other) as server:
         streams = [await server.send_goal(GoalID.random(), packed(order)) for order in range(2)]
@@ -929,7 +934,7 @@ async def test_an_executor_that_ends_as_canceled_unasked_is_aborted() -> None:
         assert await stream.outcome() == Outcome(
             GoalStatus.ABORTED,
             None,
-            "the executor ended as canceled, but nobody had asked for that",
+            "the executor ended as canceled, but no cancel was asked for",
         )
 
 

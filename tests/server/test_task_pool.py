@@ -11,7 +11,8 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from fibaction.server._task_pool import MOST_IDLE, SLICE, Life, TaskPool
+from fibaction.server._interruption import SLICE, CancelOnce
+from fibaction.server._task_pool import MOST_IDLE, TaskPool
 
 pytestmark = pytest.mark.anyio
 
@@ -40,7 +41,7 @@ class Bench:
     def add(self, number: int) -> None:
         """A job that does not wait."""
 
-        async def job(life: Life) -> None:
+        async def job(scopes: CancelOnce) -> None:
             self.note(number)
 
         self.crew.add(job)
@@ -48,9 +49,9 @@ class Bench:
     def add_waiting(self, number: int) -> None:
         """One that waits until it is to go on."""
 
-        async def job(life: Life) -> None:
+        async def job(scopes: CancelOnce) -> None:
             self.note(number)
-            life.on_wait()
+            scopes.on_wait()
             await self.go_on.wait()
             self.done.append(-number)
 
@@ -124,12 +125,12 @@ async def test_not_more_than_some_idle_tasks_are_kept() -> None:
 
 async def test_a_task_whose_job_was_interrupted_takes_no_other() -> None:
     async with running() as bench:
-        lives: list[Life] = []
+        all_scopes: list[CancelOnce] = []
 
-        async def job(life: Life) -> None:
-            lives.append(life)
+        async def job(scopes: CancelOnce) -> None:
+            all_scopes.append(scopes)
             bench.note(1)
-            life.on_wait()
+            scopes.on_wait()
             with pytest.raises(anyio.get_cancelled_exc_class()):
                 await anyio.sleep_forever()
 
@@ -137,11 +138,11 @@ async def test_a_task_whose_job_was_interrupted_takes_no_other() -> None:
         await bench.all_done(1)
         bench.add(2)
         await bench.all_done(2)
-        lives[0].interrupt()
+        all_scopes[0].interrupt()
         for number in (3, 4, 5):
             bench.add(number)
         await bench.all_done(5)
-        assert lives[0].is_spent
+        assert all_scopes[0].is_spent
         assert bench.tasks.count(bench.tasks[0]) == 1
 
 
@@ -160,24 +161,24 @@ async def test_a_job_is_not_interrupted_by_the_end_of_what_the_crew_runs_in() ->
 
 async def test_an_interruption_arrives_even_if_the_task_is_known_only_later() -> None:
     async with running() as bench:
-        life = Life(lambda: None)
+        scopes = CancelOnce(lambda: None)
 
         async def work() -> None:
-            with life.rest:
-                life.interrupt()
+            with scopes.rest:
+                scopes.interrupt()
                 await anyio.sleep_forever()
 
         task = bench.crew._tasks.start_soon(work)
         await anyio.wait_all_tasks_blocked()
-        life.run_by(task)
+        scopes.run_by(task)
         await task.wait()
 
 
 async def test_a_job_that_spends_its_task_leaves_the_next_ones_to_another() -> None:
     async with running() as bench:
 
-        async def job(life: Life) -> None:
-            life.kill()
+        async def job(scopes: CancelOnce) -> None:
+            scopes.kill()
             bench.note(1)
 
         bench.crew.add(job)
@@ -190,15 +191,15 @@ async def test_a_job_that_spends_its_task_leaves_the_next_ones_to_another() -> N
 
 async def test_killing_cancels_what_is_awaited_after_an_interruption() -> None:
     async with running() as bench:
-        lives: list[Life] = []
+        all_scopes: list[CancelOnce] = []
 
-        async def job(life: Life) -> None:
-            lives.append(life)
-            life.on_wait()
+        async def job(scopes: CancelOnce) -> None:
+            all_scopes.append(scopes)
+            scopes.on_wait()
             try:
                 await anyio.sleep_forever()
             finally:
-                life.rest.shield = True  # what the executor does for its clean-up
+                scopes.rest.shield = True  # what the executor does for its clean-up
                 bench.note(1)
                 try:
                     await anyio.sleep_forever()
@@ -207,9 +208,9 @@ async def test_killing_cancels_what_is_awaited_after_an_interruption() -> None:
 
         bench.crew.add(job)
         await anyio.wait_all_tasks_blocked()
-        lives[0].interrupt()
+        all_scopes[0].interrupt()
         await bench.all_done(1)
-        lives[0].kill()
+        all_scopes[0].kill()
         await bench.all_done(2)
 
 
@@ -225,7 +226,7 @@ async def test_jobs_that_never_wait_let_others_have_their_turns(
     seen: list[int] = []
     async with running() as bench:
 
-        async def job(life: Life) -> None:
+        async def job(scopes: CancelOnce) -> None:
             nonlocal now
             now += SLICE / 2
             bench.note(1)
@@ -248,7 +249,7 @@ async def test_closing_ends_the_tasks_that_are_through_later_too() -> None:
 
 
 async def test_what_a_job_raises_goes_on() -> None:
-    async def job(life: Life) -> None:
+    async def job(scopes: CancelOnce) -> None:
         raise KeyError("a fault")
 
     with pytest.raises(BaseExceptionGroup) as caught:

@@ -16,17 +16,12 @@ from anyio import current_time, sleep
 from fibaction._notify import Notifier
 from fibaction.events import _Observer
 from fibaction.goals import GoalID, GoalInfo
-from fibaction.server import ActionServer
+from fibaction.server.admission import Admission
+from fibaction.server.cancellation import Cancellation
+from fibaction.server.expiry import ExpiringMap
 from fibaction.server.feedback_log import FeedbackCursor, FeedbackLog
-from fibaction.server.registry import (
-    Admission,
-    Cancellation,
-    Ending,
-    EndKind,
-    Goal,
-    GoalRegistry,
-    _Kept,
-)
+from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
+from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.server.status_broadcast import StatusBroadcast
 from fibaction.states import GoalStatus
 from fibaction.wire.calls import RemoteGoal, _Credits
@@ -95,12 +90,12 @@ class _Deaf(Notifier):
 def a_goal_runs_again_when_it_is_sent_again(real: Any) -> Any:
     """A retry is taken for a new goal."""
 
-    def admit(self: GoalRegistry, goal_id: GoalID, payload: bytes, *, now: float) -> Admission:
-        admission: Admission = real(self, goal_id, payload, now=now)
-        if admission is Admission.REPEAT:
-            self._undecided[goal_id] = hash(payload)
-            return Admission.DECIDE
-        return admission
+    def admit(self: GoalRegistry, goal_id: GoalID, payload: bytes, *, now: float) -> Verdict:
+        verdict: Verdict = real(self, goal_id, payload, now=now)
+        if verdict is Verdict.REPEAT:
+            self._undecided[goal_id] = digest_of(payload)
+            return Verdict.DECIDE
+        return verdict
 
     return admit
 
@@ -109,7 +104,7 @@ def a_goal_runs_again_when_it_is_sent_again(real: Any) -> Any:
 def a_cancel_races_the_end(real: Any) -> Any:
     """A goal that has ended while its cancel was decided upon is said to be canceling."""
 
-    def accept(self: Cancellation, goal: Goal) -> bool:
+    def accept(self: Cancellation, goal: GoalRecord) -> bool:
         if goal.status.is_terminal:
             self._canceling[goal.goal_id] = goal.info
             return True
@@ -119,37 +114,36 @@ def a_cancel_races_the_end(real: Any) -> Any:
     return accept
 
 
-@mistake(GoalRegistry, "finish", 18, 36, 47)
+@mistake(GoalRegistry, "outcome_for", 18, 36, 47)
 def a_cancel_beats_the_result(real: Any) -> Any:
     """A goal that yields its result while it is canceling ends as canceled."""
 
-    def finish(self: GoalRegistry, goal: Goal, ending: Ending, *, now: float) -> Any:
+    def outcome_for(self: GoalRegistry, goal: GoalRecord, ending: Ending) -> Any:
         if goal.status is GoalStatus.CANCELING and ending.kind is EndKind.RESULT:
             ending = Ending(EndKind.CANCELED, ending.result)
-        return real(self, goal, ending, now=now)
+        return real(self, goal, ending)
 
-    return finish
+    return outcome_for
 
 
-@mistake(_Kept, "put", 159, 97, 190)
+@mistake(ExpiringMap, "put", 159, 97, 190)
 def a_result_expires_too_early(real: Any) -> Any:
     """Outcomes are kept for half the time."""
 
-    def put(self: _Kept[Any], goal_id: GoalID, thing: Any, now: float) -> None:
+    def put(self: ExpiringMap[Any], goal_id: GoalID, thing: Any, now: float) -> None:
         real(self, goal_id, thing, now - self._seconds / 2)
 
     return put
 
 
-@mistake(ActionServer, "__init__", 80, 54, 97)
-def nobody_hears_of_a_decision(real: Any) -> Any:
-    """Whoever waits until a goal is decided upon is not woken."""
+@mistake(Admission, "_tell_decision", 80, 54, 97)
+def a_decision_is_not_told(_real: Any) -> Any:
+    """What waits until a goal is decided is not woken."""
 
-    def __init__(self: ActionServer[Any, Any, Any], *args: Any, **keywords: Any) -> None:
-        real(self, *args, **keywords)
-        self._decided = _Deaf()
+    def _tell_decision(self: Admission[Any, Any, Any], goal_id: GoalID) -> None:
+        pass
 
-    return __init__
+    return _tell_decision
 
 
 @mistake(FeedbackLog, "append", 3, 5, 6)

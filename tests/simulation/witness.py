@@ -16,7 +16,9 @@ from unittest.mock import patch
 
 from fibaction import ActionError, Endpoint, GoalID, Outcome, ProtocolError
 from fibaction.abc import GoalStream
-from fibaction.server.registry import Cancellation, Ending, Goal, GoalRegistry
+from fibaction.server.cancellation import Cancellation
+from fibaction.server.goal_record import GoalRecord
+from fibaction.server.registry import GoalRegistry
 from fibaction.wire.connection import RemoteConnection
 from fibaction.wire.ownership import Owners
 from fibaction.wire.session import Session
@@ -48,22 +50,22 @@ def recorded(record: Record, on_hub: Callable[[WireServer], None]) -> Generator[
 
 
 def _accepting(real: Any, record: Record) -> Any:
-    def accept(self: GoalRegistry, goal_id: GoalID, **keywords: Any) -> Goal:
-        goal: Goal = real(self, goal_id, **keywords)
+    def accept(self: GoalRegistry, goal_id: GoalID, **keywords: Any) -> GoalRecord:
+        goal: GoalRecord = real(self, goal_id, **keywords)
         record.accepted(record.life_of(self), goal_id, goal.stamp)
         return goal
 
     return accept
 
 
-def _truth(record: Record, goal: Goal) -> Truth:
+def _truth(record: Record, goal: GoalRecord) -> Truth:
     truth = record.truth(goal.goal_id, goal.stamp)
     assert truth is not None
     return truth
 
 
 def _executing(real: Any, record: Record) -> Any:
-    def execute(self: GoalRegistry, goal: Goal) -> None:
+    def execute(self: GoalRegistry, goal: GoalRecord) -> None:
         real(self, goal)
         record.changed(_truth(record, goal), goal.status)
 
@@ -71,18 +73,17 @@ def _executing(real: Any, record: Record) -> Any:
 
 
 def _finishing(real: Any, record: Record) -> Any:
-    def finish(self: GoalRegistry, goal: Goal, ending: Ending, *, now: float) -> Outcome[bytes]:
-        outcome: Outcome[bytes] = real(self, goal, ending, now=now)
+    def finish(self: GoalRegistry, goal: GoalRecord, outcome: Outcome[bytes], **when: Any) -> None:
+        real(self, goal, outcome, **when)
         truth = _truth(record, goal)
         record.changed(truth, goal.status)
         record.ended(truth, outcome, goal.feedback_count)
-        return outcome
 
     return finish
 
 
 def _canceling(real: Any, record: Record) -> Any:
-    def accept(self: Cancellation, goal: Goal) -> bool:
+    def accept(self: Cancellation, goal: GoalRecord) -> bool:
         accepted: bool = real(self, goal)
         record.changed(_truth(record, goal), goal.status)
         return accepted

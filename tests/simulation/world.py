@@ -146,7 +146,7 @@ class World:
         stop = self._stop
         with CancelScope() as self._life_scope:
             self._server = server
-            life = Life(len(self.record.lives) + 1, self.record.now(), server._protocol)
+            life = Life(len(self.record.lives) + 1, self.record.now(), server._runs._registry)
             self.record.lives.append(life)
             self.record.tell(f"server {life.number} starts")
             async with serve(server, self._server_transport()):

@@ -111,8 +111,8 @@ async def scene(
 
 
 def too_long(length: int, looks_like: str = "") -> str:
-    text = f"a frame of {length} bytes was announced, and {MAX_FRAME} are the limit"
-    return f"{text}: it looks like {looks_like}" if looks_like else text
+    text = f"frame of {length} bytes exceeds the limit of {MAX_FRAME} bytes"
+    return f"{text}: this looks like {looks_like}" if looks_like else text
 
 
 @pytest.mark.parametrize(
@@ -187,7 +187,7 @@ async def test_random_bytes_end_the_connection() -> None:
             async with raw(here.url) as peer:
                 await peer.stream.send(b"\x7f" + chance.randbytes(size + 3))
                 last = (await peer.hear_all())[-1]
-                assert "bytes was announced" in last.reason
+                assert "bytes exceeds the limit" in last.reason
         assert await here.is_well()
         assert len(here.heard.warnings) == 86
 

@@ -10,14 +10,17 @@ import re
 import uuid
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, suppress
-from typing import Any
-from weakref import WeakValueDictionary
+from typing import Any, TypeVar
+from weakref import WeakSet, WeakValueDictionary
 
 from fibaction._notify import Notifier
 from fibaction.abc import Connection, Endpoint, GoalStream, StatusStream, Transport
 from fibaction.action import Action, ActionInfo
-from fibaction.exceptions import ServerNotFound, TransportError
-from fibaction.goals import CancelAnswer, GoalID
+from fibaction.exceptions import ConnectionLost, InvalidURL, ServerNotFound, TransportError
+from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
+from fibaction.urls import check_settings
+
+StreamT = TypeVar("StreamT", bound=GoalStream | StatusStream)
 
 _URL = re.compile(r"inproc://([\w.-]+)", re.ASCII)
 
@@ -51,7 +54,7 @@ class InProcessTransport(Transport):
     def __init__(self, name: str | None = None) -> None:
         url = f"inproc://{name or uuid.uuid4().hex}"
         if not _URL.fullmatch(url):
-            raise TransportError(f"an in-process URL is like inproc://robot, unlike {url!r}")
+            raise InvalidURL(f"an in-process URL is like inproc://robot, unlike {url!r}")
         self._place = _places.setdefault(url, _Place(url))
 
     @classmethod
@@ -66,10 +69,9 @@ class InProcessTransport(Transport):
         """
         where, has_settings, _ = url.partition("?")
         if has_settings:  # not shown: people take them along from another URL, with the token
-            raise TransportError(
-                f"{where} has settings behind ?, and there are none: leave them out"
-            )
-        return cls(url.removeprefix("inproc://") or "/", **settings)
+            raise InvalidURL(f"{where} has settings behind ?, and there are none: leave them out")
+        check_settings(cls.__name__, settings, ())
+        return cls(url.removeprefix("inproc://") or "/")
 
     @asynccontextmanager
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
@@ -91,39 +93,71 @@ class InProcessTransport(Transport):
 
     @asynccontextmanager
     async def connect(self) -> AsyncGenerator[Connection, None]:
-        """See `Transport.connect`. It finds nobody missing: servers may come later."""
-        yield _InProcessConnection(self._place)
+        """See `Transport.connect`. It never fails: servers may come later."""
+        connection = _InProcessConnection(self._place)
+        try:
+            yield connection
+        finally:
+            connection.close()
 
 
 class _InProcessConnection(Connection):
+    """An open connection, which ends what was followed over it when it is closed."""
+
     def __init__(self, place: _Place) -> None:
-        self._place = place
+        self.place = place
+        self._streams: WeakSet[GoalStream | StatusStream] = WeakSet()
+        self._closed: ConnectionLost | None = None
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
-        return _NamedEndpoint(self._place, action.info if isinstance(action, Action) else action)
+        return _NamedEndpoint(self, action.info if isinstance(action, Action) else action)
 
     async def actions(self) -> list[ActionInfo]:
-        return [endpoint.info for endpoint in self._place.endpoints.values()]
+        return [endpoint.info for endpoint in self.place.endpoints.values()]
+
+    def check_is_open(self) -> None:
+        """Raise ConnectionLost if the connection was closed."""
+        if self._closed is not None:
+            raise ConnectionLost(str(self._closed))
+
+    def opened(self, stream: StreamT) -> StreamT:
+        """Return the stream, which is to end with the connection."""
+        self._streams.add(stream)
+        return stream
+
+    def close(self) -> None:
+        """End all that is followed over this connection."""
+        self._closed = ConnectionLost(f"the connection to {self.place.url} was closed here")
+        for stream in tuple(self._streams):
+            stream.fail(self._closed)
 
 
 class _NamedEndpoint(Endpoint):
-    """Whoever serves an action at a place, when it is called."""
+    """The server of an action at a place, looked up at each call."""
 
-    def __init__(self, place: _Place, info: ActionInfo) -> None:
-        self._place = place
+    def __init__(self, connection: _InProcessConnection, info: ActionInfo) -> None:
+        self._connection = connection
         self._info = info
 
     @property
     def info(self) -> ActionInfo:
         return self._info
 
-    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> GoalStream:
-        return await self._server.send_goal(goal_id, goal, feedback=feedback)
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+    ) -> GoalStream:
+        stream = await self._server.send_goal(goal_id, goal, feedback=feedback, sender=sender)
+        return self._connection.opened(stream)
 
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False
     ) -> GoalStream:
-        return await self._server.feedback(goal_id, after=after, own=own)
+        return self._connection.opened(await self._server.feedback(goal_id, after=after, own=own))
 
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None
@@ -131,10 +165,10 @@ class _NamedEndpoint(Endpoint):
         return await self._server.cancel_goals(goal_id, stamp)
 
     async def status(self) -> StatusStream:
-        return await self._server.status()
+        return self._connection.opened(await self._server.status())
 
     async def wait_for_server(self) -> None:
-        name, place = self._info.name, self._place
+        name, place = self._info.name, self._connection.place
         while True:
             served = place.endpoints.get(name)
             if served is not None:
@@ -145,4 +179,5 @@ class _NamedEndpoint(Endpoint):
 
     @property
     def _server(self) -> Endpoint:
-        return self._place.find(self._info.name)
+        self._connection.check_is_open()
+        return self._connection.place.find(self._info.name)

@@ -300,7 +300,7 @@ async def test_a_frame_that_is_too_large_is_the_end() -> None:
             with anyio.fail_after(5):
                 await ends[0].run()
         assert isinstance(ends[0].error, ProtocolError)
-        assert str(ends[0].error) == "a frame of 11 bytes was announced, and 10 are the limit"
+        assert str(ends[0].error) == "frame of 11 bytes exceeds the limit of 10 bytes"
 
 
 @pytest.mark.parametrize(

@@ -189,22 +189,22 @@ async def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     nonsense.write_text("nonsense")
     for files, problem in (
         ({}, "a TLS server needs a certificate: give cert=, and key="),
-        ({"cert": "/none.pem"}, "there is cannot set up TLS with /none.pem: .*No such file"),
+        ({"cert": "/none.pem"}, "cannot load TLS files /none.pem: .*No such file"),
         (
             {"cert": pems().cert, "key": str(nonsense)},
-            f"there is cannot set up TLS with .*, {nonsense}: ",
+            f"cannot load TLS files .*, {nonsense}: ",
         ),
         (
             {"cert": pems().cert, "ca": str(nonsense)},
-            f"there is cannot set up TLS with {nonsense}, .*: ",
+            f"cannot load TLS files {nonsense}, .*: ",
         ),
     ):
         with pytest.raises(TransportError, match=problem):
             async with serve(new_server(), tls_server(**files)):
                 raise AssertionError("the block must not run")
-    with pytest.raises(TransportError, match=f"there is cannot set up TLS with {nonsense}: "):
+    with pytest.raises(TransportError, match=f"cannot load TLS files {nonsense}: "):
         TlsFiles(ca=str(nonsense)).client()
-    with pytest.raises(TransportError, match=r"there is cannot set up TLS with /none\.pem: "):
+    with pytest.raises(TransportError, match=r"cannot load TLS files /none\.pem: "):
         TlsFiles(cert="/none.pem").client()
 
 

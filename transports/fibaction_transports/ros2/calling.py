@@ -16,12 +16,14 @@ from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import ConnectionLost, GoalRejected, ProtocolError, TransportError
 from fibaction.goals import (
     UNKNOWN_OUTCOME,
+    UNKNOWN_SENDER,
     ActionPeers,
     CancelAnswer,
     CancelCode,
     GoalID,
     GoalInfo,
     Outcome,
+    Sender,
 )
 from fibaction.server.status_broadcast import StatusSubscription
 from fibaction.states import GoalStatus
@@ -61,7 +63,14 @@ class RosEndpoint(Endpoint):
     def info(self) -> ActionInfo:
         return self._info
 
-    async def send_goal(self, goal_id: GoalID, goal: bytes, *, feedback: bool = True) -> RosGoal:
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+    ) -> RosGoal:
         try:
             message = self._codecs.goal.to_ros(goal)
         except ProtocolError as exc:

@@ -1,0 +1,111 @@
+"""Following all actions of a server, those that come later included."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, TypeAlias
+
+import anyio
+
+from fibaction._api import ClientConnection
+from fibaction.action import Action, ActionInfo
+from fibaction.client import ActionClient
+from fibaction.events import GoalFeedback
+from fibaction.exceptions import ActionError
+from fibaction.goals import GoalInfo
+
+PERIOD = 1.0
+"""Seconds between two looks for new actions, and the timeout of each look."""
+
+AnyClient: TypeAlias = ActionClient[Any, Any, Any]
+"""A client of an action whose types are not known here; its messages are plain values."""
+
+
+class ActionListener(ABC):
+    """The receiver of all events of the actions that are followed."""
+
+    @abstractmethod
+    def on_action_found(self, info: ActionInfo, client: AnyClient) -> None:
+        """Handle an action that is followed from now on, for the first time or again."""
+
+    @abstractmethod
+    def on_event(self, action: str, event: GoalInfo | GoalFeedback[Any]) -> None:
+        """Handle an event of a goal.
+
+        Each time an action has been found, the first events are the statuses of all goals that its
+        server knows.
+        """
+
+    @abstractmethod
+    def on_action_lost(self, action: str, reason: str) -> None:
+        """Handle an action that is not served any more, or that cannot be used from here.
+
+        It is found again as soon as it is back.
+        """
+
+    @abstractmethod
+    def on_actions(self, actions: list[ActionInfo] | None, reason: str) -> None:
+        """Handle the list of the actions that are served now.
+
+        It is None while the server does not answer, for that `reason`.
+        """
+
+
+async def follow_actions(
+    connection: ClientConnection, listener: ActionListener, *, feedback: bool
+) -> None:
+    """Follow every action that is or will be served, until canceled.
+
+    Raises:
+        ActionError: There is no server; or the connection is lost and is not reopened.
+    """
+    actions: list[ActionInfo] | None = await connection.actions()
+    reason = ""
+    followed: set[str] = set()
+    async with anyio.create_task_group() as tasks:
+        while True:
+            listener.on_actions(actions, reason)
+            for info in actions or ():
+                if info.name not in followed:
+                    followed.add(info.name)
+                    tasks.start_soon(_follow_if_usable, connection, info, listener, feedback)
+            await anyio.sleep(PERIOD)
+            actions, reason = None, "it does not answer"
+            with anyio.move_on_after(PERIOD):
+                try:
+                    actions, reason = await connection.actions(), ""
+                except ActionError as exc:
+                    reason = str(exc)
+
+
+async def _follow_if_usable(
+    connection: ClientConnection, info: ActionInfo, listener: ActionListener, feedback: bool
+) -> None:
+    try:
+        client = connection.client(Action.untyped(info))
+    except ActionError as exc:  # its ROS type is not installed here
+        listener.on_action_lost(info.name, str(exc))
+        return
+    await follow_action(client, info, listener, feedback=feedback)
+
+
+async def follow_action(
+    client: AnyClient, info: ActionInfo, listener: ActionListener, *, feedback: bool
+) -> None:
+    """Follow one action, also after restarts of its server, until canceled.
+
+    Raises:
+        ActionError: The connection is lost and is not reopened.
+    """
+    while True:
+        reason = "its server has stopped"
+        try:
+            async with client.events(feedback=feedback) as events:
+                listener.on_action_found(info, client)
+                async for event in events:
+                    listener.on_event(info.name, event)
+        except ActionError as exc:
+            reason = str(exc)
+        listener.on_action_lost(info.name, reason)
+        await anyio.sleep(PERIOD)  # limits how often a permanent error is met
+        await client.wait_for_server()

@@ -1,0 +1,61 @@
+"""Names of actions: how they are shown, looked up and suggested."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from fibaction.cli.escape import clean
+from fibaction.cli.exit_codes import ExitCode, Failure
+
+if TYPE_CHECKING:
+    from fibaction.abc import Connection, Endpoint
+    from fibaction.action import ActionInfo
+
+MOST_SUGGESTED = 10
+"""Names that an error lists where none of them is similar."""
+
+
+async def find_action(connection: Connection, name: str) -> ActionInfo:
+    """Return the action of that name. A slash in front is optional.
+
+    Raises:
+        Failure: It is not served. The code is `UNREACHABLE`, since a wrong name and a server that
+            has not started cannot be told apart on a network of servers.
+    """
+    actions = await connection.actions()
+    wanted = shown(name)
+    for info in actions:
+        if shown(info.name) == wanted:
+            return info
+    raise no_action(name, actions)
+
+
+def no_action(name: str, actions: Iterable[ActionInfo]) -> Failure:
+    """Return the error for an action that is not served, with the most similar name."""
+    known = sorted(shown(info.name) for info in actions)
+    text = f"nobody serves the action {shown(name)}"
+    if near := nearest(shown(name), known):
+        text += f"; did you mean {near}?"
+    elif known:
+        some = known[:MOST_SUGGESTED]
+        text += f"; there is {', '.join(some)}{', ...' if len(known) > len(some) else ''}"
+    else:
+        text += ", nor any other"
+    return Failure(text, ExitCode.UNREACHABLE)
+
+
+def shown(name: str) -> str:
+    """Return an action's name as `ros2 action` prints it: with a slash in front."""
+    return name if name.startswith(("/", "~")) else f"/{name}"
+
+
+def names_of(endpoints: Iterable[Endpoint]) -> str:
+    """Return the names of actions as one text."""
+    return ", ".join(clean(shown(endpoint.info.name)) for endpoint in endpoints)
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return the known word that is most similar; empty if none is similar."""
+    return next(iter(difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)), "")

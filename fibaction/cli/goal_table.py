@@ -1,0 +1,185 @@
+"""Goals in columns, for `goals` and `top`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from fibaction.cli.action_names import shown
+from fibaction.cli.escape import clean
+from fibaction.goals import GoalInfo
+from fibaction.monitor import newest_active_first
+from fibaction.states import GoalStatus
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.text import Text
+
+SHORT = 8
+"""Digits of a goal's ID where there is no room for all 32; more if so many do not tell the goals
+apart."""
+GAP = "  "
+
+STYLES = {
+    GoalStatus.ACCEPTED: "cyan",
+    GoalStatus.EXECUTING: "bold green",
+    GoalStatus.CANCELING: "bold yellow",
+    GoalStatus.SUCCEEDED: "green",
+    GoalStatus.CANCELED: "yellow",
+    GoalStatus.ABORTED: "red",
+}
+"""The style of each status on a terminal."""
+
+
+class GoalRow(msgspec.Struct, frozen=True):
+    """A goal of an action, with the texts of its cells."""
+
+    action: str
+    info: GoalInfo
+
+    @property
+    def goal_id(self) -> str:
+        """The goal's ID as text."""
+        return str(self.info.goal_id)
+
+    @property
+    def feedback(self) -> str:
+        """The number of feedback messages; `-` over ROS, which counts none and names no clients."""
+        count, client = self.info.feedback_count, self.info.client
+        return str(count) if count or client else "-"
+
+    @property
+    def client(self) -> str:
+        """The client that sent it."""
+        return clean(self.info.client) or "-"
+
+    def age(self, now: float) -> str:
+        """Return the time since it was accepted, if the clocks agree."""
+        return duration(now - self.info.stamp / 1e9)
+
+    def json(self) -> dict[str, Any]:
+        """Return the row for a program."""
+        info = self.info
+        return {
+            "action": self.action,
+            "goal_id": self.goal_id,
+            "stamp": info.stamp,
+            "status": info.status.name,
+            "feedback_count": info.feedback_count,
+            "client": info.client,
+        }
+
+
+def duration(seconds: float) -> str:
+    """Return a time that has passed, with the precision that a person needs."""
+    if seconds < 10:
+        return f"{max(seconds, 0):.1f} s"
+    for unit, size, most in (("s", 1, 120), ("min", 60, 120), ("h", 3600, 48)):
+        if seconds < size * most:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds / 86400:.0f} d"
+
+
+def in_columns(
+    rows: Sequence[GoalRow], *, actions: bool, width: int | None = None, now: float | None = None
+) -> list[str]:
+    """Return the rows as lines below a line of headings. With `width`, they are made to fit."""
+    now = time.time() if now is None else now
+    digits = 32
+    table = _cells(rows, digits, now, actions=actions)
+    if width is not None and _width(table) > width:
+        digits = unambiguous(row.goal_id for row in rows)
+        table = _cells(rows, digits, now, actions=actions)
+    spare = None if width is None else width - _width(table)
+    if spare is not None and spare < 0:
+        table = [_narrowed(cells, table, -spare, actions=actions) for cells in table]
+    return [_joined(cells, _widths(table)) for cells in table]
+
+
+def in_color(rows: Sequence[GoalRow], lines: Sequence[str]) -> list[Text]:
+    """Return the lines of `in_columns` for a terminal."""
+    from rich.text import Text
+
+    heading, *texts = lines
+    colored = [Text(heading, "bold")]
+    for row, text in zip(rows, texts, strict=True):
+        status = row.info.status
+        line = Text(text, "" if status.is_active else "dim")
+        line.highlight_regex(rf"(?<= ){status.name}(?= )", STYLES.get(status, ""))
+        colored.append(line)
+    return colored
+
+
+def picture(screen: Console, rows: Sequence[GoalRow], away: str, *, actions: bool) -> Text:
+    """Return the list as it fits on the screen: active goals first, the newest first among each."""
+    from rich.text import Text
+
+    fitting = max(screen.height - 3, 1)
+    seen = sorted(rows, key=lambda row: newest_active_first(row.info))[:fitting]
+    lines = in_color(seen, in_columns(seen, actions=actions, width=screen.width - 1))
+    active = sum(row.info.status.is_active for row in rows)
+    state = f"{active} active, {len(rows) - active} ended"
+    if len(seen) < len(rows):
+        state += f"; {len(rows) - len(seen)} not shown"
+    if away:
+        lines.append(Text(f"The server is away: {clean(away)}", "bold red"))
+    else:
+        lines.append(Text(state, "dim"))
+    return Text("\n", no_wrap=True, overflow="ellipsis").join(lines)
+
+
+def unambiguous(goal_ids: Iterable[str]) -> int:
+    """Return how many digits tell these IDs apart, at least `SHORT`."""
+    ids = sorted(set(goal_ids))
+    digits = SHORT
+    for one, next_one in pairwise(ids):
+        while one[:digits] == next_one[:digits]:
+            digits += 1
+    return digits
+
+
+def _cells(rows: Iterable[GoalRow], digits: int, now: float, *, actions: bool) -> list[list[str]]:
+    table = [["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "CLIENT"]]
+    for row in rows:
+        action, info = clean(shown(row.action)), row.info
+        cells = [row.goal_id[:digits], action, info.status.name, row.age(now)]
+        table.append([*cells, row.feedback, row.client])
+    return table if actions else [[cells[0], *cells[2:]] for cells in table]
+
+
+def _widths(table: Sequence[Sequence[str]]) -> list[int]:
+    return [max(map(len, column)) for column in zip(*table, strict=True)]
+
+
+def _width(table: Sequence[Sequence[str]]) -> int:
+    widths = _widths(table)
+    return sum(widths) + len(GAP) * (len(widths) - 1)
+
+
+def _narrowed(
+    cells: Sequence[str], table: Sequence[Sequence[str]], excess: int, *, actions: bool
+) -> list[str]:
+    """Return the cells, with the client and then the action shortened by the excess."""
+    widths = _widths(table)
+    narrowed = list(cells)
+    # The client first: people look for the name of the action.
+    for column in (-1, 1) if actions else (-1,):
+        room = max(widths[column] - excess, SHORT)
+        excess -= widths[column] - room
+        if len(narrowed[column]) > room:
+            narrowed[column] = narrowed[column][: room - 1] + "…"
+    return narrowed
+
+
+def _joined(cells: Sequence[str], widths: Sequence[int]) -> str:
+    # Ages and counts to the right.
+    last = len(cells) - 1
+    padded = (
+        cell.rjust(width) if last - 2 <= column < last else cell.ljust(width)
+        for column, (cell, width) in enumerate(zip(cells, widths, strict=True))
+    )
+    return GAP.join(padded).rstrip()

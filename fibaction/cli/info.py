@@ -1,0 +1,58 @@
+"""`fibaction info`: show the servers and the clients of an action, as `ros2 action info` does."""
+
+from __future__ import annotations
+
+import click
+
+from fibaction._api import connect
+from fibaction.action import ActionInfo
+from fibaction.cli.action_names import no_action, shown
+from fibaction.cli.completion import ACTION
+from fibaction.cli.escape import clean
+from fibaction.cli.exit_codes import ExitCode, run
+from fibaction.cli.list import count_option, types_option, with_type
+from fibaction.cli.options import json_option, url_option
+from fibaction.cli.output import say, say_json
+from fibaction.exceptions import ServerNotFound
+
+
+@click.command("info", epilog="\b\nExample:\n  fibaction info fibonacci")
+@click.argument("name", type=ACTION)
+@types_option
+@count_option
+@json_option
+@url_option
+def info_command(name: str, show_types: bool, count: bool, as_json: bool, url: str) -> None:
+    """Show the servers and the clients of the action NAME. With --json, also the JSON Schemas of
+    its goal, feedback and result.
+    """
+    run(print_info, url, name, show_types=show_types, count=count, as_json=as_json)
+
+
+async def print_info(url: str, name: str, *, show_types: bool, count: bool, as_json: bool) -> int:
+    """Print the clients and the servers of an action.
+
+    Raises:
+        Failure: It has neither.
+    """
+    async with connect(url) as connection:
+        actions = await connection.actions()
+        found = [info for info in actions if shown(info.name) == shown(name)]
+        info = found[0] if found else ActionInfo(name)
+        try:
+            peers = await connection.peers(info.name)
+        except ServerNotFound as exc:
+            raise no_action(name, actions) from exc
+    if not (found or peers.servers or peers.clients):
+        raise no_action(name, actions)
+    if as_json:
+        schemas = {"goal": info.goal, "feedback": info.feedback, "result": info.result}
+        names = {"clients": peers.clients, "servers": peers.servers}
+        say_json({"name": info.name, "type": info.type_name, **names, **({} if count else schemas)})
+        return ExitCode.SUCCEEDED
+    say(f"Action: {clean(shown(info.name))}")
+    for role, peer_names in (("clients", peers.clients), ("servers", peers.servers)):
+        say(f"Action {role}: {len(peer_names)}")
+        for one in () if count else peer_names:
+            say(f"    {with_type(one, info.type_name if show_types else '')}")
+    return ExitCode.SUCCEEDED

@@ -1,0 +1,120 @@
+"""`fibaction goals`: list goals, once or until Ctrl-C."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from functools import partial
+
+import anyio
+import click
+
+from fibaction._api import ClientConnection, connect
+from fibaction.cli.action_names import shown
+from fibaction.cli.completion import ACTION
+from fibaction.cli.echo import EventPrinter, print_events
+from fibaction.cli.exit_codes import ExitCode, message_of, run
+from fibaction.cli.goal_lookup import ActionClients, goals_of
+from fibaction.cli.goal_table import in_color, in_columns, picture
+from fibaction.cli.options import json_option, url_option
+from fibaction.cli.output import console, note, on_terminal, say, say_json
+from fibaction.cli.signals import until_interrupted
+from fibaction.exceptions import ActionError
+from fibaction.monitor import AnyClient
+
+PAUSE = 0.5
+"""Seconds between two updates of a list that is watched."""
+TIMEOUT = 1.0
+"""Seconds without an answer after which the server is shown as away."""
+
+
+@click.command(
+    "goals",
+    epilog="""\b
+Examples:
+  fibaction goals
+  fibaction goals fibonacci --watch
+  fibaction goals --json""",
+)
+@click.argument("name", type=ACTION, required=False)
+@click.option("-w", "--watch", is_flag=True, help="Continue until Ctrl-C.")
+@json_option
+@url_option
+def goals_command(name: str | None, watch: bool, as_json: bool, url: str) -> None:
+    """List the goals of the action NAME, or of all actions: those that are active, and those that
+    have ended and that the server remembers.
+
+    With --watch the list is kept up to date on a terminal; elsewhere each change is a line.
+    """
+    run(list_goals, url, name, watch=watch, as_json=as_json)
+
+
+async def list_goals(url: str, name: str | None, *, watch: bool, as_json: bool) -> int:
+    """Print the goals, once or until Ctrl-C."""
+    async with connect(url) as connection:
+        if not watch:
+            await _list_once(connection, name, as_json=as_json)
+        elif as_json or not on_terminal():
+            printer = EventPrinter(as_json)
+            await until_interrupted(
+                partial(print_events, connection, name, printer, feedback=False)
+            )
+        else:
+            await until_interrupted(partial(_watch_screen, connection, name))
+    return ExitCode.SUCCEEDED
+
+
+async def _list_once(connection: ClientConnection, name: str | None, *, as_json: bool) -> None:
+    rows = await goals_of(await ActionClients(connection, name).now())
+    if as_json:
+        for row in rows:
+            say_json(row.json())
+    elif not rows:
+        note(f"There are no goals{f' of {shown(name)}' if name else ''}.")
+    elif on_terminal():
+        screen = console()
+        for line in in_color(rows, in_columns(rows, actions=name is None, width=screen.width)):
+            screen.print(line, soft_wrap=True)
+    else:
+        for text in in_columns(rows, actions=name is None):
+            say(text)
+
+
+async def _watch_screen(connection: ClientConnection, name: str | None) -> None:
+    """Keep a list up to date on the terminal.
+
+    Raises:
+        ActionError: The connection is lost and is not reopened.
+    """
+    from rich.live import Live
+
+    screen = console()
+    actions = ActionClients(connection, name)
+    clients = await actions.now()
+    rows, away = await goals_of(clients), ""
+    to_terminal = sys.stderr.isatty()  # output to a file does not disturb the list
+    with Live(console=screen, auto_refresh=False, redirect_stderr=to_terminal) as live:
+        while True:
+            live.update(picture(screen, rows, away, actions=name is None), refresh=True)
+            await anyio.sleep(PAUSE)
+            away = "it does not answer"
+            with anyio.move_on_after(TIMEOUT):
+                try:
+                    clients = await actions.now()
+                    rows, away = await goals_of(clients), ""
+                except ActionError as exc:
+                    away = message_of(exc)
+            if away:
+                await _check_connection(clients.values())
+
+
+async def _check_connection(clients: Iterable[AnyClient]) -> None:
+    """Wait for a server, at most `TIMEOUT` seconds.
+
+    Raises:
+        ActionError: The connection is lost and is not reopened.
+    """
+    with anyio.move_on_after(TIMEOUT):
+        for client in clients:
+            return await client.wait_for_server()  # all have the same connection
+        await anyio.sleep(TIMEOUT)

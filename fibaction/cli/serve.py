@@ -1,0 +1,91 @@
+"""`fibaction serve`: serve the servers of a user's module, by `fibaction.serve`."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import asynccontextmanager
+
+import anyio
+import click
+
+from fibaction._api import serve
+from fibaction.abc import StatusStream
+from fibaction.cli.action_names import names_of
+from fibaction.cli.exit_codes import ExitCode, run
+from fibaction.cli.import_target import AnyServer, import_servers
+from fibaction.cli.logs import log_events, log_with_time
+from fibaction.cli.options import reject_inproc, url_of
+from fibaction.cli.output import say
+from fibaction.cli.reload import SAME_STOP, run_reloading, started_by
+from fibaction.cli.signals import stop_signals
+from fibaction.states import GoalStatus
+
+logger = logging.getLogger(__name__)
+
+
+@click.command(
+    "serve",
+    epilog="""\b
+Examples:
+  fibaction serve robot:server
+  fibaction serve robot:make_servers tcp://127.0.0.1:7400 unix:///run/robot.sock ros2://
+  fibaction serve robot:server --reload""",
+)
+@click.argument("target", metavar="MODULE:SERVER")
+@click.argument("urls", metavar="[URL]...", nargs=-1)
+@click.option("--reload", is_flag=True, help="Start again when the module's .py files change.")
+@click.option("--started-by", "parent", type=int, hidden=True)
+@click.pass_context
+def serve_command(
+    context: click.Context, target: str, urls: tuple[str, ...], reload: bool, parent: int | None
+) -> None:
+    """Run the action servers of a module of yours, at one URL or at several at once.
+
+    SERVER is an ActionServer, a list of several, or a function without arguments that returns them.
+    The module is looked for in the current folder first.
+
+    Ctrl-C or SIGTERM ends all goals, tells their clients and stops. A second one ends at once.
+    """
+    where = urls or (url_of(context),)
+    reject_inproc(*where)  # beside another one it is for clients in the module itself
+    with log_with_time():
+        if reload:
+            run_reloading(target, urls, url_of(context))
+        else:
+            with started_by(parent):
+                same = None if parent is None else SAME_STOP
+                run(serve_servers, import_servers(target), where, same=same, uvloop=True)
+
+
+async def serve_servers(
+    servers: Sequence[AnyServer], urls: Sequence[str], *, same: float | None = None
+) -> int:
+    """Serve until a signal comes, then let the goals end and tell their clients.
+
+    A signal within `same` seconds of the first one is ignored: see `stop_signals`.
+    """
+    async with stop_signals(same) as stop, served(servers, *urls) as where:
+        say(f"serving {names_of(servers)} at {', '.join(where)}, Ctrl-C stops it")
+        await stop.wait()
+    return ExitCode.SUCCEEDED
+
+
+@asynccontextmanager
+async def served(servers: Sequence[AnyServer], *urls: str) -> AsyncGenerator[tuple[str, ...], None]:
+    """Run `fibaction.serve` during the block, and log each change of a goal's status."""
+    async with serve(servers, *urls) as where, anyio.create_task_group() as tasks:
+        log_events()  # not sooner: if it cannot serve, it is of no interest that servers stop
+        for server in servers:
+            tasks.start_soon(_log_goals, server.action.name, await server.status())
+        yield where
+        # Ends the streams of statuses too, after the last status, and with them the tasks above.
+        for server in servers:
+            tasks.start_soon(server.stop)
+
+
+async def _log_goals(action: str, changes: StatusStream) -> None:
+    with changes:
+        while (goal := await changes.receive()) is not None:
+            if goal.status is not GoalStatus.UNKNOWN:  # its end was logged before
+                logger.info("goal %s of action %r: %s", goal.goal_id, action, goal.status.name)

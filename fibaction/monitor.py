@@ -1,0 +1,291 @@
+"""A monitor of all actions of a server: their goals, feedback rates and latest feedback.
+
+It is the model behind `fibaction top`, for other displays too. For example:
+
+    async with connect("tcp://127.0.0.1:7400") as connection:
+        monitor = Monitor()
+        async with create_task_group() as tasks:
+            tasks.start_soon(monitor.run, connection)
+            while True:
+                await sleep(0.5)
+                for goal in monitor.snapshot().goals:
+                    print(goal.action, goal.info.goal_id, goal.info.status.name, goal.latest)
+
+A program that needs each event instead, for example a recorder, implements `ActionListener` and
+runs `follow_actions`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import anyio
+import msgspec
+
+from fibaction._action_listener import (
+    PERIOD,
+    ActionListener,
+    AnyClient,
+    follow_action,
+    follow_actions,
+)
+from fibaction._api import ClientConnection
+from fibaction.action import ActionInfo
+from fibaction.events import GoalFeedback
+from fibaction.exceptions import ActionError
+from fibaction.goals import CancelAnswer, GoalID, GoalInfo
+from fibaction.states import GoalStatus
+
+__all__ = [
+    "ActionListener",
+    "ActionSnapshot",
+    "AnyClient",
+    "GoalKey",
+    "GoalSnapshot",
+    "Monitor",
+    "Snapshot",
+    "follow_action",
+    "follow_actions",
+    "newest_active_first",
+]
+
+SPAN = 5.0
+"""Seconds over which a rate is measured: a shorter span flickers, a longer one is late."""
+
+
+class GoalKey(NamedTuple):
+    """The name of a goal among those of all actions."""
+
+    action: str
+    goal_id: GoalID
+
+
+class GoalSnapshot(msgspec.Struct, frozen=True):
+    """The state of one goal."""
+
+    action: str
+    info: GoalInfo
+    feedback_rate: float
+    """Feedback messages per second."""
+    latest: Any
+    """The latest feedback, as `summarize` returned it; None if none has come."""
+
+    @property
+    def key(self) -> GoalKey:
+        """The goal's name."""
+        return GoalKey(self.action, self.info.goal_id)
+
+
+class ActionSnapshot(msgspec.Struct, frozen=True):
+    """The state of one action."""
+
+    info: ActionInfo
+    away: str
+    """The reason why the action cannot be followed; empty if it is."""
+    active: int
+    """Goals that have not ended."""
+    ended: int
+    """Goals that have ended and that the server remembers."""
+    feedback_rate: float
+    """Feedback messages per second, of all its goals."""
+
+
+class Snapshot(msgspec.Struct, frozen=True):
+    """The state of everything that a monitor follows, at one moment."""
+
+    away: str
+    """The reason why the server cannot be reached; empty if it can."""
+    actions: list[ActionSnapshot]
+    goals: list[GoalSnapshot]
+    """Active goals first, then ended ones, the newest first."""
+
+
+def newest_active_first(info: GoalInfo) -> tuple[bool, int]:
+    """Return a key to sort goals by: active ones first, the newest first among each."""
+    return not info.status.is_active, -info.stamp
+
+
+class Monitor(ActionListener):
+    """Keeps the state of all actions and goals, for `snapshot`."""
+
+    def __init__(
+        self,
+        *,
+        summarize: Callable[[Any], Any] = lambda feedback: feedback,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Make a monitor.
+
+        `summarize` makes of the latest feedback of a goal what is kept of it, at most once for each
+        snapshot: for example a short text, if feedback may be large.
+        """
+        self._summarize = summarize
+        self._clock = clock
+        self._away = ""
+        self._actions: dict[str, _ActionState] = {}
+        self._goals: dict[GoalKey, _GoalState] = {}
+
+    async def run(self, connection: ClientConnection) -> None:
+        """Follow all actions of a connection, until canceled.
+
+        Raises:
+            ActionError: There is no server; or the connection is lost and is not reopened. Alone or
+                in a group.
+        """
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self._refresh)
+            await follow_actions(connection, self, feedback=True)
+
+    async def cancel(self, key: GoalKey) -> CancelAnswer:
+        """Ask the server to cancel a goal of a snapshot.
+
+        Raises:
+            ServerNotFound, ConnectionLost: The server cannot be asked.
+        """
+        client = self._actions[key.action].client
+        assert client is not None  # an action is found before its first goal
+        return await client.cancel_goals(key.goal_id)
+
+    def snapshot(self, most_goals: int | None = None) -> Snapshot:
+        """Return the state now, with at most so many goals.
+
+        Rates are measured between calls: call it a few times a second.
+        """
+        now = self._clock()
+        active, ended = Counter[str](), Counter[str]()
+        for key, goal in self._goals.items():
+            goal.update(now, self._summarize)
+            (active if goal.info.status.is_active else ended)[key.action] += 1
+        for action in self._actions.values():
+            action.rate.sample(now)
+        first = sorted(self._goals.items(), key=lambda item: newest_active_first(item[1].info))
+        return Snapshot(
+            self._away,
+            [
+                ActionSnapshot(one.info, one.away, active[name], ended[name], one.rate.per_second)
+                for name, one in self._actions.items()
+            ],
+            [goal.snapshot(key.action) for key, goal in first[:most_goals]],
+        )
+
+    def goal(self, key: GoalKey) -> GoalSnapshot | None:
+        """Return one goal as the last snapshot found it; None if its server has forgotten it."""
+        goal = self._goals.get(key)
+        return None if goal is None else goal.snapshot(key.action)
+
+    # As a listener
+
+    def on_action_found(self, info: ActionInfo, client: AnyClient) -> None:
+        state = self._actions.setdefault(info.name, _ActionState(info))
+        state.client, state.away = client, ""
+
+    def on_event(self, action: str, event: GoalInfo | GoalFeedback[Any]) -> None:
+        key = GoalKey(action, event.goal_id)
+        goal = self._goals.get(key)
+        if isinstance(event, GoalFeedback):
+            if goal is not None:
+                self._actions[action].rate.count += goal.add_feedback(event)
+        elif event.status is GoalStatus.UNKNOWN:
+            self._goals.pop(key, None)
+        elif goal is None:
+            self._goals[key] = _GoalState(event)
+        else:
+            goal.merge(event)
+
+    def on_action_lost(self, action: str, reason: str) -> None:
+        if action in self._actions:
+            self._actions[action].away = reason
+
+    def on_actions(self, actions: list[ActionInfo] | None, reason: str) -> None:
+        self._away = "" if actions is not None else reason
+        for info in actions or ():
+            self._actions.setdefault(info.name, _ActionState(info)).info = info
+
+    async def _refresh(self) -> None:
+        # Events do not tell feedback counts, nor that a restarted server has lost its goals.
+        while True:
+            await anyio.sleep(PERIOD)
+            for state in list(self._actions.values()):
+                if state.client is not None:
+                    with anyio.move_on_after(PERIOD):
+                        await self._refresh_goals(state.info.name, state.client)
+
+    async def _refresh_goals(self, action: str, client: AnyClient) -> None:
+        before = {key for key in self._goals if key.action == action}
+        try:
+            infos = await client.goals()
+        except ActionError:
+            return  # `follow_action` reports it
+        for info in infos:
+            self.on_event(action, info)
+        for key in before - {GoalKey(action, info.goal_id) for info in infos}:
+            self._goals.pop(key, None)
+
+
+class _Rate:
+    """A count of events, and how often they happen."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._samples: deque[tuple[float, int]] = deque()
+
+    def sample(self, now: float) -> None:
+        """Record the count at this time."""
+        self._samples.append((now, self.count))
+        while len(self._samples) > 2 and self._samples[1][0] <= now - SPAN:
+            self._samples.popleft()
+
+    @property
+    def per_second(self) -> float:
+        """The rate over the last `SPAN` seconds; 0 before the second sample."""
+        if len(self._samples) < 2:
+            return 0.0
+        (began, before), (ended, after) = self._samples[0], self._samples[-1]
+        return (after - before) / (ended - began) if ended > began else 0.0
+
+
+class _ActionState:
+    def __init__(self, info: ActionInfo) -> None:
+        self.info = info
+        self.client: AnyClient | None = None
+        self.away = ""
+        self.rate = _Rate()
+
+
+class _GoalState:
+    def __init__(self, info: GoalInfo) -> None:
+        self.info = info
+        self._rate = _Rate()
+        self._number = 0
+        self._new: GoalFeedback[Any] | None = None
+        self._summary: Any = None
+
+    def merge(self, info: GoalInfo) -> None:
+        """Take what is newer there: answers and events may cross on the way."""
+        self.info = msgspec.structs.replace(
+            info,
+            status=max(self.info.status, info.status),
+            feedback_count=max(self.info.feedback_count, info.feedback_count),
+            client=info.client or self.info.client,
+        )
+
+    def add_feedback(self, event: GoalFeedback[Any]) -> int:
+        """Take feedback. Return how many messages there were since the one before."""
+        # If the first one seen here is not number 1, its number says nothing about the rate.
+        more = event.number - self._number if self._number else 1
+        self._number, self._new = event.number, event
+        self._rate.count += more
+        self.merge(msgspec.structs.replace(self.info, feedback_count=event.number))
+        return more
+
+    def update(self, now: float, summarize: Callable[[Any], Any]) -> None:
+        """Bring the rate and the summary up to date."""
+        self._rate.sample(now)
+        if self._new is not None:
+            self._summary, self._new = summarize(self._new.feedback), None
+
+    def snapshot(self, action: str) -> GoalSnapshot:
+        return GoalSnapshot(action, self.info, self._rate.per_second, self._summary)

@@ -1,0 +1,166 @@
+"""Cancels what an executor awaits, exactly once.
+
+Theory of operation
+-------------------
+
+anyio and trio cancel by level: once a scope is canceled, every `await` in it raises. An executor
+that catches the cancellation to clean up could then await nothing. So here a cancellation is an
+edge: the first `await` raises, and the clean-up that follows may await as it likes, until it is
+killed.
+
+Two parts do it together. `CancelOnce` has two scopes. The outer one belongs to the task: canceling
+it delivers the cancellation. The inner one, `rest`, can shield what runs in it from the outer one.
+It shields from the beginning, since a task of the pool is used for one goal after another;
+`interrupt()` takes the shield away and cancels the outer scope, and `kill()` cancels `rest` itself,
+which no shield stops.
+
+`Steps` drives the executor's coroutine step by step, in place of the task. So it sees the
+cancellation arrive (`throw`, or trio's `outcome.Error` in `send`), and when the coroutine next
+waits, that is its clean-up: the shield goes up again. It also measures for how long the coroutine
+has run without waiting (`slice_end`), since executors that never wait must give others their turn.
+
+Inside a task group of the executor's own, the backend's rule holds: the group is canceled with all
+that is in it, and clean-up there needs a shield of its own. On trio, a nursery that is open around
+clean-up keeps the cancellation to itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Coroutine, Generator
+from contextvars import Context
+from time import perf_counter
+from types import TracebackType
+from typing import Any, Generic, TypeVar
+
+from anyio import CancelScope, TaskHandle, current_effective_deadline, get_cancelled_exc_class
+
+T = TypeVar("T")
+
+SLICE = 0.005
+"""Seconds that a task may go on without awaiting before others get their turn: short for a person
+and for a heartbeat, long beside a turn of the event loop (some 10 microseconds)."""
+
+
+class CancelOnce:
+    """The scopes around an executor: to cancel it once, and to kill it later."""
+
+    __slots__ = ("_task", "is_spent", "on_wait", "rest")
+
+    def __init__(self, on_wait: Callable[[], None]) -> None:
+        self._task: TaskHandle[None] | CancelScope | None = None
+        self.rest = CancelScope(shield=True)
+        self.is_spent = False
+        """True if nothing else can run in it."""
+        self.on_wait = on_wait
+        """Called when the coroutine inside begins to wait."""
+
+    def run_by(self, task: TaskHandle[None] | CancelScope) -> None:
+        """Name the task, or the outer scope, in which `rest` is entered. It may have been entered
+        already: an eager task begins before its handle is known.
+        """
+        self._task = task
+        if not self.rest.shield:
+            task.cancel()
+
+    def interrupt(self) -> None:
+        """Deliver a cancellation."""
+        self.is_spent = True
+        self.rest.shield = False
+        if self._task is not None:
+            self._task.cancel()
+
+    def kill(self) -> None:
+        """Cancel every `await` from now on."""
+        self.is_spent = True
+        self.rest.cancel()
+
+
+class Steps(Generator[Any, Any, T], Generic[T]):
+    """A coroutine, awaited step by step: see the theory of operation above."""
+
+    __slots__ = (
+        "_arrived",
+        "_by_outcome",
+        "_context",
+        "_coroutine",
+        "_scopes",
+        "pending",
+        "slice_end",
+    )
+
+    def __init__(
+        self, coroutine: Coroutine[Any, Any, T], scopes: CancelOnce, context: Context
+    ) -> None:
+        self.pending = False
+        """True if a cancellation is on its way and has not arrived."""
+        self._coroutine = coroutine
+        self._scopes = scopes
+        self._context = context
+        self._arrived = False
+        self._by_outcome = False
+        self.slice_end = 0.0
+        """The time by which the coroutine should have waited, by `perf_counter`."""
+
+    def interrupt(self) -> None:
+        """Cancel the coroutine, once."""
+        self.pending = True
+        self._scopes.interrupt()
+
+    def __await__(self) -> Generator[Any, Any, T]:
+        return self
+
+    def __next__(self) -> Any:
+        return self.send(None)
+
+    def send(self, value: Any) -> Any:
+        if value is not None:
+            # trio resumes a task with an `outcome.Error`, and raises what is in it further inside.
+            self._by_outcome = True
+            self._look_at(getattr(value, "error", None))
+        self.slice_end = perf_counter() + SLICE
+        try:
+            return self._suspend(self._context.run(self._coroutine.send, value))
+        finally:
+            del value  # see `throw`
+
+    def throw(
+        self,
+        typ: type[BaseException] | BaseException,
+        val: BaseException | object = None,
+        tb: TracebackType | None = None,
+    ) -> Any:
+        # With one argument it is the exception itself; the other two are deprecated.
+        assert isinstance(typ, BaseException)
+        self._look_at(typ)
+        self.slice_end = perf_counter() + SLICE
+        # A bare cancellation, as of the task itself: a scope inside would take anyio's for its own.
+        error = type(typ)() if self._arrived else typ
+        try:
+            return self._suspend(self._context.run(self._coroutine.throw, error))
+        finally:
+            # It holds the frames that it comes through, and they this one, since Python 3.12.
+            del typ, error
+
+    def close(self) -> None:
+        self._coroutine.close()
+
+    def _look_at(self, error: BaseException | None) -> None:
+        if self.pending and isinstance(error, get_cancelled_exc_class()):
+            self.pending = False
+            self._arrived = True
+
+    def _suspend(self, waiting_for: Any) -> Any:
+        self._scopes.on_wait()
+        if self._arrived:
+            rest = self._scopes.rest
+            rest.shield = True
+            self._arrived = self._by_outcome and self._is_unwinding()
+            rest.shield = not self._arrived
+        return waiting_for
+
+    def _is_unwinding(self) -> bool:
+        """Return whether a nursery waits which the cancellation passes on its way out, in all
+        likelihood. It must see that the cancellation comes from outside, or it would keep it.
+        """
+        return current_effective_deadline() == -math.inf and not self._scopes.rest.cancel_called

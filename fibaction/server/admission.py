@@ -1,0 +1,194 @@
+"""Decisions on goals and cancels: `Admission` asks the callbacks, and has the answers carried out.
+
+Theory of operation
+-------------------
+
+A goal that is sent goes through `offer`. The registry says whether it is new, the same goal sent
+again, or another goal of the same ID. A new one is decoded, `on_goal` is asked, and it is accepted
+or rejected; if the call is canceled before that, it is withdrawn. Only an async `on_goal` has to be
+waited for, so `offer` gives the goal's stream itself where it can, and a coroutine where it cannot:
+the server half of a transport needs no task for most goals (see `Endpoint.offer_goal`).
+
+A goal that is sent again while it is being decided waits for the decision, and so does a cancel
+that names it. They wait for that goal alone: `_decisions` has a notifier for each undecided goal
+that is waited for.
+
+A cancel goes through `cancel`. The registry says which goals it means; `on_cancel` is asked for
+each, side by side, because one that takes long must not keep the others going.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Awaitable, Coroutine
+from typing import Any, Generic, NamedTuple
+
+from anyio import create_task_group, current_time
+
+from fibaction._notify import Notifier
+from fibaction.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.exceptions import CancelRejected, GoalRejected, ProtocolError
+from fibaction.goals import CancelAnswer, GoalID, Sender
+from fibaction.server.callbacks import SERVER_STOPPING, Callback, Callbacks
+from fibaction.server.cancellation import Cancellation
+from fibaction.server.executor import GoalHandle
+from fibaction.server.feedback_log import FeedbackCursor
+from fibaction.server.goal_record import GoalRecord
+from fibaction.server.registry import GoalRegistry, Verdict
+from fibaction.server.runs import Runs
+from fibaction.states import GoalStatus
+
+logger = logging.getLogger("fibaction.server")
+
+
+class Offer(NamedTuple):
+    """A goal that a client has sent."""
+
+    goal_id: GoalID
+    goal: bytes
+    feedback: bool
+    sender: Sender
+
+
+class Admission(Generic[GoalT, FeedbackT, ResultT]):
+    """The way of a goal from its arrival to its start, and of a cancel to the goals it means."""
+
+    def __init__(
+        self,
+        action: Action[GoalT, FeedbackT, ResultT],
+        registry: GoalRegistry,
+        runs: Runs[GoalT, FeedbackT, ResultT],
+        *,
+        on_goal: Callback[GoalT] | None,
+        on_cancel: Callback[GoalHandle[GoalT]] | None,
+        interrupt_on_cancel: bool,
+    ) -> None:
+        self._action = action
+        self._registry = registry
+        self._runs = runs
+        self._on_goal = on_goal
+        self._on_cancel = on_cancel
+        self._interrupt_on_cancel = interrupt_on_cancel
+        self._callbacks = Callbacks(action.name)
+        self._decisions: dict[GoalID, Notifier] = {}
+        self._is_closed = False
+
+    def close(self) -> None:
+        """Reject all goals from now on, and those that are being decided."""
+        self._is_closed = True
+        self._callbacks.stop()
+
+    # Goals
+
+    def offer(self, offer: Offer) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
+        """Decide on a goal: return its stream, or a coroutine that waits for the decision.
+
+        Raises:
+            GoalRejected: The goal is rejected at once.
+        """
+        goal_id = offer.goal_id
+        if self._is_closed:
+            raise GoalRejected(SERVER_STOPPING, goal_id=goal_id)
+        verdict = self._registry.admit(goal_id, offer.goal, now=current_time())
+        if verdict is Verdict.WAIT:
+            return self._offer_again(offer)
+        if verdict is Verdict.REPEAT:
+            return self._runs.follow(goal_id, feedback=offer.feedback, own=offer.feedback, after=0)
+        try:
+            request = self._decode(offer.goal)
+            if self._on_goal is not None:
+                asking = self._callbacks.ask("on_goal", self._on_goal, request, GoalRejected)
+                if asking is not None:
+                    return self._accept_later(offer, request, asking)
+            return self._accept(offer, request)
+        except GoalRejected as exc:
+            raise self._reject(goal_id, exc.reason) from None
+        except BaseException:
+            self._withdraw(goal_id)
+            raise
+
+    async def _offer_again(self, offer: Offer) -> FeedbackCursor:
+        await self._decided(offer.goal_id)
+        offered = self.offer(offer)
+        return offered if isinstance(offered, FeedbackCursor) else await offered
+
+    async def _accept_later(
+        self, offer: Offer, request: GoalT, asking: Awaitable[None]
+    ) -> FeedbackCursor:
+        try:
+            await asking
+            return self._accept(offer, request)
+        except GoalRejected as exc:
+            raise self._reject(offer.goal_id, exc.reason) from None
+        except BaseException:
+            self._withdraw(offer.goal_id)
+            raise
+
+    def _decode(self, goal: bytes) -> GoalT:
+        try:
+            return self._action.goal.decode(goal)
+        except ProtocolError as exc:
+            raise GoalRejected(str(exc)) from exc
+
+    def _accept(self, offer: Offer, request: GoalT) -> FeedbackCursor:
+        if self._is_closed:
+            raise GoalRejected(SERVER_STOPPING)
+        goal = self._registry.accept(offer.goal_id, stamp=time.time_ns(), sender=offer.sender)
+        self._tell_decision(offer.goal_id)
+        log = self._runs.start(goal, request)
+        return log.follow(feedback=offer.feedback, hold=offer.feedback)
+
+    def _reject(self, goal_id: GoalID, reason: str) -> GoalRejected:
+        """Reject a goal, and return the error to raise."""
+        self._registry.reject(goal_id, reason, now=current_time())
+        self._tell_decision(goal_id)
+        logger.info("goal %s of action %r: rejected: %s", goal_id, self._action.name, reason)
+        return GoalRejected(reason, goal_id=goal_id)
+
+    def _withdraw(self, goal_id: GoalID) -> None:
+        """Forget a goal whose decision was canceled: if it is sent again, it is decided anew."""
+        self._registry.withdraw(goal_id)
+        self._tell_decision(goal_id)
+
+    async def _decided(self, goal_id: GoalID) -> None:
+        """Wait until the goal is not, or no longer, being decided."""
+        while self._registry.is_undecided(goal_id):
+            await self._decisions.setdefault(goal_id, Notifier()).wait()
+
+    def _tell_decision(self, goal_id: GoalID) -> None:
+        decision = self._decisions.pop(goal_id, None)
+        if decision is not None:
+            decision.notify()
+
+    # Cancels
+
+    async def cancel(self, goal_id: GoalID | None, stamp: int | None) -> CancelAnswer:
+        """Cancel the goals that an ID and a stamp mean: see `Endpoint.cancel_goals`."""
+        if goal_id is not None:
+            await self._decided(goal_id)
+        cancellation = self._registry.cancel(goal_id, stamp, now=current_time())
+        if self._on_cancel is None or len(cancellation.candidates) < 2:
+            for goal in cancellation.candidates:
+                await self._cancel(cancellation, goal)
+        else:
+            async with create_task_group() as tasks:
+                for goal in cancellation.candidates:
+                    tasks.start_soon(self._cancel, cancellation, goal)
+        return cancellation.answer()
+
+    async def _cancel(self, cancellation: Cancellation, goal: GoalRecord) -> None:
+        if not goal.status.is_active:
+            return  # it has ended since it was chosen
+        if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
+            handle = self._runs.handle_of(goal)
+            try:
+                asking = self._callbacks.ask("on_cancel", self._on_cancel, handle, CancelRejected)
+                if asking is not None:
+                    await asking
+            except CancelRejected as exc:
+                cancellation.reject(exc.reason)
+                return
+        before = goal.status
+        if cancellation.accept(goal) and goal.status is not before:
+            self._runs.cancel(goal, interrupt=self._interrupt_on_cancel)

@@ -1,0 +1,82 @@
+"""Which goals a cancel means, and the answer to it: the rules of `action_msgs/srv/CancelGoal`.
+
+Sans-I/O: it asks no callbacks and interrupts no executors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+from fibaction.goals import NO_GOAL, CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.server.goal_record import GoalRecord
+from fibaction.states import GoalEvent, GoalStatus, transition
+
+
+class Cancellation:
+    """One request to cancel, on a snapshot of the goals it is about.
+
+    The caller goes through `candidates`, and calls `accept` or `reject` for each, in any order and
+    at any time; then `answer()` is the answer for the client.
+    """
+
+    def __init__(self, candidates: tuple[GoalRecord, ...], otherwise: CancelCode) -> None:
+        self.candidates = candidates
+        """The goals that were active; one that is CANCELING has accepted already."""
+        self._otherwise = otherwise
+        self._canceling: dict[GoalID, GoalInfo] = {}
+        self._reasons: list[str] = []
+
+    def accept(self, goal: GoalRecord) -> bool:
+        """Move the goal to CANCELING. Return False, and do nothing, if it has ended meanwhile."""
+        if not goal.status.is_active:
+            return False
+        if goal.status is not GoalStatus.CANCELING:
+            goal.status = transition(goal.status, GoalEvent.CANCEL_GOAL)
+        self._canceling[goal.goal_id] = goal.info
+        return True
+
+    def reject(self, reason: str) -> None:
+        """Note why a goal is not canceled."""
+        self._reasons.append(reason)
+
+    def answer(self) -> CancelAnswer:
+        """Return the answer: NONE if any goal is canceling, REJECTED if all were rejected."""
+        canceling = tuple(
+            self._canceling[goal.goal_id]
+            for goal in self.candidates
+            if goal.goal_id in self._canceling
+        )
+        if canceling:
+            code = CancelCode.NONE
+        elif self._reasons:
+            code = CancelCode.REJECTED
+        else:
+            code = self._otherwise
+        return CancelAnswer(code, canceling, "; ".join(dict.fromkeys(self._reasons)))
+
+
+def cancellation_of(
+    goal_id: GoalID | None,
+    stamp: int | None,
+    *,
+    active: Iterable[GoalRecord],
+    find: Callable[[GoalID], GoalRecord | None],
+) -> Cancellation:
+    """Return the cancellation of the goals that an ID and a stamp mean.
+
+    With neither it is about all goals; with a stamp, about those accepted at or before it; with an
+    ID, about that goal; with both, about that goal and those accepted at or before the stamp. An ID
+    or a stamp of zeros counts as none.
+    """
+    if goal_id == NO_GOAL:
+        goal_id = None
+    if goal_id is not None and not stamp:
+        goal = find(goal_id)
+        if goal is None:
+            return Cancellation((), CancelCode.UNKNOWN_GOAL_ID)
+        candidates = (goal,) if goal.status.is_active else ()
+        return Cancellation(candidates, CancelCode.GOAL_TERMINATED)
+    latest = stamp or math.inf  # an ID alone has been dealt with
+    chosen = (goal for goal in active if goal.stamp <= latest or goal.goal_id == goal_id)
+    return Cancellation(tuple(chosen), CancelCode.NONE)

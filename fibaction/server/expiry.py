@@ -1,0 +1,58 @@
+"""How long things about goals are kept: for a fixed time each, and a limited number of them.
+
+Sans-I/O: the time is an argument. An answer is exact to the moment, whether or not memory has been
+freed by then: `get` looks at the time, and `expire` frees.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Iterator
+from typing import Generic, TypeVar
+
+from fibaction.goals import GoalID
+
+T = TypeVar("T")
+
+
+class ExpiringMap(Generic[T]):
+    """A bounded mapping whose entries expire after a fixed time."""
+
+    def __init__(self, seconds: float, limit: int) -> None:
+        """Keep each entry for `seconds` (0 not at all, `math.inf` for ever), and at most `limit`
+        entries: the oldest give way.
+        """
+        self._seconds = seconds
+        self._limit = limit
+        self._entries: OrderedDict[GoalID, tuple[float, T]] = OrderedDict()
+
+    def __iter__(self) -> Iterator[T]:
+        return (value for _, value in self._entries.values())
+
+    def put(self, goal_id: GoalID, value: T, now: float) -> None:
+        """Add an entry, whose time begins now. Call `expire` afterwards: it may be one too many."""
+        self._entries.pop(goal_id, None)  # an old entry would keep its place in the order
+        self._entries[goal_id] = (now + self._seconds, value)
+
+    def discard(self, goal_id: GoalID) -> None:
+        """Remove the entry, if there is one."""
+        self._entries.pop(goal_id, None)
+
+    def get(self, goal_id: GoalID, now: float) -> T | None:
+        """Return the value; None if there is none, or its time is over."""
+        entry = self._entries.get(goal_id)
+        return None if entry is None or entry[0] <= now else entry[1]
+
+    def expire(self, now: float) -> list[GoalID]:
+        """Remove the entries that are too old or too many, and return their keys."""
+        gone: list[GoalID] = []
+        while self._entries and (self.next_expiry <= now or len(self._entries) > self._limit):
+            gone.append(self._entries.popitem(last=False)[0])
+        return gone
+
+    @property
+    def next_expiry(self) -> float:
+        """The time at which the next entry expires; `math.inf` if none does."""
+        # All are kept equally long, so the oldest is the first to go.
+        return next(iter(self._entries.values()))[0] if self._entries else math.inf

@@ -1,0 +1,250 @@
+"""The goals that run: `Runs` starts their executors, ends them, and lets clients follow them.
+
+It is where the end of a goal is made of three steps, one after another and nowhere else: the
+outcome is fixed, kept and told. A store that keeps goals where they outlive the process stands at
+the second step.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections import deque
+from functools import partial
+from typing import Generic
+from weakref import WeakValueDictionary
+
+import anyio
+from anyio import current_time
+from anyio.abc import TaskGroup
+
+from fibaction._notify import Notifier
+from fibaction.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.exceptions import UnknownGoal
+from fibaction.goals import GoalID, GoalInfo, Outcome
+from fibaction.server._interruption import CancelOnce
+from fibaction.server._task_pool import TaskPool
+from fibaction.server.executor import Execution, Executor, GoalHandle
+from fibaction.server.feedback_log import FeedbackCursor, FeedbackLog
+from fibaction.server.goal_record import Ending, EndKind, GoalRecord
+from fibaction.server.registry import GoalRegistry
+from fibaction.server.status_broadcast import StatusBroadcast, StatusSubscription
+from fibaction.states import GoalStatus
+
+EXPIRY_STEP = 0.1
+"""Seconds between two looks for expired results at least. An answer is exact to the moment all the
+same; this only limits how often memory is freed."""
+
+RECENT_TIME, RECENT_GOALS = 1.0, 1000
+"""Seconds that the feedback of a goal outlives it, and of how many goals at most, while the
+statuses are followed: a follower that learns of a goal asks for its feedback, and by then the goal
+may be over."""
+
+CANCELED_UNASKED = "the executor ended as canceled, but no cancel was asked for"
+
+logger = logging.getLogger("fibaction.server")
+
+
+class Run(Generic[GoalT, FeedbackT, ResultT]):
+    """An active goal: its record, its executor and its followers."""
+
+    __slots__ = ("execution", "goal", "log", "outcome")
+
+    def __init__(
+        self, goal: GoalRecord, log: FeedbackLog, execution: Execution[GoalT, FeedbackT, ResultT]
+    ) -> None:
+        self.goal = goal
+        self.log = log
+        self.execution = execution
+        self.outcome: Outcome[bytes] | None = None
+        """The outcome once it is fixed. The goal has it, and followers see it, when it is kept."""
+
+
+class Runs(Generic[GoalT, FeedbackT, ResultT]):
+    """All goals of one server that run, and what can still be followed of those that ran."""
+
+    def __init__(
+        self,
+        action: Action[GoalT, FeedbackT, ResultT],
+        executor: Executor[GoalT, FeedbackT, ResultT],
+        registry: GoalRegistry,
+        *,
+        window: int,
+        latest: bool,
+        stall_timeout: float,
+    ) -> None:
+        self._action = action
+        self._executor = executor
+        self._registry = registry
+        self._window = window
+        self._latest = latest
+        self._stall_timeout = stall_timeout
+        self._runs: dict[GoalID, Run[GoalT, FeedbackT, ResultT]] = {}
+        self._unread: WeakValueDictionary[GoalID, FeedbackLog] = WeakValueDictionary()
+        self._recent: deque[tuple[float, FeedbackLog]] = deque(maxlen=RECENT_GOALS)
+        self._statuses = StatusBroadcast()
+        self._ended = Notifier()
+        self._pool: TaskPool
+
+    def __len__(self) -> int:
+        return len(self._runs)
+
+    def open(self, tasks: TaskGroup) -> None:
+        """Use these tasks for executors, and to forget goals in time."""
+        tasks.start_soon(self._forget_expired, name=f"expiry of {self._action.name}")
+        self._pool = TaskPool(tasks, f"goal of {self._action.name}")
+
+    # Start
+
+    def start(self, goal: GoalRecord, request: GoalT) -> FeedbackLog:
+        """Run the executor of a goal that was accepted, and return the log to follow it by."""
+        log = FeedbackLog(goal, window=self._window, latest=self._latest)
+        handle = GoalHandle(goal, request)
+        execution = Execution(self._action, self._executor, handle, log, self._stall_timeout)
+        run = self._runs[goal.goal_id] = Run(goal, log, execution)
+        self._tell_status(run)
+        self._pool.add(partial(self._run, run))
+        return log
+
+    async def _run(self, run: Run[GoalT, FeedbackT, ResultT], scopes: CancelOnce) -> None:
+        try:
+            if run.execution.handle.cancel_requested:
+                ending = Ending(EndKind.CANCELED)
+            else:
+                self._execute(run)
+                ending = await run.execution.run(scopes)
+        except BaseException as exc:
+            # Python itself is to end: KeyboardInterrupt, SystemExit.
+            self._finish(run, Ending(EndKind.FAILED, reason=type(exc).__name__))
+            raise
+        if run.outcome is None:  # else it was killed
+            self._finish(run, ending)
+
+    def _execute(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        self._registry.execute(run.goal)
+        self._tell_status(run)
+
+    # Stop
+
+    def handle_of(self, goal: GoalRecord) -> GoalHandle[GoalT]:
+        """Return the handle of an active goal."""
+        return self._runs[goal.goal_id].execution.handle
+
+    def cancel(self, goal: GoalRecord, *, interrupt: bool) -> None:
+        """Tell that a goal is CANCELING, and interrupt its executor if `interrupt` says so."""
+        run = self._runs[goal.goal_id]
+        self._tell_status(run)
+        if interrupt:
+            run.execution.interrupt()
+
+    async def stop(self, reason: str, timeout: float) -> None:
+        """End all goals for that reason: interrupt the executors, and kill those that are not done
+        with their clean-up within `timeout` seconds.
+        """
+        for run in self._runs.values():
+            run.execution.stop(reason)
+        try:
+            with anyio.move_on_after(timeout, shield=True):
+                while self._runs:
+                    await self._ended.wait()
+        finally:
+            for run in tuple(self._runs.values()):
+                logger.warning(
+                    "goal %s of action %r did not stop in time (%g s), and is killed",
+                    run.goal.goal_id,
+                    self._action.name,
+                    timeout,
+                )
+                self._finish(run, Ending(EndKind.FAILED, reason=reason))
+                run.execution.kill()
+            self._pool.close()
+            self._statuses.finish()
+
+    # Finish
+
+    def _finish(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
+        self._fix_outcome(run, ending)
+        self._keep_outcome(run)
+        self._tell_outcome(run)
+
+    def _fix_outcome(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
+        """Decide the outcome, which never changes from now on."""
+        goal = run.goal
+        if goal.status is GoalStatus.ACCEPTED:
+            self._execute(run)  # the table has no way from ACCEPTED to an end
+        if ending.kind is EndKind.CANCELED and goal.status is GoalStatus.EXECUTING:
+            reason = run.execution.stop_reason or ending.reason or CANCELED_UNASKED
+            ending = Ending(EndKind.CANCELED, ending.result, reason)
+        run.outcome = self._registry.outcome_for(goal, ending)
+
+    def _keep_outcome(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        """Make the outcome the goal's, for as long as results are kept."""
+        assert run.outcome is not None
+        now = current_time()
+        self._registry.finish(run.goal, run.outcome, now=now, stamp=time.time_ns())
+        del self._runs[run.goal.goal_id]
+        if self._statuses:
+            self._recent.append((now + RECENT_TIME, run.log))
+        if self._statuses or run.log.is_followed:
+            self._unread[run.goal.goal_id] = run.log
+
+    def _tell_outcome(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        """Notify the followers of the goal, and of the statuses."""
+        self._tell_status(run)
+        run.log.finish()
+        self.expire(current_time())
+        self._ended.notify()
+
+    # Follow
+
+    def follow(
+        self, goal_id: GoalID, *, feedback: bool = True, own: bool, after: int | None
+    ) -> FeedbackCursor:
+        """Return a stream of a goal that runs or is remembered: see `Endpoint.feedback`.
+
+        Raises:
+            UnknownGoal: It was never accepted, or has been forgotten.
+        """
+        goal = self._registry.find(goal_id, now=current_time())
+        if goal is None:
+            raise UnknownGoal(goal_id)
+        run = self._runs.get(goal_id)
+        log = self._unread.get(goal_id) if run is None else run.log
+        if log is None:  # its feedback is no longer kept
+            log = FeedbackLog(goal)
+        return log.follow(feedback=feedback, hold=own, after=after)
+
+    def follow_statuses(self) -> StatusSubscription:
+        """Return a stream of the statuses of all goals: see `Endpoint.status`."""
+        self.expire(current_time())
+        return self._statuses.follow(self._registry.statuses())
+
+    def _tell_status(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        run.log.tell_status()
+        if self._statuses:
+            self._statuses.publish(run.goal.info)
+
+    # Forget
+
+    async def _forget_expired(self) -> None:
+        while True:
+            while (next_expiry := self._next_expiry()) == math.inf:
+                await self._ended.wait()
+            now = current_time()
+            # The feedback of a goal that ends from now on may have to go before older results do.
+            sooner = min(next_expiry, now + RECENT_TIME)
+            await anyio.sleep_until(max(sooner, now + EXPIRY_STEP))
+            self.expire(current_time())
+
+    def _next_expiry(self) -> float:
+        recent = self._recent[0][0] if self._recent else math.inf
+        return min(recent, self._registry.next_expiry)
+
+    def expire(self, now: float) -> None:
+        """Forget the goals and the feedback whose time is over, and tell it."""
+        while self._recent and self._recent[0][0] <= now:
+            self._recent.popleft()
+        for goal_id in self._registry.expire(now):
+            if self._statuses:
+                self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))

@@ -1,0 +1,50 @@
+"""Names of actions: looked up, suggested and shown."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from fibaction import ActionInfo, connect, serve
+from fibaction.cli.action_names import find_action, names_of, no_action, shown
+from fibaction.cli.exit_codes import ExitCode, Failure
+from tests.cli.robot import servers
+
+
+@pytest.mark.asyncio
+async def test_a_slash_in_front_of_a_name_is_optional_and_a_near_name_is_suggested() -> None:
+    async with serve(servers(), "inproc://names"), connect("inproc://names") as connection:
+        for name in ("fibonacci", "/fibonacci", "arm/pick", "/arm/pick"):
+            assert (await find_action(connection, name)).name == name.lstrip("/")
+        with pytest.raises(Failure) as failure:
+            await find_action(connection, "fibonaci")
+
+    assert failure.value.message == "nobody serves the action /fibonaci; did you mean /fibonacci?"
+    assert failure.value.exit_code == ExitCode.UNREACHABLE
+
+
+@pytest.mark.parametrize(
+    ("known", "text"),
+    [
+        ([], "nobody serves the action /x, nor any other"),
+        (["jump", "run"], "nobody serves the action /x; there is /jump, /run"),
+        (
+            [f"jump{i:02}" for i in range(12)],
+            "nobody serves the action /x; there is "
+            + ", ".join(f"/jump{i:02}" for i in range(10))
+            + ", ...",
+        ),
+    ],
+)
+def test_where_no_name_is_near_there_is_a_list(known: list[str], text: str) -> None:
+    assert no_action("x", map(ActionInfo, known)).message == text
+
+
+def test_names_are_shown_as_ros_does_and_cleaned() -> None:
+    names = ("arm/pick", "/count", "a\x1b")
+    endpoints: Any = [SimpleNamespace(info=ActionInfo(name)) for name in names]
+
+    assert names_of(endpoints) == "/arm/pick, /count, /a\\x1b"
+    assert shown("~/jump") == "~/jump"

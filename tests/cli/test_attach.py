@@ -1,0 +1,113 @@
+"""`attach`: follow a goal of another client."""
+
+from __future__ import annotations
+
+import json
+import signal
+
+import anyio
+import pytest
+
+from fibaction import GoalID, connect, serve
+from fibaction.cli.attach import attach
+from fibaction.cli.exit_codes import ExitCode
+from tests.cli.conftest import Invoke, Open, Run, Start, detached, interrupt
+from tests.cli.served import counter
+from tests.processes import ended, lines_until
+
+ID = GoalID(b"\x01" * 16)
+
+
+def test_attach_shows_what_comes_and_ends_as_the_goal_does(
+    started: Start, fibaction: Run, url: str
+) -> None:
+    goal_id = detached(fibaction, url, "wait", "{seconds: 60, steps: 600}")
+    process = started("attach", goal_id[:8], url=url)
+    lines = lines_until("step: step", process)
+    fibaction("cancel", goal_id, url=url)
+    code, out, err = ended(process)
+
+    assert (code, err) == (ExitCode.CANCELED, "")
+    assert lines[0] == f"Goal accepted with ID: {goal_id}\n"
+    assert out.endswith("Goal finished with status: CANCELED (asked to stop)\n")
+
+
+def test_attach_to_a_goal_that_has_ended_gives_its_result(fibaction: Run, url: str) -> None:
+    goal_id = detached(fibaction, url, "arm/pick", "object_name: cup")
+    done = fibaction("attach", goal_id, "arm/pick", "--json", url=url)
+
+    assert (done.code, done.err) == (0, "")
+    assert done.json[0]["goal_id"] == goal_id
+    assert done.json[-1]["status"] == "SUCCEEDED"
+    assert done.json[-1]["result"]["goal"]["object_name"] == "cup"
+
+
+def test_ctrl_c_leaves_the_goal_as_it_is(started: Start, fibaction: Run, url: str) -> None:
+    goal_id = detached(fibaction, url, "wait", "{seconds: 60, steps: 600}")
+    process = started("attach", goal_id, "--json", url=url)
+    lines_until("feedback", process)
+    interrupt(process)
+    code, _, err = ended(process)
+
+    assert (code, err) == (ExitCode.INTERRUPTED, f"The goal {goal_id} was left as it is.\n")
+    assert f"{goal_id}  EXECUTING" in fibaction("goals", "wait", url=url).out
+
+
+@pytest.mark.parametrize("columns", [80, 160])
+def test_on_a_terminal_there_is_a_bar(
+    terminal: Open, fibaction: Run, tcp: str, columns: int
+) -> None:
+    goal_id = detached(fibaction, tcp, "wait", "{seconds: 60, steps: 600}")
+    shown = terminal("attach", goal_id, url=tcp, columns=columns)
+    shown.until("step: step")
+    shown.press("\x03")
+
+    assert shown.ends() == ExitCode.INTERRUPTED
+    assert shown.text.endswith(f"The goal {goal_id} was left as it is.")
+    assert not shown.cursor_hidden
+
+
+def test_a_goal_that_nobody_knows_is_one_sentence(invoke: Invoke, tcp: str) -> None:
+    for words in (["attach", "dddd"], ["attach", str(ID), "wait"], ["attach", "x"]):
+        result = invoke(*words, url=tcp)
+        assert result.exit_code == ExitCode.USAGE
+        assert result.stderr.startswith("Error: ")
+        assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("interrupted", [False, True])
+async def test_attach_here_too(interrupted: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    go_on = anyio.Event()
+    server = counter("one", [11, go_on, "done"])
+    url = "inproc://attach"
+    codes: list[int] = []
+
+    async def run() -> None:
+        codes.append(await attach(url, "01", None, full=False, as_json=True))
+
+    followed = anyio.Event()
+    feedback = server.feedback
+
+    async def follow(*arguments: object, **settings: object) -> object:
+        stream = await feedback(*arguments, **settings)  # type: ignore[arg-type]  # as they came
+        followed.set()
+        return stream
+
+    server.feedback = follow  # type: ignore[assignment, method-assign]  # to know when
+    async with serve(server, url), connect(url, server.action) as client:
+        await client.send_goal(1, goal_id=ID)
+        with anyio.fail_after(10):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(run)
+                await followed.wait()
+                if interrupted:
+                    signal.raise_signal(signal.SIGINT)
+                else:
+                    go_on.set()
+        go_on.set()
+
+    assert codes == [ExitCode.INTERRUPTED if interrupted else ExitCode.SUCCEEDED]
+    events = [json.loads(line)["event"] for line in capsys.readouterr().out.splitlines()]
+    assert events[0] == "accepted"
+    assert ("result" in events) is not interrupted

@@ -1,0 +1,235 @@
+"""`bridge`: as a process that gets signals, and piece by piece in this one."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from signal import SIGINT, SIGKILL, SIGTERM
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import Action, ActionInfo, ActionServer, GoalID, connect, serve
+from fibaction.abc import Connection, Endpoint
+from fibaction.cli import bridge
+from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.exceptions import ServerNotFound, TransportError
+from tests.cli.conftest import Invoke, Run, Start, eventually
+from tests.fibonacci import FIBONACCI, fibonacci
+from tests.processes import PATIENCE, ended, lines_until
+
+# bridge, as a process
+
+
+@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
+def test_a_bridge_serves_all_that_there_is_until_a_signal_comes(
+    tmp_path: Path, started: Start, fibaction: Run, tcp: str, number: signal.Signals
+) -> None:
+    near = f"unix://{tmp_path}/socket"
+    bridge = started("bridge", tcp, near)
+    (said,) = lines_until("", bridge)
+    assert said.startswith("bridging /")
+    assert said.endswith(f" from {tcp} to {near}, Ctrl-C stops it\n")
+    assert fibaction("list", "-t", url=near).lines == fibaction("list", "-t", url=tcp).lines
+    done = fibaction("send_goal", "fibonacci", "order: 4", "-f", url=near)
+    assert (done.code, done.lines[-1]) == (0, "Goal finished with status: SUCCEEDED")
+    assert fibaction("send_goal", "arm/pick", "object_name: sun", url=near).code == 4
+    assert fibaction("send_goal", "wait", "-t", "0.3", url=near).code == 5
+    bridge.send_signal(number)
+    code, _, err = ended(bridge)
+
+    assert code == 0
+    assert "Traceback" not in err
+
+
+def test_a_bridge_waits_for_what_is_named_and_survives_the_server(
+    tmp_path: Path, folder: Path, started: Start, fibaction: Run
+) -> None:
+    far, near = f"unix://{tmp_path}/far", f"unix://{tmp_path}/near"
+    bridge = started("bridge", far, near, "count")
+    assert bridge.stderr is not None
+    assert bridge.stderr.readline() == "waiting for /count\n"
+    server = started("serve", "robot:several", far)
+    lines_until("bridging /count from", bridge)
+    assert fibaction("list", url=near).lines == ["/count"]
+
+    server.send_signal(SIGKILL)
+    server.wait(PATIENCE)
+    client = started("send_goal", "count", "3", url=near)
+    again = started("serve", "robot:several", far)
+    code, out, _ = ended(client)
+    assert (code, out.splitlines()[-1]) == (0, "Goal finished with status: SUCCEEDED")
+    again.send_signal(SIGTERM)
+    assert ended(again).code == 0
+
+
+def test_the_goals_go_on_when_a_bridge_is_stopped(
+    tmp_path: Path, started: Start, fibaction: Run, tcp: str
+) -> None:
+    near = f"unix://{tmp_path}/near"
+    bridge = started("bridge", tcp, near, "wait")
+    lines_until("bridging", bridge)
+    done = fibaction("send_goal", "wait", "seconds: 0.5", "--detach", url=near)
+    bridge.send_signal(SIGTERM)
+    assert ended(bridge).code == 0
+    status = started("bridge", tcp, near, "wait")
+    lines_until("bridging", status)
+
+    assert asked_for(near, "wait", done.out.strip()) == "SUCCEEDED"
+
+
+def asked_for(url: str, name: str, goal_id: str) -> str:
+    """How a goal ends."""
+
+    async def ask() -> str:
+        async with connect(url, Action.untyped(ActionInfo(name))) as client:
+            with anyio.fail_after(PATIENCE):
+                goal = await client.attach(GoalID(bytes.fromhex(goal_id)))
+                return (await goal.outcome()).status.name
+
+    return anyio.run(ask)
+
+
+# bridge, in this process
+
+
+def test_a_bridge_that_leads_nowhere_is_one_sentence(invoke: Invoke, nobody: str) -> None:
+    result = invoke("bridge", nobody, nobody)
+    assert result.exit_code == ExitCode.USAGE
+    assert result.stderr == "Error: FROM_URL and TO_URL are the same: a bridge needs two\n"
+
+    result = invoke("bridge", nobody, "unix:///tmp/never")
+    assert result.exit_code == ExitCode.UNREACHABLE
+    assert result.stderr.startswith(f"Error: nobody listens at {nobody} ")
+    advice = "start the server, or name the actions to wait for\n"
+    assert result.stderr.endswith(advice)
+
+    result = invoke("bridge", "morse://", "unix:///tmp/never")
+    assert result.exit_code == ExitCode.USAGE
+    assert result.stderr.startswith("Error: no transport for morse://")
+
+    for urls in ((nobody, "inproc://robot"), ("inproc://robot", nobody, "wait")):
+        result = invoke("bridge", *urls)
+        assert result.exit_code == ExitCode.USAGE
+        assert result.stderr.startswith("Error: inproc://robot is for clients in the process")
+
+
+@pytest.mark.asyncio
+async def test_a_signal_ends_a_bridge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    far, near = f"unix://{tmp_path}/far", f"unix://{tmp_path}/near"
+    codes: list[int] = []
+
+    async def run() -> None:
+        codes.append(await bridge.bridge(far, near, ()))
+
+    with anyio.fail_after(PATIENCE):
+        async with serve(ActionServer(FIBONACCI, fibonacci), far):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(run)
+                async with connect(near, FIBONACCI) as client:
+                    await client.wait_for_server()
+                os.kill(os.getpid(), SIGINT)
+
+    assert codes == [0]
+    said = f"bridging /fibonacci from {far} to {near}, Ctrl-C stops it\n"
+    assert capsys.readouterr().out == said
+
+
+@pytest.mark.asyncio
+async def test_a_signal_ends_a_bridge_that_waits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    far = f"unix://{tmp_path}/far"
+
+    async def stop() -> None:
+        await anyio.to_thread.run_sync(eventually, lambda: "waiting" in capsys.readouterr().err)
+        os.kill(os.getpid(), SIGINT)
+
+    with anyio.fail_after(PATIENCE):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(stop)
+            assert await bridge.bridge(far, f"unix://{tmp_path}/near", ["fibonacci"]) == 0
+
+
+@pytest.mark.asyncio
+async def test_a_bridge_keeps_the_tokens_in_its_urls_to_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    far, near = f"unix://{tmp_path}/far", f"unix://{tmp_path}/near"
+
+    async def stop() -> None:
+        async with connect(near, FIBONACCI) as client:
+            await client.wait_for_server()
+        os.kill(os.getpid(), SIGINT)
+
+    with anyio.fail_after(PATIENCE):
+        async with serve([], far):
+            with pytest.raises(Failure) as caught:
+                await bridge.bridge(f"{far}?token=secret", near, ())
+        async with serve(ActionServer(FIBONACCI, fibonacci), far):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(stop)
+                assert await bridge.bridge(f"{far}?token=secret", f"{near}?heartbeat=1", ()) == 0
+
+    assert caught.value.message == f"there is no action to bridge at {far}"
+    said = f"bridging /fibonacci from {far} to {near}, Ctrl-C stops it\n"
+    assert capsys.readouterr().out == said
+
+
+class House(Connection):
+    """A connection that knows some actions, and has lost some more."""
+
+    def __init__(self, *lists: list[str], lost: str = "") -> None:
+        self._lists = list(lists)
+        self._lost = lost
+        self.server = ActionServer(FIBONACCI, fibonacci)
+
+    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
+        if action.name == self._lost:
+            raise TransportError("its type is not known")
+        return self.server
+
+    async def actions(self) -> list[ActionInfo]:
+        if not self._lists:
+            raise ServerNotFound("there is nobody")
+        names = self._lists.pop(0) if len(self._lists) > 1 else self._lists[0]
+        return [ActionInfo(name) for name in names]
+
+
+@pytest.mark.asyncio
+async def test_what_is_named_is_waited_for_and_the_near_name_suggested(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bridge, "LOOK_PAUSE", 0.01)
+    house = House(["wait"], ["wait"], ["wait", "/weight"])
+    with anyio.fail_after(PATIENCE):
+        found = await bridge._wait_for(["/wait", "weight", "wait"], house, anyio.Event())
+
+    assert [info.name for info in found] == ["wait", "/weight"]
+    assert capsys.readouterr().err == (
+        "nobody serves the action /weight; did you mean /wait?: waiting for /weight\n"
+    )
+
+
+def test_what_has_no_type_here_is_left_out_unless_it_was_named(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    house, infos = House(lost="b\x1b"), [ActionInfo("a"), ActionInfo("b\x1b")]
+
+    assert list(bridge._endpoints(house, infos, choose=True)) == [house.server]
+    assert capsys.readouterr().err == "/b\\x1b is left out: its type is not known\n"
+    with pytest.raises(TransportError, match="its type is not known"):
+        list(bridge._endpoints(house, infos, choose=False))
+
+
+@pytest.mark.asyncio
+async def test_where_no_action_is_there_is_nothing_to_bridge(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with serve([], "tcp://127.0.0.1:0") as (url,):
+        with pytest.raises(Failure, match="there is no action to bridge") as caught:
+            await bridge.bridge(url, "unix:///tmp/never", ())
+
+    assert caught.value.exit_code == ExitCode.UNREACHABLE

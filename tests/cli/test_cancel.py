@@ -1,0 +1,220 @@
+"""`cancel`: of one goal and of many, as processes and in this process."""
+
+from __future__ import annotations
+
+import datetime
+import json
+
+import anyio
+import pytest
+
+from fibaction import (
+    CancelAnswer,
+    CancelCode,
+    CancelRejected,
+    ConnectionLost,
+    GoalID,
+    GoalStatus,
+    UnknownGoal,
+    connect,
+    serve,
+)
+from fibaction.cli import cancel
+from fibaction.cli.cancel import cancel_many, cancel_one, reason_of
+from fibaction.cli.exit_codes import ExitCode
+from tests.cli.conftest import Invoke, Run, detached
+from tests.cli.robot import WAIT
+from tests.cli.served import counter
+
+ID = GoalID(b"\x01" * 16)
+
+
+@pytest.fixture(autouse=True)
+def quiet(request: pytest.FixtureRequest) -> None:
+    """Cancel the goals that other tests have left."""
+    if {"url", "tcp"} & set(request.fixturenames):
+        anyio.run(cancel_all, request.getfixturevalue("robot").tcp)
+
+
+async def cancel_all(url: str) -> None:
+    async with connect(url, WAIT) as client:
+        answer = await client.cancel_goals()
+        for info in answer.goals_canceling:
+            await (await client.attach(info.goal_id)).outcome()
+
+
+def test_the_beginning_of_an_id_is_enough_to_cancel(fibaction: Run, url: str) -> None:
+    goal_id = detached(fibaction, url, "wait")
+    done = fibaction("cancel", goal_id[:8], url=url)
+    again = fibaction("cancel", "wait", goal_id, url=url)
+
+    assert done == (0, f"Canceling the goal {goal_id} of /wait\n", "")
+    assert again.code == ExitCode.ABORTED
+    assert again.err in (  # it takes a moment to end
+        f"The goal {goal_id} of /wait is not canceled: it has ended already\n",
+        "",
+    )
+
+
+def test_a_goal_that_has_ended_is_not_canceled(fibaction: Run, url: str) -> None:
+    goal_id = detached(fibaction, url, "fibonacci", "order: 1")
+    fibaction("attach", goal_id, url=url)
+    done = fibaction("cancel", goal_id, url=url)
+
+    assert done.code == ExitCode.ABORTED
+    assert done.out == ""
+    assert done.err == f"The goal {goal_id} of /fibonacci is not canceled: it has ended already\n"
+
+
+def test_all_goals_are_canceled_and_rejections_are_reported(fibaction: Run, url: str) -> None:
+    first, second = (detached(fibaction, url, "wait") for _ in range(2))
+    third = detached(fibaction, url, "stubborn", "{seconds: 3}")
+    done = fibaction("cancel", "--all", url=url)
+
+    assert done.code == ExitCode.ABORTED
+    assert sorted(done.lines) == sorted(
+        f"Canceling the goal {one} of /wait" for one in (first, second)
+    )
+    assert f"The goal {third} of /stubborn is not canceled: it is never canceled" in done.err
+
+
+def test_with_before_later_goals_go_on(fibaction: Run, url: str) -> None:
+    def stamp(goal_id: str) -> int:
+        goals = fibaction("goals", "wait", "--json", url=url).json
+        return int(next(goal["stamp"] for goal in goals if goal["goal_id"] == goal_id))
+
+    early, late = (detached(fibaction, url, "wait") for _ in range(2))
+    done = fibaction("cancel", "wait", "--before", str(stamp(early)), "--json", url=url)
+
+    assert done.code == 0
+    assert done.json == [{"action": "wait", "goal_id": early, "canceling": True, "reason": ""}]
+    when = datetime.datetime.fromtimestamp(stamp(late) / 1e9 + 1).isoformat()
+    assert late in fibaction("cancel", "--before", when, url=url).out
+
+
+def test_a_rejected_cancel_as_json_says_why(fibaction: Run, tcp: str) -> None:
+    goal_id = detached(fibaction, tcp, "stubborn", "{seconds: 3}")
+    done = fibaction("cancel", goal_id, "--json", url=tcp)
+
+    assert (done.code, done.err) == (ExitCode.ABORTED, "")
+    assert done.json == [
+        {
+            "action": "stubborn",
+            "goal_id": goal_id,
+            "canceling": False,
+            "reason": "it is never canceled",
+        }
+    ]
+
+
+def test_no_goal_to_cancel_is_what_was_wanted(invoke: Invoke, tcp: str) -> None:
+    result = invoke("cancel", "wait", "--all", url=tcp)
+
+    assert result.exit_code == 0
+    assert (result.stdout, result.stderr) == ("", "There is no goal to cancel.\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ([], "no goal is named: give a GOAL_ID, --all or --before STAMP"),
+        (["wait", "aa", "--all"], "there is more than NAME and GOAL_ID"),
+        (["wait", "aa", "bb"], "there is more than NAME and GOAL_ID"),
+        (["--all", "--before", "1"], "--all and --before cannot be combined"),
+        (["--before", "0"], "a stamp of 0 means all goals"),
+        (["--before", "soon"], "'soon' is neither nanoseconds since 1970 nor a time in ISO 8601"),
+        (["wait"], "unlike 'wait'; --all means all"),
+        (["dddd"], "there is no goal dddd at any server"),
+        (["wait", str(ID)], f"goal {ID} is unknown"),
+    ],
+)
+def test_what_cannot_be_meant_is_one_sentence(
+    invoke: Invoke, tcp: str, arguments: list[str], text: str
+) -> None:
+    result = invoke("cancel", *arguments, url=tcp)
+
+    assert result.exit_code == ExitCode.USAGE
+    assert text in result.stderr
+    assert result.stdout == ""
+
+
+def test_an_action_that_is_not_there_is_one_sentence(invoke: Invoke, tcp: str) -> None:
+    for words in (["cancel", "wiat", "--all"], ["cancel", "wiat", "aa"]):
+        result = invoke(*words, url=tcp)
+        assert result.exit_code == ExitCode.UNREACHABLE
+        assert result.stderr == "Error: nobody serves the action /wiat; did you mean /wait?\n"
+
+
+@pytest.mark.asyncio
+async def test_goals_are_canceled_here_too(capsys: pytest.CaptureFixture[str]) -> None:
+    server = counter("one")
+    async with serve(server, "inproc://cancel"):
+        async with connect("inproc://cancel", server.action) as client:
+            goal = await client.send_goal(1, goal_id=ID)
+            assert await cancel_one("inproc://cancel", None, "01", as_json=True) == 0
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+    assert json.loads(capsys.readouterr().out)["canceling"] is True
+
+
+@pytest.mark.asyncio
+async def test_many_are_canceled_here_too(capsys: pytest.CaptureFixture[str]) -> None:
+    willing, refusing, url = counter("one"), counter("two"), "inproc://cancel"
+    other = GoalID(b"\x02" * 16)
+
+    def refuse(_: object) -> None:
+        raise CancelRejected("never")
+
+    refusing._admission._on_cancel = refuse
+    refusing._shutdown_timeout = 0.0
+    async with serve([willing, refusing], url), connect(url) as connection:
+        goal = await connection.client(willing.action).send_goal(1, goal_id=ID)
+        await connection.client(refusing.action).send_goal(1, goal_id=other)
+        assert await cancel_many(url, None, 1, as_json=False) == 0
+        assert await cancel_many(url, None, None, as_json=False) == ExitCode.ABORTED
+        await goal.outcome()
+        assert await cancel_one(url, "one", str(ID), as_json=False) == ExitCode.ABORTED
+        with pytest.raises(UnknownGoal):
+            await cancel_one(url, "one", str(other), as_json=False)
+
+    out, err = capsys.readouterr()
+    assert out == f"Canceling the goal {ID} of /one\n"
+    assert err.splitlines() == [
+        "There is no goal to cancel.",
+        f"The goal {other} of /two is not canceled: never",
+        f"The goal {ID} of /one is not canceled: it has ended already",
+    ]
+
+
+@pytest.mark.asyncio
+async def test_a_server_that_is_lost_does_not_delay_the_others(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost, other, url = counter("a"), counter("b"), "inproc://cancel"
+
+    async def lose(*_: object) -> None:
+        raise ConnectionLost("the line is dead")
+
+    monkeypatch.setattr(lost, "cancel_goals", lose)
+    async with serve([lost, other], url), connect(url, other.action) as client:
+        await client.send_goal(1, goal_id=ID)
+        assert await cancel_many(url, None, None, as_json=True) == ExitCode.UNREACHABLE
+
+    out, err = capsys.readouterr()
+    assert json.loads(out)["canceling"] is True
+    assert err == "The goals of /a are not canceled: the line is dead\n"
+
+
+def test_a_stamp_is_nanoseconds_or_a_time() -> None:
+    def stamp(text: str) -> int:
+        return cancel._Stamp().convert(text, None, None)
+
+    assert stamp("1795250042441581238") == 1795250042441581238
+    assert stamp("1970-01-01T00:00:02.5Z") == 2_500_000_000
+    local = datetime.datetime(2026, 1, 31, 12)
+    assert stamp("2026-01-31T12:00") == int(local.timestamp()) * 10**9
+
+
+def test_a_server_that_gives_no_reason_is_said_to_give_none() -> None:
+    assert reason_of(CancelAnswer(CancelCode.REJECTED)) == "the server does not say why"
+    assert reason_of(CancelAnswer(CancelCode.REJECTED, reason="no")) == "no"

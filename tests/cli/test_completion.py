@@ -1,0 +1,107 @@
+"""What the shell completes."""
+
+from __future__ import annotations
+
+import anyio
+import pytest
+from click.shell_completion import BashComplete
+
+from fibaction import ActionInfo
+from fibaction.cli import completion
+from fibaction.cli.app import cli
+from tests.cli.conftest import Run
+
+
+def complete(fibaction: Run, words: str, url: str) -> list[str]:
+    """What bash is offered for the last of the words."""
+    count = len(words.split(" ")) - 1
+    env = {
+        "_FIBACTION_COMPLETE": "bash_complete",
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(count),
+    }
+    code, out, err = fibaction(url=url, env=env)
+    assert (code, err) == (0, "")
+    return [line.partition(",")[2] for line in out.split()]
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("fibaction se", ["send_goal", "serve"]),
+        ("fibaction send_goal --de", ["--detach"]),
+        ("fibaction send-goal fib", ["fibonacci"]),
+        ("fibaction send_goal /fib", ["/fibonacci"]),
+        ("fibaction info w", ["wait", "words"]),
+        ("fibaction type arm/", ["arm/pick"]),
+        ("fibaction find arm", ["arm/action/Pick", "arm/action/Wait"]),
+        ("fibaction send_goal wait a", ["arm/action/Wait"]),
+        ("fibaction send_goal /wait a", ["arm/action/Wait"]),
+        ("fibaction nonsense x", []),
+    ],
+)
+def test_verbs_options_actions_and_types_are_completed(
+    fibaction: Run, tcp: str, words: str, offered: list[str]
+) -> None:
+    assert complete(fibaction, words, tcp) == offered
+
+
+def test_the_url_on_the_command_line_counts(fibaction: Run, tcp: str, nobody: str) -> None:
+    assert complete(fibaction, f"fibaction -u {tcp} info fib", nobody) == ["fibonacci"]
+    assert complete(fibaction, f"fibaction info -u {tcp} fib", nobody) == ["fibonacci"]
+
+
+def test_where_no_server_is_nothing_is_completed(fibaction: Run, nobody: str) -> None:
+    assert complete(fibaction, "fibaction info fib", nobody) == []
+    assert complete(fibaction, "fibaction info fib", "nonsense") == []
+
+
+def test_click_has_a_script_for_each_shell(fibaction: Run) -> None:
+    for shell in ("bash", "zsh", "fish"):
+        _, out, err = fibaction(env={"_FIBACTION_COMPLETE": f"{shell}_source"})
+        assert "_FIBACTION_COMPLETE" in out, err
+
+
+def test_a_server_that_does_not_answer_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(completion, "TIMEOUT", 0.05)
+    listening: list[str] = []
+
+    async def silence() -> list[str]:
+        async with await anyio.create_tcp_listener(local_host="127.0.0.1") as on_next:
+            port = on_next.extra(anyio.abc.SocketAttribute.local_port)
+            listening.append(f"tcp://127.0.0.1:{port}")
+            return [info.name for info in await completion.actions_at(listening[0])]
+
+    assert anyio.run(silence) == []
+
+
+def test_names_are_completed_as_they_are_begun(
+    monkeypatch: pytest.MonkeyPatch, tcp: str, nobody: str
+) -> None:
+    monkeypatch.setenv("FIBACTION_URL", nobody)
+    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
+
+    def offered(words: list[str], incomplete: str) -> list[str]:
+        return [item.value for item in shell.get_completions(["-u", tcp, *words], incomplete)]
+
+    assert offered(["info"], "w") == ["wait", "words"]
+    assert offered(["info"], "/w") == ["/wait", "/words"]
+    assert offered(["find"], "arm/action/W") == ["arm/action/Wait"]
+    assert offered(["send_goal", "arm/pick"], "") == ["arm/action/Pick"]
+    assert offered(["send_goal", "many"], "") == []
+
+
+def test_what_cannot_be_typed_is_not_offered(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def hostile(_: str) -> list[ActionInfo]:
+        return [ActionInfo("a\nplain,b"), ActionInfo("c", "a/action/B\x1b"), ActionInfo("d")]
+
+    monkeypatch.setattr(completion, "actions_at", hostile)
+
+    assert completion.reachable("tcp://robot") == [ActionInfo("d")]
+
+
+def test_what_is_reachable_is_listed(tcp: str) -> None:
+    assert "wait" in {info.name for info in completion.reachable(tcp)}
+    assert completion.reachable("nonsense") == []

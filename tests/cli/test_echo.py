@@ -1,0 +1,187 @@
+"""`echo`: as processes, in a terminal, and in this process."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+from collections.abc import Callable
+from functools import partial
+
+import anyio
+import pytest
+
+from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus, connect, serve
+from fibaction.cli import echo as echo_module
+from fibaction.cli.echo import EchoPrinter, EventPrinter, echo, print_events
+from fibaction.cli.exit_codes import ExitCode
+from fibaction.events import GoalFeedback
+from tests.cli.conftest import Invoke, Open, Run, Start, detached, interrupt
+from tests.cli.served import Heard, Served, counter
+from tests.processes import ended, lines_until
+
+ID = GoalID(b"\x01" * 16)
+OTHER = GoalID(b"\x02" * 16)
+
+
+def begun(process: subprocess.Popen[str], fibaction: Run, url: str, name: str) -> None:
+    """Wait until a command follows: it prints a goal then."""
+    goal_id = detached(fibaction, url, name, "{seconds: 0.01}")
+    lines_until(goal_id, process)
+
+
+def test_echo_shows_feedback_and_statuses_until_ctrl_c(
+    started: Start, fibaction: Run, url: str
+) -> None:
+    process = started("echo", "wait", url=url)
+    begun(process, fibaction, url, "wait")
+    goal_id = detached(fibaction, url, "wait", "{seconds: 60, steps: 600}")
+    lines = lines_until(f"^Goal {goal_id}: feedback 2$", process)
+    fibaction("cancel", goal_id, url=url)
+    lines += lines_until(f"^Goal {goal_id}: CANCELED", process)
+    interrupt(process)
+    code, _, err = ended(process)
+
+    assert (code, err) == (0, "")
+    story = [line for line in "".join(lines).splitlines() if goal_id in line]
+    assert story[:2] == [f"Goal {goal_id}: ACCEPTED", f"Goal {goal_id}: EXECUTING"]
+    assert story[2] == f"Goal {goal_id}: feedback 1"
+    assert f"Goal {goal_id}: CANCELING" in story
+    assert story[-1] == f"Goal {goal_id}: CANCELED"
+    first = lines.index(f"Goal {goal_id}: feedback 1\n")
+    assert lines[first + 1 : first + 4] == ["    progress: 0.0\n", "    step: step 0\n", "\n"]
+
+
+def test_echo_as_json_is_an_object_a_line(started: Start, fibaction: Run, url: str) -> None:
+    process = started("echo", "/wait", "--json", url=url)
+    begun(process, fibaction, url, "wait")
+    goal_id = detached(fibaction, url, "wait", "{seconds: 60, steps: 600}")
+    lines = lines_until(f'{goal_id}","number":2', process)
+    fibaction("cancel", goal_id, url=url)
+    process.terminate()
+    assert ended(process).code == 0
+
+    events = [event for event in map(json.loads, lines) if event["goal_id"] == goal_id]
+    assert [event["event"] for event in events[:3]] == ["status", "status", "feedback"]
+    assert [event["status"] for event in events[:2]] == ["ACCEPTED", "EXECUTING"]
+    assert events[2] == {
+        "event": "feedback",
+        "goal_id": goal_id,
+        "number": 1,
+        "feedback": {"progress": 0.0, "step": "step 0"},
+    }
+
+
+def test_ctrl_c_in_a_terminal_ends_echo(terminal: Open, fibaction: Run, tcp: str) -> None:
+    shown = terminal("echo", "stubborn", url=tcp)
+    goal_id = detached(fibaction, tcp, "stubborn", "{seconds: 0.5}")
+    shown.until(f"Goal {goal_id}: SUCCEEDED")
+    shown.press("\x03")
+
+    assert shown.ends() == 0
+
+
+def test_a_closed_output_ends_echo(started: Start, fibaction: Run, tcp: str) -> None:
+    process = started("echo", "wait", url=tcp)
+    goal_id = detached(fibaction, tcp, "wait", "{seconds: 60, steps: 600}")
+    lines_until("feedback", process)
+    assert process.stdout is not None
+    process.stdout.close()
+
+    assert process.wait(30) == 1
+    fibaction("cancel", goal_id, url=tcp)
+
+
+def test_an_action_or_a_server_that_is_not_there_is_one_sentence(
+    invoke: Invoke, tcp: str, nobody: str
+) -> None:
+    result = invoke("echo", "wiat", url=tcp)
+    assert result.exit_code == ExitCode.UNREACHABLE
+    assert result.stderr == "Error: nobody serves the action /wiat; did you mean /wait?\n"
+    result = invoke("echo", "wait", url=nobody)
+    assert result.exit_code == ExitCode.UNREACHABLE
+    assert result.stderr.startswith(f"Error: nobody listens at {nobody}")
+
+
+async def echoed(
+    monkeypatch: pytest.MonkeyPatch, verb: Callable[[], object], until: str
+) -> list[str]:
+    """What a verb says, until it has said that."""
+    heard = Heard()
+    monkeypatch.setattr(echo_module, "say", heard)
+    monkeypatch.setattr(echo_module, "say_json", lambda value: heard(json.dumps(value)))
+    async with anyio.create_task_group() as tasks:
+
+        async def run() -> None:
+            assert await verb() == 0  # type: ignore[misc]  # a verb is async
+
+        tasks.start_soon(run)
+        await heard.until(lambda all: any(until in one for one in all))
+        signal.raise_signal(signal.SIGINT)
+    return heard
+
+
+@pytest.mark.asyncio
+async def test_each_change_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
+    server, url = counter("one"), "inproc://echo"
+    async with serve(server, url), connect(url, server.action) as client:
+        await client.send_goal(1, goal_id=ID)
+        words = await echoed(
+            monkeypatch, partial(echo, url, "one", full=False, as_json=False), "EXECUTING"
+        )
+        await client.send_goal(1, goal_id=OTHER)
+        await echoed(monkeypatch, partial(echo, url, "one", full=True, as_json=True), "EXECUTING")
+
+    assert words == [f"Goal {ID}: EXECUTING\n"]
+
+
+@pytest.mark.asyncio
+async def test_without_a_name_all_actions_are_printed(monkeypatch: pytest.MonkeyPatch) -> None:
+    server, printed = counter("one"), Heard()
+    monkeypatch.setattr(echo_module, "say", printed)
+    async with serve(server, "inproc://echo"), connect("inproc://echo") as connection:
+        await connection.client(server.action).send_goal(1, goal_id=ID)
+        async with anyio.create_task_group() as tasks:
+            print_all = partial(print_events, connection, None, EventPrinter(False), feedback=False)
+            tasks.start_soon(print_all)
+            await printed.until(lambda all: f"{ID}  EXECUTING" in all[-1])
+            tasks.cancel_scope.cancel()
+
+
+def test_nothing_is_printed_twice_and_an_action_that_was_away_comes_back(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(echo_module, "REMEMBERED", 2)
+    printer = EventPrinter(as_json=False)
+    client = Served(counter("one")).connection.client(counter("one").action)
+    said = Heard()
+    monkeypatch.setattr(echo_module, "say", said)
+    for status in (1, 2, 2, 1, 0, 0):
+        printer.on_event("one", GoalInfo(ID, 1, GoalStatus(status)))
+    assert [line.split()[2] for line in said] == ["ACCEPTED", "EXECUTING", "ACCEPTED", "forgotten"]
+    for number in range(3):
+        printer.on_event("one", GoalInfo(GoalID(bytes([number] * 16)), 1, GoalStatus.ACCEPTED))
+    assert len(printer._statuses) == 2
+    printer.on_event("one", GoalFeedback(ID, 1, "not wanted"))
+    printer.on_actions([], "")
+    printer.on_action_found(ActionInfo("one"), client)
+    printer.on_action_lost("one", "stopped\x1b")
+    printer.on_action_found(ActionInfo("one"), client)
+
+    assert capsys.readouterr().err == "/one is away: stopped\\x1b\n/one is back\n"
+
+
+def test_echo_cuts_what_is_long_unless_all_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = Heard()
+    monkeypatch.setattr(echo_module, "say", said)
+    monkeypatch.setattr(echo_module, "say_json", said)
+    long = GoalFeedback(ID, 3, list(range(1000)))
+    for full, as_json in ((False, False), (True, False), (False, True)):
+        EchoPrinter(as_json, full=full).on_event("one", long)
+    EchoPrinter(True, full=False).on_event("one", GoalInfo(ID, 1, GoalStatus.ACCEPTED))
+
+    assert said[0].startswith(f"Goal {ID}: feedback 3\n    - 0\n")
+    assert "... and 872 more" in said[0]
+    assert "- 999\n" in said[1]
+    assert said[2]["feedback"] == list(range(1000))
+    assert said[3]["event"] == "status"

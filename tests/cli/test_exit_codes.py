@@ -1,0 +1,242 @@
+"""Exit codes, and errors as sentences."""
+
+from __future__ import annotations
+
+import errno
+import importlib.util
+import socket
+import sys
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import anyio
+import click
+import pytest
+
+from fibaction import (
+    ActionError,
+    AuthenticationFailed,
+    CancelRejected,
+    ConnectionLost,
+    GoalAborted,
+    GoalCanceled,
+    GoalID,
+    GoalRejected,
+    ProtocolError,
+    ServerNotFound,
+    TransportError,
+    UnknownGoal,
+    connect,
+)
+from fibaction.cli import exit_codes
+from fibaction.cli.escape import clean_lines
+from fibaction.cli.exit_codes import ExitCode, Failure, failure_of, message_of, report_errors
+from fibaction.wire.framing import framed
+from fibaction.wire.messages import Goodbye, encode
+from tests.cli.conftest import Invoke
+from tests.cli.robot import WAIT
+
+
+def run(verb: Callable[[], Awaitable[int]]) -> None:
+    """Run a verb as the group of verbs does."""
+    with report_errors():
+        exit_codes.run(verb)
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (GoalAborted("no"), 1),
+        (GoalCanceled("no"), 3),
+        (GoalRejected("no"), 4),
+        (ServerNotFound("no"), 6),
+        (ConnectionLost("no"), 6),
+        (AuthenticationFailed("no"), 6),
+        (ProtocolError("no"), 6),
+        (TransportError("no"), 2),
+        (UnknownGoal(GoalID(bytes(16))), 2),
+        (CancelRejected("no"), 1),
+    ],
+)
+def test_every_error_has_its_exit_code_alone_and_in_a_group(error: ActionError, code: int) -> None:
+    async def alone() -> int:
+        raise error
+
+    async def grouped() -> int:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(alone)
+        raise AssertionError
+
+    for verb in (alone, grouped):
+        with pytest.raises(Failure) as failure:
+            run(verb)
+        assert failure.value.exit_code == code
+        assert failure.value.message == str(error)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "installed", "loop"),
+    [(True, True, "uvloop"), (True, False, "asyncio"), (False, True, "asyncio")],
+)
+def test_a_verb_that_serves_runs_on_uvloop_where_that_is_installed(
+    monkeypatch: pytest.MonkeyPatch, wanted: bool, installed: bool, loop: str
+) -> None:
+    found: list[str] = []
+
+    async def verb() -> int:
+        # Not imported: only this test looks below anyio.
+        found.append(type(sys.modules["asyncio"].get_running_loop()).__module__)
+        return 0
+
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: name if installed else None)
+    with pytest.raises(click.exceptions.Exit):
+        exit_codes.run(verb, uvloop=wanted)
+
+    assert found[0].startswith(loop)
+
+
+def test_what_a_verb_returns_is_the_exit_code() -> None:
+    async def verb(code: int, *, more: int) -> int:
+        return code + more
+
+    with pytest.raises(click.exceptions.Exit) as exit:
+        exit_codes.run(verb, 2, more=3)
+
+    assert exit.value.exit_code == 5
+
+
+SAID = "no\x1b[2J\nGoal finished with status: SUCCEEDED"
+CLEANED = "no\\x1b[2J Goal finished with status: SUCCEEDED"
+
+
+def test_what_a_server_says_in_an_error_cannot_control_the_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for error in (GoalRejected(SAID), ConnectionLost(SAID)):
+        failure = failure_of(error)
+        failure.show()
+        assert CLEANED in failure.message
+        assert failure.message == str(error).replace(SAID, CLEANED)
+        assert capsys.readouterr().err == f"Error: {failure.message}\n"
+
+
+def test_nor_can_it_in_a_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FIBACTION_DEBUG", "1")
+    with pytest.raises(Failure) as failure, report_errors():
+        raise GoalRejected(SAID)
+    failure.value.show()
+
+    shown = capsys.readouterr().err
+    assert shown.startswith("Traceback (most recent call last):\n")
+    assert f"GoalRejected: {clean_lines(str(GoalRejected(SAID)))}\n" in shown
+    assert "\x1b" not in shown
+
+
+def test_the_last_words_of_a_server_are_one_clean_line(invoke: Invoke) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor() as threads:
+
+        def say_goodbye() -> None:
+            with listener.accept()[0] as connection:
+                connection.recv(1)
+                connection.sendall(framed([encode(Goodbye(SAID))]))
+                connection.shutdown(socket.SHUT_WR)
+                while connection.recv(4096):  # a close with something unread would reset the line
+                    pass
+
+        said = threads.submit(say_goodbye)
+        result = invoke("list", url=f"tcp://127.0.0.1:{listener.getsockname()[1]}")
+        said.result()
+
+    assert result.exit_code == ExitCode.UNREACHABLE
+    assert CLEANED in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.asyncio
+async def test_the_advice_for_python_code_is_replaced(nobody: str) -> None:
+    for url, told in (
+        (nobody, f"nobody listens at {nobody} (Connect call failed"),
+        (
+            "inproc://empty",
+            "nobody serves the action 'wait' at inproc://empty: start its server in",
+        ),
+    ):
+        async with connect(url, WAIT) as client:
+            with pytest.raises(ServerNotFound, match=r"wait_for_server\(\)$") as caught:
+                await client.goals()
+        assert message_of(caught.value).startswith(told)
+        assert message_of(caught.value).endswith(("start the server", "in this process"))
+        assert failure_of(caught.value, "or else").message.endswith(", or else")
+
+
+def test_a_setting_is_spelled_as_in_a_url_and_not_as_in_python() -> None:
+    error = TransportError("use tls://, or say insecure=True if the network is your own")
+    assert message_of(error) == (
+        "use tls://, or say ?insecure=true in the URL if the network is your own"
+    )
+
+
+def test_ctrl_c_where_nothing_is_to_be_canceled_ends_as_shells_expect() -> None:
+    async def verb() -> int:
+        raise KeyboardInterrupt
+
+    with pytest.raises(click.exceptions.Exit) as exit:
+        run(verb)
+
+    assert exit.value.exit_code == 130
+
+
+def test_a_failure_in_a_group_is_found_among_other_errors() -> None:
+    async def fail() -> None:
+        raise Failure("it is wrong", ExitCode.USAGE)
+
+    async def verb() -> int:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(fail)
+            await fail_too()
+        raise AssertionError
+
+    async def fail_too() -> None:
+        raise ZeroDivisionError
+
+    with pytest.raises(Failure, match="it is wrong"):
+        run(verb)
+
+
+def test_an_unexpected_error_in_a_group_comes_out_as_itself() -> None:
+    async def fail() -> None:
+        raise ZeroDivisionError
+
+    async def verb() -> int:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(fail)
+        raise AssertionError
+
+    with pytest.raises(ZeroDivisionError):
+        run(verb)
+
+
+def test_a_traceback_is_shown_only_if_it_is_asked_for(invoke: Invoke) -> None:
+    plain = invoke("-u", "nonsense", "list")
+    debugged = invoke("-u", "nonsense", "list", env={"FIBACTION_DEBUG": "1"})
+
+    assert "Traceback" not in plain.stderr
+    assert "Traceback" in debugged.stderr
+    assert "fibaction.exceptions.InvalidURL" in debugged.stderr
+    assert debugged.stderr.endswith(plain.stderr)
+    assert plain.exit_code == debugged.exit_code == ExitCode.USAGE
+
+
+def test_a_closed_pipe_within_a_group_comes_out_for_click_to_handle() -> None:
+    async def write() -> None:
+        raise BrokenPipeError(errno.EPIPE, "closed")
+
+    async def verb() -> int:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(write)
+        raise AssertionError
+
+    with pytest.raises(BrokenPipeError):
+        run(verb)

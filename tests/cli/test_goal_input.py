@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import msgspec
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.cli.goal_input import read_goal
+from tests.cli.robot import Pick, Pose
+
+PICK = msgspec.json.schema(Pick)
+POSE = msgspec.json.schema(Pose)
+
+
+@pytest.mark.parametrize(
+    ("text", "goal"),
+    [
+        ("object_name: cup", {"object_name": "cup"}),
+        ('{"object_name": "cup", "speed": 1e-2}', {"object_name": "cup", "speed": 0.01}),
+        ("{speed: 1e-2, photo: !!binary aGk=}", {"speed": 0.01, "photo": b"hi"}),
+        ("name: füñf 鳥", {"name": "füñf 鳥"}),
+        (
+            "{at: 2026-01-02T03:04:05Z, day: 2026-01-02}",
+            {"at": "2026-01-02T03:04:05Z", "day": "2026-01-02"},
+        ),
+        ("", {}),
+        (" # nothing\n", {}),
+        ("null", None),
+        ("[1, 2.5, .inf]", [1, 2.5, float("inf")]),
+        ("hello", "hello"),
+        ("{1: a}", {1: "a"}),
+    ],
+)
+def test_yaml_and_json_text_is_read(text: str, goal: object) -> None:
+    assert read_goal(text, {}) == goal
+
+
+def test_a_goal_is_checked_and_completed_by_the_schema() -> None:
+    assert read_goal("x: 1", POSE) == {"x": 1, "y": 0.0, "frame": "map"}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x: a", 'goal.x must be a number, not "a"'),
+        ("{x: 1", "the goal is not valid YAML (line 1, column 6): while parsing a flow mapping"),
+        ("a: b: c", "the goal is not valid YAML (line 1, column 5): mapping values are not"),
+        ("x: \x07", "the goal is not valid YAML: unacceptable character"),
+        ("x: !!python/name:os.system", "the goal is not valid YAML (line 1, column 4): could not"),
+        ("[" * 100_000, "the goal is not valid YAML: "),
+        ("x: &a [*a]", "the goal cannot be encoded: "),
+        ("{? [1] : 2}", "the goal is not valid YAML"),
+        ("{x: {? 2026-01-01 : 1, ? !!binary aGk= : 2}}", "goal.x must be a number"),
+    ],
+)
+def test_an_unusable_goal_is_an_error_of_usage_in_one_sentence(text: str, message: str) -> None:
+    with pytest.raises(Failure) as failure:
+        read_goal(text, POSE)
+
+    assert failure.value.message.startswith(message)
+    assert failure.value.exit_code == ExitCode.USAGE
+
+
+def test_a_missing_space_after_a_colon_is_pointed_out() -> None:
+    with pytest.raises(Failure, match=r'no field "x:1"; .*; in YAML, a space follows'):
+        read_goal("{x:1}", POSE)
+
+
+@given(st.text(max_size=50))
+@example('"\\e[2J": 1')
+def test_any_text_is_a_goal_or_a_sentence_that_cannot_control_the_terminal(text: str) -> None:
+    try:
+        goal = read_goal(text, PICK)
+    except Failure as failure:
+        assert failure.message.isprintable()  # noqa: PT017 - no error is as good
+    else:
+        assert "object_name" in goal

@@ -1,0 +1,152 @@
+"""Lookup of goals over all actions, and by the beginning of an ID."""
+
+from __future__ import annotations
+
+import anyio
+import pytest
+
+from fibaction import ActionClient, ConnectionLost, GoalID, ServerNotFound
+from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.cli.goal_lookup import ActionClients, find_goal, goal_digits, goals_of
+from tests.cli.served import Served, counter
+
+A = GoalID.parse("aaaaaaaa" + "0" * 24)
+B = GoalID.parse("aaaaaaaa" + "1" * 24)
+C = GoalID.parse("cccccccc" + "0" * 24)
+
+
+@pytest.mark.asyncio
+async def test_goals_of_all_actions_come_in_the_order_of_their_acceptance() -> None:
+    one, other = counter("one"), counter("other")
+    async with one, other:
+        clients = await ActionClients(Served(one, other).connection).now()
+        await clients["other"].send_goal(1, goal_id=A)
+        await clients["one"].send_goal(1, goal_id=B)
+        await clients["other"].send_goal(1, goal_id=C)
+        rows = await goals_of(clients)
+
+    assert [(one.action, one.info.goal_id) for one in rows] == [
+        ("other", A),
+        ("one", B),
+        ("other", C),
+    ]
+
+
+@pytest.mark.asyncio
+async def test_clients_come_and_go_with_their_actions() -> None:
+    one, other = counter("one"), counter("other")
+    served = Served(one)
+    clients = ActionClients(served.connection)
+    first = await clients.now()
+    served.servers["other"] = other
+    second = await clients.now()
+    del served.servers["one"]
+
+    assert list(first) == ["one"]
+    assert list(second) == ["one", "other"]
+    assert second["one"] is first["one"]
+    assert list(await clients.now()) == ["other"]
+
+
+@pytest.mark.asyncio
+async def test_an_action_that_cannot_be_used_here_is_left_out_and_told_of_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    served = Served(counter("one"), counter("other"))
+    served.unusable.add("one")
+    clients = ActionClients(served.connection)
+
+    assert list(await clients.now()) == list(await clients.now()) == ["other"]
+    assert capsys.readouterr().err == "/one is left out: the type of one is not installed\n"
+
+
+@pytest.mark.asyncio
+async def test_the_one_that_is_asked_for_is_looked_up_once() -> None:
+    served = Served(counter("one"), counter("other"))
+    clients = ActionClients(served.connection, "/other")
+    assert list(await clients.now()) == ["other"]
+    served.error = ServerNotFound("nobody")
+
+    assert list(await clients.now()) == ["other"]
+    with pytest.raises(Failure):
+        await ActionClients(Served().connection, "other").now()
+
+
+@pytest.mark.asyncio
+async def test_servers_that_are_gone_are_left_out_unless_it_is_all_of_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    one, other = counter("one"), counter("other")
+    async with one:
+        clients = await ActionClients(Served(one, other).connection).now()
+        await ActionClient(one, one.action).send_goal(1, goal_id=A)
+        assert [row.info.goal_id for row in await goals_of(clients)] == [A]
+
+    with pytest.raises(ServerNotFound):
+        await goals_of(clients)
+    assert await goals_of({}) == []
+
+
+@pytest.mark.asyncio
+async def test_the_beginning_of_an_id_is_enough_if_it_is_the_only_one() -> None:
+    one, other = counter("one", [11, anyio.Event()], ["done"]), counter("other")
+    async with one, other:
+        clients = await ActionClients(Served(one, other).connection).now()
+        await clients["one"].send_goal(1, goal_id=A)
+        await clients["other"].send_goal(1, goal_id=C)
+        assert await find_goal(clients, "c") == ("other", C)
+        goal = await clients["one"].send_goal(1, goal_id=B)
+        await goal.result()
+        assert await find_goal(clients, "a") == ("one", A), "the active one"
+        assert await find_goal(clients, "aaaaaaaa1") == ("one", B)
+        await clients["other"].send_goal(1, goal_id=GoalID(b"\xaa" * 16))
+        with pytest.raises(Failure, match="2 goals have an ID that begins with a: aaa") as several:
+            await find_goal(clients, "a")
+        with pytest.raises(Failure, match="there is no goal dd at any server") as none:
+            await find_goal(clients, "dd")
+        with pytest.raises(Failure, match="there is no goal dd at the server of /one"):
+            await find_goal({"one": clients["one"]}, "dd")
+
+    assert several.value.exit_code == none.value.exit_code == ExitCode.USAGE
+
+
+@pytest.mark.asyncio
+async def test_many_that_could_be_meant_are_not_all_listed() -> None:
+    one = counter("one")
+    async with one:
+        clients = await ActionClients(Served(one).connection).now()
+        for number in range(7):
+            await clients["one"].send_goal(1, goal_id=GoalID(bytes([0xAA] * 15 + [number])))
+        with pytest.raises(Failure, match=r"7 goals .*, [.]{3}$"):
+            await find_goal(clients, "aa")
+
+
+@pytest.mark.asyncio
+async def test_a_whole_id_of_a_known_action_needs_no_looking() -> None:
+    one = counter("one")
+    clients = {"one": ActionClient(one, one.action)}
+
+    assert await find_goal(clients, str(A)) == ("one", A)
+
+
+@pytest.mark.parametrize("text", ["", "-", "fibonacci", "0" * 33])
+def test_text_that_is_not_an_id_is_rejected(text: str) -> None:
+    with pytest.raises(Failure, match="32 hexadecimal digits") as failure:
+        goal_digits(text)
+    assert failure.value.exit_code == ExitCode.USAGE
+
+
+def test_an_id_may_be_written_as_a_uuid_and_in_capitals() -> None:
+    assert goal_digits("AAAAAAAA-0000-") == "aaaaaaaa0000"
+
+
+@pytest.mark.asyncio
+async def test_a_connection_that_is_lost_is_no_empty_list(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = counter("one")
+
+    async def lost(*_: object) -> None:
+        raise ConnectionLost("the line is dead")
+
+    monkeypatch.setattr(one, "status", lost)
+    with pytest.raises(ConnectionLost):
+        await goals_of(await ActionClients(Served(one).connection).now())

@@ -1,0 +1,108 @@
+"""Goals in columns: what is cut where there is little room."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from fibaction import GoalID, GoalInfo, GoalStatus
+from fibaction.cli.goal_table import GoalRow, duration, in_columns, picture, unambiguous
+
+A = GoalID.parse("aaaaaaaa" + "0" * 24)
+B = GoalID.parse("aaaaaaaa" + "1" * 24)
+C = GoalID.parse("cccccccc" + "0" * 24)
+
+
+def row(goal_id: GoalID = A, *, status: int = 2, stamp: int = 1, client: str = "") -> GoalRow:
+    return GoalRow("arm/pick", GoalInfo(goal_id, stamp * 10**9, GoalStatus(status), 0, client))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (-3, "0.0 s"),
+        (0.05, "0.1 s"),
+        (9.9, "9.9 s"),
+        (10, "10 s"),
+        (119, "119 s"),
+        (120, "2 min"),
+        (3600 * 2, "2 h"),
+        (3600 * 48, "2 d"),
+    ],
+)
+def test_a_duration_is_as_long_as_it_need_be(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_columns_have_names_and_numbers_stand_to_the_right() -> None:
+    rows = [row(client="127.0.0.1:5"), row(C, status=6)]
+
+    assert in_columns(rows, actions=True, now=13.0) == [
+        "ID                                ACTION     STATUS      AGE  FEEDBACK  CLIENT",
+        f"{A}  /arm/pick  EXECUTING  12 s         0  127.0.0.1:5",
+        f"{C}  /arm/pick  ABORTED    12 s         -  -",
+    ]
+
+
+def test_the_action_is_left_out_where_it_is_known() -> None:
+    assert in_columns([row()], actions=False, now=2.0) == [
+        "ID                                STATUS       AGE  FEEDBACK  CLIENT",
+        f"{A}  EXECUTING  1.0 s         -  -",
+    ]
+    assert " d " in in_columns([row()], actions=False)[1]
+
+
+def test_with_little_room_ids_are_cut_then_clients_then_actions() -> None:
+    rows = [row(client="somebody at 127.0.0.1:5"), row(C)]
+
+    def fits(width: int) -> list[str]:
+        lines = in_columns(rows, actions=True, width=width, now=2.0)
+        assert max(map(len, lines)) <= width
+        return lines
+
+    assert fits(120)[1].startswith(str(A))
+    assert fits(80)[1] == (
+        "aaaaaaaa  /arm/pick  EXECUTING  1.0 s         0  somebody at 127.0.0.1:5"
+    )
+    assert fits(60)[1].endswith("  somebody a…")
+    assert fits(56)[1] == "aaaaaaaa  /arm/pi…  EXECUTING  1.0 s         0  somebod…"
+    narrow = in_columns([row(client="somebody")], actions=False, width=10, now=2.0)
+    assert narrow[1] == "aaaaaaaa  EXECUTING  1.0 s         0  somebody"
+
+
+def test_ids_are_cut_where_they_still_differ() -> None:
+    assert unambiguous([]) == unambiguous([str(A)]) == unambiguous([str(A), str(C)]) == 8
+    assert unambiguous([str(A), str(C), str(B)]) == 9
+    assert unambiguous([str(A), str(A)]) == 8
+
+
+def test_text_of_a_client_cannot_control_the_terminal() -> None:
+    assert row(client="a\x1b[2J").client == "a\\x1b[2J"
+
+
+def test_a_row_for_programs_has_all_of_it() -> None:
+    assert row(client="me").json() == {
+        "action": "arm/pick",
+        "goal_id": str(A),
+        "stamp": 10**9,
+        "status": "EXECUTING",
+        "feedback_count": 0,
+        "client": "me",
+    }
+
+
+def test_a_picture_has_the_active_goals_first_and_says_what_is_left_out() -> None:
+    screen = Console(file=io.StringIO(), width=80, height=10)
+    rows = [
+        GoalRow("one", GoalInfo(GoalID(bytes([n] * 16)), n, GoalStatus(4 if n % 2 else 2)))
+        for n in range(1, 21)
+    ]
+    lines = picture(screen, rows, "", actions=True).plain.splitlines()
+
+    assert len(lines) == 9
+    assert [line[:2] for line in lines[1:8]] == ["14", "12", "10", "0e", "0c", "0a", "08"]
+    assert lines[8] == "10 active, 10 ended; 13 not shown"
+    away = picture(screen, [], "gone\x1b", actions=True).plain.splitlines()
+    assert away[1] == "The server is away: gone\\x1b"

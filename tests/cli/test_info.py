@@ -1,0 +1,103 @@
+"""`info`: the servers and the clients of an action, in the output of `ros2 action`."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from fibaction import serve
+from fibaction._api import ClientConnection
+from fibaction.abc import Connection
+from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.cli.info import print_info
+from fibaction.goals import ActionPeers
+from tests.cli.conftest import Invoke, Run
+from tests.cli.robot import servers
+
+
+def test_info_has_the_lines_that_ros_prints(fibaction: Run, url: str) -> None:
+    code, out, err = fibaction("info", "/fibonacci", "-c", url=url)
+
+    assert (code, err) == (0, "")
+    assert re.fullmatch(r"Action: /fibonacci\nAction clients: \d+\nAction servers: \d+\n", out)
+
+
+def test_a_misspelt_action_suggests_the_near_one(invoke: Invoke, tcp: str) -> None:
+    result = invoke("info", "fibonaci", url=tcp)
+
+    assert result.exit_code == ExitCode.UNREACHABLE
+    assert result.stdout == ""
+    assert result.stderr == (
+        "Error: nobody serves the action /fibonaci; did you mean /fibonacci?\n"
+    )
+
+
+def test_info_as_json_has_the_schemas(invoke: Invoke, tcp: str) -> None:
+    assert '"goal":{"$ref"' in invoke("info", "wait", "--json", url=tcp).output
+    assert '"goal"' not in invoke("info", "wait", "--json", "-c", url=tcp).output
+    assert invoke("info", "-t", "wait", url=tcp).output.startswith("Action: /wait\n")
+
+
+@pytest.fixture
+def peers(monkeypatch: pytest.MonkeyPatch) -> dict[str, ActionPeers]:
+    """The servers and clients of each action, made up by a test."""
+    known: dict[str, ActionPeers] = {}
+
+    async def asked(_: Connection, action: str) -> ActionPeers:
+        return known.get(action, ActionPeers())
+
+    monkeypatch.setattr(ClientConnection, "peers", asked)
+    return known
+
+
+@pytest.mark.asyncio
+async def test_info_names_the_clients_and_the_servers(
+    peers: dict[str, ActionPeers], capsys: pytest.CaptureFixture[str]
+) -> None:
+    peers["wait"] = ActionPeers(servers=("/robot",), clients=("/a", "127.0.0.1:5\x1b"))
+
+    async with serve(servers(), "inproc://info"):
+        await print_info("inproc://info", "wait", show_types=True, count=False, as_json=False)
+
+    assert capsys.readouterr().out.splitlines() == [
+        "Action: /wait",
+        "Action clients: 2",
+        "    /a [arm/action/Wait]",
+        "    127.0.0.1:5\\x1b [arm/action/Wait]",
+        "Action servers: 1",
+        "    /robot [arm/action/Wait]",
+    ]
+
+
+@pytest.mark.asyncio
+async def test_info_counts_without_names(
+    peers: dict[str, ActionPeers], capsys: pytest.CaptureFixture[str]
+) -> None:
+    peers["wait"] = ActionPeers(servers=("/robot",), clients=("/a", "/b"))
+
+    async with serve(servers(), "inproc://info"):
+        await print_info("inproc://info", "/wait", show_types=False, count=True, as_json=False)
+
+    assert capsys.readouterr().out.splitlines() == [
+        "Action: /wait",
+        "Action clients: 2",
+        "Action servers: 1",
+    ]
+
+
+@pytest.mark.asyncio
+async def test_an_action_that_has_only_clients_is_known(
+    peers: dict[str, ActionPeers], capsys: pytest.CaptureFixture[str]
+) -> None:
+    peers["jump"] = ActionPeers(clients=("/a",))
+
+    await print_info("inproc://empty", "jump", show_types=False, count=False, as_json=False)
+
+    assert "Action clients: 1\n    /a\nAction servers: 0\n" in capsys.readouterr().out
+
+
+@pytest.mark.asyncio
+async def test_an_action_that_has_neither_is_unknown(peers: dict[str, ActionPeers]) -> None:
+    with pytest.raises(Failure, match="nobody serves the action /jump"):
+        await print_info("inproc://empty", "jump", show_types=False, count=False, as_json=False)

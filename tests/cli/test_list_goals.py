@@ -1,0 +1,319 @@
+"""`goals`: as processes, in terminals, and in this process."""
+
+from __future__ import annotations
+
+import io
+import json
+import signal
+import sys
+from collections.abc import Callable
+from functools import partial
+
+import anyio
+import pytest
+from rich.console import Console
+
+from fibaction import ActionClient, ConnectionLost, GoalID, connect, serve
+from fibaction.cli import list_goals
+from fibaction.cli.exit_codes import ExitCode
+from fibaction.cli.goal_table import picture
+from fibaction.cli.output import note
+from fibaction.monitor import AnyClient
+from tests.cli.conftest import Invoke, Open, Robot, Run, Start, detached, interrupt
+from tests.cli.served import Heard, Served, counter
+from tests.cli.test_echo import echoed
+from tests.processes import ended, lines_until
+from tests.virtual_time import in_virtual_time
+
+ID = GoalID(b"\x01" * 16)
+
+
+def test_goals_lists_those_of_all_actions_or_of_one(fibaction: Run, url: str) -> None:
+    running = detached(fibaction, url, "wait", "{seconds: 60, steps: 600}")
+    over = detached(fibaction, url, "fibonacci", "order: 5")
+    everything = fibaction("goals", url=url)
+    fibonacci = fibaction("goals", "/fibonacci", url=url)
+
+    assert everything.code == fibonacci.code == 0
+    assert everything.lines[0].split() == ["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "CLIENT"]
+    (line,) = (line for line in everything.lines if line.startswith(running))
+    assert line.split()[1:3] == ["/wait", "EXECUTING"]
+    assert fibonacci.lines[0].split() == ["ID", "STATUS", "AGE", "FEEDBACK", "CLIENT"]
+    (line,) = (line for line in fibonacci.lines if line.startswith(over))
+    assert line.split()[1] == "SUCCEEDED"
+    assert running not in fibonacci.out
+
+
+def test_goals_as_json_has_all_that_is_known(fibaction: Run, url: str) -> None:
+    goal_id = detached(fibaction, url, "arm/pick", "object_name: cup")
+    found = fibaction("goals", "arm/pick", "--json", url=url)
+    (goal,) = (goal for goal in found.json if goal["goal_id"] == goal_id)
+
+    assert goal.pop("stamp") > 1_700_000_000 * 10**9
+    assert goal.pop("client")
+    assert goal == {
+        "action": "arm/pick",
+        "goal_id": goal_id,
+        "status": "SUCCEEDED",
+        "feedback_count": 4,
+    }
+
+
+@pytest.mark.parametrize("columns", [80, 160])
+def test_on_a_terminal_the_list_fits_and_is_colored(
+    terminal: Open, fibaction: Run, tcp: str, columns: int
+) -> None:
+    goal_id = detached(fibaction, tcp, "wait")
+    shown = terminal("goals", url=tcp, columns=columns, lines=60)
+    assert shown.ends() == 0
+
+    (line,) = (line for line in shown.text.splitlines() if line.startswith(goal_id[:8]))
+    assert line.split()[0] == (goal_id if columns == 160 else goal_id[:8])
+    assert ":" in line.split()[-1], "the client is not cut off"
+    assert b"\x1b[1;32mEXECUTING" in shown.raw.replace(b"\x1b[0m", b"")
+
+
+@pytest.mark.parametrize("columns", [80, 160])
+def test_a_watched_list_is_kept_up_to_date_where_it_is(
+    terminal: Open, fibaction: Run, tcp: str, columns: int
+) -> None:
+    goal_id = detached(fibaction, tcp, "wait", "{seconds: 60, steps: 600}")
+    short = goal_id[:8]
+    shown = terminal("goals", "wait", "--watch", url=tcp, columns=columns)
+    shown.until(rf"^{short}\w* +EXECUTING")
+    fibaction("cancel", goal_id, url=tcp)
+    screen = shown.until(lambda lines: any(short in one and "CANCELED" in one for one in lines))
+    shown.press("\x03")
+
+    assert shown.ends() == 0
+    assert sum(short in line for line in screen) == 1
+    assert screen[0].startswith("ID ")
+    assert shown.text.count("FEEDBACK") == 1
+    assert not shown.cursor_hidden
+
+
+def test_a_watched_list_says_that_the_server_is_away_until_it_is_back(
+    terminal: Open, start_robot: Callable[[], Robot]
+) -> None:
+    robot = start_robot()
+    shown = terminal("goals", "--watch", url=robot.tcp)
+    shown.until("0 active, 0 ended")
+    robot.process.kill()
+    shown.until("The server is away: it does not answer")
+    shown.press("\x03")
+
+    assert shown.ends() == 0
+
+
+def test_piped_each_change_is_a_line(started: Start, fibaction: Run, url: str) -> None:
+    process = started("goals", "--watch", url=url)
+    goal_id = detached(fibaction, url, "wait")
+    lines_until(f"{goal_id}  EXECUTING  /wait", process)
+    fibaction("cancel", goal_id, url=url)
+    lines_until(f"{goal_id}  CANCELED ", process)
+    interrupt(process)
+
+    code, _, err = ended(process)
+    assert (code, err) == (0, "")
+
+
+def test_a_server_that_dies_and_one_that_stops_are_told_of(
+    started: Start, start_robot: Callable[[], Robot]
+) -> None:
+    stopped, died = start_robot(), start_robot()
+    first = started("goals", "--watch", "--json", url=stopped.unix)
+    second = started("echo", "wait", url=f"{died.tcp}?reconnect=false")
+    for robot, process in ((stopped, first), (died, second)):
+        ready = started("send_goal", "wait", "{seconds: 60}", url=robot.tcp)
+        lines_until("EXECUTING", process)
+        ready.kill()
+    stopped.process.terminate()
+    lines_until('"status":"ABORTED"', first)
+    stopped.process.wait(30)
+    lines_until("/wait is away: its server has stopped", first, errors=True)
+    interrupt(first)
+    died.process.kill()
+    code, _, err = ended(second)
+
+    assert ended(first).code == 0
+    assert code == ExitCode.UNREACHABLE
+    assert "/wait is away: " in err
+    assert err.splitlines()[-1].startswith("Error: ")
+
+
+async def running_goals(url: str, name: str | None = None, *, watch: bool = False) -> int:
+    with anyio.fail_after(20):
+        return await list_goals.list_goals(url, name, watch=watch, as_json=False)
+
+
+@pytest.mark.asyncio
+async def test_without_goals_there_is_a_remark(capsys: pytest.CaptureFixture[str]) -> None:
+    async with serve(counter("one"), "inproc://goals"):
+        assert await running_goals("inproc://goals") == 0
+        assert await running_goals("inproc://goals", "one") == 0
+        assert await list_goals.list_goals("inproc://goals", None, watch=False, as_json=True) == 0
+
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err == "There are no goals.\nThere are no goals of /one.\n"
+
+
+@pytest.mark.asyncio
+async def test_a_list_has_a_line_for_each_goal(capsys: pytest.CaptureFixture[str]) -> None:
+    server = counter("one")
+    async with serve(server, "inproc://goals"):
+        await ActionClient(server, server.action).send_goal(1, goal_id=ID)
+        assert await running_goals("inproc://goals") == 0
+        assert await list_goals.list_goals("inproc://goals", "one", watch=False, as_json=True) == 0
+
+    names, line, goal = capsys.readouterr().out.splitlines()
+    assert names.startswith("ID ")
+    assert line.startswith(f"{ID}  /one    EXECUTING ")
+    assert json.loads(goal)["goal_id"] == str(ID)
+
+
+@pytest.fixture
+def screen(monkeypatch: pytest.MonkeyPatch) -> Console:
+    """A terminal of 80 columns and 10 lines."""
+    console = Console(file=io.StringIO(), force_terminal=True, width=80, height=10, highlight=False)
+    monkeypatch.setattr(list_goals, "on_terminal", lambda: True)
+    monkeypatch.setattr(list_goals, "console", lambda: console)
+    monkeypatch.setattr(list_goals, "PAUSE", 0.01)
+    monkeypatch.setattr(list_goals, "TIMEOUT", 0.05)
+    return console
+
+
+def drawn(console: Console) -> str:
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+@pytest.mark.asyncio
+async def test_on_a_terminal_it_is_colored(screen: Console) -> None:
+    server = counter("one")
+    async with serve(server, "inproc://goals"):
+        await ActionClient(server, server.action).send_goal(1)
+        assert await running_goals("inproc://goals") == 0
+
+    assert "\x1b[1;32mEXECUTING\x1b[0m" in drawn(screen)
+    assert "\x1b[1mID" in drawn(screen)
+
+
+@pytest.mark.asyncio
+async def test_a_watched_list_lives_through_silence_and_errors(
+    screen: Console, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = counter("one")
+    served, pictures = Served(server), Heard()
+
+    def record(*arguments: object, **settings: object) -> object:
+        text = picture(*arguments, **settings)  # type: ignore[arg-type]  # as they came
+        pictures(text.plain)
+        return text
+
+    monkeypatch.setattr(list_goals, "picture", record)
+    async with server, anyio.create_task_group() as tasks:
+        await ActionClient(server, server.action).send_goal(1)
+        tasks.start_soon(list_goals._watch_screen, served.connection, None)
+        await pictures.until(lambda all: "1 active, 0 ended" in all[-1])
+        served.silent = True
+        await pictures.until(lambda all: "away: it does not answer" in all[-1])
+        served.silent, served.error = False, ConnectionLost("the line is dead")
+        await pictures.until(lambda all: "away: the line is dead" in all[-1])
+        assert "EXECUTING" in pictures[-1]
+        served.error = None
+        await pictures.until(lambda all: "1 active, 0 ended" in all[-1])
+        tasks.cancel_scope.cancel()
+
+
+@pytest.mark.asyncio
+async def test_remarks_that_go_to_a_file_are_not_on_the_screen(
+    screen: Console, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    errors, scope, told = io.StringIO(), anyio.CancelScope(), Heard()
+    monkeypatch.setattr(sys, "stderr", errors)
+
+    def remark(*arguments: object, **settings: object) -> object:
+        note("a remark")
+        if told:
+            scope.cancel()
+        told("a remark")
+        return picture(*arguments, **settings)  # type: ignore[arg-type]  # as they came
+
+    monkeypatch.setattr(list_goals, "picture", remark)
+    server = counter("one")
+    async with server:
+        with scope:
+            await list_goals._watch_screen(Served(server).connection, None)
+
+    assert "a remark\n" in errors.getvalue()
+    assert "0 active" in drawn(screen)
+    assert "a remark" not in drawn(screen)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("name", [None, "one"])
+async def test_a_watched_list_ends_with_ctrl_c(screen: Console, name: str | None) -> None:
+    codes: list[int] = []
+
+    async def run() -> None:
+        codes.append(await running_goals("inproc://goals", name, watch=True))
+
+    async with serve(counter("one"), "inproc://goals"):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(run)
+            with anyio.fail_after(5):
+                while "active" not in drawn(screen):  # noqa: ASYNC110 - a file has no events
+                    await anyio.sleep(0.01)
+            signal.raise_signal(signal.SIGINT)
+
+    assert codes == [0]
+
+
+def test_an_action_or_a_server_that_is_not_there_is_one_sentence(
+    invoke: Invoke, tcp: str, nobody: str
+) -> None:
+    result = invoke("goals", "wiat", url=tcp)
+    assert result.exit_code == ExitCode.UNREACHABLE
+    assert result.stderr == "Error: nobody serves the action /wiat; did you mean /wait?\n"
+    for verb in (["goals"], ["goals", "-w"]):
+        result = invoke(*verb, url=nobody)
+        assert result.exit_code == ExitCode.UNREACHABLE
+        assert result.stderr.startswith(f"Error: nobody listens at {nobody}")
+
+
+@pytest.mark.asyncio
+async def test_elsewhere_each_change_is_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    server, url = counter("one"), "inproc://goals"
+    async with serve(server, url), connect(url, server.action) as client:
+        await client.send_goal(1, goal_id=ID)
+        watch = partial(list_goals.list_goals, url, watch=True)
+        plain = await echoed(monkeypatch, partial(watch, None, as_json=False), "EXECUTING")
+        events = await echoed(monkeypatch, partial(watch, "one", as_json=True), "EXECUTING")
+
+    assert plain[0].endswith(f"  {ID}  EXECUTING  /one  1  -")
+    assert json.loads(events[0])["status"] == "EXECUTING"
+
+
+@pytest.mark.anyio
+@in_virtual_time()
+async def test_the_connection_is_checked_for_a_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+    server = counter("one")
+    client = Served(server).connection.client(server.action)
+
+    async def seconds(clients: list[AnyClient]) -> float:
+        start = anyio.current_time()
+        await list_goals._check_connection(clients)
+        return anyio.current_time() - start
+
+    assert await seconds([client]) == pytest.approx(list_goals.TIMEOUT)  # it does not run yet
+    assert await seconds([]) == pytest.approx(list_goals.TIMEOUT)
+    async with server:
+        assert await seconds([client]) == 0
+
+    async def lost(*_: object) -> None:
+        raise ConnectionLost("the line is dead")
+
+    monkeypatch.setattr(server, "wait_for_server", lost)
+    with pytest.raises(ConnectionLost):
+        await seconds([client])

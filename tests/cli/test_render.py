@@ -1,0 +1,166 @@
+"""A goal's story in words and in JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import AsyncGenerator
+
+import anyio
+import pytest
+
+from fibaction import (
+    Action,
+    ActionServer,
+    GoalAborted,
+    GoalHandle,
+    GoalID,
+    GoalStatus,
+    Outcome,
+    connect,
+    serve,
+)
+from fibaction.cli.render import CODES, JsonPrinter, TextPrinter, goal_printer, print_goal
+from fibaction.goals import UNKNOWN_OUTCOME
+from fibaction.testing import ScriptedServer
+
+GOAL_ID = GoalID.parse("0123456789abcdef0123456789abcdef")
+COUNT: Action[int, int, str] = Action("count", goal=int, feedback=int, result=str)
+PLAIN = Action.untyped(COUNT.info)
+
+
+def test_in_words_it_reads_as_ros_prints_it(capsys: pytest.CaptureFixture[str]) -> None:
+    words = goal_printer(feedback=True, as_json=False, full=False)
+    words.sending({"order": 1})
+    words.accepted(GOAL_ID, 5)
+    words.status(GoalStatus.EXECUTING)
+    words.feedback(1, {"partial_sequence": [0]})
+    words.ended(Outcome(GoalStatus.SUCCEEDED, {"sequence": [0, 1]}))
+
+    assert capsys.readouterr().out.splitlines() == [
+        "Sending goal:",
+        "    order: 1",
+        "",
+        "Goal accepted with ID: 0123456789abcdef0123456789abcdef",
+        "",
+        "Feedback:",
+        "    partial_sequence:",
+        "    - 0",
+        "",
+        "Result:",
+        "    sequence:",
+        "    - 0",
+        "    - 1",
+        "",
+        "Goal finished with status: SUCCEEDED",
+    ]
+
+
+def test_in_words_reasons_are_told_and_cleaned(capsys: pytest.CaptureFixture[str]) -> None:
+    words = TextPrinter()
+    words.rejected(GOAL_ID, "too hot\x1b")
+    words.rejected(GOAL_ID, "")
+    words.ended(Outcome(GoalStatus.ABORTED, reason="no\nway"))
+    words.ended(UNKNOWN_OUTCOME)
+
+    assert capsys.readouterr().out.splitlines() == [
+        "Goal was rejected: too hot\\x1b",
+        "Goal was rejected.",
+        "Goal finished with status: ABORTED (no\\x0away)",
+        f"Goal finished with status: UNKNOWN ({UNKNOWN_OUTCOME.reason})",
+    ]
+
+
+def test_in_full_nothing_is_cut(capsys: pytest.CaptureFixture[str]) -> None:
+    TextPrinter(full=True).feedback(1, list(range(1000)))
+    TextPrinter(full=False).feedback(1, list(range(1000)))
+
+    out = capsys.readouterr().out
+    assert out.count("- 999\n") == 1
+    assert "... and 872 more" in out
+
+
+def test_in_json_each_event_is_an_object(capsys: pytest.CaptureFixture[str]) -> None:
+    told = goal_printer(feedback=True, as_json=True, full=False)
+    told.sending({"order": 1})
+    told.accepted(GOAL_ID, 5)
+    told.rejected(GOAL_ID, "no")
+    told.status(GoalStatus.EXECUTING)
+    told.feedback(1, [0])
+    JsonPrinter(feedback=False).feedback(2, [0])
+    told.ended(Outcome(GoalStatus.CANCELED, [0], "asked"))
+
+    assert [json.loads(line) for line in capsys.readouterr().out.splitlines()] == [
+        {"event": "accepted", "goal_id": str(GOAL_ID), "stamp": 5},
+        {"event": "rejected", "goal_id": str(GOAL_ID), "reason": "no"},
+        {"event": "status", "status": "EXECUTING"},
+        {"event": "feedback", "number": 1, "feedback": [0]},
+        {"event": "result", "status": "CANCELED", "result": [0], "reason": "asked"},
+    ]
+
+
+def test_every_end_of_a_goal_has_its_exit_code() -> None:
+    assert set(CODES) == {status for status in GoalStatus if not status.is_active}
+    assert CODES[GoalStatus.SUCCEEDED] == 0
+
+
+async def told_of(server: ActionServer[int, int, str], *, live: bool = False) -> int:
+    """Follow a goal of that server."""
+    async with serve(server, "inproc://telling"), connect("inproc://telling") as connection:
+        payload = PLAIN.goal.encode(1)
+        stream = await connection.endpoint(PLAIN).send_goal(GOAL_ID, payload)
+        with anyio.fail_after(10):
+            return await print_goal(stream, PLAIN, JsonPrinter(feedback=True), live=live)
+
+
+@pytest.mark.asyncio
+async def test_a_goal_is_followed_to_its_end(capsys: pytest.CaptureFixture[str]) -> None:
+    code = await told_of(ScriptedServer(COUNT, [1, 2, "done"]), live=True)
+
+    assert code == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [event["event"] for event in events] == ["status", "feedback", "feedback", "result"]
+    assert [event.get("feedback") for event in events] == [None, 1, 2, None]
+    assert events[-1]["result"] == "done"
+
+
+@pytest.mark.asyncio
+async def test_a_goal_without_a_result_has_none(capsys: pytest.CaptureFixture[str]) -> None:
+    code = await told_of(ScriptedServer(COUNT, [GoalAborted("broken")]))
+
+    assert code == 1
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (result["result"], result["reason"]) == (None, "broken")
+
+
+async def quick(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
+    for number in range(100):
+        yield number
+    yield "done"
+
+
+@pytest.mark.asyncio
+async def test_feedback_that_was_missed_is_told_of(capsys: pytest.CaptureFixture[str]) -> None:
+    await told_of(ActionServer(COUNT, quick, feedback="latest", feedback_window=1))
+
+    assert " feedback messages were missed: they came" in capsys.readouterr().err
+
+
+@pytest.mark.asyncio
+async def test_on_a_terminal_the_feedback_is_on_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "80")
+    async with (
+        serve(ScriptedServer(COUNT, [1, 2, "done"]), "inproc://live"),
+        connect("inproc://live") as connection,
+    ):
+        stream = await connection.endpoint(PLAIN).send_goal(GOAL_ID, PLAIN.goal.encode(1))
+        await print_goal(stream, PLAIN, TextPrinter(), live=True)
+
+    out = capsys.readouterr().out
+    assert "Feedback:" not in out
+    assert "feedback 2" in out
+    assert out.endswith("Goal finished with status: SUCCEEDED\n")

@@ -1,0 +1,679 @@
+"""`send_goal`: every way in which a goal can end, its output and its exit code."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import socket
+import subprocess
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import ActionServer, CancelAnswer, GoalID, GoalStatus, ServerNotFound, connect, serve
+from fibaction.action import Action
+from fibaction.cli import send_goal
+from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.cli.send_goal import SendOptions, send
+from fibaction.cli.signals import SAME_SIGNAL
+from fibaction.testing import ScriptedServer
+from tests.cli.conftest import Invoke, Open, Robot, Run, Start, interrupt
+from tests.cli.robot import WAIT, Progress, Wait, Waited, wait
+from tests.processes import ended, lines_until
+
+# As processes
+
+
+def test_a_goal_with_feedback_prints_what_ros_prints(fibaction: Run, url: str) -> None:
+    code, out, err = fibaction("send_goal", "fibonacci", "order: 3", "-f", url=url)
+
+    assert (code, err) == (0, "")
+    goal_id = out.split("ID: ")[1].split()[0]
+    assert len(goal_id) == 32
+    assert out.splitlines() == [
+        "Sending goal:",
+        "    order: 3",
+        "",
+        f"Goal accepted with ID: {goal_id}",
+        "",
+        "Feedback:",
+        "    partial_sequence:",
+        *("    - 0", "    - 1", "    - 1"),
+        "",
+        "Feedback:",
+        "    partial_sequence:",
+        *("    - 0", "    - 1", "    - 1", "    - 2"),
+        "",
+        "Result:",
+        "    sequence:",
+        *("    - 0", "    - 1", "    - 1", "    - 2"),
+        "",
+        "Goal finished with status: SUCCEEDED",
+    ]
+
+
+def test_as_json_each_event_is_a_line(fibaction: Run, url: str) -> None:
+    done = fibaction("send_goal", "arm/pick", "object_name: cup", "-f", "--json", url=url)
+
+    assert (done.code, done.err) == (0, "")
+    kinds = [event["event"] for event in done.json]
+    assert kinds == ["accepted", "status", *["feedback"] * 4, "result"]
+    assert done.json[0]["stamp"] > 1_700_000_000 * 10**9
+    assert done.json[2] == {
+        "event": "feedback",
+        "number": 1,
+        "feedback": {"progress": 0.25, "step": "step 1"},
+    }
+    assert done.json[-1]["result"]["goal"]["object_name"] == "cup"
+
+
+def test_the_type_is_taken_as_ros_users_give_it(fibaction: Run, tcp: str) -> None:
+    type_name = "arduinobot_msgs/action/Fibonacci"
+
+    assert fibaction("send_goal", "/fibonacci", type_name, "{order: 1}", url=tcp).code == 0
+
+
+def test_ctrl_c_cancels_waits_and_says_how_it_ended(started: Start, url: str) -> None:
+    process = started("send_goal", "wait", "--json", url=url)
+    lines_until("EXECUTING", process)
+    interrupt(process)
+    code, out, err = ended(process)
+
+    assert code == ExitCode.CANCELED
+    assert err == "Canceling goal... (Ctrl-C again leaves it running)\n"
+    events = [json.loads(line) for line in out.splitlines()]
+    assert [event["status"] for event in events] == ["CANCELING", "CANCELED"]
+    assert events[-1]["reason"] == "asked to stop"
+    assert events[-1]["result"]["seconds"] > 0
+
+
+def test_a_server_that_dies_is_a_lost_connection(
+    started: Start, start_robot: Callable[[], Robot]
+) -> None:
+    robot = start_robot()
+    process = started("send_goal", "wait", "--json", url=f"{robot.tcp}?reconnect_timeout=0.5")
+    lines_until("EXECUTING", process)
+    robot.process.kill()
+    code, _, err = ended(process)
+
+    assert code == ExitCode.UNREACHABLE
+    assert err.splitlines()[0].startswith("fibaction: tcp://")  # from the log, at once
+    assert err.splitlines()[-1].startswith("Error: ")
+    assert "Traceback" not in err
+
+
+def not_within_a_moment(process: subprocess.Popen[Any]) -> None:
+    """Let pass the time in which a second Ctrl-C would count as the first again."""
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(SAME_SIGNAL)
+
+
+def test_a_second_ctrl_c_leaves_at_once_when_the_server_was_killed(
+    started: Start, start_robot: Callable[[], Robot]
+) -> None:
+    robot = start_robot()
+    process = started("send_goal", "wait", "--json", url=f"{robot.tcp}?reconnect_timeout=3600")
+    lines_until("EXECUTING", process)
+    robot.process.kill()
+    assert process.stderr is not None
+    assert "closed its side" in process.stderr.readline()
+    interrupt(process)
+    assert process.stderr.readline().startswith("Canceling goal...")
+    not_within_a_moment(process)
+    interrupt(process)
+    code, _, err = ended(process)
+
+    assert code == ExitCode.INTERRUPTED
+    assert err.endswith("was left, and may go on.\n")
+    assert err.count("\n") == 1
+
+
+def test_who_reads_no_more_cancels_the_goal(started: Start, tcp: str) -> None:
+    process = started("send_goal", "wait", "{seconds: 60, steps: 600}", "-f", "--json", url=tcp)
+    accepted = json.loads(lines_until("accepted", process)[0])
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.wait(30) == 1
+
+    async def outcome() -> GoalStatus:
+        async with connect(tcp, WAIT) as client:
+            goal = await client.attach(GoalID.parse(accepted["goal_id"]))
+            with anyio.fail_after(10):
+                return (await goal.outcome()).status
+
+    assert anyio.run(outcome) is GoalStatus.CANCELED
+
+
+def test_detach_prints_the_goal_id_and_leaves_the_goal_running(fibaction: Run, tcp: str) -> None:
+    code, out, err = fibaction("send_goal", "wait", "--detach", url=tcp)
+
+    async def cancel() -> bool:
+        async with connect(tcp, WAIT) as client:
+            return (await client.cancel_goals(GoalID.parse(out.strip()))).accepted
+
+    assert (code, err) == (0, "")
+    assert anyio.run(cancel), "it runs on, so that it can be canceled"
+
+
+def test_utf_8_is_shown_as_it_is_or_as_numbers(fibaction: Run, tcp: str) -> None:
+    plain = fibaction("send_goal", "words", "{words: füñf 鳥}", "-f", url=tcp)
+    latin = fibaction(
+        *("send_goal", "words", "{words: 鳥}"), url=tcp, env={"PYTHONIOENCODING": "latin-1"}
+    )
+
+    assert plain.out.count("füñf 鳥") == 3
+    assert latin.code == 0
+    assert "echoed: \\u9ce5" in latin.out
+
+
+# In a terminal
+
+
+@pytest.mark.parametrize("columns", [80, 160])
+def test_on_a_terminal_there_is_a_bar_and_it_is_gone_in_the_end(
+    terminal: Open, tcp: str, columns: int
+) -> None:
+    shown = terminal(
+        *("send_goal", "wait", "{seconds: 2, steps: 4}", "-f"), url=tcp, columns=columns
+    )
+    shown.until("50%  step: step 2")
+    assert shown.ends() == 0
+
+    assert "━" not in shown.text
+    assert "Goal finished with status: SUCCEEDED" in shown.text
+    assert not shown.cursor_hidden
+
+
+def test_ctrl_c_in_a_terminal_cancels(terminal: Open, tcp: str) -> None:
+    shown = terminal("send_goal", "wait", "-f", url=tcp)
+    shown.until("step: step 0")
+    shown.press("\x03")
+
+    assert shown.ends() == ExitCode.CANCELED
+    assert "\nCanceling goal... (Ctrl-C again leaves it running)\n" in shown.text
+    assert shown.text.endswith("Goal finished with status: CANCELED (asked to stop)")
+    assert not shown.cursor_hidden
+
+
+def test_a_second_ctrl_c_leaves_a_goal_that_is_not_canceled(terminal: Open, tcp: str) -> None:
+    shown = terminal("send_goal", "stubborn", "{seconds: 20}", "-f", url=tcp)
+    shown.until("step: step 0")
+    shown.press("\x03")
+    shown.until("The server does not cancel it: it is never canceled")
+    not_within_a_moment(shown.process)
+    shown.press("\x03")
+
+    assert shown.ends() == ExitCode.INTERRUPTED
+    assert "was left, and may go on." in shown.text
+
+
+def test_the_log_is_above_the_line_that_changes(
+    terminal: Open, start_robot: Callable[[], Robot]
+) -> None:
+    robot = start_robot()
+    shown = terminal("send_goal", "wait", "{steps: 4}", "-f", url=robot.tcp)
+    shown.until("step: step 0")
+    robot.process.kill()
+    shown.until(r"closed its side\n.* 0%  step: step 0")
+    shown.press("\x03")
+    shown.until("Canceling goal")
+    not_within_a_moment(shown.process)
+    shown.press("\x03")
+
+    assert shown.ends() == ExitCode.INTERRUPTED
+    assert f"\nfibaction: {robot.tcp} closed its side\nCanceling goal..." in shown.text
+    assert "step 0" not in shown.text
+
+
+def test_no_color_means_none(terminal: Open, tcp: str) -> None:
+    shown = terminal(
+        *("send_goal", "wait", "{seconds: 1, steps: 4}", "-f"), url=tcp, env={"NO_COLOR": "1"}
+    )
+    shown.until("step: step 2")
+    shown.ends()
+
+    assert b"\x1b[38" not in shown.raw
+    assert b"\x1b[3" not in shown.raw.replace(b"\x1b[3m", b"")
+
+
+def test_a_terminal_that_cannot_redraw_gets_lines(terminal: Open, tcp: str) -> None:
+    shown = terminal(
+        "send_goal", "arm/pick", "object_name: cup", "-f", url=tcp, env={"TERM": "dumb"}
+    )
+    assert shown.ends() == 0
+
+    assert shown.text.count("Feedback:") == 4
+
+
+# In this process
+
+
+def test_the_goal_comes_from_one_place(invoke: Invoke, tcp: str, tmp_path: Path) -> None:
+    file = tmp_path / "goal.yaml"
+    file.write_text("\ufefforder: 1\n", encoding="utf-8")
+
+    for result in (
+        invoke("send_goal", "fibonacci", "order: 1", url=tcp),
+        invoke("send_goal", "fibonacci", "--goal-file", str(file), url=tcp),
+        invoke("send_goal", "fibonacci", "--stdin", input="order: 1\n", url=tcp),
+    ):
+        assert result.exit_code == 0
+        assert "Goal finished with status: SUCCEEDED" in result.output
+    twice = invoke("send_goal", "fibonacci", "order: 1", "--stdin", input="", url=tcp)
+    assert twice.exit_code == ExitCode.USAGE
+    assert "the goal is given twice" in twice.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["fibonacci", "order: x"], 'Error: goal.order must be a whole number, not "x"'),
+        (["fibonacci"], "Error: goal.order is missing"),
+        (["fibonacci", "ordr: 1"], 'Error: goal has no field "ordr"; did you mean order?'),
+        (["fibonacci", "{order: 1"], "Error: the goal is not valid YAML (line 1, column "),
+        (["fibonacci", '{"order": 99999999999999999999}'], "Error: the goal cannot be sent: "),
+        (["words", '{"words": "\\ud800"}'], "Error: the goal cannot be sent: "),
+        (
+            ["fibonacci", "x/action/Y", "order: 1"],
+            "Error: the action /fibonacci is of the type arduinobot_msgs/action/Fibonacci, not x/",
+        ),
+        (["fibonacci", "a/action/B", "order: 1", "more"], "'more' is too much after NAME"),
+        (["fibonacci", "--goal-file", "/nowhere"], "Error: /nowhere: No such file"),
+        (["fibonacci", "order: 1", "--detach", "-f"], "--detach does not wait for feedback"),
+        (["fibonacci", "order: 1", "-t", "0"], "0 is not in the range"),
+    ],
+)
+def test_what_cannot_be_sent_is_one_sentence(
+    invoke: Invoke, tcp: str, arguments: list[str], text: str
+) -> None:
+    result = invoke("send_goal", *arguments, url=tcp)
+
+    assert result.exit_code == ExitCode.USAGE
+    assert text in result.stderr
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
+
+
+def test_a_file_that_is_no_text_is_one_sentence(invoke: Invoke, tcp: str, tmp_path: Path) -> None:
+    file = tmp_path / "goal.yaml"
+    file.write_bytes(b"\xff")
+
+    by_file = invoke("send_goal", "fibonacci", "--goal-file", str(file), url=tcp)
+    by_stdin = invoke("send_goal", "fibonacci", "--stdin", input=b"\xff", url=tcp)
+
+    assert by_file.stderr.startswith(f"Error: {file} is not UTF-8 text: ")
+    assert by_stdin.stderr.startswith("Error: stdin is not UTF-8 text: ")
+    assert by_file.exit_code == by_stdin.exit_code == ExitCode.USAGE
+
+
+def test_a_misspelt_action_suggests_the_near_one(invoke: Invoke, tcp: str) -> None:
+    result = invoke("send_goal", "fibonaci", "order: 1", url=tcp)
+
+    assert result.exit_code == ExitCode.UNREACHABLE
+    assert result.stderr == "Error: nobody serves the action /fibonaci; did you mean /fibonacci?\n"
+
+
+def test_a_server_that_does_not_run_is_one_sentence(invoke: Invoke, nobody: str) -> None:
+    result = invoke("send_goal", "fibonacci", "order: 1", url=nobody)
+
+    assert result.exit_code == ExitCode.UNREACHABLE
+    assert result.stderr.startswith(f"Error: nobody listens at {nobody}")
+
+
+def test_a_type_that_the_server_does_not_say_is_not_checked(invoke: Invoke, tcp: str) -> None:
+    result = invoke("send_goal", "words", "a/action/B", url=tcp)
+
+    assert result.exit_code == 0
+    assert result.stderr == "the server of /words does not say its type, so it is not checked\n"
+
+
+def test_a_rejected_goal_says_why(invoke: Invoke, tcp: str) -> None:
+    words = invoke("send_goal", "arm/pick", "object_name: sun", url=tcp)
+    events = invoke("send_goal", "arm/pick", "object_name: sun", "--json", url=tcp)
+
+    assert words.exit_code == events.exit_code == ExitCode.REJECTED
+    assert words.output.endswith("Goal was rejected: the sun is too hot\n")
+    assert json.loads(events.output)["reason"] == "the sun is too hot"
+
+
+def test_an_aborted_goal_says_why(invoke: Invoke, tcp: str) -> None:
+    result = invoke("send_goal", "arm/pick", "object_name: ghost", url=tcp)
+
+    assert result.exit_code == ExitCode.ABORTED
+    assert result.output.endswith("Goal finished with status: ABORTED (there is no ghost)\n")
+
+
+def test_a_goal_whose_time_is_up_is_canceled(invoke: Invoke, tcp: str) -> None:
+    result = invoke("send_goal", "wait", "-t", "0.3", url=tcp)
+
+    assert result.exit_code == ExitCode.TIMED_OUT
+    assert result.stderr == "The goal has not ended within 0.3 s. Canceling goal...\n"
+    assert result.stdout.endswith("Goal finished with status: CANCELED (asked to stop)\n")
+
+
+def test_a_goal_that_ends_in_time_is_not_late(invoke: Invoke, tcp: str) -> None:
+    assert invoke("send_goal", "fibonacci", "order: 1", "-t", "50", url=tcp).exit_code == 0
+
+
+def test_a_goal_that_is_not_canceled_is_left_when_its_time_is_up(invoke: Invoke, tcp: str) -> None:
+    result = invoke("send_goal", "stubborn", "{seconds: 5}", "-t", "0.3", url=tcp)
+
+    assert result.exit_code == ExitCode.TIMED_OUT
+    assert "The server does not cancel it: it is never canceled\n" in result.stderr
+    assert result.stderr.endswith("was left, and may go on.\n")
+
+
+def test_a_server_that_is_silent_is_not_waited_for(invoke: Invoke) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        port = silent.getsockname()[1]
+        result = invoke("send_goal", "wait", "-t", "0.5", url=f"tcp://127.0.0.1:{port}")
+
+    assert result.exit_code == ExitCode.TIMED_OUT
+    assert result.stderr == "The server has not answered within 0.5 s.\n"
+
+
+def test_50_000_numbers_and_5_megabytes_are_cut_unless_all_is_wanted(
+    invoke: Invoke, tcp: str
+) -> None:
+    cut = invoke("send_goal", "many", "-f", url=tcp)
+    full = invoke("send_goal", "many", "-f", "--full", url=tcp)
+    events = invoke("send_goal", "many", "-f", "--json", url=tcp)
+
+    assert len(cut.output) < 5000
+    assert "- '... and 49872 more'\n" in cut.output
+    assert "... and 4999000 more characters\n" in cut.output
+    assert "    - 49999\n" in full.output
+    assert len(full.output) > 5_000_000
+    result = json.loads(events.output.splitlines()[-1])
+    assert len(result["result"]["text"]) == 5_000_000
+
+
+def test_detach_as_json_has_the_stamp_too(invoke: Invoke, tcp: str) -> None:
+    result = invoke("send_goal", "fibonacci", "order: 1", "--detach", "--json", url=tcp)
+
+    assert result.exit_code == 0
+    assert json.loads(result.output)["event"] == "accepted"
+    plain = invoke("send_goal", "fibonacci", "order: 1", "--detach", url=tcp)
+    assert len(plain.output) == 33
+
+
+# The keys and the clock, with a server that does as it is told
+
+
+def deciding() -> tuple[ScriptedServer[Wait, Progress, Waited], anyio.Event, anyio.Event]:
+    """A server that thinks about a goal until the second event; the first says that it does."""
+    asked, decide = anyio.Event(), anyio.Event()
+    server = ScriptedServer(WAIT, [Waited(1.0)])
+
+    async def think(_: Wait) -> None:
+        asked.set()
+        await decide.wait()
+
+    server._admission._on_goal = think
+    return server, asked, decide
+
+
+def waiting(**settings: Any) -> ActionServer[Wait, Progress, Waited]:
+    """A server whose goals take longer than a test."""
+    return ActionServer(WAIT, wait, **settings)
+
+
+async def send_here(*, timeout: float | None = None) -> int:
+    """Send a goal to the server of a test."""
+    with anyio.fail_after(20):
+        return await send("inproc://keys", "wait", "", "", SendOptions(timeout=timeout))
+
+
+@asynccontextmanager
+async def sent_here() -> AsyncGenerator[list[int], None]:
+    """Sends a goal to the server of a test, and at the end of the block waits until the command has
+    ended; its exit code is then in the list.
+    """
+    codes: list[int] = []
+
+    async def run() -> None:
+        codes.append(await send_here())
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(run)
+        yield codes
+
+
+@asynccontextmanager
+async def executing(server: ActionServer[Any, Any, Any]) -> AsyncGenerator[list[int], None]:
+    """As `sent_here`, with the server as well; the block begins when it executes the goal."""
+    async with serve(server, "inproc://keys"), sent_here() as codes:
+        await until(server, GoalStatus.EXECUTING)
+        yield codes
+
+
+async def until(server: ActionServer[Any, Any, Any], status: GoalStatus) -> None:
+    """Wait until a goal of the server has this status."""
+    with await server.status() as statuses, anyio.fail_after(20):
+        while (info := await statuses.receive()) and info.status is not status:
+            pass
+    assert info is not None
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("presses", [1, 2])
+async def test_ctrl_c_before_the_answer_withdraws_the_goal(
+    presses: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(send_goal, "SAME_SIGNAL", 0)
+    server, asked, decide = deciding()
+    withdrawn = anyio.Event()
+    cancel_goals = server.cancel_goals
+
+    async def cancel(goal_id: GoalID | None = None, stamp: int | None = None) -> CancelAnswer:
+        withdrawn.set()
+        return await cancel_goals(goal_id, stamp)  # which waits for the decision
+
+    monkeypatch.setattr(server, "cancel_goals", cancel)
+    async with serve(server, "inproc://keys"):
+        async with sent_here() as codes:
+            await asked.wait()
+            signal.raise_signal(signal.SIGINT)
+            await withdrawn.wait()
+            if presses == 1:
+                decide.set()
+            else:
+                signal.raise_signal(signal.SIGINT)
+        decide.set()
+
+    assert codes == [ExitCode.CANCELED]
+    assert "canceled before the server had accepted it" in capsys.readouterr().err
+
+
+@pytest.mark.asyncio
+async def test_ctrl_c_twice_leaves_a_goal_that_is_not_canceled(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(send_goal, "SAME_SIGNAL", 0)
+    server = waiting(interrupt_on_cancel=False, shutdown_timeout=0)
+
+    async with executing(server) as codes:
+        signal.raise_signal(signal.SIGINT)
+        await until(server, GoalStatus.CANCELING)
+        signal.raise_signal(signal.SIGINT)
+
+    assert codes == [ExitCode.INTERRUPTED]
+    assert "Canceling goal..." in capsys.readouterr().err
+
+
+@pytest.mark.asyncio
+async def test_ctrl_c_twice_leaves_a_goal_whose_cancel_is_not_answered(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(send_goal, "SAME_SIGNAL", 0)
+    server = waiting()
+    asked = anyio.Event()
+
+    async def ask(*_: object) -> None:
+        asked.set()
+        await anyio.sleep_forever()
+
+    monkeypatch.setattr(server, "cancel_goals", ask)
+    async with executing(server) as codes:
+        signal.raise_signal(signal.SIGINT)
+        await asked.wait()
+        signal.raise_signal(signal.SIGINT)
+
+    assert codes == [ExitCode.INTERRUPTED]
+    asking, left = capsys.readouterr().err.splitlines()
+    assert asking.startswith("Canceling goal...")
+    assert left.endswith("was left, and may go on.")
+
+
+@pytest.mark.asyncio
+async def test_ctrl_c_twice_within_a_moment_is_once_and_cancels(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(send_goal, "SAME_SIGNAL", math.inf)
+    server = waiting()
+    cancel_goals = server.cancel_goals
+
+    async def cancel(goal_id: GoalID | None = None, stamp: int | None = None) -> CancelAnswer:
+        await anyio.wait_all_tasks_blocked()  # so that the second signal comes first
+        return await cancel_goals(goal_id, stamp)
+
+    monkeypatch.setattr(server, "cancel_goals", cancel)
+    async with executing(server) as codes:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.raise_signal(number)
+
+    assert codes == [ExitCode.CANCELED]
+    assert "was left" not in capsys.readouterr().err
+
+
+@pytest.mark.asyncio
+async def test_a_goal_that_is_not_answered_in_time_is_withdrawn(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(send_goal, "TIMEOUT", 0.05)
+    server, _, decide = deciding()
+
+    async with serve(server, "inproc://keys"):
+        code = await send_here(timeout=0.1)
+        decide.set()
+
+    assert code == ExitCode.TIMED_OUT
+    assert "The server has not accepted the goal within 0.1 s." in capsys.readouterr().err
+
+
+@pytest.mark.asyncio
+async def test_ctrl_c_before_anything_was_sent_ends_as_shells_expect(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked = anyio.Event()
+
+    async def never(*_: object) -> None:
+        asked.set()
+        await anyio.sleep_forever()
+
+    monkeypatch.setattr(send_goal, "find_action", never)
+
+    async with sent_here() as codes:
+        await asked.wait()
+        signal.raise_signal(signal.SIGTERM)
+
+    assert codes == [ExitCode.INTERRUPTED]
+
+
+@pytest.mark.asyncio
+async def test_a_goal_that_does_not_end_after_its_cancel_is_left(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(send_goal, "TIMEOUT", 0.05)
+    server = waiting(interrupt_on_cancel=False, shutdown_timeout=0)
+
+    async with serve(server, "inproc://keys"):
+        code = await send_here(timeout=0.1)
+
+    assert code == ExitCode.TIMED_OUT
+    assert "was left, and may go on." in capsys.readouterr().err
+
+
+async def silent(*_: object) -> None:
+    await anyio.sleep_forever()
+
+
+@pytest.mark.asyncio
+async def test_a_goal_whose_cancel_is_not_answered_is_left_as_soon_as_others(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(send_goal, "TIMEOUT", 0.05)
+    server = waiting()
+
+    async with serve(server, "inproc://keys"):
+        monkeypatch.setattr(server, "cancel_goals", silent)
+        code = await send_here(timeout=0.1)
+
+    assert code == ExitCode.TIMED_OUT
+    assert "was left, and may go on." in capsys.readouterr().err
+
+
+@pytest.mark.asyncio
+async def test_a_cancel_that_cannot_be_sent_is_told_of(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = waiting()
+
+    async with serve(server, "inproc://keys"):
+        monkeypatch.setattr(type(server), "cancel_goals", lost)
+        code = await send_here(timeout=0.1)
+
+    assert code == ExitCode.TIMED_OUT
+    assert "It could not be canceled: nobody listens: start the server\n" in capsys.readouterr().err
+
+
+async def lost(*_: object) -> None:
+    raise ServerNotFound("nobody listens: start the server, or wait for it with wait_for_server()")
+
+
+async def closed(*_: object, **__: object) -> None:
+    raise BrokenPipeError
+
+
+@pytest.mark.asyncio
+async def test_an_output_that_is_closed_cancels_the_goal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    server = waiting()
+    monkeypatch.setattr(send_goal, "print_goal", closed)
+    async with serve(server, "inproc://keys"):
+        with pytest.raises(BrokenPipeError):
+            await send_here()
+        with await server.status() as statuses, anyio.fail_after(20):
+            while (info := await statuses.receive()) and info.status.is_active:
+                pass
+
+    assert info is not None
+    assert info.status is GoalStatus.CANCELED
+
+
+@pytest.mark.asyncio
+async def test_an_output_that_is_closed_does_not_wait_for_a_server_that_is_silent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(send_goal, "TIMEOUT", 0.05)
+    monkeypatch.setattr(send_goal, "print_goal", closed)
+    server = waiting()
+
+    async with serve(server, "inproc://keys"):
+        monkeypatch.setattr(server, "cancel_goals", silent)
+        with pytest.raises(BrokenPipeError):
+            await send_here()
+
+
+def test_a_goal_for_an_action_without_schemas_is_sent_as_it_is() -> None:
+    info = Action("any", goal=object, feedback=int, result=str).info
+
+    assert send_goal.goal_for(info, "", "{a: 1}") == {"a": 1}
+    with pytest.raises(Failure):
+        send_goal.goal_for(WAIT.info, "a/action/B", "")

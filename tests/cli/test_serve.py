@@ -1,0 +1,184 @@
+"""`serve`: as a process that gets signals, and piece by piece in this one."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import signal
+import socket
+import subprocess
+from contextlib import suppress
+from pathlib import Path
+from signal import SIGINT, SIGTERM
+from threading import Thread
+
+import pytest
+
+from fibaction import ActionServer, connect
+from fibaction.cli import serve
+from fibaction.cli.exit_codes import ExitCode
+from fibaction.cli.signals import SAME_SIGNAL
+from tests.cli.conftest import Invoke, Open, Run, Start, eventually
+from tests.fibonacci import FIBONACCI, fibonacci
+from tests.processes import ended, lines_until
+
+# serve, as a process
+
+
+@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
+def test_serve_runs_servers_at_several_urls_until_a_signal_comes(
+    folder: Path, started: Start, fibaction: Run, number: signal.Signals
+) -> None:
+    unix = f"unix://{folder}/socket"
+    server = started("serve", "robot:several", "tcp://127.0.0.1:0", unix)
+    (said,) = lines_until("serving", server)
+    match = re.fullmatch(
+        rf"serving /count, /arm/tell at (tcp://127.0.0.1:\d+), {unix}, Ctrl-C stops it\n", said
+    )
+    assert match
+    for url in (match[1], unix):
+        assert fibaction("list", url=url).lines == ["/arm/tell", "/count"]
+    assert fibaction("send_goal", "count", "3", url=unix).code == ExitCode.SUCCEEDED
+    assert fibaction("send_goal", "count", "-- -3", url=unix).code == ExitCode.USAGE
+    client = started("send_goal", "count", "100", "-f", url=match[1])
+    lines_until("99", client)
+    server.send_signal(number)
+    code, out, _ = ended(client)
+    assert (code, out.splitlines()[-1]) == (
+        1,
+        "Goal finished with status: ABORTED (server stopped)",
+    )
+    code, _, log = ended(server)
+
+    assert code == 0
+    changes = re.findall(r"^\d.* goal \w{32} of action 'count': (\w+)$", log, re.MULTILINE)
+    assert changes == ["ACCEPTED", "EXECUTING", "SUCCEEDED", "ACCEPTED", "EXECUTING", "ABORTED"]
+    assert "action server 'arm/tell' has stopped" in log
+    assert "Traceback" not in log
+
+
+def test_the_usual_url_is_the_default(folder: Path, started: Start, fibaction: Run) -> None:
+    unix = f"unix://{folder}/socket"
+    server = started("serve", "robot:server", url=unix)
+
+    assert lines_until("", server) == [f"serving /count at {unix}, Ctrl-C stops it\n"]
+    assert fibaction("list", url=unix).lines == ["/count"]
+
+
+@pytest.mark.parametrize(
+    ("order", "sign"),
+    [
+        ("666", "it does not want to go"),
+        ("667", "it does not want to go"),
+        ("668", "action server 'count' has stopped"),
+    ],
+    ids=["a clean-up takes long", "a clean-up holds the event loop up", "a thread is left over"],
+)
+def test_a_second_ctrl_c_ends_at_once_and_quietly(
+    folder: Path, terminal: Open, fibaction: Run, order: str, sign: str
+) -> None:
+    unix = f"unix://{folder}/socket"
+    server = terminal("serve", "robot:server", unix)
+    server.until("Ctrl-C stops it")
+    assert fibaction("send_goal", "count", order, "--detach", url=unix).code == 0
+    server.press("\x03")
+    server.until(sign)
+    # Ctrl-C twice within a moment would count as one.
+    while server.process.poll() is None:
+        server.press("\x03")
+        with suppress(subprocess.TimeoutExpired):
+            server.process.wait(SAME_SIGNAL)
+
+    server.ends()
+    assert server.process.returncode == -SIGINT
+    assert not re.search("Traceback|Exception|Interrupt", server.text)
+
+
+# serve, in this process
+
+
+def test_a_wrong_module_is_one_sentence_of_a_process(folder: Path, fibaction: Run) -> None:
+    code, out, err = fibaction("serve", "robt:server")
+
+    assert (code, out) == (2, "")
+    assert err == "Error: there is no module 'robt'; did you mean robot?\n"
+
+
+def test_a_used_address_is_one_sentence_and_nothing_else(folder: Path, invoke: Invoke) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as used:
+        url = f"tcp://127.0.0.1:{used.getsockname()[1]}"
+        result = invoke("serve", "robot:make", url)
+
+    assert result.exit_code == ExitCode.USAGE
+    assert result.stderr.startswith("Error: ")
+    assert url in result.stderr
+    assert result.output.count("\n") == 1
+
+
+def test_ctrl_c_during_the_import_is_an_interruption(folder: Path, invoke: Invoke) -> None:
+    (folder / "slow.py").write_text("raise KeyboardInterrupt\n")
+
+    assert invoke("serve", "slow:server").exit_code == ExitCode.INTERRUPTED
+
+
+def test_a_url_that_cannot_be_served_at_is_one_sentence(folder: Path, invoke: Invoke) -> None:
+    result = invoke("serve", "robot:make", "tcp://0.0.0.0:0")
+
+    assert result.exit_code == ExitCode.USAGE
+    assert "can be reached from other machines" in result.stderr
+    assert "?insecure=true in the URL" in result.stderr
+
+
+def test_urls_of_this_process_alone_are_rejected(
+    folder: Path, started: Start, invoke: Invoke
+) -> None:
+    for result in (
+        invoke("serve", "robot:server", "inproc://robot"),
+        invoke("serve", "robot:server", "inproc://one", "inproc://two", "--reload"),
+        invoke("serve", "robot:server", url="inproc://robot"),
+    ):
+        assert result.exit_code == ExitCode.USAGE
+        assert "is for clients in the process of the server" in result.stderr
+    both = started("serve", "robot:server", f"unix://{folder}/socket", "inproc://robot")
+    assert lines_until("", both) == [
+        f"serving /count at unix://{folder}/socket, inproc://robot, Ctrl-C stops it\n"
+    ]
+
+
+def test_a_signal_ends_it_with_code_0_and_the_log_is_as_before(
+    folder: Path, invoke: Invoke
+) -> None:
+    root = logging.getLogger()
+    before = (root.level, root.handlers[:])
+
+    def stop_it() -> None:
+        eventually((folder / "socket").exists)
+        os.kill(os.getpid(), SIGTERM)
+
+    thread = Thread(target=stop_it)
+    thread.start()
+    result = invoke("serve", "robot:make", f"unix://{folder}/socket")
+    thread.join()
+
+    assert result.exit_code == 0
+    assert result.stdout == f"serving /arm/tell at unix://{folder}/socket, Ctrl-C stops it\n"
+    assert "action server 'arm/tell' has stopped" in result.stderr
+    assert (root.level, root.handlers) == before
+
+
+@pytest.mark.asyncio
+async def test_each_change_of_a_goal_is_logged_and_that_it_is_forgotten_is_not(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    server = ActionServer(FIBONACCI, fibonacci, result_timeout=0)
+    with caplog.at_level(logging.INFO, serve.__name__):
+        async with serve.served([server], f"unix://{tmp_path}/socket") as (url,):
+            async with connect(url, FIBONACCI) as client:
+                await client.call(FIBONACCI.goal.type(3))
+
+    assert [
+        message.rpartition(": ")[2]
+        for name, _, message in caplog.record_tuples
+        if name == serve.__name__
+    ] == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]

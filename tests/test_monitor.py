@@ -1,0 +1,204 @@
+"""The state of all actions, gathered from events and from real servers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+import pytest
+
+import fibaction._action_listener
+from fibaction import ActionInfo, CancelCode, ConnectionLost, GoalID, GoalInfo, GoalStatus
+from fibaction import monitor as monitor_module
+from fibaction.events import GoalFeedback
+from fibaction.monitor import ActionSnapshot, AnyClient, GoalKey, GoalSnapshot, Monitor
+from tests.cli.served import Heard, Served, counter
+
+ID = GoalID(b"\x01" * 16)
+OTHER = GoalID(b"\x02" * 16)
+KEY = GoalKey("one", ID)
+ONE = ActionInfo("one")
+
+
+def info(status: int, *, goal_id: GoalID = ID, stamp: int = 1, count: int = 0) -> GoalInfo:
+    return GoalInfo(goal_id, stamp, GoalStatus(status), count)
+
+
+def feedback(number: int) -> GoalFeedback[int]:
+    return GoalFeedback(ID, number, number * 10)
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(monitor_module, "PERIOD", 0.02)
+    monkeypatch.setattr(fibaction._action_listener, "PERIOD", 0.02)
+
+
+@pytest.fixture
+def monitor() -> Monitor:
+    """A monitor that knows an action, and whose clock advances a second at each snapshot."""
+    seconds = iter(range(1000))
+    monitor = Monitor(clock=lambda: next(seconds))
+    monitor.on_actions([ONE], "")
+    return monitor
+
+
+def the_goal(monitor: Monitor) -> GoalSnapshot:
+    (goal,) = monitor.snapshot().goals
+    return goal
+
+
+def the_action(monitor: Monitor) -> ActionSnapshot:
+    (action,) = monitor.snapshot().actions
+    return action
+
+
+def test_goals_appear_change_and_are_forgotten(monitor: Monitor) -> None:
+    monitor.on_event("one", info(1))
+    monitor.on_event("one", info(2))
+    assert the_goal(monitor).key == KEY
+    assert the_goal(monitor).info.status is GoalStatus.EXECUTING
+    monitor.on_event("one", info(0))
+    monitor.on_event("one", info(0))
+
+    assert not monitor.snapshot().goals
+    assert monitor.goal(KEY) is None
+
+
+def test_an_older_status_does_not_replace_a_newer_one(monitor: Monitor) -> None:
+    monitor.on_event("one", GoalInfo(ID, 1, GoalStatus.SUCCEEDED, 5, "me"))
+    monitor.on_event("one", info(2, count=3))
+
+    assert the_goal(monitor).info == GoalInfo(ID, 1, GoalStatus.SUCCEEDED, 5, "me")
+
+
+def test_feedback_is_counted_by_its_numbers(monitor: Monitor) -> None:
+    monitor.on_event("one", info(2))
+    monitor.on_event("one", feedback(7))  # the first that arrives here
+    monitor.snapshot()
+    for number in (8, 10, 12):
+        monitor.on_event("one", feedback(number))
+    snapshot = monitor.snapshot()
+
+    goal = snapshot.goals[0]
+    assert goal == monitor.goal(KEY)
+    assert goal.info.feedback_count == 12
+    assert goal.feedback_rate == snapshot.actions[0].feedback_rate == 5.0
+    assert goal.latest == 120
+    monitor.on_event("one", GoalFeedback(OTHER, 1, 0))  # of an unknown goal
+
+
+def test_feedback_is_summarized_once_per_snapshot() -> None:
+    summarized: list[Any] = []
+
+    def summarize(value: Any) -> str:
+        summarized.append(value)
+        return str(value)
+
+    monitor = Monitor(summarize=summarize)
+    monitor.on_actions([ONE], "")
+    monitor.on_event("one", info(2))
+    for number in (1, 2):
+        monitor.on_event("one", feedback(number))
+
+    assert the_goal(monitor).latest == the_goal(monitor).latest == "20"
+    assert summarized == [20]
+
+
+def test_a_rate_is_that_of_the_last_seconds() -> None:
+    rate = monitor_module._Rate()
+    assert rate.per_second == 0
+    rate.sample(0)
+    rate.sample(0)
+    assert rate.per_second == 0
+    rate.count = 1000
+    for second in range(1, 20):
+        rate.sample(second)
+    assert rate.per_second == 0
+    rate.count += 10
+    rate.sample(20)
+    assert rate.per_second == pytest.approx(2.0)
+
+
+def test_active_goals_come_first_then_the_newest(monitor: Monitor) -> None:
+    for number, (status, stamp) in enumerate([(4, 5), (2, 1), (6, 9), (2, 3)]):
+        monitor.on_event("one", info(status, goal_id=GoalID(bytes([number] * 16)), stamp=stamp))
+
+    assert [goal.info.stamp for goal in monitor.snapshot(3).goals] == [3, 1, 9]
+    assert (the_action(monitor).active, the_action(monitor).ended) == (2, 2)
+
+
+def test_an_action_and_a_server_are_away_until_they_are_back(monitor: Monitor) -> None:
+    client = Served(counter("one")).connection.client(counter("one").action)
+    monitor.on_action_lost("one", "stopped")
+    monitor.on_action_lost("unheard", "of")
+    monitor.on_actions(None, "silent")
+    assert (the_action(monitor).away, monitor.snapshot().away) == ("stopped", "silent")
+    monitor.on_action_found(ONE, client)
+    monitor.on_actions([], "")
+
+    assert (the_action(monitor).away, monitor.snapshot().away) == ("", "")
+
+
+class ReportingMonitor(Monitor):
+    """A monitor that reports each event and each refresh to a test."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard = Heard()
+
+    def on_action_found(self, info: ActionInfo, client: AnyClient) -> None:
+        super().on_action_found(info, client)
+        self.heard(info.name)
+
+    def on_event(self, action: str, event: GoalInfo | GoalFeedback[Any]) -> None:
+        super().on_event(action, event)
+        self.heard(type(event).__name__)
+
+    async def _refresh_goals(self, action: str, client: AnyClient) -> None:
+        await super()._refresh_goals(action, client)
+        self.heard("refreshed")
+
+
+@pytest.mark.asyncio
+async def test_it_follows_real_servers_and_forgets_what_they_have_forgotten() -> None:
+    monitor, server = ReportingMonitor(), counter("one")
+    served = Served(server, counter("not_started"))
+    async with server, anyio.create_task_group() as tasks:
+        tasks.start_soon(monitor.run, served.connection)
+        await monitor.heard.until(lambda all: "one" in all)
+        await served.connection.client(server.action).send_goal(1, goal_id=ID)
+        await monitor.heard.until(lambda all: "GoalFeedback" in all)
+        monitor.on_event("one", info(2, goal_id=OTHER))  # of a server before a restart
+        monitor.on_actions([ONE, ActionInfo("unfollowed")], "")
+        monitor.heard.clear()
+        await monitor.heard.until(lambda all: all.count("refreshed") > 1)
+        answer = await monitor.cancel(KEY)
+        tasks.cancel_scope.cancel()
+
+    assert answer.return_code is CancelCode.NONE
+    assert the_goal(monitor).key == KEY
+
+
+@pytest.mark.asyncio
+async def test_a_server_that_cannot_be_asked_keeps_its_goals(
+    monitor: Monitor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = counter("one")
+    asked = anyio.Event()
+
+    async def lost(*_: object) -> None:
+        asked.set()
+        raise ConnectionLost("the line is dead")
+
+    monkeypatch.setattr(server, "status", lost)
+    monitor.on_action_found(ONE, Served(server).connection.client(server.action))
+    monitor.on_event("one", info(2))
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(monitor._refresh)
+        with anyio.fail_after(5):
+            await asked.wait()
+            await anyio.wait_all_tasks_blocked()
+        tasks.cancel_scope.cancel()
+
+    assert the_goal(monitor).key == KEY
