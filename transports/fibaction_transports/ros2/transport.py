@@ -9,8 +9,8 @@ from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from fibaction.abc import Connection, Endpoint, Transport
-from fibaction.exceptions import TransportError
-from fibaction.urls import without_settings
+from fibaction.exceptions import InvalidURL, TransportError
+from fibaction.urls import check_settings, unknown_setting, without_settings
 from fibaction_transports.ros2.calling import connected
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import (
@@ -21,6 +21,16 @@ from fibaction_transports.ros2.node import (
     users_node,
 )
 from fibaction_transports.ros2.serving import Plan, served
+
+_NAMES = (
+    "namespace",
+    "domain_id",
+    "arguments",
+    "node",
+    "feedback_depth",
+    "discovery_timeout",
+)
+"""The settings that are given by name."""
 
 
 class Ros2Transport(Transport):
@@ -78,7 +88,7 @@ class Ros2Transport(Transport):
         Behind `?`: `namespace`, `domain_id`, `feedback_depth`, `discovery_timeout`.
 
         Raises:
-            TransportError: The URL is another one.
+            InvalidURL: The URL is another one.
             TypeError: There is no such setting.
         """
         where = without_settings(url)
@@ -86,14 +96,15 @@ class Ros2Transport(Transport):
             parts = urlsplit(url)
             if parts.path.strip("/") or "#" in url:
                 what = "part behind #" if "#" in url else "path"
-                raise TransportError(
+                raise InvalidURL(
                     f"{where} has a {what}, and the URL of ROS is like"
                     f" ros2://node_name?namespace=/robot1&domain_id=7"
                 )
+            check_settings(cls.__name__, settings, _NAMES)
             found = _settings(where, parse_qsl(parts.query, keep_blank_values=True))
             return cls(parts.netloc or None, **{**found, **settings})
         except ValueError as exc:
-            raise TransportError(f"{where}: {exc}") from exc
+            raise InvalidURL(f"{where}: {exc}") from exc
 
     @property
     def url(self) -> str:
@@ -152,7 +163,7 @@ def _settings(where: str, query: list[tuple[str, str]]) -> dict[str, Any]:
     """The settings in a URL, of their types; `where` is the rest of it, for errors.
 
     Raises:
-        TransportError: There is no such setting, or it is there twice, or of another type.
+        InvalidURL: There is no such setting, or it is there twice, or of another type.
     """
     kinds = {
         "namespace": str,
@@ -163,11 +174,11 @@ def _settings(where: str, query: list[tuple[str, str]]) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     for name, text in query:
         if name not in kinds:
-            raise TransportError(f"{where} has no setting {name!r}; there is {', '.join(kinds)}")
+            raise InvalidURL(unknown_setting(where, name, kinds))
         if name in settings:
-            raise TransportError(f"{where} has a setting twice: say it once")
+            raise InvalidURL(f"{where}: setting given twice")
         try:
             settings[name] = kinds[name](text)
         except ValueError:
-            raise TransportError(f"{where}: the setting {name!r} cannot be {text!r}") from None
+            raise InvalidURL(f"{where}: the setting {name!r} cannot be {text!r}") from None
     return settings
