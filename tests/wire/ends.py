@@ -38,7 +38,7 @@ from fibaction.wire.messages import (
     decode_from_server,
 )
 from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
-from fibaction.wire.wire_server import WireServer
+from fibaction.wire.wire_server import WireServer, open_server
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.wire import memory
