@@ -24,7 +24,9 @@ from fibaction_transports.ros2.node import (
     users_node,
 )
 from fibaction_transports.ros2.rcl import (
+    Context,
     InvalidHandle,
+    SingleThreadedExecutor,
     check_for_type_support,
     qos,
     raw,
@@ -33,6 +35,7 @@ from fibaction_transports.ros2.rcl import (
     waitable,
 )
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.ros2.stock.telling import spin
 
 pytestmark = pytest.mark.anyio
 
@@ -310,6 +313,48 @@ async def test_an_error_in_the_thread_is_logged_and_told(
         assert "the thread of rclpy has ended: KeyError: 'mine'" in str(ros.error)
     assert caplog.records[-1].levelno == logging.ERROR
     assert threads() == set()
+
+
+async def test_a_shutdown_between_two_waits_of_rclpy_is_a_shutdown_and_not_an_error(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    told = anyio.Event()
+    async with own_node(NodeSettings()) as ros:
+        ros.on_loss(lambda error: told.set())
+        shut_down_before_the_next_wait(monkeypatch, ros.node.context)
+        ros.wake()
+        with anyio.fail_after(5):
+            await told.wait()
+        assert str(ros.error) == "rclpy was shut down"
+    assert [record for record in caplog.records if record.levelno >= logging.WARNING] == []
+    assert threads() == set()
+
+
+async def test_a_thread_that_spins_a_users_node_ends_if_rclpy_is_shut_down_between_two_waits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    context = Context()
+    rclpy.init(args=[], context=context)
+    executor = SingleThreadedExecutor(context=context)
+    node = rclpy.create_node("mine", context=context)
+    executor.add_node(node)
+    async with users_node(node):
+        shut_down_before_the_next_wait(monkeypatch, context)
+        with anyio.fail_after(5):
+            await anyio.to_thread.run_sync(spin, executor)
+    executor.shutdown()
+    node.destroy_node()
+
+
+def shut_down_before_the_next_wait(monkeypatch: pytest.MonkeyPatch, context: Any) -> None:
+    """Shut ROS down after rclpy has looked whether it is up, and before it makes its wait set."""
+    count = Intake.get_num_entities
+
+    def shut_down_and_count(self: Intake) -> Any:
+        context.try_shutdown()
+        return count(self)
+
+    monkeypatch.setattr(Intake, "get_num_entities", shut_down_and_count)
 
 
 async def test_a_handle_that_ros_does_not_allow_is_a_transport_error(ros: RosNode) -> None:

@@ -213,8 +213,12 @@ class Spinner:
         except ExternalShutdownException:
             pass
         except BaseException as exc:
-            reason = f"the thread of rclpy has ended: {type(exc).__name__}: {exc}"
-            logger.error("%s", reason, exc_info=exc)
+            # If ROS is shut down between rclpy's look whether it is up and its next wait, rclpy
+            # raises whatever rcl says. With rclpy's own handlers of signals, Ctrl-C does that to
+            # all contexts of the process, this one included.
+            if self._context.ok():
+                reason = f"the thread of rclpy has ended: {type(exc).__name__}: {exc}"
+                logger.error("%s", reason, exc_info=exc)
         if not self._stop.done():
             self._on_end(reason)
 
