@@ -125,7 +125,7 @@ def test_a_client_says_in_one_line_that_nobody_serves() -> None:
     code, out, err = ended(client)
 
     assert (code, out) == (6, "goal      order 10\n")
-    assert err.startswith("error: nobody serves the action 'fibonacci' in ROS: ")
+    assert err.startswith("error: no server of the action 'fibonacci' in ROS: ")
     assert f"/{name}/fibonacci" in err
     assert len(err.splitlines()) == 1
 

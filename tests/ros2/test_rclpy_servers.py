@@ -307,7 +307,7 @@ async def test_a_server_that_is_not_there_is_not_found() -> None:
             await nobody.wait_for_server(0.3)
         assert 0.3 <= perf_counter() - start < 1.5
 
-        with pytest.raises(ServerNotFound, match="nobody serves the action 'nobody'"):
+        with pytest.raises(ServerNotFound, match="no server of the action 'nobody' in ROS"):
             await nobody.send_goal(Goal(1))
 
 

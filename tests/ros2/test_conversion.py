@@ -28,8 +28,8 @@ from fibaction import Action, ActionServer, GoalHandle, connect, serve
 from fibaction.action import ActionInfo
 from fibaction.exceptions import ProtocolError, TransportError
 from fibaction_transports.ros2.arrays import LARGE, pack, unpack
-from fibaction_transports.ros2.messages import RosAction, RosCodec, RosCodecs, message_types
-from fibaction_transports.ros2.mirror import message_kind
+from fibaction_transports.ros2.conversion import RosAction, RosCodec, RosCodecs, message_types
+from fibaction_transports.ros2.message_types import message_kind
 from fibaction_transports.ros2.schemas import Schema
 from tests.fibonacci import FIBONACCI
 
@@ -863,7 +863,7 @@ ROS_HAS = "the ROS type has"
             "an_int32",
             str | float | None,
             (
-                f"goal.an_int32: {ROS_HAS} int32, which is none of what the action has:"
+                f"goal.an_int32: {ROS_HAS} int32, and the action has none that matches:"
                 " a string, a float"
             ),
         ),
@@ -917,7 +917,7 @@ ROS_HAS = "the ROS type has"
             Cat | Dog,
             (
                 f"feedback.point: {ROS_HAS} the struct geometry_msgs/Point,"
-                " which is none of what the action has: a struct, a struct"
+                " and the action has none that matches: a struct, a struct"
             ),
         ),
         (
@@ -1123,7 +1123,7 @@ def refusal(type_name: str) -> str:
 def test_what_is_no_type_name_is_refused(name: str) -> None:
     assert refusal(name) == (
         "give the Action a type_name such as 'example_interfaces/action/Fibonacci', which ROS"
-        f" needs: {name!r} is no ROS action type"
+        f" needs: {name!r} is not a ROS action type"
     )
 
 
@@ -1132,7 +1132,7 @@ def test_the_action_that_has_no_type_is_named() -> None:
         RosAction.find("", "arm/dock")
     assert str(caught.value) == (
         "give the Action 'arm/dock' a type_name such as 'example_interfaces/action/Fibonacci',"
-        " which ROS needs: '' is no ROS action type"
+        " which ROS needs: '' is not a ROS action type"
     )
 
 
