@@ -4,17 +4,22 @@
     ├── GoalRejected          the server did not accept the goal
     ├── GoalAborted           the server ended the goal by itself
     ├── GoalCanceled          the goal ended because its cancel was accepted
-    ├── CancelRejected        the server refuses a cancel
-    ├── UnknownGoal           no such goal, or none any more
+    ├── CancelRejected        the server rejects a cancel
+    ├── UnknownGoal           the server does not know the goal, or not any longer
     ├── InvalidTransition     an event that a status does not allow: a bug in fibaction
-    ├── ProtocolError         a message that may not be sent like that
+    ├── ProtocolError         the peer sent an invalid message
+    │   └── InvalidMessage        this side's message is too large or malformed; it was not sent
     └── TransportError        the server could not be reached as asked
-        ├── ServerNotFound        there is none, or not for this action
-        ├── ConnectionLost        it was reached, and is not any more
-        └── AuthenticationFailed  it does not let this client in, or do that
+        ├── InvalidURL            the URL is malformed, or has settings that cannot be used
+        ├── ServerNotFound        the server is not there, or does not serve this action
+        ├── ConnectionLost        the connection ended
+        ├── AuthenticationFailed  the credentials or the permissions do not suffice
+        ├── LimitReached          a limit of the server or of the client is reached
+        └── ServerFailed          the server has a bug
 
-Data is in attributes (`reason`, `result`, `goal_id`), the text is one sentence.
-Nothing here knows of goals in progress, of transports or of tasks.
+Data is in attributes (`reason`, `result`, `goal_id`), the text is one sentence. Nothing here knows
+goals in progress, transports or tasks. The number of each error on the wire is in
+`fibaction.wire.errors`.
 """
 
 from __future__ import annotations
@@ -29,19 +34,19 @@ if TYPE_CHECKING:
 class ActionError(Exception):
     """The root: `except ActionError` catches all that fibaction raises on purpose.
 
-    Only what is wrong in the code that calls is not among it: `TypeError`, `ValueError`, and
-    `RuntimeError` for a server that is started twice.
+    Programming errors are not included: they raise `TypeError`, `ValueError`, or, for a server that
+    is started twice, `RuntimeError`.
     """
 
 
-class _Refusal(ActionError):
-    """An error with a reason, and the goal it is about once that is known."""
+class _GoalError(ActionError):
+    """An error with a reason, and with the ID of its goal once that is known."""
 
     what = "failed"
 
     def __init__(self, reason: str, *, goal_id: GoalID | None = None) -> None:
         super().__init__(reason)
-        # `GoalRejected(exc)` is easily written, and what is no text would stop on its way.
+        # `GoalRejected(exc)` is easily written, and only text can be sent.
         self.reason = str(reason)
         self.goal_id = goal_id
 
@@ -51,7 +56,7 @@ class _Refusal(ActionError):
         return f"goal {self.goal_id} {self.what}" + (f": {self.reason}" if self.reason else "")
 
 
-class GoalRejected(_Refusal):
+class GoalRejected(_GoalError):
     """The server did not accept the goal; `reason` says why. Nothing was run.
 
     Raise it in `on_goal` to reject; a client's `send_goal` raises it.
@@ -60,7 +65,7 @@ class GoalRejected(_Refusal):
     what = "was rejected"
 
 
-class GoalAborted(_Refusal):
+class GoalAborted(_GoalError):
     """The server ended the goal by itself; `reason` says why, `result` is what there was, or None.
 
     Raise it in an executor to abort with a partial result; a client's `result()` raises it.
@@ -73,7 +78,7 @@ class GoalAborted(_Refusal):
         self.result = result
 
 
-class GoalCanceled(_Refusal):
+class GoalCanceled(_GoalError):
     """The goal ended because its cancel was accepted; `result` is what there was, or None.
 
     Raise it in an executor that was asked to stop, to hand over a partial result; a client's
@@ -89,10 +94,11 @@ class GoalCanceled(_Refusal):
         self.result = result
 
 
-class CancelRejected(_Refusal):
-    """The server refuses a cancel; raise it in `on_cancel`. The goal goes on.
+class CancelRejected(_GoalError):
+    """The server rejects a cancel; raise it in `on_cancel`. The goal goes on.
 
-    No client gets it: `cancel` gives a `CancelAnswer` with `CancelCode.REJECTED` and the reason.
+    Clients do not get it: `cancel` returns a `CancelAnswer` with `CancelCode.REJECTED` and the
+    reason.
     """
 
     what = "cannot be canceled"
@@ -103,8 +109,8 @@ WHY_UNKNOWN = "it was never accepted, its result has expired, or the server was 
 
 
 class UnknownGoal(ActionError):
-    """The server knows no such goal: it was never accepted, its result has expired, or the server
-    was started anew.
+    """The server does not know the goal: it was never accepted, its result has expired, or the
+    server was started anew.
     """
 
     def __init__(self, goal_id: GoalID) -> None:
@@ -116,7 +122,7 @@ class UnknownGoal(ActionError):
 
 
 class InvalidTransition(ActionError):
-    """An event that a status does not allow: a bug in fibaction, not in what uses it."""
+    """An event that a status does not allow: a bug in fibaction, not in the code that uses it."""
 
     def __init__(self, status: GoalStatus, event: GoalEvent) -> None:
         super().__init__(status, event)
@@ -128,49 +134,70 @@ class InvalidTransition(ActionError):
 
 
 class ProtocolError(ActionError):
-    """The other side sent something that it may not send, or that is not of the agreed type.
+    """The peer sent an invalid message: one that it may not send, or that is not of its type.
 
-    A goal that is too large for the server is one, too: it is not sent. Where the fault ends the
-    connection, those who wait are told of it as `ConnectionLost`.
+    Over a connection it means that the peer does not speak this protocol, or another version of
+    it. fibaction does not connect again.
+    """
+
+
+class InvalidMessage(ProtocolError):
+    """This side's message is too large or malformed; it was not sent.
+
+    A goal that is larger than the server's limit is an example.
     """
 
 
 class TransportError(ActionError):
     """The server could not be reached as asked.
 
-    If it is none of those below: a URL, an address or the types of an action cannot be used,
-    something that the transport needs is not installed, or the server cannot answer this request,
-    since a limit is reached or the answer is larger than the client takes.
+    If it is none of those below: an address or the types of an action cannot be used, or a package
+    that the transport needs is not installed.
     """
 
 
-class ServerNotFound(TransportError):
-    """There is no such server, or it does not serve this action.
+class InvalidURL(TransportError):
+    """The URL is malformed, its scheme is unknown, or it has settings that cannot be used."""
 
-    Also if it did not come, or did not answer, in time, has stopped, or failed itself while
-    answering.
+
+class ServerNotFound(TransportError):
+    """The server is not there, or does not serve this action.
+
+    Also raised when the server did not answer in time, or has stopped.
     """
 
 
 class ConnectionLost(TransportError):
-    """The connection ended while something was waited for; goals may run on at the server.
-
-    Also if it ended before it was of use: the server is full, or the two do not speak the same.
-    """
+    """The connection ended while something was waited for; goals may run on at the server."""
 
 
 class AuthenticationFailed(TransportError):
-    """The server did not accept the credentials, or the client not the server's.
+    """The server did not accept the client's credentials, or the client those of the server.
 
-    Also for a single request, where the server lets the client in and does not allow it that.
-    fibaction does not try again by itself.
+    Also raised for a single request that the server does not permit to this client. fibaction does
+    not try again by itself.
+    """
+
+
+class LimitReached(TransportError):
+    """A limit of the server or of the client is reached.
+
+    Examples are a server that is full, too many requests at once, and an answer that is larger than
+    the client accepts.
+    """
+
+
+class ServerFailed(TransportError):
+    """The server has a bug: an endpoint or a callback raised an error that it may not raise.
+
+    The text names the type of that error. Its traceback is in the server's log.
     """
 
 
 def text_of(exc: BaseException) -> str:
-    """What somebody else's code has raised, in words: `ValueError: too far`.
+    """Return an error of foreign code as text, for example `ValueError: too far`.
 
-    An error that cannot say what it is has a name at least: it must not become another one.
+    If `str(exc)` itself raises, fall back to the name of the class.
     """
     try:
         return f"{type(exc).__name__}: {exc}"

@@ -9,7 +9,7 @@ import re
 from typing import Any
 
 from fibaction.abc import Transport
-from fibaction.exceptions import TransportError
+from fibaction.exceptions import InvalidURL, TransportError
 
 GROUP = "fibaction.transports"
 
@@ -33,14 +33,14 @@ def transport_for(where: str | Transport, **settings: Any) -> Transport:
     scheme, separator, _ = where.partition("://")
     if not separator:
         shown = without_settings(where)
-        raise TransportError(f"{shown!r} is no URL: write it like tcp://127.0.0.1:7400")
+        raise InvalidURL(f"{shown!r} is not a URL: write it like tcp://127.0.0.1:7400")
     from importlib.metadata import entry_points  # takes longer than all other imports
 
     found = tuple(entry_points(group=GROUP, name=scheme))
     if not found:
         known = ", ".join(sorted({f"{entry.name}://" for entry in entry_points(group=GROUP)}))
-        raise TransportError(
-            f"no transport for {scheme}:// is installed; there is {known or 'none at all'}"
+        raise InvalidURL(
+            f"no transport for {scheme}:// is installed; installed are {known or 'none at all'}"
         )
     try:
         transport: type[Transport] = found[0].load()

@@ -88,7 +88,7 @@ def test_an_unknown_scheme_is_refused_and_the_known_ones_are_told(install: Insta
     with pytest.raises(TransportError) as caught:
         transport_for("raven://tower")
     assert str(caught.value) == (
-        "no transport for raven:// is installed; there is crow://, pigeon://"
+        "no transport for raven:// is installed; installed are crow://, pigeon://"
     )
 
 
@@ -98,7 +98,7 @@ def test_an_unknown_scheme_is_refused_also_if_there_is_no_transport_at_all(
     install(EntryPoints())
     with pytest.raises(TransportError) as caught:
         transport_for("raven://tower")
-    assert str(caught.value) == "no transport for raven:// is installed; there is none at all"
+    assert str(caught.value) == "no transport for raven:// is installed; installed are none at all"
 
 
 @pytest.mark.parametrize("text", ["", "127.0.0.1:7400", "pigeon:loft", "pigeon:/loft"])
@@ -106,7 +106,7 @@ def test_text_without_a_scheme_is_no_url(install: Install, text: str) -> None:
     install(EntryPoints([entry("pigeon", HERE)]))
     with pytest.raises(TransportError) as caught:
         transport_for(text)
-    assert str(caught.value) == f"{text!r} is no URL: write it like tcp://127.0.0.1:7400"
+    assert str(caught.value) == f"{text!r} is not a URL: write it like tcp://127.0.0.1:7400"
 
 
 def test_a_missing_module_is_named_with_the_package_that_needs_it(
@@ -217,4 +217,4 @@ def test_a_url_is_shown_without_anything_secret(url: str, shown: str) -> None:
 def test_what_is_no_url_is_refused_without_telling_its_secrets() -> None:
     with pytest.raises(TransportError) as caught:
         transport_for("robot:7400?token=secret")
-    assert str(caught.value) == "'robot:7400' is no URL: write it like tcp://127.0.0.1:7400"
+    assert str(caught.value) == "'robot:7400' is not a URL: write it like tcp://127.0.0.1:7400"

@@ -20,7 +20,9 @@ from fibaction.exceptions import (
     GoalAborted,
     GoalCanceled,
     GoalRejected,
+    LimitReached,
     ProtocolError,
+    ServerFailed,
     ServerNotFound,
     TransportError,
     UnknownGoal,
@@ -52,6 +54,8 @@ _CODES: tuple[tuple[type[ActionError], ExitCode], ...] = (
     (ServerNotFound, ExitCode.UNREACHABLE),
     (ConnectionLost, ExitCode.UNREACHABLE),
     (AuthenticationFailed, ExitCode.UNREACHABLE),
+    (LimitReached, ExitCode.UNREACHABLE),
+    (ServerFailed, ExitCode.UNREACHABLE),
     (TransportError, ExitCode.USAGE),  # all other transport errors: the URL cannot be used
     (ProtocolError, ExitCode.UNREACHABLE),
 )

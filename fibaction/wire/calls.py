@@ -13,18 +13,10 @@ from typing import Any, TypeAlias
 
 from fibaction._notify import Notifier
 from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate, StatusStream
-from fibaction.exceptions import (
-    ActionError,
-    AuthenticationFailed,
-    ConnectionLost,
-    GoalRejected,
-    ProtocolError,
-    ServerNotFound,
-    TransportError,
-    UnknownGoal,
-)
+from fibaction.exceptions import ActionError, ProtocolError
 from fibaction.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
+from fibaction.wire.errors import copied, error_of
 from fibaction.wire.messages import (
     Close,
     Credit,
@@ -98,7 +90,7 @@ class Call(ABC):
     def raise_error(self) -> None:
         """Raise what it failed with, if it has; each time a new one, as it may be raised often."""
         if self.error is not None:
-            raise _again(self.error)
+            raise copied(self.error)
 
 
 class PendingRequest(Call):
@@ -114,7 +106,8 @@ class PendingRequest(Call):
 
     def on_message(self, message: Any) -> bool:
         if isinstance(message, Failed):
-            self.fail(error_of(message))
+            goal_id = getattr(self._message, "goal_id", None)
+            self.fail(error_of(message, GoalID(goal_id) if goal_id else None))
         else:
             self._answer = message
             self._is_answered = True
@@ -423,29 +416,6 @@ class RemoteStatuses(Call, StatusStream):
             raise _unfitting(message)
         self.news.notify()
         return isinstance(message, Finished | Failed)
-
-
-def error_of(message: Failed | Rejected, goal_id: GoalID | None = None) -> ActionError:
-    """What to raise for a refusal."""
-    if isinstance(message, Rejected):
-        return GoalRejected(message.reason, goal_id=goal_id)
-    if message.why == Why.UNKNOWN_GOAL and goal_id is not None:
-        return UnknownGoal(goal_id)
-    errors: dict[int, type[ActionError]] = {
-        Why.SERVER_NOT_FOUND: ServerNotFound,
-        Why.FORBIDDEN: AuthenticationFailed,
-        Why.LIMIT: TransportError,
-        Why.PROTOCOL: ProtocolError,
-    }
-    return errors.get(message.why, ConnectionLost)(message.text)
-
-
-def _again(error: ActionError) -> ActionError:
-    if isinstance(error, GoalRejected):
-        return GoalRejected(error.reason, goal_id=error.goal_id)
-    if isinstance(error, UnknownGoal):
-        return UnknownGoal(error.goal_id)
-    return type(error)(str(error))
 
 
 def _unfitting(message: object) -> ProtocolError:

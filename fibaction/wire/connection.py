@@ -28,9 +28,10 @@ from fibaction.exceptions import (
     ActionError,
     AuthenticationFailed,
     ConnectionLost,
+    InvalidMessage,
+    LimitReached,
     ProtocolError,
     ServerNotFound,
-    TransportError,
 )
 from fibaction.goals import (
     UNKNOWN_SENDER,
@@ -43,6 +44,7 @@ from fibaction.goals import (
 )
 from fibaction.wire.calls import Call, PendingRequest, RemoteGoal, RemoteStatuses
 from fibaction.wire.channel import CHUNK, Line
+from fibaction.wire.errors import copied, error_of_goodbye
 from fibaction.wire.framing import MAX_FRAME
 from fibaction.wire.link import Link, naming
 from fibaction.wire.messages import (
@@ -114,7 +116,7 @@ class RemoteConnection(Connection):
         self._keeping = keeping
         self._link: Link | None = None
         self._ready = False
-        self._absent: TransportError | None = None
+        self._absent: ActionError | None = None
         self._final = False
         self._max_frame = MAX_FRAME
         self._session = secrets.token_bytes(16)
@@ -182,6 +184,11 @@ class RemoteConnection(Connection):
         await self._open(statuses)
         return statuses
 
+    @property
+    def is_open(self) -> bool:
+        """True if the server has let this client in, and the connection has not ended."""
+        return self._ready
+
     async def changed(self, since: int) -> None:
         """Wait until there is another connection than when `changes` was that.
 
@@ -191,12 +198,12 @@ class RemoteConnection(Connection):
         while self.changes == since and not self._final:
             await self._changed.wait()
         if self._final and self._absent is not None:
-            raise _anew(self._absent)
+            raise copied(self._absent)
 
     async def _open(self, call: Call) -> None:
         """Open a call, and wait until the server has granted it, or give it up."""
         if self._absent is not None:
-            raise _anew(self._absent)
+            raise copied(self._absent)
         self._calls[call.id] = call
         if self._link is not None and self._ready:
             self._unopened.append(call)
@@ -236,7 +243,7 @@ class RemoteConnection(Connection):
 
     def _refuse(self, call: Call, text: str) -> None:
         self._drop(call)
-        call.fail(ProtocolError(text))
+        call.fail(InvalidMessage(text))
 
     def _drop(self, call: Call) -> None:
         if self._calls.pop(call.id, None) is None:
@@ -257,7 +264,7 @@ class RemoteConnection(Connection):
         while not self._ready and self._absent is None:
             await self._changed.wait()
         if self._final and self._absent is not None:
-            raise _anew(self._absent)
+            raise copied(self._absent)
 
     async def run(self) -> None:
         """Connect, and connect again, until it is of no use."""
@@ -275,8 +282,7 @@ class RemoteConnection(Connection):
                 ends = current_time() + self._keeping.reconnect_timeout
                 tasks.start_soon(self._lose_patience, self._patience, ends)
                 logger.info("%s", naming(self._where, error))
-            useless = isinstance(error, AuthenticationFailed | ProtocolError)
-            if useless or not self._keeping.reconnect:
+            if _is_final(error) or not self._keeping.reconnect:
                 self._final = True  # and if the connection was left meanwhile, it is so already
             if self._final or self._patience is None:
                 self._give_up(error)
@@ -324,15 +330,19 @@ class RemoteConnection(Connection):
             )
             self._link.post(encode(hello))
             self._unopened.clear()
-            return await self._link.run(self._handle, self._openings)
+            error = await self._link.run(self._handle, self._openings)
+            if type(error) is ProtocolError:
+                return ProtocolError(naming(self._where, error))
+            return error
         finally:
             self._link = None
             await line.aclose()
 
     def _give_up(self, error: ActionError) -> None:
-        self._absent = error if isinstance(error, TransportError) else ConnectionLost(str(error))
-        # For what was under way, there was a server, whatever the last attempt has found.
-        lost = self._absent if self._patience is None else ConnectionLost(str(error))
+        self._absent = lost = error
+        if self._patience is not None and not _is_final(error):
+            # For what was under way, there was a server, whatever the last attempt has found.
+            lost = ConnectionLost(str(error))
         calls = (*self._calls.values(), *self._observed.values())
         self._calls = {}
         self._observed.clear()
@@ -357,12 +367,9 @@ class RemoteConnection(Connection):
         if isinstance(message, Ping):
             pass
         elif isinstance(message, Goodbye):
-            errors = {Why.FORBIDDEN: AuthenticationFailed, Why.PROTOCOL: ProtocolError}
-            error = errors.get(message.why, ConnectionLost)
-            text = f"{self._where}: {message.reason}"
             if message.why == Why.FORBIDDEN and not (self._ready or self._keeping.token):
-                text += ": give one as token=, or behind the URL as ?token="
-            raise error(text)
+                message.reason += ": give one as token=, or behind the URL as ?token="
+            raise error_of_goodbye(message, self._where)
         elif isinstance(message, Welcome):
             self._begin(message)
         elif not self._ready:
@@ -445,7 +452,9 @@ class RemoteEndpoint(Endpoint):
                     lambda call_id: AwaitServer(call_id, self._info.name), Done
                 )
                 return
-            except (ServerNotFound, ConnectionLost):
+            except (ServerNotFound, ConnectionLost, LimitReached) as exc:
+                if isinstance(exc, LimitReached) and self._connection.is_open:
+                    raise  # this connection has too much under way
                 await self._connection.changed(changes)
 
 
@@ -469,5 +478,6 @@ async def connected(
             await connection.leave()
 
 
-def _anew(error: TransportError) -> TransportError:
-    return type(error)(str(error))
+def _is_final(error: ActionError) -> bool:
+    """Return whether connecting again would end in the same way."""
+    return isinstance(error, AuthenticationFailed | ProtocolError)

@@ -229,6 +229,10 @@ class Why:
     FORBIDDEN = 4
     LIMIT = 5
     PROTOCOL = 6
+    TRANSPORT = 7
+    SERVER_FAILED = 8
+    INVALID_MESSAGE = 9
+    INVALID_URL = 10
 
 
 @final

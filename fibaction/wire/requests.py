@@ -14,6 +14,7 @@ from fibaction.abc import Endpoint
 from fibaction.goals import GoalID
 from fibaction.states import GoalStatus
 from fibaction.wire.auth import Permission
+from fibaction.wire.errors import sendable
 from fibaction.wire.messages import (
     Actions,
     AskPeers,
@@ -28,7 +29,7 @@ from fibaction.wire.messages import (
     Watching,
     WatchStatus,
 )
-from fibaction.wire.subscriptions import RequestSubscription, sendable
+from fibaction.wire.subscriptions import RequestSubscription
 
 Request: TypeAlias = CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers
 Answer: TypeAlias = CancelAnswered | Done | Watching | GoalChanged | Finished | Actions | Peers

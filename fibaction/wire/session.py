@@ -23,6 +23,7 @@ from fibaction.exceptions import (
     AuthenticationFailed,
     ConnectionLost,
     GoalRejected,
+    LimitReached,
     ProtocolError,
     ServerNotFound,
     UnknownGoal,
@@ -31,6 +32,7 @@ from fibaction.goals import UNKNOWN_SENDER, GoalID, Sender
 from fibaction.server.goal_record import digest_of
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
 from fibaction.wire.channel import CHUNK
+from fibaction.wire.errors import failed, failure_of, fitting, goodbye_of
 from fibaction.wire.framing import MAX_FRAME
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
@@ -58,9 +60,6 @@ from fibaction.wire.subscriptions import (
     GoalSubscription,
     RequestSubscription,
     Subscription,
-    failure,
-    fit,
-    refusal,
 )
 
 logger = logging.getLogger("fibaction.wire")
@@ -122,8 +121,8 @@ class Session:
             async with Background() as self._tasks:
                 self._tasks.start_soon(self._expect_hello)
                 error = await self._link.run(self._handle, self._collect)
-                if isinstance(error, ProtocolError | AuthenticationFailed):
-                    await self._link.say_last(encode(_goodbye(error)))
+                if isinstance(error, ProtocolError | AuthenticationFailed | LimitReached):
+                    await self._link.say_last(encode(goodbye_of(error)))
                 return error
         finally:
             self._release()
@@ -153,7 +152,8 @@ class Session:
         handshake = self._terms.limits.handshake
         await sleep(handshake)
         if self._peer is None:
-            self._link.end(_TooLate(f"it has not said hello within {handshake:g} s"))
+            # The line may have been held up, so the client may try again.
+            self._link.end(LimitReached(f"it has not said hello within {handshake:g} s"))
 
     # What arrives
 
@@ -398,15 +398,16 @@ class Session:
             self._refuse(message, exc)
 
     def _refuse(self, message: SendGoal | Follow | Request, exc: BaseException) -> None:
-        if not isinstance(exc, ActionError):
-            # An endpoint or a callback of somebody else's: that is its fault, and one client's.
+        is_goal = isinstance(message, SendGoal | Follow)
+        if not isinstance(exc, ActionError) or (isinstance(exc, GoalRejected) and not is_goal):
+            # A bug of an endpoint or a callback. It concerns this client only.
             what = type(message).__name__
             logger.error("%s: its %s failed", self._link.peer, what, exc_info=exc)
-            exc = failure(exc)
+            exc = failure_of(exc)
         if message.id in self._goals:
             self._end(self._goals[message.id])
         if self._link.is_open:
-            self._link.post(refusal(message.id, exc, self._max_frame))
+            self._link.post(failed(message.id, exc, self._max_frame))
 
     async def _endpoint(self, action: str, verb: Permission) -> Endpoint:
         assert self._peer is not None
@@ -432,15 +433,4 @@ class Session:
         return endpoint
 
     async def _say(self, answer: Answer) -> None:
-        await self._link.send(fit(answer.id, encode(answer), self._max_frame))
-
-
-class _TooLate(ProtocolError):
-    """It may be the line that was held up, so the client may try again."""
-
-
-def _goodbye(error: ActionError) -> Goodbye:
-    if isinstance(error, AuthenticationFailed):
-        return Goodbye(str(error), Why.FORBIDDEN)
-    why = Why.LIMIT if isinstance(error, _TooLate) else Why.PROTOCOL
-    return Goodbye(f"the server has closed the connection: {error}", why)
+        await self._link.send(fitting(answer.id, encode(answer), self._max_frame))

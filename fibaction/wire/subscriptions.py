@@ -10,25 +10,11 @@ from collections.abc import Callable
 
 from fibaction._notify import Notifier
 from fibaction.abc import Endpoint, FeedbackItem, GoalStream
-from fibaction.exceptions import (
-    ActionError,
-    AuthenticationFailed,
-    GoalRejected,
-    ServerNotFound,
-    UnknownGoal,
-)
+from fibaction.exceptions import ActionError
 from fibaction.goals import Outcome
 from fibaction.states import GoalStatus
-from fibaction.wire.messages import (
-    Ended,
-    Failed,
-    Feedback,
-    Following,
-    Rejected,
-    StatusChanged,
-    Why,
-    encode,
-)
+from fibaction.wire.errors import failed, failure_of, fitting, sendable
+from fibaction.wire.messages import Ended, Feedback, Following, StatusChanged, encode
 
 MOST_CREDIT = 2**31
 """Enough for every client, and small enough for every number."""
@@ -170,14 +156,13 @@ class GoalSubscription(Subscription):
         """What there is to send, as far as the client wants it; nothing if there is nothing now."""
         try:
             return self._take()
-        except ActionError as exc:
-            self._fail()
-            return [refusal(self.request, exc, self._max_frame)]
         except Exception as exc:
-            # An endpoint of somebody else's: that is its fault, and one client's.
-            logger.error("the stream of a goal failed", exc_info=exc)
+            if not isinstance(exc, ActionError):
+                # A bug of the endpoint. It concerns this client only.
+                logger.error("the stream of a goal failed", exc_info=exc)
+                exc = failure_of(exc)
             self._fail()
-            return [refusal(self.request, failure(exc), self._max_frame)]
+            return [failed(self.request, exc, self._max_frame)]
 
     def _fail(self) -> None:
         self.leave()
@@ -218,46 +203,4 @@ class GoalSubscription(Subscription):
         frame = encode(ended)
         if len(frame) > self._max_frame:
             self._fail()
-        return [fit(self.request, frame, self._max_frame)]
-
-
-def fit(request: int, frame: bytes, limit: int) -> bytes:
-    """The frame, or, if it is larger than the client takes, one that says so."""
-    if len(frame) <= limit:
-        return frame
-    text = f"the answer has {len(frame)} bytes, and {limit} are the limit"
-    logger.warning("an answer is refused: %s", text)
-    return encode(Failed(request, Why.LIMIT, text))
-
-
-def refusal(request: int, exc: ActionError, limit: int) -> bytes:
-    """How a request is answered that cannot be granted, in a frame of at most so many bytes."""
-    text = sendable(exc.reason if isinstance(exc, GoalRejected) else str(exc))
-    frame = encode(_refused(request, exc, text))
-    if len(frame) > limit:
-        room = max(0, len(text.encode()) - (len(frame) - limit))
-        frame = encode(_refused(request, exc, text.encode()[:room].decode(errors="ignore")))
-    return frame
-
-
-def _refused(request: int, exc: ActionError, text: str) -> Rejected | Failed:
-    if isinstance(exc, GoalRejected):
-        return Rejected(request, text)
-    why = Why.CONNECTION_LOST
-    if isinstance(exc, UnknownGoal):
-        why = Why.UNKNOWN_GOAL
-    elif isinstance(exc, AuthenticationFailed):
-        why = Why.FORBIDDEN
-    elif isinstance(exc, ServerNotFound):
-        why = Why.SERVER_NOT_FOUND
-    return Failed(request, why, text)
-
-
-def failure(exc: BaseException) -> ServerNotFound:
-    """What a client is told of an error that is none of its business."""
-    return ServerNotFound(f"the server failed: {type(exc).__name__}")
-
-
-def sendable(reason: str) -> str:
-    """A reason as it can be sent: what is no Unicode in it becomes `?`."""
-    return reason.encode("utf-8", "replace").decode()
+        return [fitting(self.request, frame, self._max_frame)]

@@ -12,7 +12,7 @@ from anyio.abc import TaskGroup
 
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint
-from fibaction.exceptions import AuthenticationFailed, ProtocolError
+from fibaction.exceptions import AuthenticationFailed, LimitReached, ProtocolError
 from fibaction.wire.channel import Line
 from fibaction.wire.link import Link, naming
 from fibaction.wire.messages import Goodbye, Why, encode
@@ -63,7 +63,7 @@ class WireServer:
             error = await session.run()
         finally:
             del self._sessions[session]
-        wrong = isinstance(error, ProtocolError | AuthenticationFailed)
+        wrong = isinstance(error, ProtocolError | AuthenticationFailed | LimitReached)
         logger.log(logging.WARNING if wrong else logging.INFO, "%s", naming(line.peer, error))
 
     def _supersede(self, client: bytes) -> None:

@@ -224,7 +224,7 @@ def test_a_traceback_is_shown_only_if_it_is_asked_for(invoke: Invoke) -> None:
 
     assert "Traceback" not in plain.stderr
     assert "Traceback" in debugged.stderr
-    assert "fibaction.exceptions.TransportError" in debugged.stderr
+    assert "fibaction.exceptions.InvalidURL" in debugged.stderr
     assert debugged.stderr.endswith(plain.stderr)
     assert plain.exit_code == debugged.exit_code == ExitCode.USAGE
 

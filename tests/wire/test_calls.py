@@ -14,14 +14,16 @@ from fibaction.exceptions import (
     AuthenticationFailed,
     ConnectionLost,
     GoalRejected,
+    LimitReached,
     ProtocolError,
+    ServerFailed,
     ServerNotFound,
-    TransportError,
     UnknownGoal,
 )
 from fibaction.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
-from fibaction.wire.calls import Call, PendingRequest, RemoteGoal, RemoteStatuses, error_of
+from fibaction.wire.calls import Call, PendingRequest, RemoteGoal, RemoteStatuses
+from fibaction.wire.errors import error_of
 from fibaction.wire.messages import (
     Actions,
     AwaitServer,
@@ -181,11 +183,11 @@ def test_what_is_given_up_is_closed_and_who_only_looked_on_wants_no_end_either()
 @pytest.mark.parametrize(
     ("why", "kind"),
     [
-        (Why.UNKNOWN_GOAL, ConnectionLost),  # about no goal: a peer that knows another protocol
+        (Why.UNKNOWN_GOAL, ServerFailed),  # about no goal
         (Why.SERVER_NOT_FOUND, ServerNotFound),
         (Why.CONNECTION_LOST, ConnectionLost),
         (Why.FORBIDDEN, AuthenticationFailed),
-        (Why.LIMIT, TransportError),
+        (Why.LIMIT, LimitReached),
         (Why.PROTOCOL, ProtocolError),
         (0, ConnectionLost),
         (99, ConnectionLost),
@@ -366,7 +368,7 @@ async def test_a_goal_is_accepted_when_the_server_knows_it() -> None:
     [
         (Rejected(ID, "too large"), GoalRejected),
         (Failed(ID, Why.UNKNOWN_GOAL, ""), UnknownGoal),
-        (Failed(ID, Why.LIMIT, "too many"), TransportError),
+        (Failed(ID, Why.LIMIT, "too many"), LimitReached),
         (Failed(ID, Why.SERVER_NOT_FOUND, "nobody"), ServerNotFound),
     ],
 )
@@ -502,9 +504,9 @@ def test_a_result_over_the_limit_is_an_error_of_this_goal_after_its_feedback() -
     )
     assert bench.read(1) == [1]
     for _ in range(2):
-        with pytest.raises(TransportError, match="2000 bytes") as caught:
+        with pytest.raises(LimitReached, match="2000 bytes") as caught:
             at_once(bench.goal.outcome())
-        assert type(caught.value) is TransportError
+        assert type(caught.value) is LimitReached
 
 
 def test_the_stream_of_feedback_leaves_statuses_out() -> None:

@@ -178,7 +178,7 @@ async def test_frames_that_are_there_come_at_once_and_others_when_they_are_compl
 
 async def test_a_frame_over_the_limit_is_the_peers_error() -> None:
     channel = channel_over(FakeStream(framed(b"12345")), limit=4)
-    with pytest.raises(ProtocolError, match="a frame of 5 bytes"):
+    with pytest.raises(ProtocolError, match="frame of 5 bytes"):
         await channel.receive()
 
 

@@ -20,6 +20,7 @@ from fibaction.exceptions import (
     AuthenticationFailed,
     ConnectionLost,
     GoalRejected,
+    LimitReached,
     ProtocolError,
     ServerNotFound,
     TransportError,
@@ -264,7 +265,7 @@ async def test_a_client_that_is_not_let_in_is_told_so_and_does_not_try_again() -
 async def test_a_client_that_gave_no_token_where_one_is_wanted_is_told_how(why: int) -> None:
     network = Network()
     async with Running(lambda: network.answer(Goodbye("the server wants a token", why))):
-        with anyio.fail_after(5), pytest.raises(TransportError) as caught:
+        with anyio.fail_after(5), pytest.raises(ActionError) as caught:
             async with connected(network.dial, WHERE, PATIENT):
                 raise AssertionError
     hint = ": give one as token=, or behind the URL as ?token=" if why == Why.FORBIDDEN else ""
@@ -294,7 +295,7 @@ async def test_a_server_that_begins_in_a_wrong_way_is_left_for_good(
 ) -> None:
     network = Network()
     async with Running(lambda: network.answer(message)) as answering:
-        with anyio.fail_after(5), pytest.raises(ConnectionLost, match=text):
+        with anyio.fail_after(5), pytest.raises(ProtocolError, match=text):
             async with connected(network.dial, WHERE, PATIENT):
                 raise AssertionError
         server = await answering.answer()
@@ -308,9 +309,9 @@ async def test_a_server_that_says_welcome_twice_is_left_for_good() -> None:
         async with Running(endpoint_of(connection).wait_for_server) as waiting:
             await server.say(Welcome(VERSION, LONG))
             text = "a Welcome of version 1 was not expected"
-            with pytest.raises(ConnectionLost, match=text):
+            with pytest.raises(ProtocolError, match=text):
                 await waiting.answer()
-        assert await fails_at_once(connection, ConnectionLost) == text
+        assert await fails_at_once(connection, ProtocolError) == f"{WHERE}: {text}"
     assert network.dialed == 1
 
 
@@ -319,7 +320,7 @@ async def test_what_is_no_message_ends_the_connection_for_good() -> None:
     async with reached(network) as (connection, server):
         await server.channel.send([b"\xc1"])
         await settled()
-        assert "invalid server message" in await fails_at_once(connection, ConnectionLost)
+        assert "invalid server message" in await fails_at_once(connection, ProtocolError)
     assert network.dialed == 1
 
 
@@ -615,7 +616,7 @@ async def test_a_message_that_does_not_fit_a_goal_ends_the_connection_for_good()
     async with reached(network) as (connection, server):
         async with goal_of(connection, server) as (goal, call_id):
             await server.say(Done(call_id))
-            with anyio.fail_after(5), pytest.raises(ConnectionLost, match="a Done does not answer"):
+            with anyio.fail_after(5), pytest.raises(ProtocolError, match="a Done does not answer"):
                 await goal.outcome()
     assert network.dialed == 1
 
@@ -719,7 +720,7 @@ async def test_a_server_that_lets_the_client_in_no_more_is_left_for_good() -> No
         async with Running(connection.actions) as asking:
             await server.hear(ListActions)
             await server.say(Goodbye("the token has expired", Why.FORBIDDEN))
-            with pytest.raises(ConnectionLost, match="the token has expired"):
+            with pytest.raises(AuthenticationFailed, match="the token has expired"):
                 await asking.answer()
         text = await fails_at_once(connection, AuthenticationFailed)
         assert text == f"{WHERE}: the token has expired"
@@ -1276,7 +1277,7 @@ async def test_the_result_of_a_goal_with_much_feedback_can_be_fetched_meanwhile(
 @in_virtual_time()
 async def test_what_no_server_can_read_is_not_asked_for_ever() -> None:
     async with real(anyio.Event()) as endpoint:
-        with anyio.fail_after(2), pytest.raises(ConnectionLost):
+        with anyio.fail_after(2), pytest.raises(ProtocolError):
             await endpoint.cancel_goals(cast("GoalID", b"short"))
 
 
@@ -1450,9 +1451,9 @@ async def test_a_result_over_the_clients_limit_is_that_goals_error_and_no_others
             item = await large.receive()
             assert item is not None
             assert item.number == 1
-            with pytest.raises(TransportError, match="500 are the limit") as caught:
+            with pytest.raises(LimitReached, match="500 are the limit") as caught:
                 await large.outcome()
-            assert type(caught.value) is TransportError
+            assert type(caught.value) is LimitReached
         go.set()
         assert await heard_of(other) == [1, 2]
         with anyio.fail_after(5):

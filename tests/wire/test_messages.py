@@ -124,6 +124,10 @@ def test_the_reasons_have_the_numbers_that_they_always_had() -> None:
         "FORBIDDEN": 4,
         "LIMIT": 5,
         "PROTOCOL": 6,
+        "TRANSPORT": 7,
+        "SERVER_FAILED": 8,
+        "INVALID_MESSAGE": 9,
+        "INVALID_URL": 10,
     }
 
 

@@ -21,6 +21,7 @@ from fibaction.exceptions import (
     AuthenticationFailed,
     ConnectionLost,
     GoalRejected,
+    LimitReached,
     ProtocolError,
     UnknownGoal,
 )
@@ -31,6 +32,7 @@ from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
 from fibaction.wire.channel import Channel, StreamChannel
+from fibaction.wire.errors import failed
 from fibaction.wire.framing import header
 from fibaction.wire.messages import (
     VERSION,
@@ -63,7 +65,7 @@ from fibaction.wire.messages import (
 )
 from fibaction.wire.session import ServerSettings, Session
 from fibaction.wire.settings import Limits
-from fibaction.wire.subscriptions import PIECE, refusal
+from fibaction.wire.subscriptions import PIECE
 from fibaction.wire.wire_server import WireServer
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
@@ -189,7 +191,7 @@ async def test_a_client_that_says_nothing_in_time_is_told_so_and_may_try_again()
         text = "the server has closed the connection: it has not said hello within 0.01 s"
         assert await client.hear(Goodbye) == Goodbye(text, Why.LIMIT)
         await client.hear_the_end()
-        assert isinstance(client.error, ProtocolError)  # which is a warning in the log
+        assert isinstance(client.error, LimitReached)  # which is a warning in the log
 
 
 @in_virtual_time()
@@ -994,7 +996,7 @@ async def test_an_endpoint_that_raises_what_it_may_not_fails_that_request_only()
         client = await bench.greet()
         with logged() as lines:
             failed = await client.ask(WatchStatus(1, "fibonacci", 1), Failed)
-        assert failed == Failed(1, Why.SERVER_NOT_FOUND, "the server failed: ValueError")
+        assert failed == Failed(1, Why.SERVER_FAILED, "the server failed: ValueError")
         (line,) = lines
         assert line.levelno == logging.ERROR
         assert line.exc_info is not None
@@ -1014,7 +1016,7 @@ async def test_a_permission_that_awaits_what_somebody_has_canceled_is_a_refusal_
         client = await bench.greet()
         with logged() as lines:
             failed = await client.ask(WatchStatus(1, "fibonacci", ANY), Failed)
-        assert failed == Failed(1, Why.SERVER_NOT_FOUND, "the server failed: CancelledError")
+        assert failed == Failed(1, Why.SERVER_FAILED, "the server failed: CancelledError")
         (line,) = lines
         assert line.levelno == logging.ERROR
         assert line.getMessage().startswith("the client: its WatchStatus failed")
@@ -1187,7 +1189,7 @@ async def test_a_client_that_asks_and_does_not_read_fills_no_memory(requests: in
             await settled()
         # Twice the limit, a message that may go beyond it, and the one that was too much; the
         # connection has ended over that.
-        answer = len(refusal(4000, UnknownGoal(GoalID(B)), 10_000))
+        answer = len(failed(4000, UnknownGoal(GoalID(B)), 10_000))
         assert client.session._link._queued <= 2 * 10_000 + 2 * answer
 
 
@@ -1481,7 +1483,7 @@ async def test_a_stream_that_fails_is_told_and_the_session_goes_on(
         with logged():
             await client.say(Credit(1, 1))
             failed = await client.hear(Failed)
-        assert failed == Failed(1, Why.SERVER_NOT_FOUND, "the server failed: ValueError")
+        assert failed == Failed(1, Why.SERVER_FAILED, "the server failed: ValueError")
         assert client.session._goals == {}
         assert await client.is_served()
 

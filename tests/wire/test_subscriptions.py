@@ -17,12 +17,14 @@ from fibaction.exceptions import (
     ConnectionLost,
     GoalRejected,
     ProtocolError,
+    ServerFailed,
     ServerNotFound,
     UnknownGoal,
 )
 from fibaction.goals import GoalID, Outcome
 from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
+from fibaction.wire.errors import failed, failure_of, fitting, sendable
 from fibaction.wire.framing import MAX_FRAME
 from fibaction.wire.messages import (
     Ended,
@@ -41,10 +43,6 @@ from fibaction.wire.subscriptions import (
     GoalSubscription,
     RequestSubscription,
     Subscription,
-    failure,
-    fit,
-    refusal,
-    sendable,
 )
 from tests.fibonacci import FIBONACCI
 from tests.wire.memory import Running, logged, settled
@@ -383,7 +381,7 @@ def test_a_result_over_the_limit_is_a_failure_of_that_goal() -> None:
     text = f"the answer has {size} bytes, and 50 are the limit"
     with logged() as lines:
         assert bench.take() == [Failed(ID, Why.LIMIT, text)]
-    assert [line.getMessage() for line in lines] == [f"an answer is refused: {text}"]
+    assert [line.getMessage() for line in lines] == [f"an answer is not sent: {text}"]
     assert bench.subscription.told
 
 
@@ -397,8 +395,8 @@ def test_a_goal_whose_result_is_over_the_limit_is_kept_for_nobody() -> None:
 
 def test_what_fits_is_sent_as_it_is() -> None:
     frame = bytes(50)
-    assert fit(ID, frame, 50) is frame
-    assert decode_from_server(fit(ID, frame, 49)) == Failed(
+    assert fitting(ID, frame, 50) is frame
+    assert decode_from_server(fitting(ID, frame, 49)) == Failed(
         ID, Why.LIMIT, "the answer has 50 bytes, and 49 are the limit"
     )
 
@@ -429,7 +427,7 @@ def test_a_stream_that_raises_what_it_may_not_is_logged_and_told_in_general() ->
     bench = Bench()
     bench.stream.error = ValueError("a secret of the server's")
     with logged() as lines:
-        assert bench.take() == [Failed(ID, Why.SERVER_NOT_FOUND, "the server failed: ValueError")]
+        assert bench.take() == [Failed(ID, Why.SERVER_FAILED, "the server failed: ValueError")]
     (line,) = lines
     assert (line.levelno, line.getMessage()) == (logging.ERROR, "the stream of a goal failed")
     assert line.exc_info is not None
@@ -444,12 +442,12 @@ def test_a_stream_that_raises_what_it_may_not_is_logged_and_told_in_general() ->
         (AuthenticationFailed("no"), Failed(ID, Why.FORBIDDEN, "no")),
         (ServerNotFound("nobody \udcff"), Failed(ID, Why.SERVER_NOT_FOUND, "nobody ?")),
         (ConnectionLost("away"), Failed(ID, Why.CONNECTION_LOST, "away")),
-        (ProtocolError("nonsense"), Failed(ID, Why.CONNECTION_LOST, "nonsense")),
+        (ProtocolError("nonsense"), Failed(ID, Why.PROTOCOL, "nonsense")),
     ],
     ids=lambda value: type(value).__name__,
 )
 def test_each_refusal_has_its_answer(error: ActionError, answer: Rejected | Failed) -> None:
-    assert decode_from_server(refusal(ID, error, MAX_FRAME)) == answer
+    assert decode_from_server(failed(ID, error, MAX_FRAME)) == answer
 
 
 @pytest.mark.parametrize("error", [GoalRejected("größer" * 100), ServerNotFound("größer" * 100)])
@@ -457,7 +455,7 @@ def test_each_refusal_has_its_answer(error: ActionError, answer: Rejected | Fail
 def test_a_refusal_is_cut_to_what_the_client_takes_between_two_letters(
     error: ActionError, limit: int
 ) -> None:
-    frame = refusal(ID, error, limit)
+    frame = failed(ID, error, limit)
     assert limit - 6 <= len(frame) <= limit
     answer = decode_from_server(frame)
     assert isinstance(answer, Rejected | Failed)
@@ -467,18 +465,18 @@ def test_a_refusal_is_cut_to_what_the_client_takes_between_two_letters(
 
 
 def test_a_refusal_of_which_nothing_fits_says_nothing() -> None:
-    assert decode_from_server(refusal(ID, GoalRejected("no arm"), 1)) == Rejected(ID, "")
+    assert decode_from_server(failed(ID, GoalRejected("no arm"), 1)) == Rejected(ID, "")
 
 
 def test_a_refusal_of_the_very_limit_is_whole() -> None:
     whole = encode(Rejected(ID, "no arm"))
-    assert refusal(ID, GoalRejected("no arm"), len(whole)) == whole
-    assert refusal(ID, GoalRejected("no arm"), len(whole) - 1) == encode(Rejected(ID, "no ar"))
+    assert failed(ID, GoalRejected("no arm"), len(whole)) == whole
+    assert failed(ID, GoalRejected("no arm"), len(whole) - 1) == encode(Rejected(ID, "no ar"))
 
 
 def test_an_error_that_is_nobodys_business_is_told_by_its_kind_only() -> None:
-    told = failure(KeyError("secret"))
-    assert isinstance(told, ServerNotFound)
+    told = failure_of(KeyError("secret"))
+    assert isinstance(told, ServerFailed)
     assert str(told) == "the server failed: KeyError"
 
 

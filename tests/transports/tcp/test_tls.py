@@ -20,6 +20,7 @@ from anyio.streams.tls import TLSStream
 from fibaction import (
     AuthenticationFailed,
     ConnectionLost,
+    ProtocolError,
     TransportError,
     connect,
     serve,
@@ -214,7 +215,7 @@ async def test_a_plain_client_at_a_tls_server_is_told_so_and_gives_up(
 ) -> None:
     async with serve(new_server(), tls_server(cert=pems().cert)) as (url,):
         plain = url.replace("tls://", "tcp://")
-        with anyio.fail_after(5), pytest.raises(ConnectionLost) as caught:
+        with anyio.fail_after(5), pytest.raises(ProtocolError) as caught:
             async with connect(plain, reconnect=reconnect):
                 raise AssertionError("the block must not run")
         assert str(caught.value) == f"{plain}: this server speaks TLS: use tls://"

@@ -27,6 +27,7 @@ from fibaction import (
     GoalID,
     Outcome,
     ProtocolError,
+    ServerFailed,
     ServerNotFound,
     TransportError,
     UnknownGoal,
@@ -505,7 +506,7 @@ async def test_a_permission_that_cannot_be_found_out_is_none(
 
     async with serve(new_server(), TcpTransport(port=0, authorize=authorize)) as (url,):
         async with connect(url, FIBONACCI) as client:
-            with anyio.fail_after(5), pytest.raises(ServerNotFound, match="failed: OSError"):
+            with anyio.fail_after(5), pytest.raises(ServerFailed, match="failed: OSError"):
                 await client.call(Goal(1))
     assert "no directory" in caplog.text
 
