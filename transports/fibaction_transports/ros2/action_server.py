@@ -128,27 +128,15 @@ class RosActionServer:
         )
         self._statuses = PublishedStatuses(self._publish_status)
         requests = self._services.requests
+        rejected = impl.CancelGoalService.Response(return_code=int(CancelCode.REJECTED))
+
+        def decided(request: Any) -> None:
+            self._deciding.discard(goal_id_of(request.goal_id))
+
         self._ros.listen(
-            requests(
-                goals,
-                impl.SendGoalService,
-                self._answer_goal,
-                impl.SendGoalService.Response(),
-                done=lambda request: self._deciding.discard(goal_id_of(request.goal_id)),
-            ),
-            requests(
-                cancels,
-                impl.CancelGoalService,
-                self._answer_cancel,
-                impl.CancelGoalService.Response(return_code=int(CancelCode.REJECTED)),
-            ),
-            requests(
-                results,
-                impl.GetResultService,
-                self._answer_result,
-                impl.GetResultService.Response(),
-                is_awaited=False,
-            ),
+            requests(goals, impl.SendGoalService, self._answer_goal, done=decided),
+            requests(cancels, impl.CancelGoalService, self._answer_cancel, failure=rejected),
+            requests(results, impl.GetResultService, self._answer_result, is_awaited=False),
         )
 
     def start(self) -> None:

@@ -1,6 +1,6 @@
 """A client of one service of ROS, with the retry of a call.
 
-DDS drops requests that a full queue cannot take, and reports this to nobody. So only a few calls
+DDS drops requests that a full queue cannot take, without an error. So only a few calls
 wait for an answer at a time, and a request is sent again if its answer does not arrive in time.
 """
 

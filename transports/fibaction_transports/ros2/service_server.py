@@ -43,8 +43,8 @@ class ServiceServers:
         handle: Any,
         service_type: Any,
         answer: Callable[[Any], Awaitable[Any]],
-        failure: Any,
         *,
+        failure: Any = None,
         is_awaited: bool = True,
         done: Callable[[Any], None] = lambda request: None,
     ) -> Requests:
@@ -54,7 +54,7 @@ class ServiceServers:
             handle: The raw service.
             service_type: The type of the service.
             answer: Called with a request; returns the response.
-            failure: The response if `answer` raises.
+            failure: The response if `answer` raises; None is a response with its defaults.
             is_awaited: `is_busy` waits for these requests. Requests for results last as long as
                 their goals, and are not waited for.
             done: Called with the request after the response was sent, or could not be sent.
@@ -80,7 +80,7 @@ class ServiceServers:
                 except Exception as exc:
                     # A bug of the endpoint. It must not affect other requests.
                     logger.error("%s: a request failed: %s", self._action, exc, exc_info=exc)
-                    response = failure
+                    response = service_type.Response() if failure is None else failure
                 await self._send(handle, response, header)
             except Exception as exc:  # rclpy raises whatever rcl says
                 # Most likely, the client has left.
