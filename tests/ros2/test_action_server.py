@@ -56,14 +56,6 @@ def url() -> str:
     return new_url()
 
 
-async def test_a_goal_id_that_is_in_use_is_rejected_as_rcl_does(url: str) -> None:
-    goal_id = GoalID.random()
-    async with raw_client(url, ActionServer(FIBONACCI, forever)) as server:
-        assert (await send(server, goal_id, 1)).accepted
-        assert not (await send(server, goal_id, 1)).accepted
-        assert not (await send(server, goal_id, 2)).accepted
-
-
 async def test_a_goal_sent_twice_while_it_is_decided_is_accepted_once(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -209,7 +201,8 @@ async def test_the_node_stays_for_a_moment_after_the_last_answer_so_that_it_arri
         assert (await goal.outcome()).status is GoalStatus.ABORTED
 
 
-async def test_the_reason_of_a_rejection_is_in_the_log_of_ros(
+@pytest.mark.promise("ACCEPT-2", "EXECUTE-5")
+async def test_the_reasons_of_rejections_and_of_an_abort_are_in_the_log_of_ros(
     url: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def on_goal(goal: Goal) -> None:
@@ -228,12 +221,6 @@ async def test_the_reason_of_a_rejection_is_in_the_log_of_ros(
     assert "rejected: it is busy" in said
     assert "cancel rejected: too late" in said
     assert "ABORTED: server stopped" in said
-
-
-async def test_an_unknown_goal_has_the_status_0_at_once(url: str) -> None:
-    async with raw_client(url, ActionServer(FIBONACCI, fibonacci)) as server:
-        response = await result_of(server, GoalID.random())
-    assert response.status == GoalStatus.UNKNOWN
 
 
 async def test_a_result_that_does_not_fit_its_ros_type_aborts_the_goal(
