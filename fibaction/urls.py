@@ -6,6 +6,7 @@ So a package that nobody here has heard of can bring a transport of its own.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from typing import Any
 
 from fibaction.abc import Transport
@@ -77,3 +78,26 @@ def without_settings(url: str) -> str:
     Its settings may be a token, and what stands before an `@` a password.
     """
     return re.sub("://[^/]*@", "://", url.partition("?")[0])
+
+
+def check_settings(where: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Check that a transport has all settings that it is given by keyword.
+
+    Raises:
+        TypeError: It does not have one; the text lists those that it has.
+    """
+    names = tuple(known)
+    for name in given:
+        if name not in names:
+            raise TypeError(unknown_setting(where, name, names))
+
+
+def unknown_setting(where: str, name: str, known: Iterable[str]) -> str:
+    """Return the sentence about a setting that a transport does not have."""
+    from difflib import get_close_matches  # needed for this sentence only
+
+    names = tuple(known)
+    near = get_close_matches(name, names, 1)
+    hint = f": did you mean {near[0]!r}?" if near else ";"
+    has = f"its settings are {', '.join(names)}" if names else "it has no settings"
+    return f"{where} has no setting {name!r}{hint} {has[0].upper() + has[1:] if near else has}"

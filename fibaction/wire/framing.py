@@ -18,9 +18,9 @@ MAX_FRAME = 16 * 2**20
 _LENGTH = Struct(">I")
 _pack, _unpack = _LENGTH.pack, _LENGTH.unpack_from
 
-
-_OTHERS = {b"\x16\x03": "TLS", b"GET ": "HTTP", b"POST": "HTTP", b"HEAD": "HTTP"}
-"""First bytes of other protocols, to give a helpful error."""
+_HTTP = (b"GET ", b"POST", b"HEAD", b"HTTP", b"<!DO", b"<htm")
+_OTHERS = {b"\x16\x03": "TLS", **dict.fromkeys(_HTTP, "HTTP")}
+"""First bytes of other protocols, requests and responses, to give a helpful error."""
 
 
 def header(length: int) -> bytes:

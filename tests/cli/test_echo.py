@@ -14,9 +14,8 @@ import pytest
 from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus, connect, serve
 from fibaction.cli import echo as echo_module
 from fibaction.cli.echo import EchoPrinter, EventPrinter, echo, print_events
-from fibaction.cli.exit_codes import ExitCode
 from fibaction.events import GoalFeedback
-from tests.cli.conftest import Invoke, Open, Run, Start, detached, interrupt
+from tests.cli.conftest import Open, Run, Start, detached, interrupt
 from tests.cli.served import Heard, Served, counter
 from tests.processes import ended, lines_until
 
@@ -90,17 +89,6 @@ def test_a_closed_output_ends_echo(started: Start, fibaction: Run, tcp: str) -> 
 
     assert process.wait(30) == 1
     fibaction("cancel", goal_id, url=tcp)
-
-
-def test_an_action_or_a_server_that_is_not_there_is_one_sentence(
-    invoke: Invoke, tcp: str, nobody: str
-) -> None:
-    result = invoke("echo", "wiat", url=tcp)
-    assert result.exit_code == ExitCode.UNREACHABLE
-    assert result.stderr == "Error: nobody serves the action /wiat; did you mean /wait?\n"
-    result = invoke("echo", "wait", url=nobody)
-    assert result.exit_code == ExitCode.UNREACHABLE
-    assert result.stderr.startswith(f"Error: nobody listens at {nobody}")
 
 
 async def echoed(

@@ -188,36 +188,6 @@ def test_ctrl_c_where_nothing_is_to_be_canceled_ends_as_shells_expect() -> None:
     assert exit.value.exit_code == 130
 
 
-def test_a_failure_in_a_group_is_found_among_other_errors() -> None:
-    async def fail() -> None:
-        raise Failure("it is wrong", ExitCode.USAGE)
-
-    async def verb() -> int:
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(fail)
-            await fail_too()
-        raise AssertionError
-
-    async def fail_too() -> None:
-        raise ZeroDivisionError
-
-    with pytest.raises(Failure, match="it is wrong"):
-        run(verb)
-
-
-def test_an_unexpected_error_in_a_group_comes_out_as_itself() -> None:
-    async def fail() -> None:
-        raise ZeroDivisionError
-
-    async def verb() -> int:
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(fail)
-        raise AssertionError
-
-    with pytest.raises(ZeroDivisionError):
-        run(verb)
-
-
 def test_a_traceback_is_shown_only_if_it_is_asked_for(invoke: Invoke) -> None:
     plain = invoke("-u", "nonsense", "list")
     debugged = invoke("-u", "nonsense", "list", env={"FIBACTION_DEBUG": "1"})
@@ -229,14 +199,16 @@ def test_a_traceback_is_shown_only_if_it_is_asked_for(invoke: Invoke) -> None:
     assert plain.exit_code == debugged.exit_code == ExitCode.USAGE
 
 
-def test_a_closed_pipe_within_a_group_comes_out_for_click_to_handle() -> None:
-    async def write() -> None:
-        raise BrokenPipeError(errno.EPIPE, "closed")
-
-    async def verb() -> int:
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(write)
-        raise AssertionError
-
-    with pytest.raises(BrokenPipeError):
-        run(verb)
+@pytest.mark.parametrize(
+    ("errors", "expected"),
+    [
+        ([ZeroDivisionError(), Failure("it is wrong", ExitCode.USAGE)], Failure),
+        ([ZeroDivisionError(), ValueError()], ZeroDivisionError),
+        ([BrokenPipeError(errno.EPIPE, "closed"), ZeroDivisionError()], BrokenPipeError),
+    ],
+)
+def test_of_the_errors_of_a_group_that_for_the_user_comes_out(
+    errors: list[Exception], expected: type[Exception]
+) -> None:
+    with pytest.raises(expected), report_errors():
+        raise ExceptionGroup("tasks", [ExceptionGroup("tasks", errors)])

@@ -9,28 +9,18 @@ import pytest
 from fibaction import serve
 from fibaction._api import ClientConnection
 from fibaction.abc import Connection
-from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.cli.exit_codes import Failure
 from fibaction.cli.info import print_info
 from fibaction.goals import ActionPeers
 from tests.cli.conftest import Invoke, Run
 from tests.cli.robot import servers
 
 
-def test_info_has_the_lines_that_ros_prints(fibaction: Run, url: str) -> None:
-    code, out, err = fibaction("info", "/fibonacci", "-c", url=url)
+def test_info_has_the_lines_that_ros_prints(here: Run, url: str) -> None:
+    code, out, err = here("info", "/fibonacci", "-c", url=url)
 
     assert (code, err) == (0, "")
     assert re.fullmatch(r"Action: /fibonacci\nAction clients: \d+\nAction servers: \d+\n", out)
-
-
-def test_a_misspelt_action_suggests_the_near_one(invoke: Invoke, tcp: str) -> None:
-    result = invoke("info", "fibonaci", url=tcp)
-
-    assert result.exit_code == ExitCode.UNREACHABLE
-    assert result.stdout == ""
-    assert result.stderr == (
-        "Error: nobody serves the action /fibonaci; did you mean /fibonacci?\n"
-    )
 
 
 def test_info_as_json_has_the_schemas(invoke: Invoke, tcp: str) -> None:
