@@ -60,7 +60,7 @@ def test_nothing_is_said_of_an_environment_that_has_it_all(prefix: Path) -> None
 @pytest.mark.parametrize(
     ("without", "said"),
     [
-        ("pyvenv.cfg", "is no virtual environment"),
+        ("pyvenv.cfg", "is not a virtual environment"),
         ("share/rosidl_default_generators", "install the dependency group `ros`"),
         ("bin/cc", "missing: a C compiler;"),
         ("bin/c++", "missing: a C++ compiler;"),

@@ -111,7 +111,7 @@ def mend_exports(share: Path, headers: str, packages: str) -> None:
 
 
 def environment(prefix: Path, outside: Mapping[str, str]) -> dict[str, str]:
-    """Return environment variables for the build, with which only the ROS of the wheels is found."""
+    """Return environment variables for a build that finds no other ROS than the wheels."""
     inside = {name: value for name, value in outside.items() if name not in _SET_BY_ROS}
     # The wheels start each Python anew with their libraries in this path. Compilers and make must
     # not load them; each Python that is started here adds them again.
@@ -162,7 +162,7 @@ def build(package: Path, prefix: Path) -> bool:
 
 
 def unnamed(package: Path, output: str) -> str:
-    """Return a sentence about a package that CMakeLists.txt does not name, if the build failed for it.
+    """Return a sentence if the build failed for a package that CMakeLists.txt does not name.
 
     The output of the build has only a `KeyError` with the name of the package.
     """

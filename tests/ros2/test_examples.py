@@ -134,7 +134,7 @@ def test_a_client_says_in_one_line_that_nobody_serves() -> None:
 @pytest.mark.parametrize(
     ("url", "error"),
     [
-        ("ros2://?domain_id=many", "invalid setting 'domain_id' in ros2://: 'many'"),
+        ("ros2://?domain_id=many", "invalid setting 'domain_id': 'many'"),
         ("ros2://?domain_id=1000", "domain_id must be between 0 and 232, not 1000"),
         ("ros2://?speed=9", "has no setting 'speed'"),
         ("ros2://two%20words", "two%20words"),

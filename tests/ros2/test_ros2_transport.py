@@ -21,6 +21,7 @@ from fibaction import (
     ActionServer,
     ConnectionLost,
     GoalHandle,
+    InvalidURL,
     ServerNotFound,
     TransportError,
     connect,
@@ -63,17 +64,17 @@ def named(name: str, type_name: str = FIBONACCI.type_name) -> Any:
             "it has a part after #; a valid one is, for example, ros2://node_name",
         ),
         ("ros2://robot#", "it has a part after #; a valid one is, for example, ros2://node_name"),
-        ("ros2://?domain_id=7&domain_id=8", "setting 'domain_id' is given twice in ros2://"),
+        ("ros2://?domain_id=7&domain_id=8", "ros2://: setting 'domain_id' given twice"),
         ("ros2://[", "Invalid IPv6 URL"),
         ("ros2://?color=red", "has no setting 'color'; its settings are namespace, domain_id"),
-        ("ros2://?domain_id=x", "invalid setting 'domain_id' in ros2://: 'x'"),
+        ("ros2://?domain_id=x", "ros2://: invalid setting 'domain_id': 'x'"),
         ("ros2://?domain_id=233", "domain_id must be between 0 and 232, not 233"),
         ("ros2://?feedback_depth=0", "feedback_depth must be between 1 and 100000, not 0"),
         ("ros2://?discovery_timeout=nan", "discovery_timeout must be between 0 and inf, not nan"),
     ],
 )
 def test_an_invalid_url_is_an_error_of_one_sentence(url: str, text: str) -> None:
-    with pytest.raises(TransportError) as caught:
+    with pytest.raises(InvalidURL) as caught:
         transport_for(url)
     assert text in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -92,7 +93,7 @@ def test_an_invalid_url_is_an_error_of_one_sentence(url: str, text: str) -> None
     ],
 )
 def test_the_error_of_an_invalid_url_does_not_show_its_settings(url: str) -> None:
-    with pytest.raises(TransportError) as caught:
+    with pytest.raises(InvalidURL) as caught:
         transport_for(url)
     assert "ros2://" in str(caught.value)
     assert "secret" not in str(caught.value)
@@ -152,7 +153,7 @@ def test_settings_take_precedence_over_those_in_the_url() -> None:
     transport = transport_for("ros2://?domain_id=3&namespace=/a", domain_id=4)
     assert isinstance(transport, Ros2Transport)
     assert transport.url == "ros2://?namespace=/a&domain_id=4"
-    with pytest.raises(TypeError):
+    with pytest.raises(TypeError, match="Ros2Transport has no setting 'color'; its settings are"):
         transport_for("ros2://", color="red")
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from fibaction.abc import Connection, Endpoint, Transport
-from fibaction.exceptions import TransportError
-from fibaction.urls import without_settings
+from fibaction.exceptions import InvalidURL, TransportError
+from fibaction.urls import check_settings, unknown_setting, without_settings
 from fibaction_transports.ros2.action_server import ServedEndpoint, serve_actions
 from fibaction_transports.ros2.endpoint import connect_actions
 from fibaction_transports.ros2.names import action_names
@@ -21,6 +21,14 @@ from fibaction_transports.ros2.node import (
     own_node,
     users_node,
 )
+
+_IN_URLS: dict[str, Callable[[str], Any]] = {
+    "namespace": str,
+    "domain_id": int,
+    "feedback_depth": int,
+    "discovery_timeout": float,
+}
+"""The settings that a URL may have, and their types."""
 
 
 class Ros2Transport(Transport):
@@ -79,22 +87,23 @@ class Ros2Transport(Transport):
         `discovery_timeout`.
 
         Raises:
-            TransportError: The URL is not valid.
+            InvalidURL: The URL is not valid; the text says what is wrong.
             TypeError: There is no such setting.
         """
+        check_settings(cls.__name__, settings, (*_IN_URLS, "arguments", "node"))
         where = without_settings(url)
         try:
             parts = urlsplit(url)
             if parts.path.strip("/") or "#" in url:
                 what = "part after #" if "#" in url else "path"
-                raise TransportError(
+                raise InvalidURL(
                     f"invalid ROS URL {where}: it has a {what}; a valid one is, for example,"
                     " ros2://node_name?namespace=/robot1&domain_id=7"
                 )
             found = _settings(where, parse_qsl(parts.query, keep_blank_values=True))
             return cls(parts.netloc or None, **{**found, **settings})
         except ValueError as exc:
-            raise TransportError(f"{where}: {exc}") from exc
+            raise InvalidURL(f"{where}: {exc}") from exc
 
     @property
     def url(self) -> str:
@@ -153,24 +162,16 @@ def _settings(where: str, query: list[tuple[str, str]]) -> dict[str, Any]:
     """Return the settings in a URL, converted to their types; `where` names the URL in errors.
 
     Raises:
-        TransportError: There is no such setting, or it is given twice, or has another type.
+        InvalidURL: There is no such setting, or it is given twice, or has another type.
     """
-    kinds = {
-        "namespace": str,
-        "domain_id": int,
-        "feedback_depth": int,
-        "discovery_timeout": float,
-    }
     settings: dict[str, Any] = {}
     for name, text in query:
-        if name not in kinds:
-            raise TransportError(
-                f"{where} has no setting {name!r}; its settings are {', '.join(kinds)}"
-            )
+        if name not in _IN_URLS:
+            raise InvalidURL(unknown_setting(where, name, _IN_URLS))
         if name in settings:
-            raise TransportError(f"setting {name!r} is given twice in {where}")
+            raise InvalidURL(f"{where}: setting {name!r} given twice")
         try:
-            settings[name] = kinds[name](text)
+            settings[name] = _IN_URLS[name](text)
         except ValueError:
-            raise TransportError(f"invalid setting {name!r} in {where}: {text!r}") from None
+            raise InvalidURL(f"{where}: invalid setting {name!r}: {text!r}") from None
     return settings
