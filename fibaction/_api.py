@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Iterable
+from collections.abc import AsyncGenerator, Iterable, Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
 import anyio
 from anyio import create_task_group
@@ -14,6 +14,34 @@ from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.client import ActionClient
 from fibaction.goals import ActionPeers
 from fibaction.urls import transport_for, without_settings
+from fibaction.wire.settings import ClientKeywords, ServerKeywords
+
+if TYPE_CHECKING:
+    from ssl import SSLContext
+
+    from fibaction.wire.tls_files import TlsFiles
+
+
+class _RosKeywords(TypedDict, total=False):
+    namespace: str
+    domain_id: int | None
+    arguments: Sequence[str] | None
+    node: Any
+    feedback_depth: int
+    discovery_timeout: float
+
+
+class ConnectKeywords(ClientKeywords, _RosKeywords, total=False):
+    """The settings that `connect` passes on to the transport of a URL."""
+
+    tls: TlsFiles | SSLContext | None
+
+
+class ServeKeywords(ServerKeywords, _RosKeywords, total=False):
+    """The settings that `serve` passes on to the transports of URLs."""
+
+    tls: TlsFiles | SSLContext | None
+    insecure: bool
 
 
 class ClientConnection(Connection):
@@ -57,18 +85,22 @@ class ClientConnection(Connection):
 
 @overload
 def connect(
-    where: str | Transport, **settings: Any
+    where: str | Transport, **settings: Unpack[ConnectKeywords]
 ) -> AbstractAsyncContextManager[ClientConnection]: ...
 
 
 @overload
 def connect(
-    where: str | Transport, action: Action[GoalT, FeedbackT, ResultT], **settings: Any
+    where: str | Transport,
+    action: Action[GoalT, FeedbackT, ResultT],
+    **settings: Unpack[ConnectKeywords],
 ) -> AbstractAsyncContextManager[ActionClient[GoalT, FeedbackT, ResultT]]: ...
 
 
 def connect(
-    where: str | Transport, action: Action[Any, Any, Any] | None = None, **settings: Any
+    where: str | Transport,
+    action: Action[Any, Any, Any] | None = None,
+    **settings: Unpack[ConnectKeywords],
 ) -> AbstractAsyncContextManager[Any]:
     """Connect to a URL, or by a transport, for as long as the block lasts.
 
@@ -114,7 +146,9 @@ async def _connected_client(
 
 @asynccontextmanager
 async def serve(
-    endpoints: Endpoint | Iterable[Endpoint], *where: str | Transport, **settings: Any
+    endpoints: Endpoint | Iterable[Endpoint],
+    *where: str | Transport,
+    **settings: Unpack[ServeKeywords],
 ) -> AsyncGenerator[tuple[str, ...], None]:
     """Serve one endpoint or several, at one address or several, for as long as the block lasts.
 

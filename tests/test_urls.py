@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from fibaction import urls
 from fibaction.abc import Connection, Endpoint, Transport
 from fibaction.exceptions import TransportError
 from fibaction.urls import GROUP, transport_for, without_settings
@@ -45,7 +44,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Install:
         def entry_points(**wanted: Any) -> EntryPoints:
             return installed.select(**wanted)
 
-        monkeypatch.setattr(urls, "entry_points", entry_points)
+        monkeypatch.setattr("importlib.metadata.entry_points", entry_points)
 
     return install
 

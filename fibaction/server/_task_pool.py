@@ -1,8 +1,8 @@
 """`TaskPool`: tasks that run executors, each one after another.
 
 Creating a task costs more than running a short goal, so idle tasks are reused. With the pool, a
-server runs 1.5 times as many short goals per second as with a new task for each goal, and twice as
-many if 100 goals are sent at once (in one process on asyncio, CPython 3.11, median of 9 rounds).
+server runs short goals 1.6 times as fast as with a new task for each goal
+(`python -m tests.benchmarks.parts`).
 
 The pool does not depend on goals: a job is a coroutine function that takes the `CancelOnce` it runs
 in.

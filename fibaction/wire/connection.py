@@ -16,7 +16,6 @@ from typing import Any
 from weakref import WeakValueDictionary
 
 import anyio
-import msgspec
 from anyio import CancelScope, create_task_group, current_time
 from anyio.abc import TaskGroup
 
@@ -29,6 +28,7 @@ from fibaction.exceptions import (
     AuthenticationFailed,
     ConnectionLost,
     InvalidMessage,
+    InvalidURL,
     LimitReached,
     ProtocolError,
     ServerNotFound,
@@ -72,6 +72,7 @@ from fibaction.wire.messages import (
     decode_from_server,
     encode,
 )
+from fibaction.wire.settings import ClientSettings
 
 logger = logging.getLogger("fibaction.wire")
 
@@ -85,26 +86,6 @@ LEAVE_TIMEOUT = 1.0
 
 Dial = Callable[[], Awaitable[Line]]
 """Opens a line; raises `TransportError`."""
-
-
-class ClientSettings(msgspec.Struct, frozen=True):
-    """How a client keeps its connection."""
-
-    heartbeat: float = 1.0
-    """Seconds between signs of life; a server that misses four of its own is lost."""
-    token: str = ""
-    """What the server wants to know of those it lets in."""
-    reconnect: bool = True
-    """Whether a connection that is lost is opened again, and what was under way goes on."""
-    reconnect_timeout: float = 30.0
-    """Seconds that calls wait for a lost connection to come back."""
-    window: int = 256
-    """How many feedback messages of a goal wait here to be read, before the server keeps them."""
-    max_frame: int = MAX_FRAME
-    """Bytes of the largest message that is taken."""
-
-    def __repr__(self) -> str:
-        return "<Keeping>"  # a token has no place in a log
 
 
 class RemoteConnection(Connection):
@@ -459,7 +440,7 @@ class RemoteEndpoint(Endpoint):
 
 
 @asynccontextmanager
-async def connected(
+async def open_connection(
     dial: Dial, where: str, keeping: ClientSettings
 ) -> AsyncGenerator[RemoteConnection, None]:
     """A connection for as long as the block lasts.
@@ -480,4 +461,4 @@ async def connected(
 
 def _is_final(error: ActionError) -> bool:
     """Return whether connecting again would end in the same way."""
-    return isinstance(error, AuthenticationFailed | ProtocolError)
+    return isinstance(error, AuthenticationFailed | InvalidURL | ProtocolError)

@@ -333,18 +333,6 @@ class Peers(_Message, tag=45):
     """Name of each client, as in the server's log."""
 
 
-def check_can_be_sent(token: str) -> None:
-    """Check that the token is valid text; what an operating system passes as text may be invalid.
-
-    Raises:
-        ValueError: The token is not valid text. The error does not show it.
-    """
-    try:
-        token.encode()
-    except UnicodeEncodeError:
-        raise ValueError("token is not valid text") from None
-
-
 FromClient: TypeAlias = (
     Hello
     | SendGoal

@@ -9,9 +9,7 @@ import logging
 import math
 from collections.abc import Awaitable, Callable, Generator, Mapping
 from contextlib import contextmanager
-from typing import Literal
 
-import msgspec
 from anyio import current_effective_deadline, get_cancelled_exc_class, sleep
 from anyio.abc import TaskGroup
 
@@ -30,7 +28,7 @@ from fibaction.exceptions import (
 )
 from fibaction.goals import UNKNOWN_SENDER, GoalID, Sender
 from fibaction.server.goal_record import digest_of
-from fibaction.wire.auth import AccessPolicy, Peer, Permission
+from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.errors import failed, failure_of, fitting, goodbye_of
 from fibaction.wire.framing import MAX_FRAME
@@ -55,7 +53,7 @@ from fibaction.wire.messages import (
 )
 from fibaction.wire.ownership import Owners
 from fibaction.wire.requests import Answer, Request, RequestHandlers
-from fibaction.wire.settings import Limits
+from fibaction.wire.settings import ServerSettings
 from fibaction.wire.subscriptions import (
     GoalSubscription,
     RequestSubscription,
@@ -63,19 +61,6 @@ from fibaction.wire.subscriptions import (
 )
 
 logger = logging.getLogger("fibaction.wire")
-
-
-class ServerSettings(msgspec.Struct, frozen=True):
-    """What a server offers its clients, and asks of them."""
-
-    heartbeat: float
-    """Seconds between the server's signs of life."""
-    access: AccessPolicy
-    limits: Limits
-    orphans: Literal["keep", "cancel"]
-    """What becomes of the goals of a client that does not come back."""
-    grace: float
-    """Seconds that it has to come back."""
 
 
 class Session:
@@ -411,7 +396,7 @@ class Session:
 
     async def _endpoint(self, action: str, verb: Permission) -> Endpoint:
         assert self._peer is not None
-        if not await self._terms.access.allows(self._peer, action, verb):
+        if not await self._terms.access.permits(self._peer, action, verb):
             raise AuthenticationFailed(f"this client may not {verb.value} at the action {action!r}")
         return self._find(action)
 

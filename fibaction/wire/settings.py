@@ -1,31 +1,44 @@
-"""What a server lets one client use."""
+"""The settings of both halves of a transport over the wire protocol.
+
+Each setting has its default and its check here, and only here. `ServerSettings` and
+`ClientSettings` are what the two halves read; `WireKeywords` is what a transport's constructor
+takes, for type checkers and for the list in the error for a setting that does not exist.
+
+`fibaction` itself imports this module, so it imports nothing that costs time.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any, Literal, TypedDict
 
 import msgspec
 
+from fibaction.wire.auth import AccessPolicy, Authorize, check_token
 from fibaction.wire.framing import MAX_FRAME
+
+HEARTBEAT = 1.0
+"""Seconds between heartbeats, both ways, if nothing else is set."""
 
 
 class Limits(msgspec.Struct, frozen=True):
-    """What one server grants; over a limit, that client gets an error, and nobody else notices."""
+    """Limits of one server; a client that reaches one gets an error, and other clients do not."""
 
     connections: int = 1000
-    """At the same time."""
+    """Connections at the same time."""
     goals: int = 10_000
-    """That one connection may follow at the same time."""
+    """Goals that one connection may follow at the same time."""
     requests: int = 1000
-    """That one connection may wait for at the same time, beside its goals."""
+    """Requests that one connection may wait for at the same time, beside its goals."""
     frame: int = MAX_FRAME
     """Bytes of the largest message."""
     memory: int = 64 * 2**20
     """Bytes of goals that are being decided upon, for one connection."""
     queue: int = 2**20
-    """Bytes that wait to be written to one connection before whoever has more to say waits."""
+    """Bytes that wait to be written to one connection; answers wait while there are more."""
     handshake: float = 5.0
-    """Seconds until a client must have said who it is."""
+    """Seconds within which a client must say hello."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -37,3 +50,117 @@ class Limits(msgspec.Struct, frozen=True):
             value = getattr(self, name)
             if not 0 < value < math.inf:
                 raise ValueError(f"the limit of {name} is finite and more than 0, not {value}")
+
+
+class ServerSettings(msgspec.Struct, frozen=True):
+    """The settings of the serving half."""
+
+    heartbeat: float = HEARTBEAT
+    """Seconds between the heartbeats of the server."""
+    access: AccessPolicy = msgspec.field(default_factory=AccessPolicy)
+    """The tokens and permissions of the clients."""
+    limits: Limits = msgspec.field(default_factory=Limits)
+    orphans: Literal["keep", "cancel"] = "keep"
+    """The fate of goals whose client does not come back: they run on, or are canceled."""
+    grace: float = 10.0
+    """Seconds in which a client may come back for its goals."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ValueError: A number is out of range, or `orphans` is another word.
+        """
+        _check_range("heartbeat", self.heartbeat, 0.001, 3600)
+        _check_range("grace", self.grace, 0, math.inf)
+        if self.orphans not in ("keep", "cancel"):
+            raise ValueError(f"orphans is 'keep' or 'cancel', not {self.orphans!r}")
+
+
+class ClientSettings(msgspec.Struct, frozen=True):
+    """The settings of the connecting half."""
+
+    heartbeat: float = HEARTBEAT
+    """Seconds between the heartbeats of the client."""
+    token: str = ""
+    """Access token sent to the server; empty if none."""
+    reconnect: bool = True
+    """Whether a lost connection is opened again, and open calls go on."""
+    reconnect_timeout: float = 30.0
+    """Seconds that calls wait for a lost connection to come back."""
+    window: int = 256
+    """Feedback messages of a goal that wait here to be read; more wait at the server."""
+    max_frame: int = MAX_FRAME
+    """Bytes of the largest message that the client accepts."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ValueError: A number is out of range, or the token is not valid text.
+        """
+        check_token(self.token)
+        _check_range("heartbeat", self.heartbeat, 0.001, 3600)
+        _check_range("window", self.window, 1, 2**31 - 1)
+        _check_range("reconnect_timeout", self.reconnect_timeout, 0, math.inf)
+
+    def __repr__(self) -> str:
+        return "<ClientSettings>"  # a token has no place in a log
+
+
+class _SharedKeywords(TypedDict, total=False):
+    heartbeat: float
+    limits: Limits | None
+
+
+class ClientKeywords(_SharedKeywords, total=False):
+    """The keyword arguments of a transport that a client uses."""
+
+    token: str
+    reconnect: bool
+    reconnect_timeout: float
+    window: int
+
+
+class ServerKeywords(_SharedKeywords, total=False):
+    """The keyword arguments of a transport that a server uses."""
+
+    tokens: Mapping[str, str] | None
+    authorize: Authorize | None
+    orphans: Literal["keep", "cancel"]
+    grace: float
+
+
+class WireKeywords(ClientKeywords, ServerKeywords, total=False):
+    """The keyword arguments that every transport over the wire protocol has."""
+
+
+def client_settings(given: WireKeywords) -> ClientSettings:
+    """Return the settings of the connecting half.
+
+    Raises:
+        ValueError: A value is out of range.
+    """
+    limits = given.get("limits") or Limits()
+    return ClientSettings(max_frame=limits.frame, **_fields_of(ClientSettings, given))
+
+
+def server_settings(given: WireKeywords) -> ServerSettings:
+    """Return the settings of the serving half.
+
+    Raises:
+        ValueError: A value is out of range.
+    """
+    access = AccessPolicy(given.get("tokens"), given.get("authorize"))
+    fields = _fields_of(ServerSettings, given)
+    fields["limits"] = given.get("limits") or Limits()
+    return ServerSettings(access=access, **fields)
+
+
+def _fields_of(kind: type[msgspec.Struct], given: WireKeywords) -> dict[str, Any]:
+    return {name: value for name, value in given.items() if name in kind.__struct_fields__}
+
+
+def _check_range(name: str, value: float, least: float, most: float) -> None:
+    if not least <= value <= most:
+        raise ValueError(f"{name} is between {least} and {most}, not {value}")

@@ -17,7 +17,8 @@ from fibaction.wire.channel import Line
 from fibaction.wire.link import Link, naming
 from fibaction.wire.messages import Goodbye, Why, encode
 from fibaction.wire.ownership import Owners
-from fibaction.wire.session import ServerSettings, Session
+from fibaction.wire.session import Session
+from fibaction.wire.settings import ServerSettings
 
 LEAVE_TIMEOUT = 1.0
 """Seconds that a server which closes gives its clients to take what there still is to say."""
@@ -31,10 +32,16 @@ class WireServer:
     def __init__(
         self, tasks: TaskGroup, endpoints: Mapping[str, Endpoint], terms: ServerSettings
     ) -> None:
+        self.tasks = tasks
+        """The task group of the connections."""
         self._endpoints = endpoints
         self._terms = terms
         self._orphans = Owners(tasks, grace=terms.grace, then=terms.orphans)
         self._sessions: dict[Session, None] = {}  # in the order of their coming
+
+    def start(self, line: Line) -> None:
+        """Serve one client in a task of its own."""
+        self.tasks.start_soon(self.serve, line)
 
     async def serve(self, line: Line) -> None:
         """Serve one client until its connection ends."""
@@ -86,13 +93,13 @@ class WireServer:
 
 
 @asynccontextmanager
-async def hub(
-    endpoints: Mapping[str, Endpoint], terms: ServerSettings
-) -> AsyncGenerator[tuple[WireServer, TaskGroup], None]:
-    """A hub, and a task group for its connections; at the end of the block all of them are left."""
+async def open_server(
+    endpoints: Mapping[str, Endpoint], settings: ServerSettings
+) -> AsyncGenerator[WireServer, None]:
+    """Open a server of these endpoints; at the end of the block its connections are closed."""
     async with Background() as tasks:
-        opened = WireServer(tasks, endpoints, terms)
+        server = WireServer(tasks, endpoints, settings)
         try:
-            yield opened, tasks
+            yield server
         finally:
-            await opened.drain()
+            await server.drain()

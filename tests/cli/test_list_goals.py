@@ -92,19 +92,6 @@ def test_a_watched_list_is_kept_up_to_date_where_it_is(
     assert not shown.cursor_hidden
 
 
-def test_a_watched_list_says_that_the_server_is_away_until_it_is_back(
-    terminal: Open, start_robot: Callable[[], Robot]
-) -> None:
-    robot = start_robot()
-    shown = terminal("goals", "--watch", url=robot.tcp)
-    shown.until("0 active, 0 ended")
-    robot.process.kill()
-    shown.until("The server is away: it does not answer")
-    shown.press("\x03")
-
-    assert shown.ends() == 0
-
-
 def test_piped_each_change_is_a_line(started: Start, fibaction: Run, url: str) -> None:
     process = started("goals", "--watch", url=url)
     goal_id = detached(fibaction, url, "wait")

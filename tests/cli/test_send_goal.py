@@ -311,10 +311,6 @@ def test_a_goal_whose_time_is_up_is_canceled(invoke: Invoke, tcp: str) -> None:
     assert result.stdout.endswith("Goal finished with status: CANCELED (asked to stop)\n")
 
 
-def test_a_goal_that_ends_in_time_is_not_late(invoke: Invoke, tcp: str) -> None:
-    assert invoke("send_goal", "fibonacci", "order: 1", "-t", "50", url=tcp).exit_code == 0
-
-
 def test_a_goal_that_is_not_canceled_is_left_when_its_time_is_up(invoke: Invoke, tcp: str) -> None:
     result = invoke("send_goal", "stubborn", "{seconds: 5}", "-t", "0.3", url=tcp)
 
@@ -540,55 +536,39 @@ async def test_ctrl_c_before_anything_was_sent_ends_as_shells_expect(
     assert codes == [ExitCode.INTERRUPTED]
 
 
+async def silent(*_: object) -> None:
+    await anyio.sleep_forever()
+
+
+async def lost(*_: object) -> None:
+    raise ServerNotFound("nobody listens: start the server, or wait for it with wait_for_server()")
+
+
 @pytest.mark.asyncio
-async def test_a_goal_that_does_not_end_after_its_cancel_is_left(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("cancel_goals", "text"),
+    [
+        (None, "was left, and may go on.\n"),  # the goal does not end
+        (silent, "was left, and may go on.\n"),
+        (lost, "It could not be canceled: nobody listens: start the server\n"),
+    ],
+)
+async def test_a_goal_that_cannot_be_canceled_is_left_when_its_time_is_up(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    cancel_goals: Callable[..., Any] | None,
+    text: str,
 ) -> None:
     monkeypatch.setattr(send_goal, "TIMEOUT", 0.05)
     server = waiting(interrupt_on_cancel=False, shutdown_timeout=0)
 
     async with serve(server, "inproc://keys"):
+        if cancel_goals is not None:
+            monkeypatch.setattr(type(server), "cancel_goals", cancel_goals)
         code = await send_here(timeout=0.1)
 
     assert code == ExitCode.TIMED_OUT
-    assert "was left, and may go on." in capsys.readouterr().err
-
-
-async def silent(*_: object) -> None:
-    await anyio.sleep_forever()
-
-
-@pytest.mark.asyncio
-async def test_a_goal_whose_cancel_is_not_answered_is_left_as_soon_as_others(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(send_goal, "TIMEOUT", 0.05)
-    server = waiting()
-
-    async with serve(server, "inproc://keys"):
-        monkeypatch.setattr(server, "cancel_goals", silent)
-        code = await send_here(timeout=0.1)
-
-    assert code == ExitCode.TIMED_OUT
-    assert "was left, and may go on." in capsys.readouterr().err
-
-
-@pytest.mark.asyncio
-async def test_a_cancel_that_cannot_be_sent_is_told_of(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    server = waiting()
-
-    async with serve(server, "inproc://keys"):
-        monkeypatch.setattr(type(server), "cancel_goals", lost)
-        code = await send_here(timeout=0.1)
-
-    assert code == ExitCode.TIMED_OUT
-    assert "It could not be canceled: nobody listens: start the server\n" in capsys.readouterr().err
-
-
-async def lost(*_: object) -> None:
-    raise ServerNotFound("nobody listens: start the server, or wait for it with wait_for_server()")
+    assert text in capsys.readouterr().err
 
 
 async def closed(*_: object, **__: object) -> None:

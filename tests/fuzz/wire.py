@@ -26,8 +26,8 @@ from fibaction.wire.framing import FrameReader, header
 from fibaction.wire.link import Link
 from fibaction.wire.messages import VERSION, Hello, decode_from_client, decode_from_server, encode
 from fibaction.wire.ownership import Owners
-from fibaction.wire.session import ServerSettings, Session
-from fibaction.wire.settings import Limits
+from fibaction.wire.session import Session
+from fibaction.wire.settings import Limits, ServerSettings
 from tests.fibonacci import FIBONACCI, fibonacci
 
 LIMIT = 2**16

@@ -6,16 +6,14 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
 
-from anyio.abc import TaskGroup
-
 from fibaction import Endpoint, ServerNotFound, Transport
 from fibaction._tasks import Background
 from fibaction.abc import Connection
 from fibaction.wire.channel import StreamChannel
-from fibaction.wire.connection import ClientSettings, connected
+from fibaction.wire.connection import open_connection
 from fibaction.wire.framing import MAX_FRAME
-from fibaction.wire.session import ServerSettings
-from fibaction.wire.wire_server import WireServer, hub
+from fibaction.wire.settings import ClientSettings, ServerSettings
+from fibaction.wire.wire_server import WireServer, open_server
 from fibaction_transports.tcp._asyncio import ProtocolLine
 from tests.simulation.network import Line, Listener, Network
 from tests.simulation.sockets import line_over
@@ -53,19 +51,19 @@ class SimulatedTransport(Transport):
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
         assert self._terms is not None
         served = {endpoint.info.name: endpoint for endpoint in endpoints}
-        async with hub(served, self._terms) as (connections, tasks):
+        async with open_server(served, self._terms) as connections:
             listener = self._network.host.listen()
             try:
                 async with Background() as accepting:
-                    accepting.start_soon(self._accept, listener, connections, tasks)
+                    accepting.start_soon(self._accept, listener, connections)
                     yield "sim://server"
             finally:
                 await listener.aclose()
 
-    async def _accept(self, listener: Listener, connections: WireServer, tasks: TaskGroup) -> None:
+    async def _accept(self, listener: Listener, connections: WireServer) -> None:
         while True:
             stream = await listener.accept()
-            tasks.start_soon(connections.serve, self._line_over(stream, ""))
+            connections.start(self._line_over(stream, ""))
 
     def _line_over(self, stream: SimulatedStream, peer: str) -> ProtocolLine | StreamChannel:
         if self._calls_back:
@@ -77,7 +75,7 @@ class SimulatedTransport(Transport):
         assert self._line is not None
         assert self._keeping is not None
         where = f"sim://server/{self._line.name}"
-        async with connected(self._dial, where, self._keeping) as connection:
+        async with open_connection(self._dial, where, self._keeping) as connection:
             yield connection
 
     async def _dial(self) -> ProtocolLine | StreamChannel:

@@ -22,9 +22,7 @@ from anyio.abc import TaskGroup
 
 from fibaction import ActionServer, serve
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
-from fibaction.wire.connection import ClientSettings
-from fibaction.wire.session import ServerSettings
-from fibaction.wire.settings import Limits
+from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
 from fibaction.wire.wire_server import WireServer
 from tests.simulation import loop as virtual
 from tests.simulation.clients import Client

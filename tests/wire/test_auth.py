@@ -8,7 +8,7 @@ import anyio
 import pytest
 from hypothesis import given, strategies
 
-from fibaction.wire.auth import AccessPolicy, Authorize, Peer, Permission
+from fibaction.wire.auth import AccessPolicy, Authorize, Peer, Permission, check_token
 
 ADDRESS = "127.0.0.1:51234"
 TOKENS = {"sesame": "ali", "réseau": "zoë", "longer than the others": "bob"}
@@ -43,12 +43,13 @@ def test_every_token_is_compared_so_that_time_tells_nothing(
     token: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compared: list[bytes] = []
+    real = hmac.compare_digest
 
     def compare(one: bytes, other: bytes) -> bool:
         compared.append(one)
-        return hmac.compare_digest(one, other)
+        return real(one, other)
 
-    monkeypatch.setattr("fibaction.wire.auth.compare_digest", compare)
+    monkeypatch.setattr("hmac.compare_digest", compare)
     AccessPolicy(TOKENS).admit(ADDRESS, token)
     assert compared == [known.encode() for known in TOKENS]
 
@@ -73,7 +74,7 @@ def test_a_token_may_belong_to_somebody_without_a_name() -> None:
 
 
 def test_no_token_can_be_read_in_a_log() -> None:
-    assert repr(AccessPolicy(TOKENS)) == str(AccessPolicy(TOKENS)) == "<Access>"
+    assert repr(AccessPolicy(TOKENS)) == str(AccessPolicy(TOKENS)) == "<AccessPolicy>"
     assert "sesame" not in repr(AccessPolicy(TOKENS).admit(ADDRESS, "sesame"))
 
 
@@ -83,7 +84,7 @@ def test_no_token_can_be_read_in_a_log() -> None:
 @pytest.mark.anyio
 @pytest.mark.parametrize("verb", Permission)
 async def test_without_a_rule_everything_is_allowed(verb: Permission) -> None:
-    assert await AccessPolicy(TOKENS).allows(ALI, "fibonacci", verb) is True
+    assert await AccessPolicy(TOKENS).permits(ALI, "fibonacci", verb) is True
 
 
 def may_only_observe(peer: Peer, action: str, verb: Permission) -> bool:
@@ -111,7 +112,7 @@ async def test_a_rule_is_told_who_wants_what_of_which_action(
     authorize: Authorize, peer: Peer, action: str, verb: Permission, allowed: bool
 ) -> None:
     with anyio.fail_after(5):
-        assert await AccessPolicy(authorize=authorize).allows(peer, action, verb) is allowed
+        assert await AccessPolicy(authorize=authorize).permits(peer, action, verb) is allowed
 
 
 @pytest.mark.anyio
@@ -125,7 +126,7 @@ async def test_only_true_allows(answer: object) -> None:
 
     for authorize in (at_once, later):
         assert (
-            await AccessPolicy(authorize=authorize).allows(ALI, "fibonacci", Permission.SEND)
+            await AccessPolicy(authorize=authorize).permits(ALI, "fibonacci", Permission.SEND)
             is False
         )
 
@@ -136,10 +137,17 @@ async def test_the_error_of_a_rule_allows_nothing() -> None:
         raise LookupError("no such table")
 
     with pytest.raises(LookupError, match="no such table"):
-        await AccessPolicy(authorize=broken).allows(ALI, "fibonacci", Permission.SEND)
+        await AccessPolicy(authorize=broken).permits(ALI, "fibonacci", Permission.SEND)
 
 
 def test_only_where_nobody_is_asked_everybody_may_do_everything() -> None:
     assert AccessPolicy().is_open
     assert AccessPolicy({"secret": "ann"}).is_open  # for those who are in
     assert not AccessPolicy(authorize=lambda *_: True).is_open
+
+
+def test_a_token_is_text() -> None:
+    check_token("sésame")
+    with pytest.raises(ValueError, match=r"^token is not valid text") as caught:
+        check_token("secret \udcff")
+    assert "secret" not in str(caught.value)

@@ -48,7 +48,6 @@ from fibaction.wire.messages import (
     WatchStatus,
     Welcome,
     Why,
-    check_can_be_sent,
     decode_from_client,
     decode_from_server,
     encode,
@@ -653,11 +652,3 @@ def test_an_announced_length_in_each_of_many_levels_takes_no_memory() -> None:
         assert tracemalloc.get_traced_memory()[1] < 2**18
     finally:
         tracemalloc.stop()
-
-
-def test_a_token_must_be_one_that_a_hello_can_hold() -> None:
-    check_can_be_sent("sésame")
-    with pytest.raises(ValueError) as caught:
-        check_can_be_sent("secret \udcff")
-    text = "token is not valid text"
-    assert str(caught.value) == text  # and not the token

@@ -16,8 +16,9 @@ from weakref import WeakSet, WeakValueDictionary
 from fibaction._notify import Notifier
 from fibaction.abc import Connection, Endpoint, GoalStream, StatusStream, Transport
 from fibaction.action import Action, ActionInfo
-from fibaction.exceptions import ConnectionLost, ServerNotFound, TransportError
+from fibaction.exceptions import ConnectionLost, InvalidURL, ServerNotFound, TransportError
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
+from fibaction.urls import check_settings
 
 StreamT = TypeVar("StreamT", bound=GoalStream | StatusStream)
 
@@ -55,7 +56,7 @@ class InProcessTransport(Transport):
     def __init__(self, name: str | None = None) -> None:
         url = f"inproc://{name or uuid.uuid4().hex}"
         if not _URL.fullmatch(url):
-            raise TransportError(f"an in-process URL is like inproc://robot, not {url!r}")
+            raise InvalidURL(f"an in-process URL is like inproc://robot, not {url!r}")
         self._place = _places.setdefault(url, _Place(url))
 
     @classmethod
@@ -65,15 +66,14 @@ class InProcessTransport(Transport):
         It does not take settings.
 
         Raises:
-            TransportError: The URL is invalid.
+            InvalidURL: The URL is invalid.
             TypeError: Settings were given.
         """
         where, has_settings, _ = url.partition("?")
         if has_settings:  # they are not shown: copied from another URL, they may have a token
-            raise TransportError(
-                f"{where} does not take settings: leave out the ? and what follows it"
-            )
-        return cls(url.removeprefix("inproc://") or "/", **settings)
+            raise InvalidURL(f"{where} does not take settings: leave out the ? and what follows it")
+        check_settings(cls.__name__, settings, ())
+        return cls(url.removeprefix("inproc://") or "/")
 
     @asynccontextmanager
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:

@@ -1,4 +1,4 @@
-"""`fibaction_transports.tcp.settings`: what a URL says."""
+"""`fibaction.wire.transport`: what a URL says."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 
 from fibaction import (
+    InvalidURL,
     TransportError,
     connect,
     serve,
 )
-from fibaction.wire.settings import Limits
+from fibaction.wire.settings import Limits, WireKeywords
 from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport
 from tests.transports.tcp.servers import SECRET, new_server
 
@@ -25,14 +26,15 @@ async def test_the_settings_behind_a_url_have_types_and_those_given_count_for_mo
         "&insecure=true&grace=2&orphans=cancel&ca=a&cert=b&key=c"
     )
     made = TcpTransport.from_url(url, window=5)
-    keeping = made._keeping
+    keeping = made.client_settings
     assert (keeping.token, keeping.heartbeat, keeping.window) == (SECRET, 0.5, 5)
     assert (keeping.reconnect, keeping.reconnect_timeout) == (False, 7.0)
-    assert (made._insecure, made._terms.grace, made._terms.orphans) == (True, 2.0, "cancel")
-    assert made._terms.heartbeat == 0.5
+    assert made._insecure
+    assert (made.server_settings.grace, made.server_settings.orphans) == (2.0, "cancel")
+    assert made.server_settings.heartbeat == 0.5
     assert made._tls == TlsFiles("a", "b", "c")
     local = UnixTransport.from_url("unix:///run/a%20b?window=3&reconnect=true", window=4)
-    assert (local._path, local._keeping.window) == (Path("/run/a b"), 4)
+    assert (local._path, local.client_settings.window) == (Path("/run/a b"), 4)
 
 
 ALL_HAVE = "token, heartbeat, reconnect, reconnect_timeout, window, orphans, grace"
@@ -43,11 +45,17 @@ ALL_HAVE = "token, heartbeat, reconnect, reconnect_timeout, window, orphans, gra
     [
         (
             f"tcp://robot?tokem={SECRET}",
-            f"tcp://robot has no setting 'tokem'; there is {ALL_HAVE}, insecure",
+            (
+                "tcp://robot has no setting 'tokem': did you mean 'token'?"
+                f" Its settings are {ALL_HAVE}, insecure"
+            ),
         ),
         (
             "tls://robot?cart=x",
-            f"tls://robot has no setting 'cart'; there is {ALL_HAVE}, insecure, ca, cert, key",
+            (
+                "tls://robot has no setting 'cart': did you mean 'cert'?"
+                f" Its settings are {ALL_HAVE}, insecure, ca, cert, key"
+            ),
         ),
         (
             f"tcp://robot?window=few&token={SECRET}",
@@ -63,27 +71,27 @@ ALL_HAVE = "token, heartbeat, reconnect, reconnect_timeout, window, orphans, gra
         ),
         (
             "tcp://robot?ca=x",
-            f"tcp://robot has no setting 'ca'; there is {ALL_HAVE}, insecure",
+            f"tcp://robot has no setting 'ca'; its settings are {ALL_HAVE}, insecure",
         ),
         (
             "unix:///run/x?insecure=",
-            f"unix:///run/x has no setting 'insecure'; there is {ALL_HAVE}",
+            f"unix:///run/x has no setting 'insecure'; its settings are {ALL_HAVE}",
         ),
         ("tcp://robot?insecure=", "tcp://robot: the setting 'insecure' cannot be ''"),
-        ("tcp://robot:99999", "tcp://robot:99999 has no good port: Port out of range 0-65535"),
+        ("tcp://robot:99999", "tcp://robot:99999: invalid port: Port out of range 0-65535"),
         (
             "tcp://robot:-1",
-            "tcp://robot:-1 has no good port: Port could not be cast to integer value as '-1'",
+            "tcp://robot:-1: invalid port: Port could not be cast to integer value as '-1'",
         ),
-        ("unix://", "the URL of a socket is like unix:///run/robot.sock, not unix://"),
-        ("unix:///", "the URL of a socket is like unix:///run/robot.sock, not unix:///"),
-        ("unix://x/y", "the URL of a socket is like unix:///run/robot.sock, not unix://x/y"),
+        ("unix://", "unix://: the URL of a socket is like unix:///run/robot.sock"),
+        ("unix:///", "unix:///: the URL of a socket is like unix:///run/robot.sock"),
+        ("unix://x/y", "unix://x/y: the URL of a socket is like unix:///run/robot.sock"),
     ],
 )
 async def test_a_bad_url_is_refused_in_one_sentence(url: str, problem: str) -> None:
     with pytest.raises(TransportError) as caught:
         connect(url)
-    assert type(caught.value) is TransportError
+    assert type(caught.value) is InvalidURL
     assert str(caught.value) == problem
 
 
@@ -134,11 +142,11 @@ async def test_a_bad_url_is_a_transport_error_whatever_is_bad(url: str) -> None:
 @pytest.mark.parametrize(
     ("url", "what"),
     [
-        (f"tcp://me:{SECRET}@robot:7400", "tcp://robot:7400 has a user"),
-        (f"tls://{SECRET}@robot?ca=x", "tls://robot has a user"),
-        ("tcp://@robot", "tcp://robot has a user"),
-        ("tcp://robot:7400/arm", "tcp://robot:7400/arm has a path"),
-        ("tcp:///run/robot.sock", "tcp:///run/robot.sock has a path"),
+        (f"tcp://me:{SECRET}@robot:7400", "tcp://robot:7400: it has a user"),
+        (f"tls://{SECRET}@robot?ca=x", "tls://robot: it has a user"),
+        ("tcp://@robot", "tcp://robot: it has a user"),
+        ("tcp://robot:7400/arm", "tcp://robot:7400/arm: it has a path"),
+        ("tcp:///run/robot.sock", "tcp:///run/robot.sock: it has a path"),
     ],
 )
 async def test_what_a_url_says_besides_is_refused_and_not_left_out_silently(
@@ -150,7 +158,7 @@ async def test_what_a_url_says_besides_is_refused_and_not_left_out_silently(
         f"{what}, and the URL of a server is like {url[:3]}://host:port,"
         f" with settings behind ? such as token="
     )
-    assert TcpTransport.from_url("tcp://robot:7400/")._where == "tcp://robot:7400"
+    assert TcpTransport.from_url("tcp://robot:7400/").url == "tcp://robot:7400"
 
 
 @pytest.mark.parametrize(
@@ -168,23 +176,39 @@ async def test_a_url_is_not_cut_off_silently_at_a_number_sign(url: str, shown: s
     with pytest.raises(TransportError) as caught:
         connect(url)
     assert str(caught.value) == (
-        f"{shown} has a part behind #, which says nothing here: write %23 if the # belongs to a"
+        f"{shown} has a part behind #, which has no meaning here: write %23 if the # belongs to a"
         f" path or a token"
     )
 
 
 async def test_a_number_sign_that_belongs_to_a_path_or_a_token_is_written_as_a_number() -> None:
     made = UnixTransport.from_url("unix:///run/robot%231.sock?token=%23a")
-    assert (made._path, made._keeping.token) == (Path("/run/robot#1.sock"), "#a")
+    assert (made._path, made.client_settings.token) == (Path("/run/robot#1.sock"), "#a")
 
 
 async def test_of_two_values_of_one_setting_none_is_left_out_silently() -> None:
     with pytest.raises(TransportError) as caught:
         connect(f"tcp://robot?token={SECRET}&token=b")
-    assert str(caught.value) == "tcp://robot has a setting twice: say it once"
+    assert str(caught.value) == "tcp://robot: setting given twice"
 
 
 async def test_a_socket_whose_path_cannot_be_is_refused() -> None:
     with pytest.raises(TransportError):
         async with serve(new_server(), "unix:///tmp/a%00b"):
             raise AssertionError("the block must not run")
+
+
+@pytest.mark.parametrize(
+    ("url", "more"), [("tcp://robot", True), ("tls://robot", True), ("unix:///run/x", False)]
+)
+async def test_a_setting_that_does_not_exist_is_an_error_that_lists_those_that_do(
+    url: str, more: bool
+) -> None:
+    wrong: Any = {"hartbeat": 2}
+    with pytest.raises(TypeError) as caught:
+        connect(url, **wrong)
+    settings = ", ".join((*WireKeywords.__annotations__, *(("tls", "insecure") if more else ())))
+    name = "TcpTransport" if more else "UnixTransport"
+    assert str(caught.value) == (
+        f"{name} has no setting 'hartbeat': did you mean 'heartbeat'? Its settings are {settings}"
+    )

@@ -1,4 +1,4 @@
-"""`fibaction_transports.tcp.tls`: who is let in, and who is talked to."""
+"""`fibaction_transports.tcp._tls`: who is let in, and who is talked to."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from fibaction import (
     serve,
 )
 from fibaction.wire.settings import Limits
-from fibaction_transports.tcp import TcpTransport, TlsFiles, tls
-from fibaction_transports.tcp.tls import TlsChannel, TlsListener
+from fibaction_transports.tcp import TcpTransport, TlsFiles, _tls
+from fibaction_transports.tcp._tls import TlsChannel, TlsListener
 from tests.certificates import pems
 from tests.transports.hearing import Hearing, port_of, raw
 from tests.transports.tcp.servers import Named, new_server, tls_server, works
@@ -68,7 +68,7 @@ async def test_a_server_whose_certificate_is_not_right_is_not_talked_to(
             with anyio.fail_after(5), pytest.raises(AuthenticationFailed, match=reason) as caught:
                 async with connect(url, tls=trusted, reconnect=reconnect):
                     raise AssertionError("the block must not run")
-            assert str(caught.value).startswith(f"no TLS with {url}: ")
+            assert str(caught.value).startswith(f"cannot set up TLS with {url}: ")
 
 
 async def test_with_mutual_tls_a_client_that_has_a_certificate_is_served() -> None:
@@ -83,19 +83,19 @@ async def test_with_mutual_tls_a_client_that_has_a_certificate_is_served() -> No
         (
             ssl.TLSVersion.TLSv1_3,
             "",
-            "URL wants a certificate of its clients: say cert=, and key=",
+            "URL asks its clients for a certificate: give cert=, and key=",
             "peer did not return a certificate",
         ),
         (
             ssl.TLSVersion.TLSv1_3,
             "other.test",
-            "URL refused our certificate: unknown ca",
+            "URL rejected our certificate: unknown ca",
             "certificate",
         ),
         (
             ssl.TLSVersion.TLSv1_2,
             "other.test",
-            "URL refused our certificate: unknown ca",
+            "URL rejected our certificate: unknown ca",
             "certificate",
         ),
     ],
@@ -121,7 +121,7 @@ async def test_a_server_hears_why_a_client_refuses_it(heard: Hearing) -> None:
         with anyio.fail_after(5), pytest.raises(AuthenticationFailed):
             async with connect(url, tls=TlsFiles(ca=pems("other.test").ca)):
                 raise AssertionError("the block must not run")
-        await heard.until(": no TLS: it refused our certificate: unknown ca")
+        await heard.until(": no TLS: it rejected our certificate: unknown ca")
 
 
 async def test_a_server_with_a_context_of_its_own_refuses_a_client_without_a_word() -> None:
@@ -137,7 +137,7 @@ async def test_a_server_with_a_context_of_its_own_refuses_a_client_without_a_wor
 async def test_who_is_refused_and_does_not_go_is_not_waited_for_long(
     monkeypatch: pytest.MonkeyPatch, heard: Hearing
 ) -> None:
-    monkeypatch.setattr(tls, "LAST_WORDS", 0.01)
+    monkeypatch.setattr(_tls, "LAST_WORDS", 0.01)
     async with serve(new_server(), tls_server(cert=pems().cert)) as (url,), raw(url) as peer:
         await peer.say(b"hello?")
         with anyio.fail_after(5), pytest.raises(anyio.BrokenResourceError):
@@ -159,10 +159,14 @@ class _Failing(Named):
 @pytest.mark.parametrize(
     ("reason", "kind", "text"),
     [
-        ("TLSV13_ALERT_CERTIFICATE_REQUIRED", AuthenticationFailed, "robot wants a certificate"),
-        ("SSLV3_ALERT_CERTIFICATE_EXPIRED", AuthenticationFailed, "refused .* certificate expired"),
-        ("SSLV3_ALERT_BAD_CERTIFICATE", AuthenticationFailed, "refused .*: bad certificate"),
-        ("TLSV1_ALERT_ACCESS_DENIED", AuthenticationFailed, "refused .*: access denied"),
+        ("TLSV13_ALERT_CERTIFICATE_REQUIRED", AuthenticationFailed, "robot asks its clients"),
+        (
+            "SSLV3_ALERT_CERTIFICATE_EXPIRED",
+            AuthenticationFailed,
+            "rejected .* certificate expired",
+        ),
+        ("SSLV3_ALERT_BAD_CERTIFICATE", AuthenticationFailed, "rejected .*: bad certificate"),
+        ("TLSV1_ALERT_ACCESS_DENIED", AuthenticationFailed, "rejected .*: access denied"),
         ("TLSV1_ALERT_INTERNAL_ERROR", ConnectionLost, "the connection to robot broke"),
         ("CERTIFICATE_VERIFY_FAILED", ConnectionLost, "the connection to robot broke"),
         (None, ConnectionLost, "the connection to robot broke"),
@@ -184,17 +188,23 @@ async def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     nonsense = tmp_path / "nonsense.pem"
     nonsense.write_text("nonsense")
     for files, problem in (
-        ({}, "a TLS server needs a certificate: say cert=, and key="),
-        ({"cert": "/none.pem"}, "there is no TLS with /none.pem: .*No such file"),
-        ({"cert": pems().cert, "key": str(nonsense)}, f"there is no TLS with .*, {nonsense}: "),
-        ({"cert": pems().cert, "ca": str(nonsense)}, f"there is no TLS with {nonsense}, .*: "),
+        ({}, "a TLS server needs a certificate: give cert=, and key="),
+        ({"cert": "/none.pem"}, "cannot load TLS files /none.pem: .*No such file"),
+        (
+            {"cert": pems().cert, "key": str(nonsense)},
+            f"cannot load TLS files .*, {nonsense}: ",
+        ),
+        (
+            {"cert": pems().cert, "ca": str(nonsense)},
+            f"cannot load TLS files {nonsense}, .*: ",
+        ),
     ):
         with pytest.raises(TransportError, match=problem):
             async with serve(new_server(), tls_server(**files)):
                 raise AssertionError("the block must not run")
-    with pytest.raises(TransportError, match=f"there is no TLS with {nonsense}: "):
+    with pytest.raises(TransportError, match=f"cannot load TLS files {nonsense}: "):
         TlsFiles(ca=str(nonsense)).client()
-    with pytest.raises(TransportError, match=r"there is no TLS with /none\.pem: "):
+    with pytest.raises(TransportError, match=r"cannot load TLS files /none\.pem: "):
         TlsFiles(cert="/none.pem").client()
 
 
@@ -242,9 +252,7 @@ async def test_a_tls_client_at_a_plain_server_is_told_so_and_gives_up(reconnect:
         with anyio.fail_after(5), pytest.raises(AuthenticationFailed) as caught:
             async with connect(secured, reconnect=reconnect):
                 raise AssertionError("the block must not run")
-        assert str(caught.value) == (
-            f"{secured} does not speak TLS: if it is not meant to, use tcp://"
-        )
+        assert str(caught.value) == (f"{secured} does not speak TLS: check the port, or use tcp://")
 
 
 async def test_who_does_not_begin_with_tls_is_not_waited_for(heard: Hearing) -> None:
@@ -259,9 +267,7 @@ async def test_who_hangs_up_while_shaking_hands_is_said_to_have_done_so(heard: H
     async with serve(new_server(), transport) as (url,):
         async with raw(url) as peer:
             await peer.stream.send(b"\x16\x03\x01")  # how TLS begins
-        said = (
-            "no TLS: it hung up while shaking hands, as some do that do not trust our certificate"
-        )
+        said = "no TLS: it hung up while shaking hands: it may not trust our certificate"
         await heard.until(f"{peer.name}: {said}")
         assert len(heard.warnings) == 1
 

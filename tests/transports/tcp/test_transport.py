@@ -1,4 +1,4 @@
-"""`fibaction_transports.tcp.transport`: addresses, sockets, tokens.
+"""`fibaction_transports.tcp`: addresses, sockets, tokens.
 
 The contract suite has the rest.
 """
@@ -17,7 +17,7 @@ from typing import Any
 import anyio
 import anyio.lowlevel
 import pytest
-from anyio.abc import Listener, SocketAttribute, SocketStream
+from anyio.abc import ByteStream, Listener, SocketAttribute, SocketStream
 
 from fibaction import (
     ActionClient,
@@ -25,6 +25,7 @@ from fibaction import (
     AuthenticationFailed,
     GoalHandle,
     GoalID,
+    InvalidURL,
     Outcome,
     ProtocolError,
     ServerFailed,
@@ -37,7 +38,7 @@ from fibaction import (
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.messages import Hello
 from fibaction.wire.settings import Limits
-from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport, _asyncio, transport
+from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport, _asyncio, _streams
 from tests.certificates import pems
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.hearing import Hearing, port_of
@@ -108,7 +109,7 @@ async def test_numbers_that_make_no_sense_are_refused() -> None:
 
 @pytest.mark.parametrize("host", ["a" * 64, ".robot"])
 async def test_nobody_is_at_a_host_whose_name_cannot_be(host: str) -> None:
-    with pytest.raises(ServerNotFound, match=f"^nobody can be at tcp://{host}:81: .*label"):
+    with pytest.raises(InvalidURL, match=f"^invalid host in tcp://{host}:81: .*label"):
         async with connect(f"tcp://{host}:81", reconnect=False):
             raise AssertionError("the block must not run")
 
@@ -150,7 +151,7 @@ async def test_an_address_in_use_is_refused() -> None:
         with pytest.raises(TransportError) as caught:
             async with serve(new_server(), url):
                 raise AssertionError("the block must not run")
-        assert str(caught.value).lower() == f"cannot listen at {url}: address already in use"
+        assert str(caught.value).lower() == f"address already in use: {url}"
         assert await works(url)
 
 
@@ -188,8 +189,8 @@ async def test_a_public_address_needs_tls_or_an_explicit_word(
         async with serve(new_server(), f"tcp://{host}:0"):
             raise AssertionError("the block must not run")
     assert str(caught.value) == (
-        f"tcp://{host}:0 can be reached from other machines: use tls://, or say insecure=True if"
-        f" the network is your own"
+        f"tcp://{host}:0 can be reached from other machines: use tls://, or, if the network is"
+        f" your own, ?insecure=true behind the URL (in code insecure=True)"
     )
     assert listening == []
     for url in (f"tcp://{host}:0?insecure=true", f"tls://{host}:0?cert={pems().cert}"):
@@ -215,7 +216,7 @@ async def test_a_server_that_cannot_accept_for_a_while_goes_on_afterwards(
         await accept(*given)
 
     monkeypatch.setattr(_asyncio, "accept", accept_later)
-    monkeypatch.setattr(transport, "ACCEPT_PAUSE", 0)
+    monkeypatch.setattr(_streams, "ACCEPT_PAUSE", 0)
     async with serve(new_server(), "tcp://127.0.0.1:0") as (url,):
         assert await works(url)
     said = "tcp://127.0.0.1:0 cannot accept connections: [Errno 24] Too many open files"
@@ -310,7 +311,7 @@ async def test_a_unix_socket_that_is_in_use_is_refused_and_stays(tmp_path: Path)
         with pytest.raises(TransportError) as caught:
             async with serve(new_server(), url):
                 raise AssertionError("the block must not run")
-        assert str(caught.value) == f"cannot listen at {url}: somebody does already"
+        assert str(caught.value) == f"address already in use: {url}"
         assert await works(url)
 
 
@@ -366,7 +367,8 @@ async def test_a_token_opens_the_door_and_nothing_else_does(
         return True
 
     serving = TcpTransport(port=0, tokens={SECRET: "ann", "other": "bob"}, authorize=authorize)
-    shown: list[object] = [serving, serving._terms, serving._keeping, serving.__dict__]
+    shown: list[object] = [serving, serving.server_settings, serving.__dict__]
+    shown.append(serving.client_settings)
     async with serve(new_server(), serving) as (url,):
         none = (
             "the server wants a token, and the client gave none: give one as token=, or behind the"
@@ -387,7 +389,7 @@ async def test_a_token_opens_the_door_and_nothing_else_does(
             client = connection.client(FIBONACCI)
             goal = await client.send_goal(Goal(1))
             assert await goal.result() == Result([0, 1])
-            shown += [connecting, connecting._keeping, connecting.__dict__]
+            shown += [connecting, connecting.client_settings, connecting.__dict__]
             shown += [connection, connection._connection, connection._connection.__dict__]
             shown += [client, client.endpoint, goal, goal._stream, goal._stream.__dict__]
     shown += [people, url, Hello(1, 1.0, SECRET)]
@@ -405,10 +407,10 @@ async def test_a_server_with_an_empty_token_is_refused() -> None:
 
 
 async def test_a_token_that_cannot_be_sent_is_refused_before_anything_is() -> None:
-    with pytest.raises(TransportError, match=r"^tcp://robot: a token is text") as caught:
+    with pytest.raises(TransportError, match=r"^tcp://robot: token is not valid text") as caught:
         connect("tcp://robot", FIBONACCI, token="secret \udcff")
     assert "secret" not in str(caught.value)
-    with pytest.raises(ValueError, match="a token is text"):
+    with pytest.raises(ValueError, match="token is not valid text"):
         UnixTransport("/run/x", token="secret \udcff")
 
 
@@ -572,3 +574,24 @@ async def test_what_is_too_large_is_one_goals_error_and_the_connection_lives(
         await heard.until("left: ")
         lines = [one.getMessage() for one in heard.records if one.levelno == logging.INFO]
         assert len(lines) == 1  # there was one connection, to the end
+
+
+@pytest.mark.parametrize("reconnect", [True, False])
+async def test_a_client_at_the_port_of_a_web_server_is_told_so(reconnect: bool) -> None:
+    async def answer(stream: ByteStream) -> None:
+        async with stream:
+            await stream.receive()
+            await stream.send(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+
+    async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
+        url = f"tcp://127.0.0.1:{listener.extra(SocketAttribute.local_port)}"
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(listener.serve, answer)
+            with anyio.fail_after(5), pytest.raises(ProtocolError) as caught:
+                async with connect(url, FIBONACCI, reconnect=reconnect):
+                    raise AssertionError("the block must not run")
+            tasks.cancel_scope.cancel()
+    assert str(caught.value) == (
+        f"{url}: frame of 1213486160 bytes exceeds the limit of 16777216 bytes: this looks like"
+        " HTTP: check the port"
+    )

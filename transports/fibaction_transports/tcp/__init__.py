@@ -1,6 +1,7 @@
 """`tcp://host:port`, `tls://host:port` and `unix:///path`: actions across processes."""
 
-from fibaction_transports.tcp.tls import TlsFiles
-from fibaction_transports.tcp.transport import TcpTransport, UnixTransport
+from fibaction.wire.tls_files import TlsFiles
+from fibaction_transports.tcp.tcp_transport import TcpTransport
+from fibaction_transports.tcp.unix_transport import UnixTransport
 
 __all__ = ["TcpTransport", "TlsFiles", "UnixTransport"]

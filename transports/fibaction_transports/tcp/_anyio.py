@@ -1,4 +1,4 @@
-"""Connections as anyio has them: on every backend, and with TLS."""
+"""Connections over the streams of anyio: on every backend, and with TLS."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ async def accept(
     serve: Callable[[Line], Coroutine[Any, Any, None]],
     tasks: TaskGroup,
 ) -> None:
-    """Serve whoever connects, each in a task of its own, until that cannot be done.
+    """Serve each client that connects in a task of its own, until accepting fails.
 
     Raises:
         OSError: A connection could not be accepted.
@@ -30,10 +30,10 @@ async def accept(
 
 
 def peer_of(stream: AnyByteStream) -> str:
-    """Who is at the other end, for a person to read."""
+    """Return the address of the peer, for logs."""
     family = stream.extra(SocketAttribute.family)
     if family == socket.AF_UNIX:
         return "a local process"
     address = stream.extra(SocketAttribute.remote_address, None)
-    # It is not known of a peer that has reset the connection before it was looked at.
+    # A peer that has reset the connection before this has no address any more.
     return f"{address[0]}:{address[1]}" if isinstance(address, tuple) else "a peer that has left"

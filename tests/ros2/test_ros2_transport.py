@@ -1,0 +1,348 @@
+"""`ros2://`: URLs, invalid settings and their errors, and a node of the user's own."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import subprocess
+import sys
+import threading
+import uuid
+from collections.abc import AsyncGenerator, Generator
+from contextlib import suppress
+from typing import Any
+
+import anyio
+import pytest
+
+import fibaction_transports.ros2
+from fibaction import (
+    Action,
+    ActionServer,
+    ConnectionLost,
+    GoalHandle,
+    InvalidURL,
+    ServerNotFound,
+    TransportError,
+    connect,
+    serve,
+)
+from fibaction.action import ActionInfo
+from fibaction.urls import transport_for
+from fibaction_transports.ros2 import Ros2Transport
+from fibaction_transports.ros2.rcl import (
+    Context,
+    ExternalShutdownException,
+    SingleThreadedExecutor,
+    rclpy,
+)
+from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+
+pytestmark = pytest.mark.anyio
+
+
+def namespace() -> str:
+    """Return a namespace of its own."""
+    return f"/t{uuid.uuid4().hex}"
+
+
+def server(action: Action[Goal, Feedback, Result] = FIBONACCI) -> Any:
+    return ActionServer(action, fibonacci)
+
+
+def named(name: str, type_name: str = FIBONACCI.type_name) -> Any:
+    return Action(name, goal=Goal, feedback=Feedback, result=Result, type_name=type_name)
+
+
+@pytest.mark.parametrize(
+    ("url", "text"),
+    [
+        ("ros2://robot/arm", "it has a path; a valid one is, for example, ros2://node_name"),
+        (
+            "ros2://robot#arm",
+            "it has a part after #; a valid one is, for example, ros2://node_name",
+        ),
+        ("ros2://robot#", "it has a part after #; a valid one is, for example, ros2://node_name"),
+        ("ros2://?domain_id=7&domain_id=8", "ros2://: setting 'domain_id' given twice"),
+        ("ros2://[", "Invalid IPv6 URL"),
+        ("ros2://?color=red", "has no setting 'color'; its settings are namespace, domain_id"),
+        ("ros2://?domain_id=x", "ros2://: invalid setting 'domain_id': 'x'"),
+        ("ros2://?domain_id=233", "domain_id must be between 0 and 232, not 233"),
+        ("ros2://?feedback_depth=0", "feedback_depth must be between 1 and 100000, not 0"),
+        ("ros2://?discovery_timeout=nan", "discovery_timeout must be between 0 and inf, not nan"),
+    ],
+)
+def test_an_invalid_url_is_an_error_of_one_sentence(url: str, text: str) -> None:
+    with pytest.raises(InvalidURL) as caught:
+        transport_for(url)
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "ros2://robot?token=secret",
+        "ros2://robot/arm?token=secret",
+        "ros2://robot?token=secret#arm",
+        "ros2://[?token=secret",
+        "ros2://robot?domain_id=x&token=secret",
+        "ros2://robot?domain_id=233&namespace=/secret",
+        "ros2://robot?domain_id=1&domain_id=2&token=secret",
+    ],
+)
+def test_the_error_of_an_invalid_url_does_not_show_its_settings(url: str) -> None:
+    with pytest.raises(InvalidURL) as caught:
+        transport_for(url)
+    assert "ros2://" in str(caught.value)
+    assert "secret" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("url", "text"),
+    [
+        ("ros2://1st", "invalid node_name '1st': it has letters, digits and _"),
+        ("ros2://a%20b", "invalid node_name 'a%20b': it has letters, digits and _"),
+        (
+            "ros2://?namespace=a%20b",
+            "invalid namespace '/a b': it has names of letters, digits and _ after slashes",
+        ),
+    ],
+)
+async def test_a_name_that_ros_does_not_allow_is_an_error_of_one_sentence(
+    url: str, text: str
+) -> None:
+    with pytest.raises(TransportError) as caught:
+        async with serve(server(), url):
+            raise AssertionError("it is served")
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("domain", ["233", "-1", "arm"])
+async def test_an_invalid_domain_in_the_environment_is_an_error_of_one_sentence(
+    domain: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    with pytest.raises(TransportError) as caught:
+        async with connect("ros2://"):
+            raise AssertionError("the block must not run")
+    assert str(caught.value) == (
+        f"invalid ROS_DOMAIN_ID in the environment: {domain!r} is not a number from 0 to 232"
+    )
+
+
+@pytest.mark.parametrize("domain", ["", "232"])
+async def test_a_valid_domain_in_the_environment_is_used(
+    domain: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    async with connect("ros2://"):
+        pass
+
+
+async def test_arguments_that_ros_does_not_understand_are_an_error() -> None:
+    transport = Ros2Transport(arguments=["--ros-args", "-r", "no rule"])
+    with pytest.raises(TransportError, match="cannot make the ROS node 'fibaction_"):
+        async with connect(transport):
+            raise AssertionError("it is connected")
+
+
+def test_settings_take_precedence_over_those_in_the_url() -> None:
+    transport = transport_for("ros2://?domain_id=3&namespace=/a", domain_id=4)
+    assert isinstance(transport, Ros2Transport)
+    assert transport.url == "ros2://?namespace=/a&domain_id=4"
+    with pytest.raises(TypeError, match="Ros2Transport has no setting 'color'; its settings are"):
+        transport_for("ros2://", color="red")
+
+
+async def test_all_mismatches_are_reported_before_anything_is_served() -> None:
+    swapped = Action(
+        "swapped", goal=Result, feedback=Feedback, result=Goal, type_name=FIBONACCI.type_name
+    )
+    servers = [
+        ActionServer(swapped, fibonacci),  # type: ignore[arg-type]  # it is never run
+        server(named("missing", "no_such_msgs/action/Fibonacci")),
+        server(named("untyped", "")),
+    ]
+    with pytest.raises(TransportError) as caught:
+        async with serve(servers, "ros2://"):
+            raise AssertionError("it is served")
+    for part in (
+        "'swapped'",
+        "goal.order",
+        "result.sequence",
+        "no_such_msgs",
+        "give the Action 'untyped' a type_name",
+    ):
+        assert part in str(caught.value)
+
+
+async def test_two_servers_of_one_name_are_an_error() -> None:
+    place = f"ros2://?namespace={namespace()}"
+    with pytest.raises(TransportError, match="two of the endpoints"):
+        async with serve([server(), server(named("~/../fibonacci"[5:]))], place):
+            raise AssertionError("it is served")
+
+
+async def test_a_client_whose_types_do_not_match_cannot_connect() -> None:
+    swapped = Action(
+        "swapped", goal=Result, feedback=Feedback, result=Goal, type_name=FIBONACCI.type_name
+    )
+    with pytest.raises(TransportError, match=r"goal\.order"):
+        async with connect("ros2://", swapped):
+            raise AssertionError("it is connected")
+
+
+@pytest.mark.parametrize(
+    ("name", "full"),
+    [("fib", "{ns}/fib"), ("arm/fib", "{ns}/arm/fib"), ("~/fib", "{ns}/robot/fib"), ("/{top}", "")],
+)
+async def test_names_are_resolved_as_ros_does(name: str, full: str) -> None:
+    place, top = namespace(), namespace()[1:]
+    name = name.format(top=top)
+    full = full.format(ns=place) or f"/{top}"
+    url = f"ros2://robot?namespace={place}"
+    with anyio.fail_after(10):
+        async with serve(server(named(name)), url), connect(url) as connection:
+            (info,) = [one for one in await connection.actions() if one.name in full]
+            async with connect(url, named(full)) as client:
+                assert await client.call(Goal(2)) == Result([0, 1, 1])
+            plain = connection.client(Action.untyped(info))
+            assert await plain.call({"order": 2}) == {"sequence": [0, 1, 1]}
+
+
+async def test_names_can_be_remapped() -> None:
+    place = namespace()
+    rules = ["--ros-args", "-r", f"fibonacci:={place}/sequence"]
+    with anyio.fail_after(10):
+        async with (
+            serve(server(), Ros2Transport(arguments=rules)),
+            connect(Ros2Transport(namespace=place), named("sequence")) as client,
+            connect(Ros2Transport(arguments=rules), FIBONACCI) as other,
+        ):
+            assert await client.call(Goal(2)) == Result([0, 1, 1])
+            assert await other.call(Goal(2)) == Result([0, 1, 1])
+
+
+async def test_an_action_without_a_type_takes_that_of_its_server() -> None:
+    url = f"ros2://?namespace={namespace()}"
+    with anyio.fail_after(10):
+        async with serve(server(), url), connect(url) as connection:
+            await connection.actions()
+            client = connection.client(Action.untyped(ActionInfo("fibonacci")))
+            assert await client.call({"order": 2}) == {"sequence": [0, 1, 1]}
+            with pytest.raises(TransportError, match="the Action 'another' a type_name"):
+                connection.endpoint(ActionInfo("another"))
+
+
+@pytest.mark.promise("REACH-1")
+async def test_an_action_without_a_server_is_not_found_and_can_be_waited_for() -> None:
+    url = f"ros2://?namespace={namespace()}&discovery_timeout=0.1"
+    with anyio.fail_after(10):
+        async with connect(url, FIBONACCI) as client:
+            for _ in range(2):
+                with pytest.raises(ServerNotFound, match="'fibonacci'"):
+                    await client.send_goal(Goal(1))
+            with pytest.raises(ServerNotFound, match=r"within 0\.01 s"):
+                await client.wait_for_server(0.01)
+            async with serve(server(), url):
+                await client.wait_for_server()
+                assert await client.call(Goal(2)) == Result([0, 1, 1])
+
+
+@pytest.fixture
+def node() -> Generator[Any, None, None]:
+    """A node that the user spins."""
+    context = Context()
+    rclpy.init(args=[], context=context)
+    mine = rclpy.create_node("mine", context=context, namespace=namespace())
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(mine)
+    stop = rclpy.task.Future()
+
+    def spin() -> None:
+        with suppress(ExternalShutdownException):
+            executor.spin_until_future_complete(stop)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    try:
+        yield mine
+    finally:
+        stop.set_result(None)
+        thread.join()
+        executor.shutdown()
+        mine.destroy_node()
+        context.try_shutdown()
+
+
+async def test_a_node_of_the_user_is_used_and_left_as_it_was(node: Any) -> None:
+    before = list(node.waitables)
+    transport = Ros2Transport(node=node)
+    with anyio.fail_after(10):
+        async with serve(server(), transport) as (url,), connect(transport, FIBONACCI) as client:
+            assert url == f"ros2://?namespace={node.get_namespace()}"
+            assert await client.call(Goal(2)) == Result([0, 1, 1])
+            async with connect(url, FIBONACCI) as other:
+                assert await other.call(Goal(2)) == Result([0, 1, 1])
+    assert list(node.waitables) == before
+
+
+@pytest.mark.promise("GOAL-4")
+@pytest.mark.parametrize("end", ["destroyed", "shut down"])
+async def test_a_node_of_the_user_that_ends_too_early_ends_every_wait(node: Any, end: str) -> None:
+    async def wait(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        await anyio.sleep_forever()
+        yield Result([])
+
+    mine, url = Ros2Transport(node=node), f"ros2://?namespace={node.get_namespace()}"
+    with anyio.fail_after(20):
+        async with (
+            serve(ActionServer(named("here"), wait), mine),
+            serve(ActionServer(named("there"), wait), url),
+            connect(url, named("here")) as there,
+            connect(mine, named("there")) as here,
+        ):
+            goals = [await client.send_goal(Goal(1)) for client in (there, here)]
+            if end == "destroyed":
+                node.executor.remove_node(node)
+                node.destroy_node()
+            else:
+                node.context.try_shutdown()
+            for goal, why in zip(goals, ("has gone away", f"was {end}"), strict=True):
+                with pytest.raises(ConnectionLost, match=why):
+                    await goal.result()
+
+
+def test_a_node_and_its_description_cannot_be_given_both() -> None:
+    with pytest.raises(ValueError, match="a node has its name"):
+        Ros2Transport("robot", node=object())
+
+
+def test_a_package_without_rclpy_cannot_be_imported(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as without:
+        without.setattr(importlib.util, "find_spec", lambda name: None)
+        with pytest.raises(TransportError, match=r"ros2:// needs rclpy.*setup\.bash"):
+            importlib.reload(fibaction_transports.ros2)
+    importlib.reload(fibaction_transports.ros2)
+
+
+def test_without_rclpy_the_error_says_how_to_get_it() -> None:
+    code = (
+        "import importlib.util as util; find = util.find_spec\n"
+        "util.find_spec = lambda name, *rest: None if name == 'rclpy' else find(name, *rest)\n"
+        "from fibaction.urls import transport_for\n"
+        "transport_for('ros2://')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=False
+    )
+    assert "TransportError: ros2:// needs rclpy" in done.stderr
+    assert "setup.bash" in done.stderr
+
+
+def test_the_framework_does_not_import_rclpy() -> None:
+    code = "import sys, fibaction, fibaction_transports; assert 'rclpy' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], timeout=30, check=True)

@@ -1,0 +1,191 @@
+"""The status list: as bytes, as a server publishes it, and as a client makes changes of it."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from itertools import pairwise
+from typing import Any
+
+import anyio
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fibaction import GoalID, GoalInfo, GoalStatus
+from fibaction.exceptions import ProtocolError
+from fibaction.states import TRANSITIONS
+from fibaction_transports.ros2.status_list import (
+    PublishedStatuses,
+    ReceivedStatuses,
+    goal_of_feedback,
+    info_of,
+    pack_line,
+    pack_statuses,
+    unpack_statuses,
+)
+
+messages: Any = import_module("action_msgs.msg")
+serialization: Any = import_module("rclpy.serialization")
+
+ids = st.binary(min_size=16, max_size=16).map(GoalID)
+infos = st.builds(GoalInfo, ids, st.integers(0, 2**31 * 10**9 - 1), st.sampled_from(GoalStatus))
+lists = st.lists(infos, max_size=20, unique_by=lambda info: info.goal_id)
+
+ONE, TWO = GoalID(b"1" * 16), GoalID(b"2" * 16)
+
+
+def message_of(goals: list[GoalInfo]) -> Any:
+    """The same list by rclpy's own means."""
+    message = messages.GoalStatusArray()
+    for info in goals:
+        line = messages.GoalStatus(status=int(info.status))
+        line.goal_info.goal_id.uuid[:] = list(info.goal_id)
+        line.goal_info.stamp.sec, line.goal_info.stamp.nanosec = divmod(info.stamp, 10**9)
+        message.status_list.append(line)
+    return message
+
+
+def packed(*goals: GoalInfo) -> bytes:
+    return pack_statuses(map(pack_line, goals))
+
+
+@given(lists)
+def test_ros_reads_the_lists_that_are_packed_here(goals: list[GoalInfo]) -> None:
+    read = serialization.deserialize_message(packed(*goals), messages.GoalStatusArray)
+    assert read == message_of(goals)
+
+
+@given(lists)
+def test_the_lists_that_ros_has_packed_are_read_here(goals: list[GoalInfo]) -> None:
+    lines = unpack_statuses(serialization.serialize_message(message_of(goals)))
+    assert [info_of(line) for line in lines] == goals
+
+
+def test_big_endian_lists_are_read_too() -> None:
+    message = bytes.fromhex("00000000 00000001") + ONE + bytes.fromhex("00000001 00000002 04")
+    (line,) = unpack_statuses(message)
+    assert info_of(line) == GoalInfo(ONE, 1_000_000_002, GoalStatus.SUCCEEDED)
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_a_list_or_a_protocol_error(message: bytes) -> None:
+    try:
+        for line in unpack_statuses(message):
+            info_of(line)
+    except ProtocolError:
+        pass
+
+
+def test_a_list_that_ends_too_early_is_a_protocol_error() -> None:
+    whole = packed(GoalInfo(ONE, 1, GoalStatus.ACCEPTED), GoalInfo(TWO, 2, GoalStatus.ACCEPTED))
+    for length in range(len(whole)):
+        with pytest.raises(ProtocolError, match=f"invalid status list of {length} bytes"):
+            unpack_statuses(whole[:length])
+
+
+def test_a_feedback_message_begins_with_its_goals_id() -> None:
+    interfaces: Any = import_module("arduinobot_msgs.action")
+    message = interfaces.Fibonacci.Impl.FeedbackMessage()
+    message.goal_id.uuid[:] = list(ONE)
+    assert goal_of_feedback(serialization.serialize_message(message)) == ONE
+
+
+# What a server publishes
+
+
+class Published(list[list[GoalStatus]]):
+    def __call__(self, message: bytes) -> None:
+        self.append([info_of(line).status for line in unpack_statuses(message)])
+
+
+def test_changes_are_published_together_but_no_status_of_a_goal_is_left_out() -> None:
+    published = Published()
+    statuses = PublishedStatuses(published)
+    statuses.update(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
+    statuses.update(GoalInfo(TWO, 2, GoalStatus.ACCEPTED))
+    assert published == []
+    statuses.update(GoalInfo(ONE, 1, GoalStatus.EXECUTING))
+    assert published == [[1, 1]]
+    statuses.flush()
+    statuses.flush()
+    assert published == [[1, 1], [2, 1]]
+
+
+def test_what_is_known_already_or_out_of_date_is_not_published() -> None:
+    published = Published()
+    statuses = PublishedStatuses(published)
+    statuses.update(GoalInfo(TWO, 2, GoalStatus.UNKNOWN))
+    statuses.update(GoalInfo(ONE, 1, GoalStatus.CANCELING))
+    for status in (GoalStatus.CANCELING, GoalStatus.EXECUTING):
+        statuses.update(GoalInfo(ONE, 1, status))
+    statuses.flush()
+    assert published == [[3]]
+
+
+@pytest.mark.promise("STATUS-8")
+def test_a_forgotten_goal_leaves_the_list() -> None:
+    published = Published()
+    statuses = PublishedStatuses(published)
+    statuses.update(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
+    assert ONE in statuses
+    statuses.update(GoalInfo(ONE, 1, GoalStatus.UNKNOWN))
+    statuses.flush()
+    assert published == [[1], []]
+    assert ONE not in statuses
+    statuses.clear()
+    statuses.update(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
+    statuses.clear()
+    statuses.flush()
+    assert published == [[1], [], []]
+
+
+@pytest.mark.anyio
+async def test_a_change_is_published_in_the_next_turn_of_the_loop() -> None:
+    published = Published()
+    statuses = PublishedStatuses(published)
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(statuses.run)
+        for status in (GoalStatus.ACCEPTED, GoalStatus.EXECUTING):
+            await anyio.wait_all_tasks_blocked()
+            statuses.update(GoalInfo(ONE, 1, status))
+        await anyio.wait_all_tasks_blocked()
+        tasks.cancel_scope.cancel()
+    assert published == [[1], [2]]
+
+
+# What a client makes of it
+
+
+def test_the_first_list_is_what_there_is_and_later_ones_are_changes() -> None:
+    known = ReceivedStatuses()
+    first = GoalInfo(ONE, 1, GoalStatus.CANCELING)
+    assert known.update(packed(first)) == [first]
+    assert known.update(packed(first)) == []
+    second = GoalInfo(TWO, 2, GoalStatus.SUCCEEDED)
+    assert [info.status for info in known.update(packed(first, second))] == [1, 2, 4]
+    assert known.get(TWO) == second
+    assert known.update(packed(second)) == [GoalInfo(ONE, 1, GoalStatus.UNKNOWN)]
+    assert list(known) == [second]
+    known.clear()
+    assert known.get(TWO) is None
+    assert known.update(packed(second)) == [second]
+
+
+@pytest.mark.promise("STATUS-7")
+@pytest.mark.parametrize("before", GoalStatus)
+@pytest.mark.parametrize("after", GoalStatus)
+def test_statuses_that_were_not_seen_are_filled_in_so_that_every_change_is_legal(
+    before: GoalStatus, after: GoalStatus
+) -> None:
+    known = ReceivedStatuses()
+    known.update(packed(GoalInfo(ONE, 1, before)))
+    way = [before, *(info.status for info in known.update(packed(GoalInfo(ONE, 1, after))))]
+    legal = {(start, end) for (start, _), end in TRANSITIONS.items()}
+    assert way[-1] is after
+    if len(way) > 2 or (before.is_active and after > before):
+        assert all(step in legal for step in pairwise(way))
+
+
+def test_a_status_that_there_is_not_is_refused() -> None:
+    with pytest.raises(ProtocolError, match="invalid status list: 77"):
+        info_of((bytes(16), 0, 0, 77))

@@ -1,0 +1,131 @@
+"""The feedback topic of an action server of ROS, which carries the feedback of all its goals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import anyio
+from anyio import current_time
+
+from fibaction.exceptions import ProtocolError
+from fibaction.goals import GoalID
+from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.conversion import RosCodec
+from fibaction_transports.ros2.names import ActionNames
+from fibaction_transports.ros2.node import RosNode
+from fibaction_transports.ros2.rcl import raw, uuid_of
+
+MATCH_TIMEOUT, MATCH_PAUSE = 0.5, 0.01
+"""Seconds that the first feedback of a goal waits for subscribers that are in the graph and not yet
+connected; and seconds between two looks, since ROS offers nothing to wait for."""
+PACE = 0.1
+"""The least number of seconds for half a queue of feedback: 5,000 messages in a second with the
+default depth. A reader of fibaction may be late by some 0.2 s."""
+FIRST_PACE = 0.5
+"""The same for a new reader: its first messages are often sent again, which takes time."""
+PIECES = 10
+"""The number of pieces in which half a queue is sent, each in its share of the time. On a busy
+machine, the middleware drops a part of a long burst, and sends it again: that feedback arrives
+after the result, and is lost. A tenth was small enough with Fast DDS, and is still many messages
+for each wait."""
+
+
+class FeedbackTopic:
+    """Publishes feedback, no faster than readers can take it."""
+
+    def __init__(
+        self,
+        ros: RosNode,
+        action: str,
+        full: ActionNames,
+        message_type: Any,
+        codec: RosCodec,
+        depth: int,
+    ) -> None:
+        self._ros = ros
+        self._action = action
+        self._names = full
+        self._type = message_type
+        self._codec = codec
+        self._publisher = ros.make(raw.Publisher, message_type, full.feedback, qos.feedback(depth))
+        self._unmatched = 0
+        self._half = (depth + 1) // 2
+        self._piece = -(-self._half // PIECES)
+        self._count = 0  # messages of the piece
+        self._due = -math.inf
+        self._to_new = 0  # messages that are still sent at the first pace
+        self._matched = 0
+
+    def of(self, goal_id: GoalID) -> Callable[[bytes], Awaitable[None]]:
+        """Return a function that publishes a goal's feedback.
+
+        Feedback that does not fit its ROS type is left out, with one error for each goal in ROS's
+        log. The goal goes on: its executor has already continued.
+        """
+        message = self._type()
+        message.goal_id.uuid = uuid_of(goal_id)
+        told = begun = False
+
+        async def publish(payload: bytes) -> None:
+            nonlocal told, begun
+            try:
+                message.feedback = self._codec.to_ros(payload)
+            except ProtocolError as exc:
+                if not told:
+                    told = True
+                    self._ros.complain(
+                        f"{self._action}: feedback of goal {goal_id} does not fit its ROS type,"
+                        f" and is left out: {exc}"
+                    )
+                return
+            if not begun:
+                begun = True
+                await self._all_matched()
+            await self._keep_pace()
+            self._ros.attempt(self._publisher.publish, message)
+
+        return publish
+
+    async def _all_matched(self) -> None:
+        """Wait for new subscribers to be connected. They never get what is published before."""
+        deadline = current_time() + MATCH_TIMEOUT
+        while (missing := self._ros.attempt(self._missing, otherwise=0)) > self._unmatched:
+            if current_time() >= deadline:
+                self._unmatched = missing  # they have another quality of service, and never match
+                break
+            await anyio.sleep(MATCH_PAUSE)
+        before, self._matched = self._matched, self._ros.attempt(self._readers, otherwise=0)
+        if self._matched > before:
+            self._to_new = self._half
+
+    def _missing(self) -> int:
+        node = self._ros.node
+        listeners: int = node.count_subscribers(self._names.feedback)
+        # Each client of the goal service has a subscription, too. Either may be discovered first.
+        clients: int = node.count_clients(self._names.send_goal)
+        return max(listeners, clients) - self._readers()
+
+    def _readers(self) -> int:
+        count: int = self._publisher.get_subscription_count()
+        return count
+
+    async def _keep_pace(self) -> None:
+        """Wait until readers have had the time to take what was published.
+
+        A message beyond the depth of a queue pushes out the oldest. ROS does not tell if messages
+        were read. It tells if they have arrived, but only after seconds, and in a call that stops
+        all of Python.
+        """
+        now = current_time()
+        while now < self._due and self._count >= self._piece:
+            await anyio.sleep_until(self._due)  # others may fill the piece meanwhile
+            now = current_time()
+        if now >= self._due:
+            pace = PACE
+            if self._to_new > 0:
+                self._to_new -= self._piece
+                pace = FIRST_PACE
+            self._count, self._due = 0, now + pace * self._piece / self._half
+        self._count += 1

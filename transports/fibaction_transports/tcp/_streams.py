@@ -1,0 +1,90 @@
+"""Opening and accepting streams of bytes, as TCP and Unix sockets have in common."""
+
+from __future__ import annotations
+
+import logging
+import ssl
+from abc import abstractmethod
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio
+from anyio.abc import Listener
+from anyio.streams.stapled import MultiListener
+
+from fibaction._tasks import Background
+from fibaction.exceptions import (
+    AuthenticationFailed,
+    ConnectionLost,
+    InvalidURL,
+    ServerNotFound,
+)
+from fibaction.wire.channel import Line
+from fibaction.wire.transport import WireTransport
+from fibaction.wire.wire_server import WireServer
+from fibaction_transports.tcp import _anyio, _asyncio
+from fibaction_transports.tcp._tls import TlsListener, no_tls
+
+ACCEPT_PAUSE = 0.1
+"""Seconds without new connections after one could not be accepted: a lack of files passes."""
+
+logger = logging.getLogger("fibaction.wire")
+
+
+class StreamTransport(WireTransport):
+    """A transport over streams of bytes."""
+
+    @abstractmethod
+    async def _connect(self) -> Line:
+        """Connect, and raise the errors of sockets as they are."""
+
+    @abstractmethod
+    async def _listen(self) -> tuple[Listener[Any], str]:
+        """Begin to listen; return the URL as well."""
+
+    def _unlisten(self) -> None:
+        """Remove what new clients find the server by, before the listener is closed."""
+
+    async def open_line(self) -> Line:
+        try:
+            return await self._connect()
+        except ssl.SSLError as exc:
+            raise AuthenticationFailed(no_tls(self.url, exc)) from exc
+        except OSError as exc:
+            raise ServerNotFound(
+                f"nobody listens at {self.url} ({exc.strerror or exc}): start the server, or"
+                f" wait for it with wait_for_server()"
+            ) from exc
+        except UnicodeError as exc:
+            raise InvalidURL(f"invalid host in {self.url}: {exc}") from exc
+        except (anyio.BrokenResourceError, anyio.EndOfStream) as exc:
+            raise ConnectionLost(f"{self.url} closed the connection at once") from exc
+
+    @asynccontextmanager
+    async def accept_lines(self, server: WireServer) -> AsyncGenerator[str, None]:
+        listener, url = await self._listen()
+        try:
+            async with Background() as accepting:
+                parts: Sequence[Listener[Any]] = [listener]
+                if isinstance(listener, MultiListener):  # a host with several addresses
+                    parts = listener.listeners
+                for one in parts:
+                    accepting.start_soon(self._accept, one, server)
+                yield url
+        finally:
+            self._unlisten()
+            with anyio.CancelScope(shield=True):
+                await listener.aclose()
+
+    async def _accept(self, listener: Listener[Any], server: WireServer) -> None:
+        plain = _asyncio.on_asyncio() and not isinstance(listener, TlsListener)
+        accept = _asyncio.accept if plain else _anyio.accept
+        max_frame = self.server_settings.limits.frame
+        while True:
+            try:
+                await accept(listener, max_frame, server.serve, server.tasks)
+            except Exception as exc:
+                # For example too many open files. The connections that are open must not suffer.
+                logger.error("%s cannot accept connections: %s", self.url, exc, exc_info=exc)
+                await anyio.sleep(ACCEPT_PAUSE)

@@ -1,0 +1,147 @@
+"""TLS for streams of bytes, and its failures in words."""
+
+from __future__ import annotations
+
+import logging
+import ssl
+from contextlib import suppress
+
+import anyio
+from anyio.abc import AnyByteStream, ByteStream
+from anyio.streams.tls import TLSListener
+
+from fibaction.exceptions import AuthenticationFailed, ConnectionLost
+from fibaction.wire.channel import StreamChannel
+from fibaction.wire.framing import framed
+from fibaction.wire.messages import Goodbye, Why, encode
+from fibaction_transports.tcp._anyio import peer_of
+
+LAST_WORDS = 1.0
+"""Seconds that a peer has to read why it was rejected."""
+SPEAKS_TLS = framed([encode(Goodbye("this server speaks TLS: use tls://", Why.PROTOCOL))])
+"""The answer to a client that does not begin with TLS. OpenSSL has no alert for it."""
+
+logger = logging.getLogger("fibaction.wire")
+
+
+def telling(context: ssl.SSLContext) -> ssl.SSLContext:
+    """Return the context, whose connections tell the peer why they do not shake hands."""
+    context.sslobject_class = _Telling
+    return context
+
+
+class _Telling(ssl.SSLObject):
+    """One end of a connection that tells the peer why it does not shake hands."""
+
+    _failure: ssl.SSLError | None = None
+
+    def do_handshake(self) -> None:
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+        try:
+            super().do_handshake()
+        except (ssl.SSLWantReadError, ssl.SSLWantWriteError):
+            raise
+        except ssl.SSLEOFError:
+            raise  # the peer has gone, and its address is known only until that is noticed
+        except ssl.SSLError as exc:
+            # OpenSSL has made an alert that is still to be written, and anyio does not write it
+            # after an error. So let anyio write first; then it calls this method again.
+            self._failure = exc
+            raise ssl.SSLWantWriteError from exc
+
+
+class TlsListener(TLSListener):
+    """A listener whose failed handshakes are one line of the log, without a traceback."""
+
+    @staticmethod
+    async def handle_handshake_error(exc: BaseException, stream: AnyByteStream) -> None:
+        try:
+            if not isinstance(exc, Exception):
+                raise exc  # the server is to stop, and nothing is wrong with the client
+            logger.warning("%s: no TLS: %s", peer_of(stream), _why(exc))
+            if isinstance(exc, ssl.SSLError) and isinstance(stream, ByteStream):
+                # A peer that does not begin with TLS may be a client with `tcp://` for `tls://`.
+                await _say_last(stream, SPEAKS_TLS if is_other_than_tls(exc) else b"")
+        finally:
+            await anyio.aclose_forcefully(stream)
+
+
+async def _say_last(stream: ByteStream, last_words: bytes) -> None:
+    """Let a peer read why it was rejected: the alert that was sent, or `last_words`.
+
+    What it has sent meanwhile is read, too: otherwise closing would reset the connection, and the
+    answer could be lost on the way.
+    """
+    with (
+        anyio.move_on_after(LAST_WORDS),
+        suppress(OSError, anyio.EndOfStream, anyio.BrokenResourceError),
+    ):
+        if last_words:
+            await stream.send(last_words)
+        await stream.send_eof()
+        while True:
+            await stream.receive()
+
+
+def _why(exc: Exception) -> str:
+    """Return why a client has not shaken hands."""
+    if isinstance(exc, ssl.SSLError):
+        return (
+            "it does not speak TLS"
+            if is_other_than_tls(exc)
+            else rejection("it", exc) or tls_reason(exc)
+        )
+    if isinstance(exc, TimeoutError):
+        return "it took too long to shake hands"
+    if isinstance(exc, OSError | anyio.BrokenResourceError | anyio.EndOfStream):
+        return "it hung up while shaking hands: it may not trust our certificate"
+    return f"{type(exc).__name__}: {exc}"
+
+
+class TlsChannel(StreamChannel):
+    """A client's connection over TLS.
+
+    With TLS 1.3 it has shaken hands before the server looks at its certificate, so a rejection
+    comes in place of the first message.
+    """
+
+    async def receive(self) -> list[bytes]:
+        try:
+            return await super().receive()
+        except ConnectionLost as exc:
+            if isinstance(exc.__cause__, ssl.SSLError):
+                text = rejection(self.peer, exc.__cause__)
+                if text:
+                    raise AuthenticationFailed(text) from exc.__cause__
+            raise
+
+
+def rejection(server: str, exc: ssl.SSLError) -> str:
+    """Return how a server has rejected this client's certificate; empty for another error."""
+    _, is_alert, said = (getattr(exc, "reason", "") or "").partition("_ALERT_")
+    if not is_alert or not ("CERTIFICATE" in said or said in ("UNKNOWN_CA", "ACCESS_DENIED")):
+        return ""
+    if said == "CERTIFICATE_REQUIRED":
+        return f"{server} asks its clients for a certificate: give cert=, and key="
+    return f"{server} rejected our certificate: {said.replace('_', ' ').lower()}"
+
+
+def no_tls(server: str, exc: ssl.SSLError) -> str:
+    """Return why a client has not shaken hands with a server."""
+    if is_other_than_tls(exc):
+        return f"{server} does not speak TLS: check the port, or use tcp://"
+    return rejection(server, exc) or f"cannot set up TLS with {server}: {tls_reason(exc)}"
+
+
+def is_other_than_tls(exc: ssl.SSLError) -> bool:
+    """Return whether the first bytes of the peer are another protocol than TLS."""
+    # The first is about the bytes where TLS has its version, the others about words of HTTP.
+    return exc.reason in ("WRONG_VERSION_NUMBER", "HTTP_REQUEST", "HTTPS_PROXY_REQUEST")
+
+
+def tls_reason(exc: ssl.SSLError) -> str:
+    """Return the error in a few words."""
+    words = (exc.reason or "").replace("_", " ").lower()
+    return getattr(exc, "verify_message", "") or words or str(exc)

@@ -1,0 +1,91 @@
+"""`unix:///path`: a Unix domain socket."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import Any, Unpack
+from urllib.parse import SplitResult, unquote
+
+import anyio
+from anyio.abc import Listener
+
+from fibaction.exceptions import TransportError
+from fibaction.wire.channel import Line, StreamChannel
+from fibaction.wire.settings import WireKeywords
+from fibaction_transports.tcp import _asyncio
+from fibaction_transports.tcp._streams import StreamTransport
+
+
+class UnixTransport(StreamTransport):
+    """A Unix domain socket: processes of one machine, with the permissions of a file."""
+
+    own_settings = ()
+
+    def __init__(self, path: str | os.PathLike[str], **settings: Unpack[WireKeywords]) -> None:
+        """Take the path of the socket, and the settings of every transport over the wire protocol.
+
+        A URL has the text, number and boolean settings behind its `?`.
+
+        Raises:
+            TypeError, ValueError: As for `TcpTransport`.
+        """
+        super().__init__(**settings)
+        self._path = Path(path)
+        self._socket: tuple[int, int] | None = None  # the file that this server listens at
+
+    @classmethod
+    def address_of(cls, parts: SplitResult) -> dict[str, Any]:
+        """Return the path in a URL."""
+        path = unquote(parts.path)
+        if parts.netloc or len(path) < 2 or "\0" in path:
+            raise ValueError("the URL of a socket is like unix:///run/robot.sock")
+        return {"path": path}
+
+    @property
+    def url(self) -> str:
+        """The address as a URL, without settings."""
+        return f"unix://{self._path}"
+
+    async def _connect(self) -> Line:
+        max_frame = self.client_settings.max_frame
+        if _asyncio.on_asyncio():
+            return await _asyncio.dial_unix(self._path, max_frame, self.url)
+        return StreamChannel(await anyio.connect_unix(self._path), self.url, max_frame)
+
+    async def _listen(self) -> tuple[Listener[Any], str]:
+        if await self._is_served():
+            raise TransportError(f"address already in use: {self.url}")
+        try:
+            listener = await anyio.create_unix_listener(self._path, mode=0o600)
+        except (OSError, ValueError) as exc:  # for example a file that is not a socket
+            text = getattr(exc, "strerror", None) or exc
+            raise TransportError(f"cannot listen at {self.url}: {text}") from exc
+        self._socket = _identity(self._path)
+        return listener, self.url
+
+    async def _is_served(self) -> bool:
+        """Return whether a server listens at the path; a file of one that is gone is replaced."""
+        try:
+            if not stat.S_ISSOCK(self._path.stat().st_mode):
+                return False
+            await (await anyio.connect_unix(self._path)).aclose()
+        except OSError:
+            return False
+        return True
+
+    def _unlisten(self) -> None:
+        # The file may have been removed, and be another server's by now. As long as this server
+        # listens, no other file is given the number of its own.
+        if _identity(self._path) == self._socket:
+            self._path.unlink(missing_ok=True)
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Return the identity of a file, independent of its name; None if there is no file."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
