@@ -96,7 +96,7 @@ async def test_what_is_no_action_is_told_in_one_sentence(given: Any) -> None:
     with pytest.raises(TypeError) as caught:
         connect("inproc://connection", given)
     assert str(caught.value) == (
-        f"connect() takes an address, and then an Action or nothing, and not {given!r}"
+        f"connect() takes an address and, optionally, an Action; {given!r} is not an Action"
     )
 
 
@@ -154,7 +154,7 @@ async def test_clients_are_answered_before_the_address_is_closed() -> None:
             goal = await client.send_goal(Goal(1))
         with pytest.raises(GoalAborted, match="server stopped"):
             await goal.result()
-        with pytest.raises(ServerNotFound, match="nobody serves the action 'fibonacci'"):
+        with pytest.raises(ServerNotFound, match="the action 'fibonacci' is not served"):
             await client.send_goal(Goal(1))
 
 
@@ -165,7 +165,7 @@ async def test_an_address_that_cannot_be_used_stops_what_was_started() -> None:
             raise AssertionError("the block must not run")
     assert server.is_new
     async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://a"):
-        with pytest.raises(TransportError, match="is served at inproc://a already"):
+        with pytest.raises(TransportError, match="is already served at inproc://a"):
             async with serve(server, "inproc://a"):
                 raise AssertionError("the block must not run")
     assert repr(server) == "<ActionServer 'fibonacci' stopped goals=0>"
@@ -203,8 +203,8 @@ async def test_what_is_no_server_is_told_in_one_sentence(
         async with serve(given, where):
             raise AssertionError("the block must not run")
     assert str(caught.value) == (
-        f"serve() takes servers, such as ActionServer(action, executor), and then where to serve"
-        f" them, and {shown} is no server"
+        f"serve() takes servers, such as ActionServer(action, executor), and then addresses;"
+        f" {shown} is not a server"
     )
     assert SERVER.is_new
 
@@ -221,9 +221,9 @@ async def test_serving_without_an_address_is_refused_with_what_to_do_instead() -
         async with serve(SERVER):
             raise AssertionError("the block must not run")
     assert str(caught.value) == (
-        "serve() needs an address, or nobody could reach the server: a URL such as"
-        " tcp://127.0.0.1:7400, or a transport; without one, enter the server itself, and give it"
-        " to an ActionClient"
+        "serve() needs at least one address: a URL such as tcp://127.0.0.1:7400, or a transport; to"
+        " use a server without an address, enter it with `async with`, and give it to an"
+        " ActionClient"
     )
     assert SERVER.is_new
 
