@@ -17,6 +17,7 @@ MODULES = [
     "tests.contract.test_errors",
     "tests.contract.test_executing",
     "tests.contract.test_feedback",
+    "tests.contract.test_leaving",
 ]
 pytest.register_assert_rewrite(*MODULES)
 
