@@ -235,7 +235,7 @@ async def test_an_action_without_a_type_takes_that_of_its_server() -> None:
 
 
 @pytest.mark.promise("REACH-1")
-async def test_an_action_that_nobody_serves_is_not_found_and_can_be_waited_for() -> None:
+async def test_an_action_that_is_not_served_is_not_found_and_can_be_waited_for() -> None:
     url = f"ros2://?namespace={namespace()}&discovery_timeout=0.1"
     with anyio.fail_after(10):
         async with connect(url, FIBONACCI) as client:
