@@ -105,10 +105,13 @@ def too_long(length: int, looks_like: str = "") -> str:
 @pytest.mark.parametrize(
     ("data", "problem"),
     [
-        (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", too_long(0x47455420, "HTTP")),
+        (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", too_long(0x47455420, "HTTP: check the port")),
         (b"\xff\xff\xff\xff", too_long(2**32 - 1)),
         (struct.pack(">I", MAX_FRAME + 1), too_long(MAX_FRAME + 1)),
-        (b"\x16\x03\x01\x02\x00\x01\x00", too_long(0x16030102, "TLS")),
+        (
+            b"\x16\x03\x01\x02\x00\x01\x00",
+            too_long(0x16030102, "TLS: use tls:// at both ends, or at neither"),
+        ),
     ],
     ids=["HTTP", "4 GiB", "one byte more than the limit", "TLS"],
 )

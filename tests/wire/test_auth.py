@@ -63,7 +63,7 @@ def test_tokens_that_would_admit_no_client_or_every_client_are_rejected(
 
 
 def test_a_token_that_no_client_could_send_is_rejected_and_not_shown() -> None:
-    with pytest.raises(ValueError, match=r"^the token is not valid text: it has bytes") as caught:
+    with pytest.raises(ValueError, match=r"^token is not valid text$") as caught:
         AccessPolicy({"sesame": "ali", "secret \udcff": "bob"})
     assert "secret" not in str(caught.value)
     assert caught.value.__suppress_context__
@@ -148,6 +148,6 @@ def test_only_without_a_rule_every_client_may_do_everything() -> None:
 
 def test_a_token_is_text() -> None:
     check_token("sésame")
-    with pytest.raises(ValueError, match=r"^the token is not valid text: it has bytes") as caught:
+    with pytest.raises(ValueError, match=r"^token is not valid text") as caught:
         check_token("secret \udcff")
     assert "secret" not in str(caught.value)
