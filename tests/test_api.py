@@ -42,7 +42,9 @@ async def test_with_an_action_it_gives_a_client_and_without_one_a_connection() -
             assert connection.endpoint(FIBONACCI).info == FIBONACCI.info
 
 
-async def test_who_serves_and_who_uses_an_action_is_what_the_transport_knows() -> None:
+async def test_the_servers_and_the_clients_of_an_action_are_those_that_the_transport_knows() -> (
+    None
+):
     class Told(InProcessTransport):
         """A transport that knows."""
 
@@ -218,7 +220,7 @@ async def test_serving_at_what_is_not_an_address_is_told_in_one_sentence() -> No
             raise AssertionError("the block must not run")
 
 
-async def test_serving_without_an_address_is_refused_with_what_to_do_instead() -> None:
+async def test_serving_without_an_address_is_rejected_with_what_to_do_instead() -> None:
     with pytest.raises(TypeError) as caught:
         async with serve(SERVER):
             raise AssertionError("the block must not run")
