@@ -430,5 +430,5 @@ async def test_who_comes_when_the_server_is_full_is_told_so() -> None:
         async with raw(here.url) as peer:
             reason = "the server is full: it has 2 connections"
             assert await peer.hear_all() == [Goodbye(reason, Why.LIMIT)]
-            assert here.heard.warnings == [f"{peer.name} is turned away: {reason}"]
+            assert here.heard.warnings == [f"{peer.name} is rejected: {reason}"]
         assert await here.is_well()

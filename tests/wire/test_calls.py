@@ -22,7 +22,7 @@ from fibaction.exceptions import (
 )
 from fibaction.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
-from fibaction.wire.calls import Call, PendingRequest, RemoteGoal, RemoteStatuses
+from fibaction.wire.calls import Call, PendingRequest
 from fibaction.wire.errors import error_of
 from fibaction.wire.messages import (
     Actions,
@@ -47,6 +47,8 @@ from fibaction.wire.messages import (
     WatchStatus,
     Why,
 )
+from fibaction.wire.remote_goal import RemoteGoal
+from fibaction.wire.remote_statuses import RemoteStatuses
 
 pytestmark = pytest.mark.anyio
 

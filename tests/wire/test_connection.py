@@ -32,8 +32,8 @@ from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.connection import (
-    DIAL_TIMEOUT,
     LEAVE_TIMEOUT,
+    OPEN_TIMEOUT,
     RemoteConnection,
     open_connection,
 )
@@ -282,7 +282,7 @@ async def test_a_dial_that_is_not_let_in_does_not_try_again() -> None:
 
 WRONG_STARTS = {
     "another version": (Welcome(2, LONG), "a Welcome of version 2 was not expected"),
-    "no welcome": (Done(1), "the first message was a Done, no Welcome"),
+    "no welcome": (Done(1), "the first message was a Done, not a Welcome"),
     "a goodbye": (Goodbye("another version", Why.PROTOCOL), f"{WHERE}: another version"),
 }
 
@@ -327,7 +327,7 @@ async def test_an_end_is_answered_with_received() -> None:
         async with goal_of(connection, server) as (_, call_id):
             await server.say(Ended(call_id, GoalStatus.SUCCEEDED, b"result", "", 0))
             assert await server.hear(Received) == Received(call_id)
-            assert connection._calls == {}
+            assert connection._calls._calls == {}
 
 
 async def test_the_end_of_a_goal_that_was_given_up_before_its_answer_is_answered() -> None:
@@ -366,7 +366,7 @@ async def test_an_attempt_that_hangs_has_its_time() -> None:
     network.hangs = True
     start = anyio.current_time()
     async with open_connection(network.dial, WHERE, PATIENT) as connection:
-        assert anyio.current_time() - start == pytest.approx(DIAL_TIMEOUT)
+        assert anyio.current_time() - start == pytest.approx(OPEN_TIMEOUT)
         text = await fails_at_once(connection, ServerNotFound)
         assert text == f"{WHERE} did not answer within 5 s"
         network.hangs = False
@@ -455,7 +455,7 @@ async def test_a_goal_is_sent_followed_and_ends() -> None:
             assert await goal.receive() == FeedbackItem(1, b"one")
             assert await goal.receive() is None
             assert (await goal.outcome()).result == b"result"
-        assert connection._calls == {}
+        assert connection._calls._calls == {}
 
 
 async def test_a_call_that_is_alone_is_sent_at_once_and_those_beside_it_together(
@@ -490,7 +490,7 @@ async def test_a_goal_that_is_rejected_is_over() -> None:
             with pytest.raises(GoalRejected) as caught:
                 await sending.answer()
         assert (caught.value.reason, caught.value.goal_id) == ("no arm", GOAL_ID)
-        assert connection._calls == {}
+        assert connection._calls._calls == {}
 
 
 async def test_following_an_unknown_goal_is_an_error_and_its_result_is_unknown() -> None:
@@ -526,7 +526,7 @@ async def test_what_the_server_has_refused_is_over_and_nothing_more_is_said_of_i
             with pytest.raises(TransportError, match="too much at once"):
                 await asking.answer()
         assert await server.hear_all() == []
-        assert connection._calls == {}
+        assert connection._calls._calls == {}
 
 
 async def test_statuses_are_watched() -> None:
@@ -542,7 +542,7 @@ async def test_statuses_are_watched() -> None:
             assert await statuses.receive() == GoalInfo(GOAL_ID, 5, GoalStatus.EXECUTING)
             await server.say(Finished(asked.id))
             assert await statuses.receive() is None
-        assert connection._calls == {}
+        assert connection._calls._calls == {}
 
 
 async def test_a_message_that_no_server_takes_is_not_sent() -> None:
@@ -553,7 +553,7 @@ async def test_a_message_that_no_server_takes_is_not_sent() -> None:
         ):
             await endpoint_of(connection).send_goal(GOAL_ID, bytes(MAX_FRAME))
         assert await server.hear_all() == []
-        assert connection._calls == {}
+        assert connection._calls._calls == {}
 
 
 async def test_each_side_says_how_much_it_takes() -> None:
@@ -567,7 +567,7 @@ async def test_each_side_says_how_much_it_takes() -> None:
         assert (await server.hear(Hello)).max_frame == 1234
         await server.say(Welcome(VERSION, LONG, 60))
         await settled()
-        assert connection._max_frame == 60
+        assert connection._calls._max_frame == 60
         size = len(encode(SendGoal(1, "fibonacci", GOAL_ID, bytes(10), WINDOW)))
         text = rf"^the message has {size + 30} bytes, and 60 are the server's limit$"
         with anyio.fail_after(5), pytest.raises(ProtocolError, match=text):
@@ -626,7 +626,7 @@ async def test_a_call_that_is_given_up_is_closed(call: Callable[..., Awaitable[A
             (asked,) = await server.hear_all()
         closing = Received if isinstance(asked, Follow) else Close
         assert await server.hear_all() == [closing(asked.id)]
-        assert connection._calls == {}
+        assert connection._calls._calls == {}
 
 
 async def test_a_goal_that_is_given_up_before_its_answer_is_ignored_from_then_on() -> None:
@@ -776,7 +776,7 @@ async def test_who_only_looks_on_is_remembered_for_as_long_as_somebody_does() ->
         )
         assert (await kept.outcome()).result == b"result"
         assert await server.hear_all() == [Received(kept.id)]
-        assert list(connection._observed) == []
+        assert list(connection._calls._observed) == []
 
 
 async def test_who_only_looks_on_is_told_that_the_connection_is_lost() -> None:
@@ -918,7 +918,7 @@ async def test_statuses_that_were_closed_before_they_could_be_watched_again_are_
             statuses.close()
             server.channel.go_on_reading()
             assert [type(one) for one in await server.hear_all()] == [SendGoal, Close]
-            assert statuses.id not in connection._calls
+            assert statuses.id not in connection._calls._calls
 
 
 # For how long
@@ -982,13 +982,13 @@ async def test_a_call_waits_for_the_next_connection_so_long_and_no_longer(
 @pytest.mark.parametrize("hangs", ["dial", "welcome"])
 async def test_a_call_waits_no_longer_for_an_attempt_that_hangs(hangs: str) -> None:
     network = Network()
-    keeping = msgspec.structs.replace(PATIENT, reconnect_timeout=DIAL_TIMEOUT + 1)
+    keeping = msgspec.structs.replace(PATIENT, reconnect_timeout=OPEN_TIMEOUT + 1)
     async with reached(network, keeping) as (connection, server):
         network.hangs = hangs == "dial"
         server.channel.cut()
         await settled()
         async with Running(connection.actions) as asking:
-            await anyio.sleep(DIAL_TIMEOUT + 0.9)
+            await anyio.sleep(OPEN_TIMEOUT + 0.9)
             assert not asking.is_done
             await anyio.sleep(0.2)
             assert asking.is_done
@@ -1017,7 +1017,7 @@ async def test_a_connection_that_came_back_in_time_is_not_given_up() -> None:
 async def test_a_connection_that_comes_back_in_the_last_moment_is_not_given_up() -> None:
     network = Network()
     async with reached(network) as (connection, server):
-        await connection._lose_patience(anyio.CancelScope(), 0)
+        await connection._reconnector._lose_patience(anyio.CancelScope(), 0)
         await is_used(connection, server)
 
 
@@ -1086,7 +1086,7 @@ async def test_whoever_waits_for_the_server_sees_one_that_comes_when_it_was_just
             server.channel.cut()
             server = await network.answer()
             # In one turn of the event loop: before whoever waits can look, there is a connection.
-            connection._give_up(impatient())
+            connection._reconnector._give_up(impatient())
             connection._handle(encode(Welcome(VERSION, LONG)))
             await server.say(Done((await server.hear(AwaitServer)).id))
             await waiting.answer(within=1)
@@ -1313,7 +1313,7 @@ async def test_what_cannot_be_sent_is_an_error_of_that_call_only(
     async with reached(Network()) as (connection, server):
         with anyio.fail_after(5), pytest.raises(ProtocolError, match="the message cannot be sent"):
             await call(connection)
-        assert connection._calls == {}
+        assert connection._calls._calls == {}
         await is_used(connection, server)
 
 

@@ -20,7 +20,8 @@ from fibaction.exceptions import (
 )
 from fibaction.wire.channel import Channel, StreamChannel
 from fibaction.wire.framing import header
-from fibaction.wire.link import HIGH_WATER, MISSED, OVERFULL, PING, Link, naming
+from fibaction.wire.heartbeat import MISSED
+from fibaction.wire.link import HIGH_WATER, OVERFULL, PING, Link, naming
 from fibaction.wire.messages import Ping, decode_from_client, decode_from_server
 from tests.virtual_time import in_virtual_time
 
@@ -665,8 +666,8 @@ async def test_a_silent_peer_is_noticed_after_four_of_its_heartbeats() -> None:
 @pytest.mark.parametrize(("own", "peers"), [(1.0, 10.0), (3.0, 0.1)])
 async def test_it_is_the_peers_heartbeat_that_counts(own: float, peers: float) -> None:
     bench = Stopwatch(heartbeat=own)
-    assert bench.link.peer_heartbeat == own
-    bench.link.peer_heartbeat = peers
+    assert bench.link.heartbeat.peer_interval == own
+    bench.link.heartbeat.peer_interval = peers
     took = await bench.run_for(100)
     assert MISSED * peers < took <= MISSED * peers + min(own, peers)
     assert isinstance(bench.error, ConnectionLost)
@@ -694,7 +695,7 @@ async def test_silence_counts_from_the_last_message() -> None:
 @in_virtual_time()
 async def test_a_peer_that_reads_nothing_is_lost_after_four_of_ones_own_heartbeats() -> None:
     bench = Stopwatch(heartbeat=2)
-    bench.link.peer_heartbeat = 1000
+    bench.link.heartbeat.peer_interval = 1000
     bench.channel.is_stuck = True
     took = await bench.run_for(100, lambda: bench.hear_from_the_peer(1))
     # The first ping is what gets stuck.
@@ -759,7 +760,7 @@ async def test_pings_are_sent_when_there_is_nothing_else_to_say() -> None:
 @in_virtual_time()
 async def test_no_more_pings_are_sent_because_the_peer_sends_many() -> None:
     bench = Stopwatch(heartbeat=2)
-    bench.link.peer_heartbeat = 0.125
+    bench.link.heartbeat.peer_interval = 0.125
     await bench.run_for(11, lambda: bench.hear_from_the_peer(0.0625))
     gaps = [late - early for early, late in pairwise(bench.channel.times)]
     assert bench.error is None

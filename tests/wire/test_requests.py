@@ -72,7 +72,7 @@ async def test_statuses_are_told_as_far_as_there_is_credit() -> None:
         client = await bench.greet()
         stamp = (await client.send(1)).stamp
         assert await client.ask(WatchStatus(2, "fibonacci", 1), Watching) == Watching(2, 1)
-        who = client.session.client
+        who = client.session.client.name
         assert await client.hear(GoalChanged) == GoalChanged(2, A, stamp, EXECUTING, 0, 0, who)
         await client.say(CancelGoals(3, "fibonacci", A, None))
         assert 2 not in await client.hear_by_id()
@@ -83,10 +83,10 @@ async def test_statuses_are_told_as_far_as_there_is_credit() -> None:
 async def test_who_uses_an_action_is_told() -> None:
     async with serving(held()) as bench:
         client = await bench.greet()
-        assert client.session.actions == set()
+        assert client.session.client.actions == set()
         answer = await client.ask(AskPeers(2, "fibonacci"), Peers)
         assert answer == Peers(2, ["who uses fibonacci"])
-        assert client.session.actions == {"fibonacci"}
+        assert client.session.client.actions == {"fibonacci"}
 
 
 async def test_a_client_that_wants_no_more_statuses_is_told_that_there_are_none() -> None:

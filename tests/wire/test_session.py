@@ -163,7 +163,7 @@ async def test_a_session_that_is_ended_leaves_its_goals_to_the_next_at_once() ->
         await client.send(1)
         assert isinstance((await client.hear_all())[-1], Ended)
         client.session.end()
-        assert client.session._goals == {}
+        assert client.session._goals._open == {}
         assert bench.orphans.is_own(GoalID(A), ANN)
         again = await bench.greet()
         await again.ask(follow(0), Following)
@@ -205,10 +205,10 @@ async def test_a_client_that_said_hello_in_time_is_left_in_peace() -> None:
 @pytest.mark.parametrize(
     ("token", "reason"),
     [
-        ("", "the server wants a token, and the client gave none"),
-        ("wrong", "the server refused the client's token"),
-        ("rigt", "the server refused the client's token"),
-        ("right ", "the server refused the client's token"),
+        ("", "the server asks for a token, and the client gave none"),
+        ("wrong", "the server rejected the client's token"),
+        ("rigt", "the server rejected the client's token"),
+        ("right ", "the server rejected the client's token"),
     ],
 )
 async def test_a_client_without_the_right_token_is_told_so(token: str, reason: str) -> None:
@@ -468,11 +468,11 @@ async def test_a_goal_is_kept_until_its_client_has_heard_the_end(credit: int | N
         client = await bench.greet()
         await client.send(1, credit=credit)
         assert isinstance((await client.hear_all())[-1], Ended)
-        assert list(client.session._goals) == [1]
+        assert list(client.session._goals._open) == [1]
         assert bench.orphans.is_own(GoalID(A), ANN)
         await client.say(Received(1))
         assert await client.hear_all() == []
-        assert client.session._goals == {}
+        assert client.session._goals._open == {}
         assert not bench.orphans.is_own(GoalID(A), ANN)
         await client.send(1, B)  # and the ID can be used again
 
@@ -486,10 +486,10 @@ async def test_a_goal_that_is_observed_is_kept_for_nobody() -> None:
             await other.ask(follow(0, own=own, request=5 + own), Following)
         go.set()
         assert len(await other.hear_by_id()) == 2
-        assert other.session._goals == {}
+        assert other.session._goals._open == {}
         await other.say(Received(5), Received(6))
         assert await other.is_served()
-        assert list(client.session._goals) == [1]
+        assert list(client.session._goals._open) == [1]
 
 
 async def test_who_only_looks_on_may_go_before_the_end() -> None:
@@ -500,7 +500,7 @@ async def test_who_only_looks_on_may_go_before_the_end() -> None:
             await other.ask(follow(0, own=False, request=request), Following)
         await other.say(Close(5), Received(5))
         assert await other.is_served()
-        assert list(other.session._goals) == [6]
+        assert list(other.session._goals._open) == [6]
         await other.ask(follow(0, own=False, request=5), Following)  # the ID can be used again
 
 
@@ -520,7 +520,7 @@ async def test_who_only_looks_on_may_go_before_the_answer() -> None:
         assert await other.is_served()
         decided.set()
         assert await other.hear_all() == []
-        assert other.session._goals == {}
+        assert other.session._goals._open == {}
 
 
 async def test_what_is_received_before_the_end_or_of_nothing_is_ignored() -> None:
@@ -532,7 +532,7 @@ async def test_what_is_received_before_the_end_or_of_nothing_is_ignored() -> Non
         assert await client.hear_all() == [Done(8)]
         go.set()
         assert [type(message) for message in await client.hear_all()] == [Ended]
-        assert list(client.session._goals) == [1]
+        assert list(client.session._goals._open) == [1]
         await client.say(Received(1), Received(1))
         assert await client.is_served()
 
@@ -547,7 +547,7 @@ async def test_goals_whose_ends_are_received_leave_nothing_behind() -> None:
             await client.say(Received(number))
         assert await client.is_served()
         session, orphans = client.session, bench.orphans
-        assert (session._goals, session._ready, session._held) == ({}, {}, 0)
+        assert (session._goals._open, session._goals._ready, session._goals._held) == ({}, {}, 0)
         assert orphans._owned == {}
 
 
@@ -777,7 +777,7 @@ async def test_a_goal_whose_result_could_not_be_told_is_not_kept() -> None:
         await client.hear(Following)
         await client.hear(Failed)
         assert await client.is_served()
-        assert client.session._goals == {}
+        assert client.session._goals._open == {}
 
 
 async def test_feedback_over_the_clients_limit_is_left_out_and_the_goal_goes_on() -> None:
@@ -870,7 +870,7 @@ async def test_what_there_is_to_tell_waits_where_it_is_made() -> None:
             await client.say(SendGoal(number, "fibonacci", goal_id, GOAL, ANY))
         await settled()
         assert client.session._link._queued == 0
-        assert len(client.session._goals) == 20
+        assert len(client.session._goals._open) == 20
         assert not client.session._link._queue
 
 
@@ -880,10 +880,10 @@ async def test_what_there_is_to_tell_waits_where_it_is_made() -> None:
 async def test_a_client_is_known_by_the_name_of_its_token_and_its_address() -> None:
     async with serving(held()) as bench:
         client = await bench.greet()
-        assert client.session.client == "the client"
+        assert client.session.client.name == "the client"
     async with serving(held(), access=AccessPolicy({"sesame": "ann"})) as bench:
         client = await bench.greet(token="sesame")
-        assert client.session.client == "ann at the client"
+        assert client.session.client.name == "ann at the client"
 
 
 # Access
@@ -1376,7 +1376,7 @@ async def test_what_is_being_answered_when_the_connection_ends_is_given_up(
         await settled()
         assert isinstance(client.error, ConnectionLost)
         assert server.given_up == server.asked
-        assert client.session._held == 0
+        assert client.session._goals._held == 0
         assert bench.orphans._owned == {}
 
 
@@ -1421,7 +1421,7 @@ async def test_a_permission_that_the_end_of_the_connection_cut_off_sends_nothing
         allow.set()
         await settled()
         assert server.received == []
-        assert client.session._held == 0
+        assert client.session._goals._held == 0
 
 
 @in_virtual_time()
@@ -1464,7 +1464,7 @@ async def test_a_refusal_after_the_connection_has_ended_is_told_to_nobody() -> N
         server.go.set()
         await settled()
         assert isinstance(client.error, ConnectionLost)
-        assert client.session._goals == {}
+        assert client.session._goals._open == {}
         assert client.session._link._queued == 0
 
 
@@ -1484,7 +1484,7 @@ async def test_a_stream_that_fails_is_told_and_the_session_goes_on(
             await client.say(Credit(1, 1))
             failed = await client.hear(Failed)
         assert failed == Failed(1, Why.SERVER_FAILED, "the server failed: ValueError")
-        assert client.session._goals == {}
+        assert client.session._goals._open == {}
         assert await client.is_served()
 
 
@@ -1494,7 +1494,7 @@ async def test_a_connection_that_is_lost_leaves_no_listener_behind() -> None:
         client, other = await bench.greet(ANN), await bench.greet(BOB)
         await client.send(1)
         await other.ask(follow(0, own=False), Following)
-        streams = [one.session._goals[1].stream for one in (client, other)]
+        streams = [one.session._goals._open[1].stream for one in (client, other)]
         for one in (client, other):
             one.channel.cut()
         await settled()
@@ -1693,10 +1693,10 @@ def test_any_messages_in_any_order_harm_their_own_session_at_most(
                         await settled()
                         session = both.session(but=good.session)
                         if session is not None:
-                            assert len(session._goals) <= limits.goals
+                            assert len(session._goals._open) <= limits.goals
                             assert len(session._waiting) <= limits.requests
-                            assert set(session._ready) <= set(session._goals.values())
-                            assert session._held <= limits.memory
+                            assert set(session._goals._ready) <= set(session._goals._open.values())
+                            assert session._goals._held <= limits.memory
                 except ConnectionLost:
                     pass
                 other.go_on_reading()

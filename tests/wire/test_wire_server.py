@@ -149,7 +149,7 @@ async def test_a_client_too_many_is_told_so_and_another_is_taken_once_there_is_r
         reason = "the server is full: it has 2 connections"
         assert goodbye == Goodbye(reason, Why.LIMIT)
         assert [(line.levelno, line.getMessage()) for line in lines] == [
-            (logging.WARNING, f"the third is turned away: {reason}")
+            (logging.WARNING, f"the third is rejected: {reason}")
         ]
         assert await is_served(first)
         second.channel.cut()
@@ -178,12 +178,12 @@ async def test_a_client_too_many_that_does_not_read_holds_nobody_up() -> None:
         (
             [Hello(VERSION, LONG, "x")],
             logging.WARNING,
-            "the bad one: the server refused the client's token",
+            "the bad one: the server rejected the client's token",
         ),
         (
             [Hello(VERSION, LONG)],
             logging.WARNING,
-            "the bad one: the server wants a token, and the client gave none",
+            "the bad one: the server asks for a token, and the client gave none",
         ),
         ([Hello(VERSION, LONG, "right"), Goodbye("done")], logging.INFO, "the bad one left: done"),
     ],
