@@ -1,16 +1,15 @@
-"""Is each module covered, lines and branches, by its own test file alone?
+"""A check that each module is covered, lines and branches, by the tests that belong to it.
 
-    python -m pytest -p tests.own_coverage [FILE...]
+    python -m pytest -p tests.own_coverage [FILE OR FOLDER...]
 
-So no line depends on a test that lies elsewhere, where nobody who changes the module looks. This is
-a plugin of pytest, so that no test runs twice: it traces the test files that modules have of their
-own, each apart from the others, and no other test. The run fails if a module whose test file is run
-falls short.
+`tests/units.py` says which tests belong to a module: its own test file, or those of its unit. So no
+line depends on a test that lies elsewhere. This is a plugin of pytest, so that no test runs twice:
+it traces each test file apart from the others. The run fails if a module falls short all of whose
+tests are run.
 """
 
 from __future__ import annotations
 
-import ast
 import importlib
 import json
 import os
@@ -23,28 +22,17 @@ from typing import Any, TypeAlias
 import pytest
 from coverage import Coverage
 
-SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/transports"}
-ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
+from tests.units import modules
+
 IMPORTING = "importing"
-"""What runs when the modules are imported, which one test file does for all in its process."""
+"""The context of what runs when the modules are imported, which counts for all tests."""
 
 Arcs: TypeAlias = "dict[str, list[tuple[int, int]]]"
-"""Where the interpreter went, per module: from line to line."""
-
-
-def modules(root: Path) -> Iterator[tuple[Path, Path]]:
-    """Each module, and its own test file."""
-    for source, tests in SOURCES.items():
-        for module in sorted((root / source).rglob("*.py")):
-            if module.is_relative_to(root / ELSEWHERE):
-                continue
-            if len(ast.parse(module.read_text()).body) > 1:  # more than a docstring
-                name = f"test_{module.stem.strip('_')}.py"
-                yield module, root / tests / module.relative_to(root / source).with_name(name)
+"""The steps of the interpreter in each module, from line to line."""
 
 
 def dotted(module: Path) -> str:
-    """A module's name, as imported."""
+    """Return a module's name, as imported."""
     names = [] if module.stem == "__init__" else [module.stem]
     while (module := module.parent).joinpath("__init__.py").exists():
         names.insert(0, module.name)
@@ -52,33 +40,36 @@ def dotted(module: Path) -> str:
 
 
 class Tracer:
-    """Traces the test files that modules have of their own, in one process."""
+    """Traces the tests that cover modules, in one process."""
 
     def __init__(self, root: Path) -> None:
         # The tracers that replace this one from Python 3.12 on tell each line once, for whichever
         # file comes first.
         os.environ["COVERAGE_CORE"] = "ctrace"
-        self._modules = {str(test): str(module) for module, test in modules(root)}
+        self._modules = list(modules(root))
+        self._tests = {test for _, tests in self._modules for test in tests}
         self._coverage = Coverage(data_file=None, config_file=str(root / "pyproject.toml"))
         self._traced: str | None = None
         # Else the test file that is the first to need a module would get its definitions.
         self._trace(IMPORTING)
-        for module, _ in modules(root):
+        for module, _ in self._modules:
             importlib.import_module(dotted(module))
         self._trace(None)
 
     def follow(self, path: Path) -> None:
-        """Trace from now on, if this is a test file that a module has of its own."""
-        self._trace(str(path) if str(path) in self._modules else None)
+        """Trace from now on, if the tests at this path cover a module."""
+        is_wanted = path in self._tests or not self._tests.isdisjoint(path.parents)
+        self._trace(str(path) if is_wanted else None)
 
     def arcs(self) -> Arcs:
-        """What the test files reached, each in its own module."""
+        """Return where the tests of each module have reached in it."""
         self._trace(None)
         data = self._coverage.get_data()
         found: Arcs = {}
-        for test, module in self._modules.items():
-            data.set_query_contexts([f"^{IMPORTING}$", f"^{re.escape(test)}$"])
-            found[module] = data.arcs(module) or []
+        for module, tests in self._modules:
+            own = [f"^{re.escape(str(test))}(/|$)" for test in tests]
+            data.set_query_contexts([f"^{IMPORTING}$", *own])
+            found[str(module)] = data.arcs(str(module)) or []
         return found
 
     def _trace(self, test: str | None) -> None:
@@ -94,7 +85,7 @@ class Tracer:
 
 
 def gaps(report: dict[str, Any]) -> str:
-    """The lines and branches that coverage.py reports as missing."""
+    """Return the lines and branches that coverage.py reports as missing."""
     lines = [str(line) for line in report["missing_lines"]]
     # A branch out of a line that was not reached says nothing new; a negative one is an exit.
     branches = [
@@ -106,7 +97,7 @@ def gaps(report: dict[str, Any]) -> str:
 
 
 class Gathering:
-    """What all processes found."""
+    """The gatherer of the arcs of all processes."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -114,26 +105,27 @@ class Gathering:
         self._lines: list[str] = []
 
     def add(self, arcs: Arcs) -> None:
-        """Add what one process found."""
+        """Add the arcs of one process."""
         for module, found in arcs.items():
             self._arcs.setdefault(module, set()).update((start, end) for start, end in found)
 
     def shortcomings(self) -> Iterator[str]:
-        """Each module that falls short, and where; of those whose test files were asked for."""
+        """Yield each module that falls short, and where; of those all of whose tests are run."""
         root = self._config.rootpath
         asked = [root / argument.partition("::")[0] for argument in self._config.args]
         looked_at: list[Path] = []
-        for module, test in modules(root):
-            if not test.exists():
+        for module, tests in modules(root):
+            missing = [test for test in tests if not test.exists()]
+            for test in missing:
                 yield f"{module.relative_to(root)}: there is no {test.relative_to(root)}"
-            elif any(map(test.is_relative_to, asked)):
+            if not missing and all(any(map(test.is_relative_to, asked)) for test in tests):
                 looked_at.append(module)
-        for name, missing in self._uncovered(looked_at).items():
-            if missing:
-                yield f"{name}: {missing}"
+        for name, gaps_ in self._uncovered(looked_at).items():
+            if gaps_:
+                yield f"{name}: {gaps_}"
 
     def _uncovered(self, looked_at: list[Path]) -> dict[str, str]:
-        """What was not reached, of each module."""
+        """Return what was not reached, for each module."""
         if not looked_at:
             return {}
         coverage = Coverage(
@@ -147,7 +139,7 @@ class Gathering:
         return {module: gaps(found) for module, found in files.items()}
 
     def pytest_testnodedown(self, node: Any) -> None:
-        """Take what a process of pytest-xdist hands over when it ends."""
+        """Take the arcs that a process of pytest-xdist hands over when it ends."""
         self.add(getattr(node, "workeroutput", {}).get("own_coverage", {}))
 
     @pytest.hookimpl(tryfirst=True)
@@ -155,10 +147,10 @@ class Gathering:
         if session.exitstatus != pytest.ExitCode.OK:
             self._lines = ["own coverage is not looked at when tests fail"]
         elif short := list(self.shortcomings()):
-            self._lines = ["not covered by their own test files:", *short]
+            self._lines = ["not covered by their own tests:", *short]
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
         else:
-            self._lines = ["each module is covered by its own test file"]
+            self._lines = ["each module is covered by its own tests"]
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         for line in self._lines:

@@ -60,7 +60,7 @@ def test_nothing_is_said_of_an_environment_that_has_it_all(prefix: Path) -> None
 @pytest.mark.parametrize(
     ("without", "said"),
     [
-        ("pyvenv.cfg", "is no virtual environment"),
+        ("pyvenv.cfg", "is not a virtual environment"),
         ("share/rosidl_default_generators", "install the dependency group `ros`"),
         ("bin/cc", "missing: a C compiler;"),
         ("bin/c++", "missing: a C++ compiler;"),
@@ -96,7 +96,7 @@ def test_a_folder_that_is_no_interface_package_is_refused(tmp_path: Path, name: 
     for file in {"package.xml", "CMakeLists.txt"} - {name}:
         (tmp_path / file).touch()
 
-    assert problem_of(tmp_path) == f"{tmp_path} is no interface package: it has no {name}"
+    assert problem_of(tmp_path) == f"{tmp_path} is not an interface package: it has no {name}"
 
 
 def test_the_packages_of_this_project_are_interface_packages() -> None:

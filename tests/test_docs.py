@@ -28,6 +28,7 @@ import fibaction._notify
 import fibaction.abc
 import fibaction.action_files
 import fibaction.json_payload
+import fibaction.monitor
 import fibaction.testing
 import fibaction.wire
 import fibaction.wire.channel
@@ -379,6 +380,7 @@ def resolve(dotted: str) -> object:
         (fibaction, "connect"),
         (fibaction.action_files, "load_action"),
         (fibaction.json_payload, "JsonCodec"),
+        (fibaction.monitor, "Monitor"),
         (fibaction.abc, "GoalStream"),
         (fibaction.testing, "Step"),
         (fibaction._notify, "Notifier"),

@@ -1,4 +1,4 @@
-"""What asks whether modules are covered by their own test files: does it notice when one is not?"""
+"""The check that modules are covered by their own tests: does it notice one that is not?"""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests import own_coverage
+from tests import own_coverage, units
 
 SETTINGS = """
 [tool.pytest.ini_options]
@@ -45,11 +45,13 @@ from fibaction.first import first_sign
 def test_some(): assert (first_sign([-3]), first_sign([3])) == (-1, 1)
 def test_none(): assert first_sign([]) is None
 """
+NEGATIVE = "from fibaction.wire.sign import sign\ndef test_it(): assert sign(-2) == -1\n"
+POSITIVE = NEGATIVE.replace("-", "")
 HALF_FIRST = """
 from fibaction.first import first_sign
 def test_some(): assert first_sign([-3]) == -1
 """
-COVERED = "each module is covered by its own test file"
+COVERED = "each module is covered by its own tests"
 
 
 @pytest.fixture
@@ -60,15 +62,22 @@ def project(tmp_path: Path) -> Path:
         "fibaction/__init__.py": '"""A package."""\n',
         "fibaction/sign.py": SIGN,
         "fibaction/first.py": FIRST,
+        "fibaction/wire/__init__.py": '"""A package."""\n',
+        "fibaction/wire/sign.py": SIGN,
+        "fibaction/wire/messages.py": SIGN,
         "transports/fibaction_transports/__init__.py": '"""Nothing."""\n',
         "tests/__init__.py": "",
         "tests/test_sign.py": WHOLE_SIGN,
         "tests/test_first.py": WHOLE_FIRST,
+        "tests/wire/test_minus.py": NEGATIVE,
+        "tests/wire/test_plus.py": POSITIVE,
+        "tests/wire/test_messages.py": WHOLE_SIGN.replace("sign import", "wire.messages import"),
     }.items():
         file = tmp_path / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text)
-    shutil.copy(own_coverage.__file__, tmp_path / "tests")
+    for module in (own_coverage, units):
+        shutil.copy(module.__file__, tmp_path / "tests")
     return tmp_path
 
 
@@ -140,6 +149,32 @@ def test_a_test_file_without_a_test_covers_nothing(project: Path) -> None:
     (project / "tests/test_sign.py").write_text("")
     status, said = run(project, "tests")
     assert "fibaction/sign.py: 4, 5, 6\n" in said
+    assert status == 1
+
+
+@pytest.mark.parametrize("processes", [[], ["-n", "2"]])
+def test_the_tests_of_a_unit_cover_its_modules_together(
+    project: Path, processes: list[str]
+) -> None:
+    (project / "tests/wire/test_minus.py").unlink()
+    status, said = run(project, *processes, "tests")
+    assert "fibaction/wire/sign.py: 5, 4->5\n" in said
+    assert status == 1
+
+
+def test_a_unit_is_looked_at_when_all_its_tests_are_run(project: Path) -> None:
+    assert COVERED in run(project, "tests/wire/test_plus.py")[1]
+    assert COVERED in run(project, "tests/wire")[1]
+
+
+def test_a_module_that_has_a_test_file_of_its_own_in_a_unit_is_covered_by_that_alone(
+    project: Path,
+) -> None:
+    test = project / "tests/wire/test_messages.py"
+    test.rename(test.with_name("test_more.py"))
+    test.write_text("")
+    status, said = run(project, "tests")
+    assert "fibaction/wire/messages.py: 4, 5, 6\n" in said
     assert status == 1
 
 

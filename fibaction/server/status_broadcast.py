@@ -80,6 +80,7 @@ class StatusSubscription(StatusStream):
     def fail(self, error: ActionError) -> None:
         """End the stream here: what has arrived can be read, and then the error is raised."""
         self._error = error
+        self._leave(self)
         self._news.notify()
 
     async def receive(self) -> GoalInfo | None:

@@ -22,7 +22,7 @@ import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from pathlib import Path
 from threading import Event
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, TypeAlias
 
 import pyte
 import pytest
@@ -31,6 +31,15 @@ from click.testing import CliRunner, Result
 from fibaction.cli.app import cli
 from tests.cli.robot_module import MODULE
 from tests.processes import PATIENCE, Finished, ended, lines_until
+
+Run: TypeAlias = "Callable[..., Finished]"
+"""Runs the command with these arguments, `url=`, `input=` and `env=`: see `fibaction`, `here`."""
+Start: TypeAlias = "Callable[..., subprocess.Popen[str]]"
+"""See `started`."""
+Invoke: TypeAlias = "Callable[..., Result]"
+"""See `invoke`."""
+Open: TypeAlias = "Callable[..., Terminal]"
+"""See `terminal`."""
 
 ROOT = Path(__file__).resolve().parents[2]
 WARNINGS = ("-W", "error", "-W", "ignore:module 'sre_:DeprecationWarning")
@@ -161,29 +170,12 @@ def eventually(condition: Callable[[], bool]) -> None:
 # The command
 
 
-class Run(Protocol):
-    """See `fibaction`."""
-
-    def __call__(
-        self,
-        *arguments: str,
-        url: str | None = None,
-        input: str | None = None,
-        env: Mapping[str, str] | None = None,
-    ) -> Finished: ...
-
-
 @pytest.fixture(scope="session")
 def fibaction() -> Run:
     """Runs the command as a process, to its end. `url` is told it by `FIBACTION_URL`."""
 
-    def run(
-        *arguments: str,
-        url: str | None = None,
-        input: str | None = None,
-        env: Mapping[str, str] | None = None,
-    ) -> Finished:
-        return ended(start_command(*arguments, url=url, env=env), input)
+    def run(*arguments: str, input: str | None = None, **settings: Any) -> Finished:
+        return ended(start_command(*arguments, **settings), input)
 
     return run
 
@@ -207,14 +199,6 @@ def start_command(
     )
 
 
-class Start(Protocol):
-    """See `started`."""
-
-    def __call__(
-        self, *arguments: str, url: str | None = None, env: Mapping[str, str] | None = None
-    ) -> subprocess.Popen[str]: ...
-
-
 @pytest.fixture
 def started() -> Iterator[Start]:
     """Starts the command as a process, for tests that read its lines or send it signals; what is
@@ -222,10 +206,8 @@ def started() -> Iterator[Start]:
     """
     processes: list[subprocess.Popen[str]] = []
 
-    def start(
-        *arguments: str, url: str | None = None, env: Mapping[str, str] | None = None
-    ) -> subprocess.Popen[str]:
-        processes.append(start_command(*arguments, url=url, env=env))
+    def start(*arguments: str, **settings: Any) -> subprocess.Popen[str]:
+        processes.append(start_command(*arguments, **settings))
         return processes[-1]
 
     yield start
@@ -233,18 +215,6 @@ def started() -> Iterator[Start]:
         process.kill()
         with process:
             process.communicate()
-
-
-class Invoke(Protocol):
-    """See `invoke`."""
-
-    def __call__(
-        self,
-        *arguments: str,
-        url: str | None = None,
-        input: str | bytes | None = None,
-        env: Mapping[str, str | None] | None = None,
-    ) -> Result: ...
 
 
 @pytest.fixture(scope="session")
@@ -264,6 +234,17 @@ def invoke() -> Invoke:
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         return result
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def here(invoke: Invoke) -> Run:
+    """Runs the command in this process, and gives what came of it as if it were a process."""
+
+    def run(*arguments: str, **settings: Any) -> Finished:
+        result = invoke(*arguments, **settings)
+        return Finished(result.exit_code, result.stdout, result.stderr)
 
     return run
 
@@ -369,32 +350,13 @@ class Terminal:
         return bool(data)
 
 
-class Open(Protocol):
-    """See `terminal`."""
-
-    def __call__(
-        self,
-        *arguments: str,
-        url: str | None = None,
-        env: Mapping[str, str] | None = None,
-        columns: int = 80,
-        lines: int = 24,
-    ) -> Terminal: ...
-
-
 @pytest.fixture
 def terminal() -> Iterator[Open]:
     """Runs the command in a pseudo-terminal."""
     opened: list[Terminal] = []
 
-    def open_one(
-        *arguments: str,
-        url: str | None = None,
-        env: Mapping[str, str] | None = None,
-        columns: int = 80,
-        lines: int = 24,
-    ) -> Terminal:
-        opened.append(Terminal(*arguments, url=url, env=env, columns=columns, lines=lines))
+    def open_one(*arguments: str, **settings: Any) -> Terminal:
+        opened.append(Terminal(*arguments, **settings))
         return opened[-1]
 
     yield open_one

@@ -10,6 +10,7 @@ import pytest
 from fibaction import ActionInfo, connect, serve
 from fibaction.cli.action_names import find_action, names_of, no_action, shown
 from fibaction.cli.exit_codes import ExitCode, Failure
+from tests.cli.conftest import Run
 from tests.cli.robot import servers
 
 
@@ -23,6 +24,22 @@ async def test_a_slash_in_front_of_a_name_is_optional_and_a_near_name_is_suggest
 
     assert failure.value.message == "nobody serves the action /fibonaci; did you mean /fibonacci?"
     assert failure.value.exit_code == ExitCode.UNREACHABLE
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        *(["type"], ["send_goal"], ["goals"], ["goals", "-w"]),
+        *(["cancel", "--all"], ["cancel"], ["attach", "aa"]),
+    ],
+    ids=lambda verb: " ".join(verb),
+)
+def test_every_verb_suggests_the_near_name(here: Run, tcp: str, verb: list[str]) -> None:
+    rest = ["aa"] if verb == ["cancel"] else []
+    code, out, err = here(*verb, "fibonaci", *rest, url=tcp)
+
+    assert (code, out) == (ExitCode.UNREACHABLE, "")
+    assert err == "Error: nobody serves the action /fibonaci; did you mean /fibonacci?\n"
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import errno
 import logging
+import signal
 import subprocess
 import sys
 import time
@@ -14,7 +15,7 @@ from typing import Any
 import click
 import pytest
 
-from fibaction.cli import app
+from fibaction.cli import app, exit_at_once
 from fibaction.cli.exit_codes import ExitCode
 from tests.cli.conftest import Invoke, Run
 
@@ -74,11 +75,6 @@ def test_an_unknown_verb_is_not_completed() -> None:
 # Errors
 
 
-@pytest.fixture
-def nobody_debugs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("FIBACTION_DEBUG", raising=False)
-
-
 def run_main_with(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run the command line, whose verb ends with that error."""
 
@@ -89,30 +85,34 @@ def run_main_with(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     app.main()
 
 
-@pytest.mark.usefixtures("nobody_debugs")
-def test_a_bug_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("error", "code", "text"),
+    [
+        (
+            ZeroDivisionError("oh\n\x1b"),
+            ExitCode.BUG,
+            "ZeroDivisionError: oh\\x0a\\x1b (this is a bug; FIBACTION_DEBUG=1 shows where)",
+        ),
+        (
+            OSError(errno.ENOSPC, "No space left on device"),
+            ExitCode.ABORTED,
+            "the output cannot be written: No space left on device",
+        ),
+    ],
+)
+def test_an_unexpected_error_is_one_line(
+    error: Exception,
+    code: ExitCode,
+    text: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.delenv("FIBACTION_DEBUG", raising=False)
     with pytest.raises(SystemExit) as exit:
-        run_main_with(ZeroDivisionError("oh\n\x1b"), monkeypatch)
+        run_main_with(error, monkeypatch)
 
-    assert exit.value.code == ExitCode.BUG
-    assert capsys.readouterr().err == (
-        "Error: ZeroDivisionError: oh\\x0a\\x1b (this is a bug; FIBACTION_DEBUG=1 shows where)\n"
-    )
-
-
-@pytest.mark.usefixtures("nobody_debugs")
-def test_output_that_has_no_room_is_no_bug(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as exit:
-        run_main_with(OSError(errno.ENOSPC, "No space left on device"), monkeypatch)
-
-    assert exit.value.code == ExitCode.ABORTED
-    assert capsys.readouterr().err == (
-        "Error: the output cannot be written: No space left on device\n"
-    )
+    assert exit.value.code == code
+    assert capsys.readouterr().err == f"Error: {text}\n"
 
 
 def test_a_bug_that_is_looked_for_has_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,6 +148,14 @@ def test_a_reader_who_has_enough_is_no_error(tcp: str) -> None:
 
     assert run.stdout == "/arm/pick\n"
     assert run.stderr == ""
+
+
+def test_a_verb_handles_ctrl_c_by_itself(invoke: Invoke) -> None:
+    signal.signal(signal.SIGINT, exit_at_once)
+    invoke("--help")
+    assert signal.getsignal(signal.SIGINT) is exit_at_once
+    invoke("gen", "--help")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 # How it is built

@@ -32,9 +32,9 @@ def test_attach_shows_what_comes_and_ends_as_the_goal_does(
     assert out.endswith("Goal finished with status: CANCELED (asked to stop)\n")
 
 
-def test_attach_to_a_goal_that_has_ended_gives_its_result(fibaction: Run, url: str) -> None:
-    goal_id = detached(fibaction, url, "arm/pick", "object_name: cup")
-    done = fibaction("attach", goal_id, "arm/pick", "--json", url=url)
+def test_attach_to_a_goal_that_has_ended_gives_its_result(here: Run, url: str) -> None:
+    goal_id = detached(here, url, "arm/pick", "object_name: cup")
+    done = here("attach", goal_id, "arm/pick", "--json", url=url)
 
     assert (done.code, done.err) == (0, "")
     assert done.json[0]["goal_id"] == goal_id

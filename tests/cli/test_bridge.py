@@ -117,27 +117,6 @@ def test_a_bridge_that_leads_nowhere_is_one_sentence(invoke: Invoke, nobody: str
 
 
 @pytest.mark.asyncio
-async def test_a_signal_ends_a_bridge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    far, near = f"unix://{tmp_path}/far", f"unix://{tmp_path}/near"
-    codes: list[int] = []
-
-    async def run() -> None:
-        codes.append(await bridge.bridge(far, near, ()))
-
-    with anyio.fail_after(PATIENCE):
-        async with serve(ActionServer(FIBONACCI, fibonacci), far):
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(run)
-                async with connect(near, FIBONACCI) as client:
-                    await client.wait_for_server()
-                os.kill(os.getpid(), SIGINT)
-
-    assert codes == [0]
-    said = f"bridging /fibonacci from {far} to {near}, Ctrl-C stops it\n"
-    assert capsys.readouterr().out == said
-
-
-@pytest.mark.asyncio
 async def test_a_signal_ends_a_bridge_that_waits(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,16 +11,13 @@ import pytest
 from fibaction import (
     CancelAnswer,
     CancelCode,
-    CancelRejected,
     ConnectionLost,
     GoalID,
-    GoalStatus,
-    UnknownGoal,
     connect,
     serve,
 )
 from fibaction.cli import cancel
-from fibaction.cli.cancel import cancel_many, cancel_one, reason_of
+from fibaction.cli.cancel import cancel_many, reason_of
 from fibaction.cli.exit_codes import ExitCode
 from tests.cli.conftest import Invoke, Run, detached
 from tests.cli.robot import WAIT
@@ -43,10 +40,10 @@ async def cancel_all(url: str) -> None:
             await (await client.attach(info.goal_id)).outcome()
 
 
-def test_the_beginning_of_an_id_is_enough_to_cancel(fibaction: Run, url: str) -> None:
-    goal_id = detached(fibaction, url, "wait")
-    done = fibaction("cancel", goal_id[:8], url=url)
-    again = fibaction("cancel", "wait", goal_id, url=url)
+def test_the_beginning_of_an_id_is_enough_to_cancel(here: Run, url: str) -> None:
+    goal_id = detached(here, url, "wait")
+    done = here("cancel", goal_id[:8], url=url)
+    again = here("cancel", "wait", goal_id, url=url)
 
     assert done == (0, f"Canceling the goal {goal_id} of /wait\n", "")
     assert again.code == ExitCode.ABORTED
@@ -56,20 +53,20 @@ def test_the_beginning_of_an_id_is_enough_to_cancel(fibaction: Run, url: str) ->
     )
 
 
-def test_a_goal_that_has_ended_is_not_canceled(fibaction: Run, url: str) -> None:
-    goal_id = detached(fibaction, url, "fibonacci", "order: 1")
-    fibaction("attach", goal_id, url=url)
-    done = fibaction("cancel", goal_id, url=url)
+def test_a_goal_that_has_ended_is_not_canceled(here: Run, url: str) -> None:
+    goal_id = detached(here, url, "fibonacci", "order: 1")
+    here("attach", goal_id, url=url)
+    done = here("cancel", goal_id, url=url)
 
     assert done.code == ExitCode.ABORTED
     assert done.out == ""
     assert done.err == f"The goal {goal_id} of /fibonacci is not canceled: it has ended already\n"
 
 
-def test_all_goals_are_canceled_and_rejections_are_reported(fibaction: Run, url: str) -> None:
-    first, second = (detached(fibaction, url, "wait") for _ in range(2))
-    third = detached(fibaction, url, "stubborn", "{seconds: 3}")
-    done = fibaction("cancel", "--all", url=url)
+def test_all_goals_are_canceled_and_rejections_are_reported(here: Run, url: str) -> None:
+    first, second = (detached(here, url, "wait") for _ in range(2))
+    third = detached(here, url, "stubborn", "{seconds: 3}")
+    done = here("cancel", "--all", url=url)
 
     assert done.code == ExitCode.ABORTED
     assert sorted(done.lines) == sorted(
@@ -78,23 +75,23 @@ def test_all_goals_are_canceled_and_rejections_are_reported(fibaction: Run, url:
     assert f"The goal {third} of /stubborn is not canceled: it is never canceled" in done.err
 
 
-def test_with_before_later_goals_go_on(fibaction: Run, url: str) -> None:
+def test_with_before_later_goals_go_on(here: Run, url: str) -> None:
     def stamp(goal_id: str) -> int:
-        goals = fibaction("goals", "wait", "--json", url=url).json
+        goals = here("goals", "wait", "--json", url=url).json
         return int(next(goal["stamp"] for goal in goals if goal["goal_id"] == goal_id))
 
-    early, late = (detached(fibaction, url, "wait") for _ in range(2))
-    done = fibaction("cancel", "wait", "--before", str(stamp(early)), "--json", url=url)
+    early, late = (detached(here, url, "wait") for _ in range(2))
+    done = here("cancel", "wait", "--before", str(stamp(early)), "--json", url=url)
 
     assert done.code == 0
     assert done.json == [{"action": "wait", "goal_id": early, "canceling": True, "reason": ""}]
     when = datetime.datetime.fromtimestamp(stamp(late) / 1e9 + 1).isoformat()
-    assert late in fibaction("cancel", "--before", when, url=url).out
+    assert late in here("cancel", "--before", when, url=url).out
 
 
-def test_a_rejected_cancel_as_json_says_why(fibaction: Run, tcp: str) -> None:
-    goal_id = detached(fibaction, tcp, "stubborn", "{seconds: 3}")
-    done = fibaction("cancel", goal_id, "--json", url=tcp)
+def test_a_rejected_cancel_as_json_says_why(here: Run, tcp: str) -> None:
+    goal_id = detached(here, tcp, "stubborn", "{seconds: 3}")
+    done = here("cancel", goal_id, "--json", url=tcp)
 
     assert (done.code, done.err) == (ExitCode.ABORTED, "")
     assert done.json == [
@@ -136,54 +133,6 @@ def test_what_cannot_be_meant_is_one_sentence(
     assert result.exit_code == ExitCode.USAGE
     assert text in result.stderr
     assert result.stdout == ""
-
-
-def test_an_action_that_is_not_there_is_one_sentence(invoke: Invoke, tcp: str) -> None:
-    for words in (["cancel", "wiat", "--all"], ["cancel", "wiat", "aa"]):
-        result = invoke(*words, url=tcp)
-        assert result.exit_code == ExitCode.UNREACHABLE
-        assert result.stderr == "Error: nobody serves the action /wiat; did you mean /wait?\n"
-
-
-@pytest.mark.asyncio
-async def test_goals_are_canceled_here_too(capsys: pytest.CaptureFixture[str]) -> None:
-    server = counter("one")
-    async with serve(server, "inproc://cancel"):
-        async with connect("inproc://cancel", server.action) as client:
-            goal = await client.send_goal(1, goal_id=ID)
-            assert await cancel_one("inproc://cancel", None, "01", as_json=True) == 0
-            assert (await goal.outcome()).status is GoalStatus.CANCELED
-
-    assert json.loads(capsys.readouterr().out)["canceling"] is True
-
-
-@pytest.mark.asyncio
-async def test_many_are_canceled_here_too(capsys: pytest.CaptureFixture[str]) -> None:
-    willing, refusing, url = counter("one"), counter("two"), "inproc://cancel"
-    other = GoalID(b"\x02" * 16)
-
-    def refuse(_: object) -> None:
-        raise CancelRejected("never")
-
-    refusing._admission._on_cancel = refuse
-    refusing._shutdown_timeout = 0.0
-    async with serve([willing, refusing], url), connect(url) as connection:
-        goal = await connection.client(willing.action).send_goal(1, goal_id=ID)
-        await connection.client(refusing.action).send_goal(1, goal_id=other)
-        assert await cancel_many(url, None, 1, as_json=False) == 0
-        assert await cancel_many(url, None, None, as_json=False) == ExitCode.ABORTED
-        await goal.outcome()
-        assert await cancel_one(url, "one", str(ID), as_json=False) == ExitCode.ABORTED
-        with pytest.raises(UnknownGoal):
-            await cancel_one(url, "one", str(other), as_json=False)
-
-    out, err = capsys.readouterr()
-    assert out == f"Canceling the goal {ID} of /one\n"
-    assert err.splitlines() == [
-        "There is no goal to cancel.",
-        f"The goal {other} of /two is not canceled: never",
-        f"The goal {ID} of /one is not canceled: it has ended already",
-    ]
 
 
 @pytest.mark.asyncio

@@ -5,8 +5,8 @@ from __future__ import annotations
 from tests.cli.conftest import Invoke, Run
 
 
-def test_find_prints_the_actions_of_a_type(fibaction: Run, url: str) -> None:
-    assert fibaction("find", "arm/action/Wait", url=url).lines == ["/wait"]
+def test_find_prints_the_actions_of_a_type(here: Run, url: str) -> None:
+    assert here("find", "arm/action/Wait", url=url).lines == ["/wait"]
 
 
 def test_find_as_json_has_the_names_that_the_servers_gave(invoke: Invoke, tcp: str) -> None:

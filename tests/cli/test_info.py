@@ -16,20 +16,18 @@ from tests.cli.conftest import Invoke, Run
 from tests.cli.robot import servers
 
 
-def test_info_has_the_lines_that_ros_prints(fibaction: Run, url: str) -> None:
-    code, out, err = fibaction("info", "/fibonacci", "-c", url=url)
+def test_info_has_the_lines_that_ros_prints(here: Run, url: str) -> None:
+    code, out, err = here("info", "/fibonacci", "-c", url=url)
 
     assert (code, err) == (0, "")
     assert re.fullmatch(r"Action: /fibonacci\nAction clients: \d+\nAction servers: \d+\n", out)
 
 
-def test_a_misspelt_action_suggests_the_near_one(invoke: Invoke, tcp: str) -> None:
-    result = invoke("info", "fibonaci", url=tcp)
-
-    assert result.exit_code == ExitCode.UNREACHABLE
-    assert result.stdout == ""
-    assert result.stderr == (
-        "Error: nobody serves the action /fibonaci; did you mean /fibonacci?\n"
+def test_a_misspelt_action_suggests_the_near_one(here: Run, tcp: str) -> None:
+    assert here("info", "fibonaci", url=tcp) == (
+        ExitCode.UNREACHABLE,
+        "",
+        "Error: nobody serves the action /fibonaci; did you mean /fibonacci?\n",
     )
 
 

@@ -12,14 +12,14 @@ from tests.cli.robot import words
 NAMES = ["/arm/pick", "/fibonacci", "/many", "/stubborn", "/wait", "/words"]
 
 
-def test_list_prints_one_name_a_line(fibaction: Run, url: str) -> None:
-    code, out, err = fibaction("list", url=url)
+def test_list_prints_one_name_a_line(here: Run, url: str) -> None:
+    code, out, err = here("list", url=url)
 
     assert (code, out.splitlines(), err) == (0, NAMES, "")
 
 
-def test_list_with_types_has_them_in_brackets(fibaction: Run, url: str) -> None:
-    assert fibaction("list", "-t", url=url).lines == [
+def test_list_with_types_has_them_in_brackets(here: Run, url: str) -> None:
+    assert here("list", "-t", url=url).lines == [
         "/arm/pick [arm/action/Pick]",
         "/fibonacci [arduinobot_msgs/action/Fibonacci]",
         "/many",

@@ -19,7 +19,7 @@ from fibaction.cli.exit_codes import ExitCode
 from fibaction.cli.goal_table import picture
 from fibaction.cli.output import note
 from fibaction.monitor import AnyClient
-from tests.cli.conftest import Invoke, Open, Robot, Run, Start, detached, interrupt
+from tests.cli.conftest import Open, Robot, Run, Start, detached, interrupt
 from tests.cli.served import Heard, Served, counter
 from tests.cli.test_echo import echoed
 from tests.processes import ended, lines_until
@@ -28,11 +28,11 @@ from tests.virtual_time import in_virtual_time
 ID = GoalID(b"\x01" * 16)
 
 
-def test_goals_lists_those_of_all_actions_or_of_one(fibaction: Run, url: str) -> None:
-    running = detached(fibaction, url, "wait", "{seconds: 60, steps: 600}")
-    over = detached(fibaction, url, "fibonacci", "order: 5")
-    everything = fibaction("goals", url=url)
-    fibonacci = fibaction("goals", "/fibonacci", url=url)
+def test_goals_lists_those_of_all_actions_or_of_one(here: Run, url: str) -> None:
+    running = detached(here, url, "wait", "{seconds: 60, steps: 600}")
+    over = detached(here, url, "fibonacci", "order: 5")
+    everything = here("goals", url=url)
+    fibonacci = here("goals", "/fibonacci", url=url)
 
     assert everything.code == fibonacci.code == 0
     assert everything.lines[0].split() == ["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "CLIENT"]
@@ -44,9 +44,9 @@ def test_goals_lists_those_of_all_actions_or_of_one(fibaction: Run, url: str) ->
     assert running not in fibonacci.out
 
 
-def test_goals_as_json_has_all_that_is_known(fibaction: Run, url: str) -> None:
-    goal_id = detached(fibaction, url, "arm/pick", "object_name: cup")
-    found = fibaction("goals", "arm/pick", "--json", url=url)
+def test_goals_as_json_has_all_that_is_known(here: Run, url: str) -> None:
+    goal_id = detached(here, url, "arm/pick", "object_name: cup")
+    found = here("goals", "arm/pick", "--json", url=url)
     (goal,) = (goal for goal in found.json if goal["goal_id"] == goal_id)
 
     assert goal.pop("stamp") > 1_700_000_000 * 10**9
@@ -90,19 +90,6 @@ def test_a_watched_list_is_kept_up_to_date_where_it_is(
     assert screen[0].startswith("ID ")
     assert shown.text.count("FEEDBACK") == 1
     assert not shown.cursor_hidden
-
-
-def test_a_watched_list_says_that_the_server_is_away_until_it_is_back(
-    terminal: Open, start_robot: Callable[[], Robot]
-) -> None:
-    robot = start_robot()
-    shown = terminal("goals", "--watch", url=robot.tcp)
-    shown.until("0 active, 0 ended")
-    robot.process.kill()
-    shown.until("The server is away: it does not answer")
-    shown.press("\x03")
-
-    assert shown.ends() == 0
 
 
 def test_piped_each_change_is_a_line(started: Start, fibaction: Run, url: str) -> None:
@@ -156,20 +143,6 @@ async def test_without_goals_there_is_a_remark(capsys: pytest.CaptureFixture[str
     out, err = capsys.readouterr()
     assert out == ""
     assert err == "There are no goals.\nThere are no goals of /one.\n"
-
-
-@pytest.mark.asyncio
-async def test_a_list_has_a_line_for_each_goal(capsys: pytest.CaptureFixture[str]) -> None:
-    server = counter("one")
-    async with serve(server, "inproc://goals"):
-        await ActionClient(server, server.action).send_goal(1, goal_id=ID)
-        assert await running_goals("inproc://goals") == 0
-        assert await list_goals.list_goals("inproc://goals", "one", watch=False, as_json=True) == 0
-
-    names, line, goal = capsys.readouterr().out.splitlines()
-    assert names.startswith("ID ")
-    assert line.startswith(f"{ID}  /one    EXECUTING ")
-    assert json.loads(goal)["goal_id"] == str(ID)
 
 
 @pytest.fixture
@@ -268,18 +241,6 @@ async def test_a_watched_list_ends_with_ctrl_c(screen: Console, name: str | None
             signal.raise_signal(signal.SIGINT)
 
     assert codes == [0]
-
-
-def test_an_action_or_a_server_that_is_not_there_is_one_sentence(
-    invoke: Invoke, tcp: str, nobody: str
-) -> None:
-    result = invoke("goals", "wiat", url=tcp)
-    assert result.exit_code == ExitCode.UNREACHABLE
-    assert result.stderr == "Error: nobody serves the action /wiat; did you mean /wait?\n"
-    for verb in (["goals"], ["goals", "-w"]):
-        result = invoke(*verb, url=nobody)
-        assert result.exit_code == ExitCode.UNREACHABLE
-        assert result.stderr.startswith(f"Error: nobody listens at {nobody}")
 
 
 @pytest.mark.asyncio

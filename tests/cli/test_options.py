@@ -11,6 +11,12 @@ from fibaction.cli.options import URL
 from fibaction_transports.tcp import TcpTransport
 from tests.cli.conftest import Invoke, Run
 
+REACHING = [
+    *(["list"], ["info", "x"], ["type", "x"], ["find", "x"], ["send_goal", "x"], ["goals"]),
+    *(["goals", "-w"], ["cancel", "--all"], ["attach", "5f"], ["echo", "x"]),
+]
+"""Verbs that connect to a server, but for `top`, which needs a terminal."""
+
 
 def test_the_url_is_that_of_the_verb_or_of_the_group_or_of_the_environment(
     invoke: Invoke, tcp: str, nobody: str
@@ -27,8 +33,11 @@ def test_without_a_url_it_is_the_default_of_the_tcp_transport(invoke: Invoke) ->
     assert f"default: {URL}" in " ".join(invoke("--help").output.split())
 
 
-def test_a_server_that_does_not_run_is_one_sentence(fibaction: Run, nobody: str) -> None:
-    code, out, err = fibaction("list", url=nobody)
+@pytest.mark.parametrize("verb", REACHING, ids=lambda verb: " ".join(verb))
+def test_a_server_that_does_not_run_is_one_sentence(
+    here: Run, nobody: str, verb: list[str]
+) -> None:
+    code, out, err = here(*verb, url=nobody)
 
     assert (code, out) == (ExitCode.UNREACHABLE, "")
     assert err.startswith(f"Error: nobody listens at {nobody}")
@@ -40,7 +49,7 @@ def test_a_server_that_does_not_run_is_one_sentence(fibaction: Run, nobody: str)
     ("url", "text"),
     [
         ("127.0.0.1:7400", "URL: write it like tcp://"),
-        ("nonsense://x", "no transport for nonsense:// is installed; there is"),
+        ("nonsense://x", "no transport for nonsense:// is installed"),
         ("tcp://127.0.0.1:port", "port"),
         ("tcp://127.0.0.1:7400?nonsense=1", "nonsense"),
         ("unix:///nowhere/socket", "/nowhere/socket"),
@@ -55,14 +64,7 @@ def test_a_wrong_url_is_one_sentence(invoke: Invoke, url: str, text: str) -> Non
     assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    "verb",
-    [
-        *(["list"], ["info", "x"], ["type", "x"], ["find", "x"], ["send_goal", "x"], ["goals"]),
-        *(["cancel", "--all"], ["attach", "5f"], ["echo", "x"], ["top"]),
-    ],
-    ids=lambda verb: verb[0],
-)
+@pytest.mark.parametrize("verb", [*REACHING, ["top"]], ids=lambda verb: " ".join(verb))
 def test_a_url_of_one_process_is_rejected_by_all_that_would_reach_another(
     invoke: Invoke, verb: list[str]
 ) -> None:

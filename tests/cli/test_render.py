@@ -12,7 +12,6 @@ import pytest
 from fibaction import (
     Action,
     ActionServer,
-    GoalAborted,
     GoalHandle,
     GoalID,
     GoalStatus,
@@ -111,26 +110,6 @@ async def told_of(server: ActionServer[int, int, str], *, live: bool = False) ->
         stream = await connection.endpoint(PLAIN).send_goal(GOAL_ID, payload)
         with anyio.fail_after(10):
             return await print_goal(stream, PLAIN, JsonPrinter(feedback=True), live=live)
-
-
-@pytest.mark.asyncio
-async def test_a_goal_is_followed_to_its_end(capsys: pytest.CaptureFixture[str]) -> None:
-    code = await told_of(ScriptedServer(COUNT, [1, 2, "done"]), live=True)
-
-    assert code == 0
-    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert [event["event"] for event in events] == ["status", "feedback", "feedback", "result"]
-    assert [event.get("feedback") for event in events] == [None, 1, 2, None]
-    assert events[-1]["result"] == "done"
-
-
-@pytest.mark.asyncio
-async def test_a_goal_without_a_result_has_none(capsys: pytest.CaptureFixture[str]) -> None:
-    code = await told_of(ScriptedServer(COUNT, [GoalAborted("broken")]))
-
-    assert code == 1
-    result = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert (result["result"], result["reason"]) == (None, "broken")
 
 
 async def quick(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:

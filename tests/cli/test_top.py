@@ -11,7 +11,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import ConnectionLost, _action_listener, serve
+from fibaction import ConnectionLost, _action_listener
 from fibaction.cli import top
 from fibaction.cli.exit_codes import ExitCode
 from fibaction.cli.output import LogHandler
@@ -94,13 +94,6 @@ def test_a_server_that_does_not_run_is_an_error_before_the_screen_is_taken(
     assert b"\x1b[?1049h" not in shown.raw
 
 
-def test_without_a_terminal_it_names_what_needs_none(invoke: Invoke, tcp: str) -> None:
-    result = invoke("top", url=tcp)
-
-    assert result.exit_code == ExitCode.USAGE
-    assert result.stderr == NEEDS_TERMINAL
-
-
 STREAMS = ("stdin", "stdout", "stderr")
 
 
@@ -167,19 +160,6 @@ def without_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(TopScreen, "run_async", run)
     monkeypatch.setattr(_action_listener, "PERIOD", 0.05)
-
-
-@pytest.mark.asyncio
-@pytest.mark.usefixtures("without_terminal")
-async def test_a_signal_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn = anyio.Event()
-    monkeypatch.setattr(TopScreen, "on_mount", lambda _: drawn.set())
-    async with serve(counter("one"), "inproc://top"):
-        with anyio.fail_after(20):
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(top.top, "inproc://top")
-                await drawn.wait()
-                signal.raise_signal(signal.SIGTERM)
 
 
 @pytest.mark.asyncio

@@ -6,8 +6,8 @@ from fibaction.cli.exit_codes import ExitCode
 from tests.cli.conftest import Invoke, Run
 
 
-def test_type_prints_the_type(fibaction: Run, url: str) -> None:
-    code, out, err = fibaction("type", "fibonacci", url=url)
+def test_type_prints_the_type(here: Run, url: str) -> None:
+    code, out, err = here("type", "fibonacci", url=url)
 
     assert (code, out, err) == (0, "arduinobot_msgs/action/Fibonacci\n", "")
 
@@ -19,13 +19,3 @@ def test_a_type_that_the_server_does_not_say(invoke: Invoke, tcp: str) -> None:
 
     assert result.exit_code == ExitCode.ABORTED
     assert result.stderr == "Error: the server of /words does not say its type\n"
-
-
-def test_a_misspelt_action_suggests_the_near_one(invoke: Invoke, tcp: str) -> None:
-    result = invoke("type", "fibonaci", url=tcp)
-
-    assert result.exit_code == ExitCode.UNREACHABLE
-    assert result.stdout == ""
-    assert result.stderr == (
-        "Error: nobody serves the action /fibonaci; did you mean /fibonacci?\n"
-    )

@@ -19,8 +19,8 @@ from fibaction.interfaces.definitions import FieldType, InterfaceError, MessageD
 from fibaction.interfaces.files import read_action
 from fibaction.interfaces.parser import parse_action, parse_message
 from fibaction.interfaces.structs import make_structs
-from fibaction_transports.ros2.messages import RosAction
-from fibaction_transports.ros2.mirror import message_kind
+from fibaction_transports.ros2.conversion import RosAction
+from fibaction_transports.ros2.message_types import message_kind
 
 _parser: Any = import_module("rosidl_adapter.parser")
 

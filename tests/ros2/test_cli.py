@@ -101,51 +101,9 @@ def test_a_goal_that_was_left_running_is_listed_followed_and_canceled() -> None:
             attached.kill()
 
 
-def test_what_happens_is_echoed_until_ctrl_c() -> None:
-    with subprocess.Popen(
-        [COMMAND, "-u", URL, "echo", "fibonacci", "--json"], stdout=subprocess.PIPE, text=True
-    ) as echo:
-        try:
-            assert echo.stdout is not None
-            assert echo.stdout.readline()  # it begins with the goals that are remembered
-            fibaction("send_goal", "fibonacci", "order: 3", code=0)
-            seen = ""
-            while "SUCCEEDED" not in seen:
-                seen = echo.stdout.readline()
-                assert seen, "it has ended"
-            echo.send_signal(signal.SIGINT)
-            echo.stdout.read()
-            assert echo.wait(PATIENCE) == 0
-        finally:
-            echo.kill()
-
-
 def test_ctrl_c_at_a_terminal_cancels_the_goal_and_says_how_it_ended() -> None:
     with closing(Terminal("send_goal", "fibonacci", "order: 46", "-f", url=URL)) as shown:
         shown.until("partial_sequence")
         shown.press("\x03")
         assert shown.ends() == 3
         assert "CANCELED" in shown.text
-
-
-def test_goals_are_watched_and_seen_in_top_until_they_end() -> None:
-    with (
-        closing(Terminal("goals", "fibonacci", "--watch", url=URL)) as watched,
-        closing(Terminal("top", url=URL, columns=160)) as top,
-        closing(Terminal("send_goal", "fibonacci", "order: 46", url=URL)) as sent,
-    ):
-        watched.until("^ID ")
-        top.until("/fibonacci")
-        sent.until("accepted with ID: [0-9a-f]{32}")
-        (line,) = (line for line in sent.text.splitlines() if "accepted with ID" in line)
-        short = line.split()[-1][:8]
-        watched.until(rf"^{short}\w* +EXECUTING")
-        top.until(rf"{short}\w* +/fibonacci +EXECUTING")
-        sent.press("\x03")
-        assert sent.ends() == 3
-        watched.until(rf"^{short}\w* +CANCELED")
-        top.until(rf"{short}\w* +/fibonacci +CANCELED")
-        watched.press("\x03")
-        assert watched.ends() == 0
-        top.press("q")
-        assert top.ends() == 0

@@ -125,7 +125,7 @@ def test_a_client_says_in_one_line_that_nobody_serves() -> None:
     code, out, err = ended(client)
 
     assert (code, out) == (6, "goal      order 10\n")
-    assert err.startswith("error: nobody serves the action 'fibonacci' in ROS: ")
+    assert err.startswith("error: no server of the action 'fibonacci' in ROS: ")
     assert f"/{name}/fibonacci" in err
     assert len(err.splitlines()) == 1
 
@@ -134,8 +134,8 @@ def test_a_client_says_in_one_line_that_nobody_serves() -> None:
 @pytest.mark.parametrize(
     ("url", "error"),
     [
-        ("ros2://?domain_id=many", "'domain_id' cannot be 'many'"),
-        ("ros2://?domain_id=1000", "domain_id is between 0 and 232, not 1000"),
+        ("ros2://?domain_id=many", "invalid setting 'domain_id': 'many'"),
+        ("ros2://?domain_id=1000", "domain_id must be between 0 and 232, not 1000"),
         ("ros2://?speed=9", "has no setting 'speed'"),
         ("ros2://two%20words", "two%20words"),
         ("ros2://?namespace=two words", "namespace"),

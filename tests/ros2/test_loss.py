@@ -22,6 +22,7 @@ from fibaction import (
     connect,
 )
 from tests.fibonacci import Feedback, Goal, Result
+from tests.ros2.ends import client_of
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import Peer, peer
@@ -191,7 +192,7 @@ async def test_a_stock_server_that_was_killed_is_missed_although_another_has_tak
 ) -> None:
     async with server_with_lease(tmp_path) as first:
         async with waiting_for(first, "stock") as (client, goal):
-            node = client.endpoint._server._ros.node  # type: ignore[attr-defined]  # it is ours
+            node = client_of(client.endpoint).presence._ros.node
 
             async def servers() -> int:
                 return int(node.count_publishers("/stock/_action/status"))

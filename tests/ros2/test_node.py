@@ -13,26 +13,30 @@ import pytest
 
 from fibaction._tasks import Background
 from fibaction.exceptions import ConnectionLost, TransportError
-from fibaction_transports.ros2.intake import MAILBOX, TURN, Intake, Mailbox, Source
+from fibaction_transports.ros2.mailbox import MAILBOX, TURN, Mailbox
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import (
     NodeSettings,
     RosNode,
-    Spinner,
     one_line,
     own_node,
     users_node,
 )
 from fibaction_transports.ros2.rcl import (
+    Context,
     InvalidHandle,
+    SingleThreadedExecutor,
     check_for_type_support,
-    qos,
     raw,
     rclpy,
+    rclpy_qos,
     uuid_of,
     waitable,
 )
+from fibaction_transports.ros2.spinner import Spinner
+from fibaction_transports.ros2.waitable import RosWaitable, Source
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.ros2.stock.telling import spin
 
 pytestmark = pytest.mark.anyio
 
@@ -102,7 +106,7 @@ class Box(Mailbox):
         self.batches.append([item for _, item in items])
 
 
-def spun(one: Intake, wait_set: Any) -> bool:
+def spun(one: RosWaitable, wait_set: Any) -> bool:
     """Do what an executor does in one turn; say whether something was ready."""
     with one:
         one.get_num_entities()
@@ -205,7 +209,7 @@ async def test_a_full_mailbox_says_when_it_has_room_again() -> None:
 
 def test_all_that_is_there_is_taken_and_handed_over_in_the_order_of_the_sources() -> None:
     box = Box()
-    one = Intake(box)
+    one = RosWaitable(box)
     first, second = Fake(1, 2), Fake(3, kind="client")
     one.add(first, second)
     assert spun(one, WaitSet(second))
@@ -220,7 +224,7 @@ def test_all_that_is_there_is_taken_and_handed_over_in_the_order_of_the_sources(
 
 def test_nothing_is_taken_while_the_mailbox_is_full() -> None:
     box = Box()
-    one = Intake(box)
+    one = RosWaitable(box)
     source = Fake(1)
     one.add(source)
     box.full = True
@@ -250,7 +254,7 @@ def test_a_handle_that_is_destroyed_is_left_alone() -> None:
             raise InvalidHandle("gone")
 
     box = Box()
-    one = Intake(box)
+    one = RosWaitable(box)
     one.add(Gone(1))
     wait_set = WaitSet()
     assert not spun(one, wait_set)
@@ -298,12 +302,12 @@ async def test_an_error_in_the_thread_is_logged_and_told(
 ) -> None:
     told = anyio.Event()
 
-    def fail(self: Intake, wait_set: Any) -> bool:
+    def fail(self: RosWaitable, wait_set: Any) -> bool:
         raise KeyError("mine")
 
     async with own_node(NodeSettings()) as ros:
         ros.on_loss(lambda error: told.set())
-        monkeypatch.setattr(Intake, "is_ready", fail)
+        monkeypatch.setattr(RosWaitable, "is_ready", fail)
         ros.wake()
         with anyio.fail_after(5):
             await told.wait()
@@ -312,11 +316,55 @@ async def test_an_error_in_the_thread_is_logged_and_told(
     assert threads() == set()
 
 
+async def test_a_shutdown_between_two_waits_of_rclpy_is_a_shutdown_and_not_an_error(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    told = anyio.Event()
+    async with own_node(NodeSettings()) as ros:
+        ros.on_loss(lambda error: told.set())
+        shut_down_before_the_next_wait(monkeypatch, ros.node.context)
+        ros.wake()
+        with anyio.fail_after(5):
+            await told.wait()
+        assert str(ros.error) == "rclpy was shut down"
+    assert [record for record in caplog.records if record.levelno >= logging.WARNING] == []
+    assert threads() == set()
+
+
+async def test_a_thread_that_spins_a_users_node_ends_if_rclpy_is_shut_down_between_two_waits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    context = Context()
+    rclpy.init(args=[], context=context)
+    executor = SingleThreadedExecutor(context=context)
+    node = rclpy.create_node("mine", context=context)
+    executor.add_node(node)
+    async with users_node(node):
+        shut_down_before_the_next_wait(monkeypatch, context)
+        with anyio.fail_after(5):
+            await anyio.to_thread.run_sync(spin, executor)
+    executor.shutdown()
+    node.destroy_node()
+
+
+def shut_down_before_the_next_wait(monkeypatch: pytest.MonkeyPatch, context: Any) -> None:
+    """Shut ROS down after rclpy has looked whether it is up, and before it makes its wait set."""
+    count = RosWaitable.get_num_entities
+
+    def shut_down_and_count(self: RosWaitable) -> Any:
+        context.try_shutdown()
+        return count(self)
+
+    monkeypatch.setattr(RosWaitable, "get_num_entities", shut_down_and_count)
+
+
 async def test_a_handle_that_ros_does_not_allow_is_a_transport_error(ros: RosNode) -> None:
     from action_msgs.msg import GoalStatusArray
 
     with pytest.raises(TransportError, match="1 a"):
-        ros.make(raw.Publisher, GoalStatusArray, "1 a", qos.QoSProfile(depth=1).get_c_qos_profile())
+        ros.make(
+            raw.Publisher, GoalStatusArray, "1 a", rclpy_qos.QoSProfile(depth=1).get_c_qos_profile()
+        )
 
 
 async def test_a_call_that_fails_while_ros_is_up_is_an_error(ros: RosNode) -> None:
@@ -362,7 +410,7 @@ async def test_a_spinner_may_be_stopped_twice(ros: RosNode) -> None:
 
 
 async def test_a_name_that_is_none_in_ros_is_a_transport_error(ros: RosNode) -> None:
-    with pytest.raises(TransportError, match="'1 a' is no name in ROS"):
+    with pytest.raises(TransportError, match="'1 a' is not a valid name in ROS"):
         action_names(ros.node, "1 a")
 
 
@@ -371,6 +419,6 @@ def test_a_text_becomes_one_line() -> None:
 
 
 def test_all_that_is_used_of_rclpy_is_there() -> None:
-    assert waitable.Waitable is Intake.__mro__[1]
+    assert waitable.Waitable is RosWaitable.__mro__[1]
     assert uuid_of(bytes(range(16))).tolist() == list(range(16))
     assert callable(check_for_type_support)

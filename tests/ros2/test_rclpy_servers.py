@@ -1,6 +1,6 @@
-"""Our client drives stock servers of rclpy, in other processes.
+"""A client of fibaction uses stock servers of rclpy, in other processes.
 
-What of rclpy's own tests is covered here, or in `test_against_rclpy`, is in `test_rclpy_list`.
+`test_rclpy_list` tells which of rclpy's own tests are covered here and in `test_against_rclpy`.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ async def test_an_accepted_cancel_ends_the_goal_with_the_part_that_is_done(clien
         assert await goal.outcome() == Outcome(GoalStatus.CANCELED, PARTLY)
 
 
-async def test_a_refused_cancel_is_reported_as_refused_and_the_goal_goes_on(
+async def test_a_rejected_cancel_is_reported_and_the_goal_goes_on(
     client: Client,
 ) -> None:
     goal = await client.send_goal(Goal(orders.STUBBORN))
@@ -244,7 +244,7 @@ async def test_a_goal_whose_execution_is_deferred_can_be_canceled(client: Client
 
 
 @pytest.mark.promise("FEEDBACK-10")
-async def test_a_goal_can_be_followed_by_who_did_not_send_it(client: Client) -> None:
+async def test_a_goal_can_be_followed_by_another_client(client: Client) -> None:
     sent = await client.send_goal(Goal(orders.STUBBORN))
     assert await anext(sent.feedback) == Feedback([1])
 
@@ -307,7 +307,7 @@ async def test_a_server_that_is_not_there_is_not_found() -> None:
             await nobody.wait_for_server(0.3)
         assert 0.3 <= perf_counter() - start < 1.5
 
-        with pytest.raises(ServerNotFound, match="nobody serves the action 'nobody'"):
+        with pytest.raises(ServerNotFound, match="no server of the action 'nobody' in ROS"):
             await nobody.send_goal(Goal(1))
 
 
@@ -351,7 +351,7 @@ async def test_an_action_of_another_type_under_the_same_name_finds_no_server(
     assert await client.call(Goal(2)) == Result([0, 1, 1])
 
 
-# The server of the tutorial, which blocks, and says nothing about cancels
+# The server of the tutorial, which blocks, and has no callback for cancels
 
 
 async def test_the_tutorial_gives_feedback_and_a_result(tutorial: Client) -> None:
@@ -364,7 +364,7 @@ async def test_the_tutorial_gives_feedback_and_a_result(tutorial: Client) -> Non
     assert times[0] < perf_counter() - start - STEP  # it did not come with the result
 
 
-async def test_the_tutorial_refuses_a_cancel_and_that_is_reported(tutorial: Client) -> None:
+async def test_the_tutorial_rejects_a_cancel_and_that_is_reported(tutorial: Client) -> None:
     async with tutorial.send_goal(Goal(4)) as goal:
         assert await anext(goal.feedback) == Feedback([0, 1, 1])
 
@@ -376,7 +376,7 @@ async def test_the_tutorial_refuses_a_cancel_and_that_is_reported(tutorial: Clie
         assert await goal.result() == Result([0, 1, 1, 2, 3])
 
 
-async def test_the_tutorial_refuses_to_cancel_a_goal_that_waits_for_its_turn(
+async def test_the_tutorial_rejects_the_cancel_of_a_goal_that_waits_for_its_turn(
     tutorial: Client,
 ) -> None:
     first = await tutorial.send_goal(Goal(3))

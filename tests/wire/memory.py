@@ -41,6 +41,8 @@ class _Way:
         self.is_stopped = False
         self.is_muted = False
         self.is_cut = False
+        self.writes: list[tuple[float, list[bytes]]] = []
+        self.pieces = 0
         self.news = Notifier()
 
 
@@ -59,6 +61,7 @@ class MemoryChannel(Channel):
             await way.news.wait()
         if way.is_cut:
             raise ConnectionLost(f"the connection to {self.peer} broke")
+        way.writes.append((anyio.current_time(), list(frames)))
         if not way.is_muted:
             way.frames += frames
             way.news.notify()
@@ -91,6 +94,19 @@ class MemoryChannel(Channel):
         """From now on, the other end cannot write."""
         self._incoming.is_stopped = True
 
+    def take_a_piece(self) -> None:
+        """Take a part of what the other end writes."""
+        self._incoming.pieces += 1
+
+    @property
+    def progress(self) -> int:
+        return self._outgoing.pieces
+
+    @property
+    def writes(self) -> list[tuple[float, list[bytes]]]:
+        """What the other end has written, each time."""
+        return self._incoming.writes
+
     def go_on_reading(self) -> None:
         self._incoming.is_stopped = False
         self._incoming.news.notify()
@@ -98,6 +114,11 @@ class MemoryChannel(Channel):
     @property
     def is_cut(self) -> bool:
         return self._incoming.is_cut
+
+    async def cut_off(self) -> None:
+        """Wait until the connection has ended."""
+        while not self.is_cut:
+            await self._incoming.news.wait()
 
 
 def pair(one: str = "the client", other: str = "the server") -> tuple[MemoryChannel, MemoryChannel]:

@@ -6,7 +6,6 @@ import json
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
 from threading import Thread
 from typing import Any
 
@@ -37,8 +36,18 @@ def shut_down_at_the_end() -> None:
 
 
 def spin(executor: Any) -> None:
-    with suppress(ExternalShutdownException):
+    """Spin until rclpy is shut down, in this thread or by a signal.
+
+    rclpy looks whether it is up, and then makes its next wait set. If it is shut down in between,
+    it raises an RCLError that says so, instead of ExternalShutdownException.
+    """
+    try:
         executor.spin()
+    except ExternalShutdownException:
+        pass
+    except Exception:
+        if executor.context.ok():
+            raise
 
 
 def leave(spinner: Thread, node: Any) -> None:

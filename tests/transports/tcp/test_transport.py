@@ -371,8 +371,8 @@ async def test_a_token_opens_the_door_and_nothing_else_does(
     shown.append(serving.client_settings)
     async with serve(new_server(), serving) as (url,):
         none = (
-            "the server asks for a token, and the client gave none: give one as token=, or behind the"
-            " URL as ?token="
+            "the server asks for a token, and the client gave none: give one as token=, or behind"
+            " the URL as ?token="
         )
         for wrong, text in (
             (f"{url}?token=wrong-{SECRET}", "the server rejected the client's token"),

@@ -1,6 +1,7 @@
-"""ROS 2: servers of fibaction are action servers of ROS, and its clients drive any such server.
+"""ROS 2: an action server of fibaction is an action server of ROS, and a client can use any such
+server.
 
-Importing it needs rclpy; nothing else in fibaction does.
+Importing this package needs rclpy. Nothing else in fibaction does.
 """
 
 from __future__ import annotations
@@ -16,6 +17,6 @@ if find_spec("rclpy") is None:
         " 'ros-rclpy[fastrtps]'"
     )
 
-from fibaction_transports.ros2.transport import Ros2Transport  # after that check
+from fibaction_transports.ros2.ros2_transport import Ros2Transport  # after that check
 
 __all__ = ["Ros2Transport"]

@@ -1,6 +1,7 @@
-"""Large arrays of numbers, between msgpack and numpy, with no Python object for each number.
+"""Large arrays of numbers: conversion between msgpack and numpy.
 
-Only a way to be quick: what does not fit here is left to msgspec. Knows nothing of ROS.
+This is an optimisation, which makes no Python object for each number. Arrays that do not fit here
+are left to msgspec. This module does not use ROS.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ import msgspec
 numpy: Any = import_module("numpy")
 
 LARGE = 256
-"""From how many numbers on it pays: below, msgspec is as quick."""
+"""Numbers from which on it is worth it. With fewer, msgspec is as fast."""
 
-# Each number in msgpack is one byte that says its type, and then itself, big-endian; integers
-# from -32 to 127 are that one byte (github.com/msgpack/msgpack/blob/master/spec.md).
+# In msgpack, a number is a byte for its type, and then the number itself, big-endian. Integers from
+# -32 to 127 are one byte in all (github.com/msgpack/msgpack/blob/master/spec.md).
 _TYPES = {
     0xCA: ">f4",
     0xCB: ">f8",
@@ -40,11 +41,11 @@ _INTEGERS = [
 ]
 
 _ARRAY_16, _ARRAY_32 = 0xDC, 0xDD
-_HEAD = 5  # of the larger kind of array: that byte, and the count
+_HEAD = 5  # the length of the head of a large array: its type, and the count
 
 
 def pack(numbers: Any) -> msgspec.Raw:
-    """A numpy array of numbers, at least one, as msgpack; floats in their own width."""
+    """Return a numpy array with at least one number as msgpack. Floats keep their width."""
     count: int = len(numbers)
     tag = _tag_for(numbers)
     cells = _INLINE if tag is None else _CELLS[tag]
@@ -60,7 +61,7 @@ def pack(numbers: Any) -> msgspec.Raw:
 
 
 def _tag_for(numbers: Any) -> int | None:
-    """The narrowest type that holds all the numbers; None where each is one byte."""
+    """Return the narrowest type for all the numbers; None if each is one byte."""
     if numbers.dtype.kind == "f":
         return _FLOATS[numbers.dtype.itemsize]
     least, most = int(numbers.min()), int(numbers.max())
@@ -70,7 +71,7 @@ def _tag_for(numbers: Any) -> int | None:
 
 
 def unpack(packed: msgspec.Raw) -> Any:
-    """The numbers of a large array in msgpack, if all of them are of one type; else None."""
+    """Return the numbers of a large array in msgpack; None if they are not all of one type."""
     view = memoryview(packed)
     if view[0] == _ARRAY_16:
         count, body = int.from_bytes(view[1:3], "big"), view[3:]
@@ -84,7 +85,7 @@ def unpack(packed: msgspec.Raw) -> Any:
         numbers = numpy.frombuffer(body, _INLINE)
         return numbers if (numbers >= _LEAST_INLINE).all() else None
     cells = _CELLS.get(body[0])
-    # The length alone does not tell: a few short numbers could be made up for by a long one.
+    # The length is not enough: several short numbers and a long one may add up to it, too.
     if cells is None or len(body) != count * cells.itemsize:
         return None
     found = numpy.frombuffer(body, cells)

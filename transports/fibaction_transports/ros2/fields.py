@@ -1,8 +1,8 @@
-"""The kinds of fields that ROS messages have, nested messages left out.
+"""The kinds of fields of ROS messages, without nested messages.
 
-A kind, bound to what the user's end expects of the field, is a `Part`: it turns what came out of
-a payload into what ROS's generated classes take, and back. rclpy's own classes check little or
-nothing, and their C code asserts or cuts off what does not fit, so all is checked here.
+A kind that is bound to the type which the user's end expects is a `Part`. It converts values from a
+payload to values for ROS's generated classes, and back. These classes check little or nothing, and
+their C code asserts, or cuts values off, so all values are checked here.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from fibaction_transports.ros2.arrays import LARGE, numpy, pack, unpack
 from fibaction_transports.ros2.schemas import ANYTHING, Option, Schema
 
 Convert: TypeAlias = Callable[[Any], Any] | None
-"""A conversion; None where the value is used as it is."""
+"""A conversion; None if the value is used as it is."""
 
 
 class Unfit(ValueError):
-    """A value that does not fit; `path` leads to it, from where it is raised."""
+    """A value that does not fit. `path` leads to it, relative to the place of the exception."""
 
     def __init__(self, text: str, path: str = "") -> None:
         super().__init__(text)
@@ -34,12 +34,12 @@ class Unfit(ValueError):
 
     @classmethod
     def like(cls, exc: msgspec.MsgspecError) -> Unfit:
-        """The same as msgspec has found it."""
+        """Convert an error of msgspec."""
         text, _, path = str(exc).partition(" - at `$")
         return cls(text, path.removesuffix("`"))
 
     def under(self, step: str) -> Unfit:
-        """The same, seen from one step further up: `.field` or `[index]`."""
+        """Return this error with a longer path: a step, `.field` or `[index]`, comes before it."""
         self.path = step + self.path
         return self
 
@@ -48,15 +48,15 @@ class Unfit(ValueError):
 
 
 class Part:
-    """One place in a message, and what the user's end expects there."""
+    """One place in a message, with the type that the user's end expects there."""
 
     def __init__(self, decoded: Any, make: Convert = None, read: Convert = None) -> None:
         self.decoded = decoded
         """The type that is decoded from a payload."""
         self.make = make
-        """From that to what ROS takes. Raises Unfit."""
+        """Converts a decoded value to ROS's. Raises Unfit."""
         self.read = read
-        """From what ROS has to what msgspec can encode."""
+        """Converts a value of ROS to one that msgspec can encode."""
 
     def put(self, message: Any, name: str, value: Any) -> None:
         """Set a field of a message.
@@ -71,16 +71,16 @@ class Kind(ABC):
     """One kind of field."""
 
     text: str
-    """What it is called in interface definitions."""
+    """Its name in interface definitions."""
     noun: str
-    """What it is called in a sentence."""
+    """Its name in a sentence."""
     words: tuple[str, ...]
-    """What the user's end may expect there."""
+    """The kinds of schemas that match it: see `Option.word`."""
     default: Any
-    """The type of the field for those who have no types of their own."""
+    """The type of the field in structs that are made from the ROS type."""
 
     def bind(self, wanted: Schema, path: str, problems: list[str]) -> Part:
-        """The part for what is expected; what does not match is added to `problems`."""
+        """Return the part for a schema; mismatches are added to `problems`."""
         tries: list[list[str]] = []
         for option in wanted.options:
             found: list[str] = []
@@ -97,17 +97,17 @@ class Kind(ABC):
             several = ", ".join(str(option) for option in wanted.options)
             problems.append(
                 f"{path}: the ROS type has {self.noun},"
-                f" which is none of what the action has: {several}"
+                f" and the action has none that matches: {several}"
             )
         return Part(Any)
 
     @abstractmethod
     def match(self, option: Option, path: str, problems: list[str]) -> Part:
-        """The part for an option that is one of `words`, or that is anything."""
+        """Return the part for an option that is one of `words`, or ANYTHING."""
 
 
 class Single(Kind):
-    """A value that is decoded and used as it is, or is at most looked at."""
+    """A value that is used as it was decoded, after a check at most."""
 
     def __init__(self, text: str, word: str, decoded: Any, check: Convert = None) -> None:
         self.text = self.noun = text
@@ -129,14 +129,14 @@ def _float32(value: float) -> float:
 
 
 def _text(value: str) -> str:
-    # ROS's C code takes what is before it for the whole string, and says nothing.
+    # ROS's C code would silently cut the string off there.
     if "\0" in value:
         raise Unfit("Expected `str` without a NUL")
     return value
 
 
 def text_kind(wide: bool, bound: int | None) -> Single:
-    """A string; `bound` is its greatest length in characters."""
+    """Return the kind of a string; `bound` is its greatest length in characters."""
     name = "wstring" if wide else "string"
     if bound is not None:
         name += f"<={bound}"
@@ -144,7 +144,7 @@ def text_kind(wide: bool, bound: int | None) -> Single:
 
 
 class Octet(Kind):
-    """A `byte`: in ROS's Python one byte as `bytes`, for users an integer, or `bytes` as well."""
+    """A `byte`: `bytes` of length 1 in ROS's Python; an integer or `bytes` for users."""
 
     text = noun = "byte"
     words = ("integer", "bytes")
@@ -169,16 +169,16 @@ def _octets(values: list[int | bytes] | bytes) -> list[bytes]:
 
 
 def _joined(octets: list[bytes]) -> bytes:
-    return bytes(map(ord, octets))  # a third of what `join` takes for a million
+    return bytes(map(ord, octets))  # a third of the time of `join` for a million
 
 
 class Number(Single):
-    """A number, of which ROS's Python packs many into `array.array` or numpy arrays."""
+    """A number. ROS's Python keeps several of them in an `array.array` or a numpy array."""
 
     def __init__(self, text: str, code: str) -> None:
-        """`text` is numpy's name, too, and `code` the type code of `array`."""
+        """`text` is also numpy's name of the type, and `code` the type code of `array`."""
         self.code = code
-        # By its name, not its code: of two types of 64 bits that numpy has, ROS's C code takes one.
+        # By name, not by code: numpy has two types of 64 bits, of which ROS's C code takes one.
         self.dtype = numpy.dtype(text)
         if self.dtype.kind == "f":
             check = _float32 if code == "f" else None
@@ -203,16 +203,16 @@ SINGLES: dict[str, Kind] = {
 }
 """The basic types that ROS's Python can handle, by their names in `rosidl_parser.definition`."""
 
-_LIST: Any = list  # to be given types that are known at run time only
+_LIST: Any = list  # its element types are known only at run time
 
 
-class Many(Kind):
+class ArrayKind(Kind):
     """An array or a sequence of any kind."""
 
     words: tuple[str, ...] = ("array",)
 
     def __init__(self, element: Kind, size: int | None, bound: int | None) -> None:
-        """`size` is that of a fixed-size array, `bound` the greatest length of a sequence."""
+        """`size` is the length of a fixed-size array, `bound` the greatest length of a sequence."""
         self.element = element
         self.size = size
         self.bound = bound
@@ -221,7 +221,7 @@ class Many(Kind):
         self.default = array_of(element.default, size=size, bound=bound)
 
     def limited(self, collection: Any) -> Any:
-        """A type of collections, of the lengths that this field may have."""
+        """Return a type of collections with the lengths that this field allows."""
         return limited(collection, size=self.size, bound=self.bound)
 
     def match(self, option: Option, path: str, problems: list[str]) -> Part:
@@ -233,7 +233,7 @@ class Many(Kind):
         return self.part(option, elements[0])
 
     def part(self, option: Option, element: Part) -> Part:
-        """The part for a list of such elements, or for whatever else the option is."""
+        """Return the part for a list of such elements, or for another kind of option."""
         make, read = element.make, element.read
         return Part(
             self.limited(_LIST[element.decoded]),
@@ -255,8 +255,8 @@ def _each(make: Callable[[Any], Any], values: list[Any]) -> list[Any]:
 _bytes_of = methodcaller("tobytes")
 
 
-class Octets(Many):
-    """Several of `byte`: in ROS's Python a list of `bytes` of length 1."""
+class Octets(ArrayKind):
+    """Several `byte`s: in ROS's Python a list of `bytes` of length 1."""
 
     words = ("array", "bytes")
 
@@ -272,10 +272,10 @@ class Octets(Many):
         )
 
 
-class Numbers(Many):
-    """Several numbers: in ROS's Python an `array.array`, or if of fixed size a numpy array.
+class Numbers(ArrayKind):
+    """Several numbers: in ROS's Python an `array.array`, or a numpy array if of fixed size.
 
-    They stay as they are in the payload until it is known whether numpy can take all at once.
+    They are decoded late, because numpy can convert most of them at once.
     """
 
     def __init__(self, element: Number, size: int | None, bound: int | None) -> None:
@@ -297,13 +297,13 @@ class Numbers(Many):
         return pack(numpy.asarray(numbers))
 
     def _make(self, packed: msgspec.Raw) -> Any:
-        numbers = self._taken_at_once(unpack(packed))
+        numbers = self._converted_at_once(unpack(packed))
         if numbers is None:
-            numbers = self._taken_singly(packed)
+            numbers = self._converted_singly(packed)
         return numbers if self.size is None else numpy.array(numbers, self._number.dtype)
 
-    def _taken_at_once(self, numbers: Any) -> Any:
-        """The numbers as ROS has them; None if there is anything about them to be looked at."""
+    def _converted_at_once(self, numbers: Any) -> Any:
+        """Return the numbers for ROS; None if they must be checked one by one."""
         if numbers is None or not self._fits(numbers):
             return None
         with numpy.errstate(all="ignore"):
@@ -325,7 +325,7 @@ class Numbers(Many):
         limits = numpy.iinfo(self._number.dtype)
         return bool(limits.min <= int(numbers.min()) and int(numbers.max()) <= limits.max)
 
-    def _taken_singly(self, packed: msgspec.Raw) -> Any:
+    def _converted_singly(self, packed: msgspec.Raw) -> Any:
         try:
             values = self._decode(packed)
         except msgspec.MsgspecError as exc:

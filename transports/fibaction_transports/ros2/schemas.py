@@ -1,7 +1,8 @@
-"""What the user's end of an action expects, read from the JSON Schemas in its description.
+"""The types that the user's end of an action expects, read from JSON Schemas.
 
-A description may come from another process, so a schema may be anything; what is not understood
-counts as "anything goes". Knows nothing of ROS.
+The schemas are those in the description of an action, which may come from another process. So a
+schema may be anything, and one that is not understood counts as "any value". This module does not
+use ROS.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ Json: TypeAlias = Mapping[str, Any]
 MISSING: Final[Any] = object()
 
 ANYTHING = ""
-"""The word for what may be anything."""
+"""The word for a value of any kind."""
 _WORDS = {
     "null": "nothing (null)",
     "boolean": "a bool",
@@ -27,17 +28,17 @@ _WORDS = {
     "array": "a list",
     "object": "a struct",
 }
-# What msgspec writes as a string in a schema, although it is none in msgpack.
+# Types that are strings in the schemas of msgspec, and not in msgpack.
 _FORMATS = {"date-time": "datetime", "duration": "timedelta"}
 _CONSTANTS = {bool: "boolean", int: "integer", float: "number", str: "string", type(None): "null"}
 
 
 class Option:
-    """One kind of value that the user's end takes at one place."""
+    """One kind of value that the user's end accepts at one place."""
 
     def __init__(self, word: str, schema: Json, root: Json) -> None:
         self.word = word
-        """What it is: a type of JSON Schema, `bytes`, `datetime` or `timedelta`; or ANYTHING."""
+        """The kind: a type of JSON Schema, `bytes`, `datetime` or `timedelta`; or ANYTHING."""
         self._schema = schema
         self._root = root
 
@@ -50,41 +51,41 @@ class Option:
         return list(_mapping(self._schema.get("properties")))
 
     def field(self, name: str) -> Schema | None:
-        """What is expected in a field; None if there is no such field."""
+        """Return the schema of a field; None if there is no such field."""
         known = _mapping(self._schema.get("properties"))
         if name in known:
             return Schema(known[name], self._root)
         if isinstance(self._schema.get("properties"), dict):
             return None
-        return Schema(self._schema.get("additionalProperties"), self._root)  # it is a dict
+        return Schema(self._schema.get("additionalProperties"), self._root)  # a dict
 
     @property
     def elements(self) -> list[Schema]:
-        """What is expected in a list: one for all its elements, or one for each of a tuple."""
+        """The schemas of the elements: one for all of a list, or one for each of a tuple."""
         each = _sequence(self._schema.get("prefixItems")) or [self._schema.get("items")]
         return [Schema(element, self._root) for element in each]
 
     @property
     def length(self) -> int | None:
-        """How many elements a tuple has; None for a list, which may have any number."""
+        """The number of elements of a tuple; None for a list, which may have any number."""
         least, most = self._schema.get("minItems"), self._schema.get("maxItems")
         return least if isinstance(least, int) and least == most else None
 
 
 class Schema:
-    """What the user's end expects at one place: one kind of value, or one of several."""
+    """The kinds of values that the user's end expects at one place: one, or one of several."""
 
     def __init__(self, schema: object, root: Json | None = None) -> None:
-        """`root` is the schema that references are looked up in: the outermost one."""
+        """`root` is the outermost schema, in which references are looked up."""
         schema = _mapping(schema)
         self._root = schema if root is None else root
         self.default: Any = schema.get("default", MISSING)
-        """What a field has that is left out, in JSON; MISSING if it may not be left out."""
+        """The default of a field, in JSON; MISSING if the field must not be left out."""
         options = list(_options(schema, self._root, set()))
         self.nullable = any(option.word == "null" for option in options)
         options = options or [Option(ANYTHING, {}, self._root)]
         self.options = [option for option in options if option.word != "null"] or options
-        """What it may be, null not counted unless it is all that it may be."""
+        """All kinds that are allowed. Null is listed only if it is the only one."""
 
 
 def _mapping(thing: object) -> Json:
@@ -96,7 +97,7 @@ def _sequence(thing: object) -> Sequence[Any]:
 
 
 def _options(schema: Json, root: Json, seen: set[str]) -> Iterator[Option]:
-    """All that a schema allows. Each reference is followed once, so that a ring of them ends."""
+    """Yield all that a schema allows. Each reference is followed once, so that cycles end."""
     reference = schema.get("$ref")
     if isinstance(reference, str):
         if reference not in seen:

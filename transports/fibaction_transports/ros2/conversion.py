@@ -1,8 +1,9 @@
-"""Payloads and ROS messages: `RosAction` finds a ROS action type, and its codecs convert.
+"""Conversion between payloads and ROS messages.
 
-A payload is msgpack, a struct in it a map by field name. What a user's end expects is known from
-the JSON Schemas in the description of its action; where these say nothing, ROS's own field names,
-numbers, strings and lists are used, and bytes for arrays of bytes. Needs no node.
+`RosAction` finds a ROS action type, and its codecs convert its messages. A payload is msgpack, and
+a struct in it is a map by field name. The JSON Schemas in the description of an action tell what
+the user's end expects. Where they say nothing, ROS's own field names, numbers, strings and lists
+are used, and bytes for arrays of bytes. No node is needed.
 """
 
 from __future__ import annotations
@@ -17,22 +18,23 @@ import msgspec
 
 from fibaction.action import ActionInfo
 from fibaction.exceptions import ProtocolError, TransportError
+from fibaction.goals import GoalID, GoalInfo
 from fibaction_transports.ros2.fields import Unfit
-from fibaction_transports.ros2.mirror import MessagePart, message_kind
-from fibaction_transports.ros2.rcl import check_for_type_support
+from fibaction_transports.ros2.message_types import MessagePart, message_kind
+from fibaction_transports.ros2.rcl import GoalInfoMessage, check_for_type_support, uuid_of
 from fibaction_transports.ros2.schemas import Schema
 
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 
 _PARTS = ("goal", "feedback", "result")
 _REMEMBERED = 64
-"""For how many descriptions of one type the codecs are kept; a program has a few."""
+"""Descriptions of one type whose codecs are kept. A program has a few."""
 
 _encode = msgspec.msgpack.Encoder().encode
 
 
 class RosCodec:
-    """One of an action's three messages: payloads to ROS messages, and back."""
+    """Converts one of an action's three messages, in both directions."""
 
     def __init__(self, part: MessagePart) -> None:
         self._part = part
@@ -41,11 +43,11 @@ class RosCodec:
     def to_ros(self, payload: bytes | None) -> Any:
         """Make a ROS message; None gives the message with its defaults.
 
-        A field that the payload leaves out has the user's default, or ROS's if he has none.
+        A field that the payload leaves out has the user's default, or else ROS's.
 
         Raises:
-            ProtocolError: It is not such a message, or a value does not fit; the text names the
-                field.
+            ProtocolError: The payload is not such a message, or a value does not fit; the text
+                names the field.
         """
         message = self._part.cls()
         if payload is not None:
@@ -53,7 +55,7 @@ class RosCodec:
         return message
 
     def fill(self, message: Any, payload: bytes) -> None:
-        """Set the fields of a ROS message. What is left of it after an error is of no use.
+        """Set the fields of a ROS message. After an error, the message must not be used.
 
         Raises:
             ProtocolError: As for `to_ros`.
@@ -80,28 +82,28 @@ class RosAction:
     """One ROS action type."""
 
     def __init__(self, type_name: str, ros_type: Any) -> None:
-        """Use `find`, which does this once for each type."""
+        """Look at the type. `find` does it once for each type."""
         self.type_name = type_name
         self.ros_type = ros_type
-        """The class that ROS has generated: `pkg.action.Type`."""
+        """The generated class: `pkg.action.Type`."""
         self._kinds = [message_kind(getattr(ros_type, name.title())) for name in _PARTS]
         self._codecs: dict[str, RosCodecs] = {}
 
     @classmethod
     def find(cls, type_name: str, action: str = "") -> RosAction:
-        """Find a type by its name, like `example_interfaces/action/Fibonacci`.
+        """Find a type by its name, for example `example_interfaces/action/Fibonacci`.
 
-        `action` is the name of the action that is of this type, for errors.
+        `action` is the name of an action of this type, for errors.
 
         Raises:
-            TransportError: There is none that could be used; the text says what to do.
+            TransportError: There is no such type that can be used; the text says what to do.
         """
         if not _TYPE_NAME.fullmatch(type_name):
             which = f" {action!r}" if action else ""
             raise TransportError(
                 f"give the Action{which} a type_name such as"
                 " 'example_interfaces/action/Fibonacci',"
-                f" which ROS needs: {type_name!r} is no ROS action type"
+                f" which ROS needs: {type_name!r} is not a ROS action type"
             )
         return _found(type_name)
 
@@ -112,11 +114,11 @@ class RosAction:
         return goal, feedback, result
 
     def info(self, name: str) -> ActionInfo:
-        """The description of an action of this type, for those who have no types of their own."""
+        """Return the description of an action, for users without types of their own."""
         return ActionInfo(name, self.type_name, *map(msgspec.json.schema, self.types))
 
     def codecs(self, info: ActionInfo) -> RosCodecs:
-        """The codecs for what an action's users expect.
+        """Return the codecs for the types of an action's users.
 
         Raises:
             TransportError: Fields do not match; the text lists all of them.
@@ -127,7 +129,7 @@ class RosAction:
                 if len(self._codecs) == _REMEMBERED:
                     self._codecs.clear()
                 self._codecs[key] = self._bound(info)
-        except RecursionError as exc:  # it may come from another process
+        except RecursionError as exc:  # the description may come from another process
             raise TransportError(f"the types of action {info.name!r} are nested too deep") from exc
         return self._codecs[key]
 
@@ -147,7 +149,7 @@ class RosAction:
 
 
 def message_types(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
-    """Structs for the goal, the feedback and the result of a ROS action type.
+    """Return structs for the goal, the feedback and the result of a ROS action type.
 
     Raises:
         TransportError: As for `RosAction.find`.
@@ -167,7 +169,7 @@ def _found(type_name: str) -> RosAction:
     ros_type = getattr(actions, name)
     try:
         check_for_type_support(ros_type)
-    except Exception as exc:  # whatever loading compiled code raises
+    except Exception as exc:  # loading compiled code may raise anything
         raise TransportError(
             f"{type_name} cannot be used, because its compiled part cannot be loaded ({exc}):"
             f" build the ROS package {package!r} again, for this ROS and this Python"
@@ -176,14 +178,13 @@ def _found(type_name: str) -> RosAction:
 
 
 def _actions_of(package: str, type_name: str) -> Any:
-    """The module in which ROS has the actions of a package."""
+    """Return the module with the actions of a ROS package."""
     try:
         spec = find_spec(package)
-        # A folder of sources, as one has it before the build, is a package to Python, too: one
-        # that has no file of its own.
+        # To Python, a folder of sources that are not built is a package, too: one without a file.
         if spec is not None and spec.origin is not None:
             return import_module(f"{package}.action")
-    except Exception as exc:  # whatever somebody else's module does when it is imported
+    except Exception as exc:  # importing a module may raise anything
         if isinstance(exc, ModuleNotFoundError) and exc.name == f"{package}.action":
             raise TransportError(f"the ROS package {package!r} has no actions") from exc
         raise TransportError(
@@ -194,3 +195,25 @@ def _actions_of(package: str, type_name: str) -> Any:
         f"the ROS package {package!r}, which has {type_name}, is not installed here:"
         " build it, and source its setup.bash"
     )
+
+
+# Messages that all actions have in common
+
+
+def goal_id_of(message: Any) -> GoalID:
+    """Return the goal ID of a `unique_identifier_msgs/msg/UUID`."""
+    return GoalID(bytes(message.uuid))
+
+
+def stamp_of(message: Any) -> int:
+    """Return the nanoseconds since 1970 of a `builtin_interfaces/msg/Time`."""
+    stamp: int = message.sec * 10**9 + message.nanosec
+    return stamp
+
+
+def goal_info_to_ros(info: GoalInfo) -> Any:
+    """Return the `action_msgs/msg/GoalInfo` of a goal. It has no field for the status."""
+    message = GoalInfoMessage()
+    message.goal_id.uuid = uuid_of(info.goal_id)
+    message.stamp.sec, message.stamp.nanosec = divmod(info.stamp, 10**9)
+    return message

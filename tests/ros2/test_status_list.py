@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 from fibaction import GoalID, GoalInfo, GoalStatus
 from fibaction.exceptions import ProtocolError
 from fibaction.states import TRANSITIONS
-from fibaction_transports.ros2.board import StatusBoard
-from fibaction_transports.ros2.cdr import (
+from fibaction_transports.ros2.status_list import (
+    PublishedStatuses,
+    ReceivedStatuses,
     goal_of_feedback,
     info_of,
     pack_line,
     pack_statuses,
     unpack_statuses,
 )
-from fibaction_transports.ros2.known import KnownGoals
 
 messages: Any = import_module("action_msgs.msg")
 serialization: Any = import_module("rclpy.serialization")
@@ -79,7 +79,7 @@ def test_any_bytes_are_a_list_or_a_protocol_error(message: bytes) -> None:
 def test_a_list_that_ends_too_early_is_a_protocol_error() -> None:
     whole = packed(GoalInfo(ONE, 1, GoalStatus.ACCEPTED), GoalInfo(TWO, 2, GoalStatus.ACCEPTED))
     for length in range(len(whole)):
-        with pytest.raises(ProtocolError, match=f"a status list of {length} bytes"):
+        with pytest.raises(ProtocolError, match=f"invalid status list of {length} bytes"):
             unpack_statuses(whole[:length])
 
 
@@ -100,54 +100,54 @@ class Published(list[list[GoalStatus]]):
 
 def test_changes_are_published_together_but_no_status_of_a_goal_is_left_out() -> None:
     published = Published()
-    board = StatusBoard(published)
-    board.tell(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
-    board.tell(GoalInfo(TWO, 2, GoalStatus.ACCEPTED))
+    statuses = PublishedStatuses(published)
+    statuses.update(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
+    statuses.update(GoalInfo(TWO, 2, GoalStatus.ACCEPTED))
     assert published == []
-    board.tell(GoalInfo(ONE, 1, GoalStatus.EXECUTING))
+    statuses.update(GoalInfo(ONE, 1, GoalStatus.EXECUTING))
     assert published == [[1, 1]]
-    board.flush()
-    board.flush()
+    statuses.flush()
+    statuses.flush()
     assert published == [[1, 1], [2, 1]]
 
 
 def test_what_is_known_already_or_out_of_date_is_not_published() -> None:
     published = Published()
-    board = StatusBoard(published)
-    board.tell(GoalInfo(TWO, 2, GoalStatus.UNKNOWN))
-    board.tell(GoalInfo(ONE, 1, GoalStatus.CANCELING))
+    statuses = PublishedStatuses(published)
+    statuses.update(GoalInfo(TWO, 2, GoalStatus.UNKNOWN))
+    statuses.update(GoalInfo(ONE, 1, GoalStatus.CANCELING))
     for status in (GoalStatus.CANCELING, GoalStatus.EXECUTING):
-        board.tell(GoalInfo(ONE, 1, status))
-    board.flush()
+        statuses.update(GoalInfo(ONE, 1, status))
+    statuses.flush()
     assert published == [[3]]
 
 
 @pytest.mark.promise("STATUS-8")
 def test_a_forgotten_goal_leaves_the_list() -> None:
     published = Published()
-    board = StatusBoard(published)
-    board.tell(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
-    assert ONE in board
-    board.tell(GoalInfo(ONE, 1, GoalStatus.UNKNOWN))
-    board.flush()
+    statuses = PublishedStatuses(published)
+    statuses.update(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
+    assert ONE in statuses
+    statuses.update(GoalInfo(ONE, 1, GoalStatus.UNKNOWN))
+    statuses.flush()
     assert published == [[1], []]
-    assert ONE not in board
-    board.clear()
-    board.tell(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
-    board.clear()
-    board.flush()
+    assert ONE not in statuses
+    statuses.clear()
+    statuses.update(GoalInfo(ONE, 1, GoalStatus.ACCEPTED))
+    statuses.clear()
+    statuses.flush()
     assert published == [[1], [], []]
 
 
 @pytest.mark.anyio
 async def test_a_change_is_published_in_the_next_turn_of_the_loop() -> None:
     published = Published()
-    board = StatusBoard(published)
+    statuses = PublishedStatuses(published)
     async with anyio.create_task_group() as tasks:
-        tasks.start_soon(board.run)
+        tasks.start_soon(statuses.run)
         for status in (GoalStatus.ACCEPTED, GoalStatus.EXECUTING):
             await anyio.wait_all_tasks_blocked()
-            board.tell(GoalInfo(ONE, 1, status))
+            statuses.update(GoalInfo(ONE, 1, status))
         await anyio.wait_all_tasks_blocked()
         tasks.cancel_scope.cancel()
     assert published == [[1], [2]]
@@ -157,7 +157,7 @@ async def test_a_change_is_published_in_the_next_turn_of_the_loop() -> None:
 
 
 def test_the_first_list_is_what_there_is_and_later_ones_are_changes() -> None:
-    known = KnownGoals()
+    known = ReceivedStatuses()
     first = GoalInfo(ONE, 1, GoalStatus.CANCELING)
     assert known.update(packed(first)) == [first]
     assert known.update(packed(first)) == []
@@ -177,7 +177,7 @@ def test_the_first_list_is_what_there_is_and_later_ones_are_changes() -> None:
 def test_statuses_that_were_not_seen_are_filled_in_so_that_every_change_is_legal(
     before: GoalStatus, after: GoalStatus
 ) -> None:
-    known = KnownGoals()
+    known = ReceivedStatuses()
     known.update(packed(GoalInfo(ONE, 1, before)))
     way = [before, *(info.status for info in known.update(packed(GoalInfo(ONE, 1, after))))]
     legal = {(start, end) for (start, _), end in TRANSITIONS.items()}
@@ -187,5 +187,5 @@ def test_statuses_that_were_not_seen_are_filled_in_so_that_every_change_is_legal
 
 
 def test_a_status_that_there_is_not_is_refused() -> None:
-    with pytest.raises(ProtocolError, match="a status list: 77"):
+    with pytest.raises(ProtocolError, match="invalid status list: 77"):
         info_of((bytes(16), 0, 0, 77))

@@ -1,13 +1,11 @@
-"""The server's half, called by the bare services and topics that any client in ROS has."""
+"""The server, called by raw requests, and by clients of fibaction where these are enough."""
 
 from __future__ import annotations
 
 import logging
 import subprocess
 import sys
-import uuid
-from collections.abc import AsyncGenerator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import anyio
@@ -27,87 +25,46 @@ from fibaction import (
     serve,
 )
 from fibaction_transports.inprocess import InProcessTransport
-from fibaction_transports.ros2 import feedback, rcl, serving
-from fibaction_transports.ros2.cdr import info_of, unpack_statuses
-from fibaction_transports.ros2.following import Reading, RosGoal
-from fibaction_transports.ros2.messages import RosAction
+from fibaction_transports.ros2 import action_server, feedback_topic, presence, rcl, service_server
+from fibaction_transports.ros2.action_server import RosActionServer, ServedEndpoint
+from fibaction_transports.ros2.conversion import RosAction
+from fibaction_transports.ros2.goal_stream import RosGoalStream
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import NodeSettings, own_node
-from fibaction_transports.ros2.rcl import qos, raw, uuid_of
-from fibaction_transports.ros2.serving import Plan, Served
+from fibaction_transports.ros2.rcl import raw, rclpy_qos, uuid_of
+from fibaction_transports.ros2.status_list import info_of, unpack_statuses
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.ros2.ends import (
+    PATIENCE,
+    Items,
+    Undecoded,
+    both_ends,
+    client_of,
+    forever,
+    new_url,
+    raw_client,
+    result_of,
+    send,
+)
 
 pytestmark = pytest.mark.anyio
-
-Items = AsyncGenerator[Feedback | Result, None]
 
 
 @pytest.fixture
 def url() -> str:
-    """A namespace where nobody serves anything."""
-    return f"ros2://?namespace=/t{uuid.uuid4().hex}"
-
-
-async def forever(goal: GoalHandle[Goal]) -> Items:
-    yield Feedback([1])
-    await anyio.sleep_forever()
-    yield Result([])
-
-
-@asynccontextmanager
-async def bare(url: str) -> AsyncGenerator[Any, None]:
-    """What the client half sends its requests with, for requests that it would not send."""
-    async with connect(url) as connection:
-        endpoint: Any = connection.endpoint(FIBONACCI)
-        await endpoint.wait_for_server()
-        yield endpoint._server
-
-
-async def ask_result(server: Any, goal_id: GoalID) -> Any:
-    request = server.impl.GetResultService.Request()
-    request.goal_id.uuid = uuid_of(goal_id)
-    stream = RosGoal(goal_id, Raw(), 10, reads=False)
-    server._follow(stream)
-    server._ask_result(stream)
-    return await stream.outcome()
-
-
-class Raw(Reading):
-    """Reads nothing into what arrives."""
-
-    def feedback(self, message: bytes) -> bytes:
-        return message
-
-    def outcome(self, response: Any) -> Any:
-        return response
-
-
-async def send(server: Any, goal_id: GoalID, order: int) -> Any:
-    request = server.impl.SendGoalService.Request()
-    request.goal_id.uuid = uuid_of(goal_id)
-    request.goal.order = order
-    return await server._goals.ask(request)
-
-
-async def test_a_goal_id_that_is_in_use_is_rejected_as_rcl_does(url: str) -> None:
-    goal_id = GoalID.random()
-    with anyio.fail_after(10):
-        async with serve(ActionServer(FIBONACCI, forever), url), bare(url) as server:
-            assert (await send(server, goal_id, 1)).accepted
-            assert not (await send(server, goal_id, 1)).accepted
-            assert not (await send(server, goal_id, 2)).accepted
+    return new_url()
 
 
 async def test_a_goal_sent_twice_while_it_is_decided_is_accepted_once(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked, again, decide = anyio.Event(), anyio.Event(), anyio.Event()
-    accept: Callable[..., Awaitable[int]] = Served._accept
+    accept: Callable[..., Awaitable[int]] = RosActionServer._accept
 
     decisions: list[str] = []
 
-    async def tells(self: Served, *request: Any) -> int:
+    async def tells(self: RosActionServer, *request: Any) -> int:
         if asked.is_set():
             again.set()
         try:
@@ -118,7 +75,7 @@ async def test_a_goal_sent_twice_while_it_is_decided_is_accepted_once(
         decisions.append("accepted")
         return stamp
 
-    monkeypatch.setattr(Served, "_accept", tells)
+    monkeypatch.setattr(RosActionServer, "_accept", tells)
     answers: list[bool] = []
     goal_id = GoalID.random()
 
@@ -129,17 +86,15 @@ async def test_a_goal_sent_twice_while_it_is_decided_is_accepted_once(
     async def one() -> None:
         answers.append((await send(server, goal_id, 1)).accepted)
 
-    with anyio.fail_after(10):
-        async with (
-            serve(ActionServer(FIBONACCI, forever, on_goal=on_goal), url),
-            bare(url) as server,
-            anyio.create_task_group() as tasks,
-        ):
-            tasks.start_soon(one)
-            await asked.wait()
-            tasks.start_soon(one)
-            await again.wait()
-            decide.set()
+    async with (
+        raw_client(url, ActionServer(FIBONACCI, forever, on_goal=on_goal)) as server,
+        anyio.create_task_group() as tasks,
+    ):
+        tasks.start_soon(one)
+        await asked.wait()
+        tasks.start_soon(one)
+        await again.wait()
+        decide.set()
     assert sorted(answers) == [False, True]
     assert decisions == ["accepted", "rejected"]
 
@@ -156,12 +111,12 @@ async def test_an_answer_that_cannot_reach_its_client_yet_is_sent_again_and_feed
                 return False
         return rcl.has_answered(service, response, header)
 
-    async def keep_pace(topic: feedback.FeedbackTopic) -> None:
+    async def keep_pace(topic: feedback_topic.FeedbackTopic) -> None:
         happened.append("feedback")
 
-    monkeypatch.setattr(serving, "has_answered", has_answered)
-    monkeypatch.setattr(feedback.FeedbackTopic, "_keep_pace", keep_pace)
-    with anyio.fail_after(10):
+    monkeypatch.setattr(service_server, "has_answered", has_answered)
+    monkeypatch.setattr(feedback_topic.FeedbackTopic, "_keep_pace", keep_pace)
+    with anyio.fail_after(PATIENCE):
         async with (
             serve(ActionServer(FIBONACCI, fibonacci), url),
             connect(url, FIBONACCI) as client,
@@ -172,10 +127,10 @@ async def test_an_answer_that_cannot_reach_its_client_yet_is_sent_again_and_feed
     assert received == [3, 4, 5, 6]
 
 
-async def test_a_client_that_no_answer_can_reach_is_given_up_and_others_are_served(
+async def test_answers_to_a_client_that_cannot_be_reached_are_dropped_and_others_are_served(
     url: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(serving, "ANSWER_PAUSES", (0.01,))
+    monkeypatch.setattr(service_server, "ANSWER_PAUSES", (0.01,))
     heard = anyio.Event()
 
     def on_goal(goal: Goal) -> None:
@@ -190,14 +145,16 @@ async def test_a_client_that_no_answer_can_reach_is_given_up_and_others_are_serv
             own_node(NodeSettings(namespace=url.partition("=")[2])) as deaf,
         ):
             service = RosAction.find(FIBONACCI.info.type_name).ros_type.Impl.SendGoalService
-            # Every server hears it, and it hears only servers that keep their answers for it.
-            profile = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
+            # Every server gets its requests. No server can answer: none is transient local.
+            profile = rclpy_qos.QoSProfile(
+                depth=1, durability=rclpy_qos.DurabilityPolicy.TRANSIENT_LOCAL
+            )
             name = action_names(deaf.node, "fibonacci").send_goal
             client = deaf.make(raw.Client, service, name, profile.get_c_qos_profile())
             request = service.Request()
             request.goal_id.uuid = uuid_of(GoalID.random())
             request.goal.order = 7
-            while not heard.is_set():  # there is no sign by which to know that the server hears it
+            while not heard.is_set():  # nothing tells that the server is connected
                 client.send_request(request)
                 with anyio.move_on_after(0.1):
                     await heard.wait()
@@ -205,7 +162,7 @@ async def test_a_client_that_no_answer_can_reach_is_given_up_and_others_are_serv
     assert "fibonacci: an answer cannot reach its client, and is lost" in caplog.text
 
 
-def test_only_for_our_own_answers_a_warning_of_rclpy_is_an_error() -> None:
+def test_a_warning_of_rclpy_is_an_error_only_for_answers_of_fibaction() -> None:
     program = """
 import warnings
 from fibaction_transports.ros2.rcl import has_answered
@@ -232,19 +189,20 @@ def test_an_answer_that_fails_in_another_way_is_an_error(error: Exception) -> No
         rcl.has_answered(Service(), None, None)
 
 
-async def test_the_node_stays_for_a_moment_after_the_last_answer_so_that_it_is_heard(
+async def test_the_node_stays_for_a_moment_after_the_last_answer_so_that_it_arrives(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(serving, "LINGER", 0.5)
+    monkeypatch.setattr(action_server, "LINGER", 0.5)
     async with connect(url, FIBONACCI) as client:
         async with serve(ActionServer(FIBONACCI, forever), url):
             goal = await client.send_goal(Goal(1))
             leaving = anyio.current_time()
-        assert anyio.current_time() - leaving >= 0.5  # the end was told after `leaving`
+        assert anyio.current_time() - leaving >= 0.5  # the end was sent after `leaving`
         assert (await goal.outcome()).status is GoalStatus.ABORTED
 
 
-async def test_a_rejection_says_its_reason_in_the_log_of_ros(
+@pytest.mark.promise("ACCEPT-2", "EXECUTE-5")
+async def test_the_reasons_of_rejections_and_of_an_abort_are_in_the_log_of_ros(
     url: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def on_goal(goal: Goal) -> None:
@@ -253,33 +211,19 @@ async def test_a_rejection_says_its_reason_in_the_log_of_ros(
     def on_cancel(goal: GoalHandle[Goal]) -> None:
         raise CancelRejected("too late")
 
-    with anyio.fail_after(10):
-        async with (
-            serve(ActionServer(FIBONACCI, fibonacci, on_goal=on_goal), url),
-            bare(url) as server,
-        ):
-            assert not (await send(server, GoalID.random(), 1)).accepted
-        async with (
-            serve(ActionServer(FIBONACCI, forever, on_cancel=on_cancel), url),
-            bare(url) as server,
-        ):
-            assert (await send(server, GoalID.random(), 1)).accepted
-            response = await server.cancel(server.impl.CancelGoalService.Request())
-            assert response.return_code == CancelCode.REJECTED
+    async with raw_client(url, ActionServer(FIBONACCI, fibonacci, on_goal=on_goal)) as client:
+        assert not (await send(client, GoalID.random(), 1)).accepted
+    async with raw_client(url, ActionServer(FIBONACCI, forever, on_cancel=on_cancel)) as client:
+        assert (await send(client, GoalID.random(), 1)).accepted
+        response = await client.cancel(client.impl.CancelGoalService.Request())
+        assert response.return_code == CancelCode.REJECTED
     said = capfd.readouterr().err
     assert "rejected: it is busy" in said
-    assert "cancel refused: too late" in said
+    assert "cancel rejected: too late" in said
     assert "ABORTED: server stopped" in said
 
 
-async def test_an_unknown_goal_has_the_status_0_at_once(url: str) -> None:
-    with anyio.fail_after(10):
-        async with serve(ActionServer(FIBONACCI, fibonacci), url), bare(url) as server:
-            response = await ask_result(server, GoalID.random())
-    assert response.status == GoalStatus.UNKNOWN
-
-
-async def test_a_result_that_is_no_ros_message_aborts_the_goal(
+async def test_a_result_that_does_not_fit_its_ros_type_aborts_the_goal(
     url: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     async def too_large(goal: GoalHandle[Goal]) -> Items:
@@ -288,37 +232,32 @@ async def test_a_result_that_is_no_ros_message_aborts_the_goal(
         yield Feedback([2**32])
         yield Result([2**31])
 
-    with anyio.fail_after(10):
-        async with (
-            serve(ActionServer(FIBONACCI, too_large), url),
-            connect(url, FIBONACCI) as client,
-        ):
-            with await client.endpoint.status() as statuses:
-                goal = await client.send_goal(Goal(1))
-                assert [item async for item in goal.feedback] == [Feedback([7])]
-                assert (await goal.outcome()).status is GoalStatus.ABORTED
-                seen = [await statuses.receive() for _ in range(3)]
+    async with both_ends(url, too_large) as client:
+        with await client.endpoint.status() as statuses:
+            goal = await client.send_goal(Goal(1))
+            assert [item async for item in goal.feedback] == [Feedback([7])]
+            assert (await goal.outcome()).status is GoalStatus.ABORTED
+            seen = [await statuses.receive() for _ in range(3)]
     assert [one.status for one in seen if one is not None] == [
         GoalStatus.ACCEPTED,
         GoalStatus.EXECUTING,
         GoalStatus.ABORTED,
     ]
     said = capfd.readouterr().err
-    assert said.count("is no ROS message, and is left out") == 1
-    assert "its result is no ROS message" in said
+    assert said.count("does not fit its ROS type, and is left out") == 1
+    assert "its result does not fit its ROS type" in said
 
 
-async def test_an_outcome_waits_a_while_for_the_first_who_asks(
+async def test_an_outcome_waits_a_while_for_the_first_request(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fibaction_transports.ros2.pump.GRACE", 5.0)
+    monkeypatch.setattr("fibaction_transports.ros2.goal_forwarder.GRACE", 5.0)
     server = ActionServer(FIBONACCI, fibonacci, result_timeout=0)
-    with anyio.fail_after(10):
-        async with serve(server, url), bare(url) as reached:
-            goal_id = GoalID.random()
-            await send(reached, goal_id, 1)
-            assert (await ask_result(reached, goal_id)).status == GoalStatus.SUCCEEDED
-            assert (await ask_result(reached, goal_id)).status == GoalStatus.UNKNOWN
+    async with raw_client(url, server) as reached:
+        goal_id = GoalID.random()
+        await send(reached, goal_id, 1)
+        assert (await result_of(reached, goal_id)).status == GoalStatus.SUCCEEDED
+        assert (await result_of(reached, goal_id)).status == GoalStatus.UNKNOWN
 
 
 async def test_goals_of_other_transports_are_seen_with_their_feedback(url: str) -> None:
@@ -330,7 +269,7 @@ async def test_goals_of_other_transports_are_seen_with_their_feedback(url: str) 
         yield Result([8])
 
     server = ActionServer(FIBONACCI, waits)
-    with anyio.fail_after(10):
+    with anyio.fail_after(PATIENCE):
         async with (
             serve(server, InProcessTransport(), url) as (here, _),
             connect(here, FIBONACCI) as mine,
@@ -343,34 +282,34 @@ async def test_goals_of_other_transports_are_seen_with_their_feedback(url: str) 
             assert await seen.result() == Result([8])
 
 
-async def test_a_second_server_of_the_same_action_is_warned_about(
+async def test_a_second_server_of_the_same_action_causes_a_warning(
     url: str,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(serving, "RIVALS_PAUSE", 0.05)
+    monkeypatch.setattr(presence, "RIVALS_PAUSE", 0.05)
     async with (
         serve(ActionServer(FIBONACCI, fibonacci), url),
         serve(ActionServer(FIBONACCI, fibonacci), url),
     ):
-        with anyio.fail_after(10):
+        with anyio.fail_after(PATIENCE):
             while len(caplog.records) < 2:  # noqa: ASYNC110  # a log offers nothing to wait for
                 await anyio.sleep(0.01)
         await anyio.sleep(0.2)
-    warnings = [one.message for one in caplog.records if "somebody else serves it" in one.message]
-    assert len(warnings) == 2  # each of them, once
-    assert "somebody else serves it" in capfd.readouterr().err
+    warnings = [one.message for one in caplog.records if "another server serves it" in one.message]
+    assert len(warnings) == 2  # one of each server
+    assert "another server serves it" in capfd.readouterr().err
 
 
 each_error = pytest.mark.parametrize(
     "error", [ConnectionLost("it is gone"), KeyError("a bug")], ids=type
 )
-"""What an endpoint may and may not raise."""
+"""An error that an endpoint may raise, and one that it must not raise."""
 
 
 class Broken:
-    """Stands before an endpoint, and fails."""
+    """A method of an endpoint that fails."""
 
     def __init__(self, error: Exception) -> None:
         self.error = error
@@ -384,48 +323,47 @@ async def test_an_endpoint_that_fails_is_an_answer_and_the_server_goes_on(
     url: str, error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server = ActionServer(FIBONACCI, forever)
-    with anyio.fail_after(10):
-        async with serve(server, url), bare(url) as reached:
-            with monkeypatch.context() as broken:
-                for name in ("send_goal", "cancel_goals", "get_result"):
-                    broken.setattr(server, name, Broken(error))
-                assert not (await send(reached, GoalID.random(), 1)).accepted
-                cancel = reached.impl.CancelGoalService.Request()
-                assert (await reached.cancel(cancel)).return_code == CancelCode.REJECTED
-                assert (await ask_result(reached, GoalID.random())).status == GoalStatus.UNKNOWN
-            assert (await send(reached, GoalID.random(), 1)).accepted
+    async with raw_client(url, server) as reached:
+        with monkeypatch.context() as broken:
+            for name in ("send_goal", "cancel_goals", "get_result"):
+                broken.setattr(server, name, Broken(error))
+            assert not (await send(reached, GoalID.random(), 1)).accepted
+            cancel = reached.impl.CancelGoalService.Request()
+            assert (await reached.cancel(cancel)).return_code == CancelCode.REJECTED
+            assert (await result_of(reached, GoalID.random())).status == GoalStatus.UNKNOWN
+        assert (await send(reached, GoalID.random(), 1)).accepted
 
 
 async def test_more_requests_than_can_be_under_way_are_lost_and_that_is_logged(
     url: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(serving, "UNDERWAY", 1)
-    with anyio.fail_after(10):
-        async with serve(ActionServer(FIBONACCI, forever), url), bare(url) as server:
-            goal_id = GoalID.random()
-            await send(server, goal_id, 1)
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(ask_result, server, goal_id)
-                tasks.start_soon(ask_result, server, goal_id)
-                while "one is lost" not in caplog.text:  # noqa: ASYNC110  # as above
-                    await anyio.sleep(0.01)
-                tasks.cancel_scope.cancel()
+    monkeypatch.setattr(service_server, "UNDERWAY", 1)
+    async with raw_client(url, ActionServer(FIBONACCI, forever)) as server:
+        goal_id = GoalID.random()
+        await send(server, goal_id, 1)
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(result_of, server, goal_id)
+            tasks.start_soon(result_of, server, goal_id)
+            while "one is lost" not in caplog.text:  # noqa: ASYNC110  # as above
+                await anyio.sleep(0.01)
+            tasks.cancel_scope.cancel()
 
 
-async def test_a_request_that_comes_when_the_tasks_have_ended_is_let_go(
+async def test_a_request_that_arrives_after_the_tasks_have_ended_is_dropped(
     url: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
     place = url.partition("=")[2]
-    with anyio.fail_after(10):
+    with anyio.fail_after(PATIENCE):
         async with (
             ActionServer(FIBONACCI, forever) as server,
             own_node(NodeSettings(namespace=place)) as ros,
             anyio.create_task_group() as tasks,
         ):
-            served = Served(ros, Plan(server), 10, tasks)
+            served = RosActionServer(ros, ServedEndpoint(server), 10, tasks)
             tasks.cancel_scope.cancel()  # as if trio had raised a Ctrl-C in one of them
-            served._begin(None, served._answer_goal, None)((None, None))
+            goals, *_ = ros._waitable._sources
+            goals._sink((None, None))
             await served.drain()
     assert [one.levelno for one in caplog.records if "one is lost" in one.message] == [logging.INFO]
 
@@ -434,7 +372,7 @@ async def test_a_request_that_comes_when_the_tasks_have_ended_is_let_go(
 async def test_the_statuses_of_an_endpoint_that_comes_back_are_followed_again(
     url: str, error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(serving, "RETRY_PAUSE", 0.01)
+    monkeypatch.setattr(action_server, "RETRY_PAUSE", 0.01)
     server = ActionServer(FIBONACCI, forever)
     follow: Callable[[], Any] = server.status
     fails = iter([error])
@@ -445,7 +383,7 @@ async def test_the_statuses_of_an_endpoint_that_comes_back_are_followed_again(
         return await follow()
 
     monkeypatch.setattr(server, "status", status)
-    with anyio.fail_after(10):
+    with anyio.fail_after(PATIENCE):
         async with serve(server, url), connect(url, FIBONACCI) as client:
             with await client.endpoint.status() as statuses:
                 goal = await client.send_goal(Goal(1))
@@ -457,78 +395,74 @@ async def test_the_statuses_of_an_endpoint_that_comes_back_are_followed_again(
 async def test_a_subscriber_that_never_matches_delays_only_one_goal(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(feedback, "MATCH_TIMEOUT", 0.1)
+    monkeypatch.setattr(feedback_topic, "MATCH_TIMEOUT", 0.1)
     place = url.partition("=")[2]
     impl = RosAction.find(FIBONACCI.type_name).ros_type.Impl
     async with own_node(NodeSettings(namespace=place)) as ros:
         name = action_names(ros.node, "fibonacci").feedback
-        wants_more = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
+        wants_more = rclpy_qos.QoSProfile(
+            depth=1, durability=rclpy_qos.DurabilityPolicy.TRANSIENT_LOCAL
+        )
         ros.make(raw.Subscription, impl.FeedbackMessage, name, wants_more.get_c_qos_profile())
-        with anyio.fail_after(10):
-            async with (
-                serve(ActionServer(FIBONACCI, fibonacci), url),
-                connect(url, FIBONACCI) as client,
-            ):
-                for _ in range(3):
-                    assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
+        async with both_ends(url) as client:
+            for _ in range(3):
+                assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
 
 
 async def test_a_goal_that_a_gateway_has_lost_is_unknown(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As if the server behind it had gone away in the middle."""
+    """As if the server behind the gateway had gone away in the middle."""
     server = ActionServer(FIBONACCI, forever)
-    streams: list[RosGoal] = []
+    streams: list[RosGoalStream] = []
 
-    async def send_goal(goal_id: GoalID, *_: object, **__: object) -> RosGoal:
-        stream = RosGoal(goal_id, Raw(), 10, reads=True)
+    async def send_goal(goal_id: GoalID, *_: object, **__: object) -> RosGoalStream:
+        stream = RosGoalStream(goal_id, Undecoded(), 10, reads=True)
         stream.begin(GoalInfo(goal_id, 5, GoalStatus.ACCEPTED))
         streams.append(stream)
         return stream
 
     monkeypatch.setattr(server, "send_goal", send_goal)
     goal_id = GoalID.random()
-    with anyio.fail_after(10):
-        async with serve(server, url), bare(url) as reached:
-            assert (await send(reached, goal_id, 1)).accepted
-            streams[0].fail(ConnectionLost("it is gone"))
-            assert (await ask_result(reached, goal_id)).status == GoalStatus.UNKNOWN
+    async with raw_client(url, server) as reached:
+        assert (await send(reached, goal_id, 1)).accepted
+        streams[0].fail(ConnectionLost("it is gone"))
+        assert (await result_of(reached, goal_id)).status == GoalStatus.UNKNOWN
 
 
 async def test_a_goal_whose_stream_fails_is_unknown_and_the_others_go_on(
     url: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    class Failing(RosGoal):
+    class Failing(RosGoalStream):
         def take(self, limit: int = 1) -> Any:
             raise KeyError("a bug")
 
-    async def send_goal(goal_id: GoalID, *_: object, **__: object) -> RosGoal:
-        return Failing(goal_id, Raw(), 10, reads=True)
+    async def send_goal(goal_id: GoalID, *_: object, **__: object) -> RosGoalStream:
+        return Failing(goal_id, Undecoded(), 10, reads=True)
 
     server = ActionServer(FIBONACCI, fibonacci)
     goal_id = GoalID.random()
-    with anyio.fail_after(10):
-        async with serve(server, url), bare(url) as reached:
-            with monkeypatch.context() as broken:
-                broken.setattr(server, "send_goal", send_goal)
-                assert (await send(reached, goal_id, 1)).accepted
-            assert (await ask_result(reached, goal_id)).status == GoalStatus.UNKNOWN
-            other = GoalID.random()
-            assert (await send(reached, other, 1)).accepted
-            assert (await ask_result(reached, other)).status == GoalStatus.SUCCEEDED
+    async with raw_client(url, server) as reached:
+        with monkeypatch.context() as broken:
+            broken.setattr(server, "send_goal", send_goal)
+            assert (await send(reached, goal_id, 1)).accepted
+        assert (await result_of(reached, goal_id)).status == GoalStatus.UNKNOWN
+        other = GoalID.random()
+        assert (await send(reached, other, 1)).accepted
+        assert (await result_of(reached, other)).status == GoalStatus.SUCCEEDED
     assert f"goal {goal_id} is lost: 'a bug'" in caplog.text
     assert "Traceback" in caplog.text
-    assert "UNKNOWN" not in caplog.text  # it is said once, and with its real reason
+    assert "UNKNOWN" not in caplog.text  # it is logged once, with the real reason
 
 
 @each_error
-async def test_a_goal_of_another_transport_that_cannot_be_followed_disturbs_nobody(
+async def test_a_goal_of_another_transport_that_cannot_be_followed_does_not_affect_others(
     url: str, error: Exception, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "fibaction.ros2")
     server = ActionServer(FIBONACCI, fibonacci)
     monkeypatch.setattr(server, "feedback", Broken(error))
-    with anyio.fail_after(10):
+    with anyio.fail_after(PATIENCE):
         async with (
             serve(server, InProcessTransport(), url) as (here, _),
             connect(here, FIBONACCI) as mine,
@@ -554,17 +488,17 @@ async def test_a_client_that_asks_for_a_result_while_the_server_leaves_gets_it(
     monkeypatch.setattr(server, "stop", stops)
     statuses: list[int] = []
     goal_id = GoalID.random()
-    with anyio.fail_after(10):
+    with anyio.fail_after(PATIENCE):
         async with connect(url) as connection, anyio.create_task_group() as tasks:
             endpoint: Any = connection.endpoint(FIBONACCI)
 
             async def ask() -> None:
                 await stopped.wait()
-                statuses.append((await ask_result(endpoint._server, goal_id)).status)
+                statuses.append((await result_of(client_of(endpoint), goal_id)).status)
 
             async with serve(server, url):
                 await endpoint.wait_for_server()
-                assert (await send(endpoint._server, goal_id, 1)).accepted
+                assert (await send(client_of(endpoint), goal_id, 1)).accepted
                 tasks.start_soon(ask)
     assert statuses == [GoalStatus.ABORTED]
 
@@ -573,7 +507,7 @@ async def test_every_status_of_a_goal_is_published_though_those_of_all_goals_are
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     published: list[list[GoalStatus]] = []
-    publish = serving.Served._publish_status
+    publish = RosActionServer._publish_status
 
     def record(self: Any, message: bytes) -> None:
         published.append([info_of(line).status for line in unpack_statuses(message)])
@@ -582,14 +516,10 @@ async def test_every_status_of_a_goal_is_published_though_those_of_all_goals_are
     async def never(self: Any) -> None:
         await anyio.sleep_forever()
 
-    monkeypatch.setattr(serving.Served, "_publish_status", record)
-    monkeypatch.setattr(serving.Served, "_follow_statuses", never)
-    with anyio.fail_after(10):
-        async with (
-            serve(ActionServer(FIBONACCI, fibonacci), url),
-            connect(url, FIBONACCI) as client,
-        ):
-            assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
+    monkeypatch.setattr(RosActionServer, "_publish_status", record)
+    monkeypatch.setattr(RosActionServer, "_follow_statuses", never)
+    async with both_ends(url) as client:
+        assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
     assert published == [
         [],
         [GoalStatus.ACCEPTED],

@@ -1,6 +1,6 @@
-"""ROS messages: what their generated classes say of their fields, and structs of msgspec like them.
+"""The types of ROS messages: the fields of the generated classes, and msgspec structs like them.
 
-Everything is worked out once for each message type, and once for each type of a user that meets it.
+A message type is analysed once, and bound once to each type of a user that is used with it.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from fibaction.exceptions import TransportError
 from fibaction.ros_types import struct
 from fibaction_transports.ros2.fields import (
     SINGLES,
+    ArrayKind,
     Convert,
     Kind,
-    Many,
     Number,
     Numbers,
     Octet,
@@ -41,26 +41,26 @@ _AWARE = Annotated[datetime.datetime, Meta(tz=True)]
 _encode = msgspec.msgpack.Encoder().encode
 
 
-class Field(NamedTuple):
-    """A field of a message, bound to what the user's end expects."""
+class BoundField(NamedTuple):
+    """A field of a message, bound to the type that the user's end expects."""
 
     name: str
     part: Part
     nullable: bool
-    """Whether null may stand for what ROS has in the field by default."""
+    """True if null may stand for ROS's default of the field."""
 
 
 class MessagePart(Part):
-    """A message, and what the user's end expects of its fields."""
+    """A message, with the types that the user's end expects in its fields."""
 
-    def __init__(self, cls: Any, fields: list[Field], decoded: Any) -> None:
+    def __init__(self, cls: Any, fields: list[BoundField], decoded: Any) -> None:
         super().__init__(decoded, self.made, self.values)
         self.cls = cls
         self.fields = fields
         self._readers = [(field.name, field.part.read) for field in fields]
 
     def made(self, value: Any) -> Any:
-        """A new message with what was decoded.
+        """Make a message from a decoded value.
 
         Raises:
             Unfit: A value does not fit its field.
@@ -73,7 +73,7 @@ class MessagePart(Part):
         self.fill(getattr(message, name), value)
 
     def fill(self, message: Any, value: Any) -> None:
-        """Set the fields of a message to what was decoded; those left out keep what they have.
+        """Set the fields of a message to decoded values. Fields that are left out are not changed.
 
         Raises:
             Unfit: A value does not fit its field.
@@ -86,11 +86,11 @@ class MessagePart(Part):
                 part.put(message, name, new)
             except Unfit as exc:
                 raise exc.under(f".{name}") from None
-            except AssertionError as exc:  # with ROS_PYTHON_CHECK_FIELDS=1, ROS looks, too
+            except AssertionError as exc:  # with ROS_PYTHON_CHECK_FIELDS=1, ROS checks, too
                 raise Unfit(str(exc), f".{name}") from None
 
     def values(self, message: Any) -> dict[str, Any]:
-        """The fields of a message by name, as msgspec can encode them."""
+        """Return the fields of a message by name, as msgspec can encode them."""
         return {
             name: getattr(message, name) if read is None else read(getattr(message, name))
             for name, read in self._readers
@@ -103,10 +103,10 @@ def _is_nil(value: Any) -> bool:
 
 
 class TimePart(MessagePart):
-    """A `Time` that may be a datetime as well, or a `Duration` that may be a timedelta."""
+    """A `Time` that may also be a datetime, or a `Duration` that may also be a timedelta."""
 
     def __init__(self, fields: MessagePart, also: Any, read: Convert) -> None:
-        """`also` is the other type that is decoded, `read` makes it unless it is None."""
+        """`also` is the second type that is decoded. `read`, if not None, converts to it."""
         super().__init__(fields.cls, fields.fields, fields.decoded | also)
         if read is not None:
             self.read = read
@@ -125,25 +125,25 @@ class TimePart(MessagePart):
 
 
 def _moment(time: Any) -> str:
-    """A `Time` as text (RFC 3339), which is decoded also where a datetime is expected."""
+    """Return a `Time` as text (RFC 3339), which msgspec also decodes as a datetime."""
     seconds, nanoseconds = divmod(time.sec * _BILLION + time.nanosec, _BILLION)
     whole = _EPOCH + datetime.timedelta(seconds=seconds)
     return f"{whole:%Y-%m-%dT%H:%M:%S}.{nanoseconds:09}Z"
 
 
 def _span(duration: Any) -> datetime.timedelta:
-    # To the nearest microsecond, as msgspec does with a time.
+    # To the nearest microsecond, as msgspec decodes a time.
     microseconds = (duration.nanosec + 500) // 1000
     return datetime.timedelta(seconds=duration.sec, microseconds=microseconds)
 
 
-class Message(Kind):
+class MessageKind(Kind):
     """A message: a struct with named fields."""
 
     words: tuple[str, ...] = ("object",)
 
     def __init__(self, cls: Any) -> None:
-        """Look at a class that ROS has generated.
+        """Analyse a generated class.
 
         Raises:
             TransportError: It has a field that ROS's own Python code cannot handle.
@@ -157,7 +157,7 @@ class Message(Kind):
         self.default = self._struct(f"{package}.{folder}")
 
     def _struct(self, module: str) -> type[msgspec.Struct]:
-        """A struct with the fields, the defaults and the constants of the message."""
+        """Return a struct with the fields, the defaults and the constants of the message."""
         message = self.cls()
         fields: list[tuple[str, Any, Any]] = []
         for name, kind in self.fields.items():
@@ -173,7 +173,7 @@ class Message(Kind):
         )
 
     def match(self, option: Option, path: str, problems: list[str]) -> Part:
-        fields: list[Field] = []
+        fields: list[BoundField] = []
         decoded: list[tuple[str, Any, Any]] = []
         for name, kind in self.fields.items():
             wanted = option.field(name)
@@ -181,7 +181,7 @@ class Message(Kind):
                 problems.append(f"{path}.{name} ({kind.text}): the action has no such field")
                 continue
             part = kind.bind(wanted, f"{path}.{name}", problems)
-            fields.append(Field(name, part, wanted.nullable))
+            fields.append(BoundField(name, part, wanted.nullable))
             # A `Raw` may be null already: see `_is_nil`.
             nullable = wanted.nullable and part.decoded is not msgspec.Raw
             type_ = part.decoded | None if nullable else part.decoded
@@ -196,10 +196,10 @@ class Message(Kind):
         return MessagePart(self.cls, fields, struct)
 
 
-class Time(Message):
+class TimeKind(MessageKind):
     """`builtin_interfaces/Time`."""
 
-    # The schema of a datetime is often no other than that of a string.
+    # The schema of a datetime is often that of a string.
     words = ("object", "string", "datetime")
 
     def match(self, option: Option, path: str, problems: list[str]) -> Part:
@@ -209,7 +209,7 @@ class Time(Message):
         return TimePart(part, _AWARE, _moment if option.word in self.words[1:] else None)
 
 
-class Duration(Message):
+class DurationKind(MessageKind):
     """`builtin_interfaces/Duration`."""
 
     words = ("object", "timedelta")
@@ -223,21 +223,21 @@ class Duration(Message):
 
 def _constants(cls: Any) -> dict[str, Any]:
     metaclass = cast("type[object]", type(cls))
-    # The metaclass has a property for each, and one for each default of a field.
+    # The metaclass has a property for each constant, and one for each default of a field.
     constants = {
         name: getattr(cls, name)
         for name, member in vars(metaclass).items()
         if isinstance(member, property) and not name.endswith("__DEFAULT")
     }
-    # One `byte` is an int for users, as in a field.
+    # A `byte` is an int for users, as in a field.
     return {name: ord(one) if isinstance(one, bytes) else one for name, one in constants.items()}
 
 
 def _left_out(part: Part, wanted: Schema) -> Any:
-    """What is decoded for a field that a payload leaves out.
+    """Return the value of a field that a payload leaves out; None stands for ROS's default.
 
-    A user's type may be one that leaves out what it has by default. So his default counts for
-    more than ROS's, which is what None stands for here.
+    The user's default takes precedence over ROS's, because a type of the user may leave out fields
+    that have their defaults.
     """
     default = wanted.default
     if default is MISSING or (default is None and wanted.nullable):
@@ -247,28 +247,28 @@ def _left_out(part: Part, wanted: Schema) -> Any:
             default = base64.b64decode(default)
         decode = partial(msgspec.msgpack.Decoder(part.decoded).decode, _encode(default))
         value = decode()
-        if part.make is not None:  # which looks closer
+        if part.make is not None:  # it checks the value, too
             part.make(value)
     except (msgspec.MsgspecError, ValueError, OverflowError, TypeError):
-        return msgspec.NODEFAULT  # he can only receive such a message, or must fill the field in
+        return msgspec.NODEFAULT  # ROS cannot hold the default, so the field must be given
     return msgspec.field(default_factory=decode)
 
 
 @cache
-def message_kind(cls: Any) -> Message:
-    """The kind of a class that ROS has generated.
+def message_kind(cls: Any) -> MessageKind:
+    """Return the kind of a generated class.
 
     Raises:
         TransportError: It has a field that ROS's own Python code cannot handle.
     """
-    special = {"Time": Time, "Duration": Duration}
+    special = {"Time": TimeKind, "Duration": DurationKind}
     if cls.__module__.startswith("builtin_interfaces."):
-        return special.get(cls.__name__, Message)(cls)
-    return Message(cls)
+        return special.get(cls.__name__, MessageKind)(cls)
+    return MessageKind(cls)
 
 
 def _kind_of(slot: Any, where: str) -> Kind:
-    """The kind of a field, from what ROS says of its type."""
+    """Return the kind of a field from ROS's description of its type."""
     if isinstance(slot, _definition.AbstractNestedType):
         element = _kind_of(slot.value_type, where)
         size = slot.size if isinstance(slot, _definition.Array) else None
@@ -284,9 +284,9 @@ def _kind_of(slot: Any, where: str) -> Kind:
     raise TransportError(f"{where} is a {slot.typename}, which ROS itself cannot handle in Python")
 
 
-def _many(element: Kind, size: int | None, bound: int | None) -> Many:
+def _many(element: Kind, size: int | None, bound: int | None) -> ArrayKind:
     if isinstance(element, Number):
         return Numbers(element, size, bound)
     if isinstance(element, Octet):
         return Octets(size, bound)
-    return Many(element, size, bound)
+    return ArrayKind(element, size, bound)

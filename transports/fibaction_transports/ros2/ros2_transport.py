@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
@@ -11,7 +11,8 @@ from urllib.parse import parse_qsl, urlencode, urlsplit
 from fibaction.abc import Connection, Endpoint, Transport
 from fibaction.exceptions import InvalidURL, TransportError
 from fibaction.urls import check_settings, unknown_setting, without_settings
-from fibaction_transports.ros2.calling import connected
+from fibaction_transports.ros2.action_server import ServedEndpoint, serve_actions
+from fibaction_transports.ros2.endpoint import connect_actions
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import (
     LAST_DOMAIN,
@@ -20,7 +21,14 @@ from fibaction_transports.ros2.node import (
     own_node,
     users_node,
 )
-from fibaction_transports.ros2.serving import Plan, served
+
+_IN_URLS: dict[str, Callable[[str], Any]] = {
+    "namespace": str,
+    "domain_id": int,
+    "feedback_depth": int,
+    "discovery_timeout": float,
+}
+"""The settings that a URL may have, and their types."""
 
 _NAMES = (
     "namespace",
@@ -34,7 +42,7 @@ _NAMES = (
 
 
 class Ros2Transport(Transport):
-    """Everything that is an action in a ROS graph."""
+    """The actions of a ROS graph."""
 
     def __init__(
         self,
@@ -50,22 +58,22 @@ class Ros2Transport(Transport):
         """Describe the node; nothing is made yet. Each `serve` and `connect` makes its own.
 
         Args:
-            node_name: The node's name; None makes one that no other node has.
-            namespace: The namespace in which the node, and relative names of actions, are.
-            domain_id: Which graph; None is what the environment's ROS_DOMAIN_ID says.
-            arguments: What ROS would be given on a command line, for instance
-                `["--ros-args", "-r", "fibonacci:=sequence"]`; None is the program's own.
-            node: A node of one's own, to be used instead. Its executor must be spinning, in
-                another thread than the event loop.
-            feedback_depth: How many feedback messages are kept: for a client that does not read,
-                of each goal, after which the oldest is dropped; for a server, of all goals, in the
-                middleware, and no faster than five times that many are published in a second.
-            discovery_timeout: Seconds in which a client that has just come does not give up if it
-                finds no server. Nodes announce themselves at once, and again after 3 s: on a busy
-                machine it may take as long.
+            node_name: The name of the node; None makes a unique name.
+            namespace: The namespace of the node, and of relative names of actions.
+            domain_id: The ROS domain; None takes ROS_DOMAIN_ID from the environment.
+            arguments: ROS's arguments on a command line, for example
+                `["--ros-args", "-r", "fibonacci:=sequence"]`; None takes the program's own.
+            node: Your own node, to be used instead. Its executor must be spinning, in another
+                thread than the event loop.
+            feedback_depth: The number of feedback messages that are kept. A client keeps so many of
+                each goal until they are read; then the oldest is dropped. A server keeps so many of
+                all goals in the middleware, and publishes at most five times as many in a second.
+            discovery_timeout: Seconds for which a new client waits if it finds no server. Nodes
+                announce themselves at once, and again after 3 s: on a busy machine, discovery may
+                take as long.
 
         Raises:
-            ValueError: A number is out of range, or there is a node and its description, too.
+            ValueError: A number is out of range, or both a node and its description are given.
         """
         for name, value, least, most in (
             ("domain_id", domain_id or 0, 0, LAST_DOMAIN),
@@ -73,7 +81,7 @@ class Ros2Transport(Transport):
             ("discovery_timeout", discovery_timeout, 0, math.inf),
         ):
             if not least <= value <= most:
-                raise ValueError(f"{name} is between {least} and {most}, not {value}")
+                raise ValueError(f"{name} must be between {least} and {most}, not {value}")
         self._settings = NodeSettings(node_name or "", namespace, domain_id, arguments)
         if node is not None and self._settings != NodeSettings():
             raise ValueError("a node has its name, namespace, domain and arguments already")
@@ -83,22 +91,24 @@ class Ros2Transport(Transport):
 
     @classmethod
     def from_url(cls, url: str, **settings: Any) -> Ros2Transport:
-        """Make it from `ros2://node_name`, where the name may be left out.
+        """Make a transport from `ros2://node_name`, where the name may be left out.
 
-        Behind `?`: `namespace`, `domain_id`, `feedback_depth`, `discovery_timeout`.
+        Settings in the URL, after `?`: `namespace`, `domain_id`, `feedback_depth`,
+        `discovery_timeout`.
 
         Raises:
-            InvalidURL: The URL is another one.
+            InvalidURL: The URL is not valid; the text says what is wrong.
             TypeError: There is no such setting.
         """
+        check_settings(cls.__name__, settings, (*_IN_URLS, "arguments", "node"))
         where = without_settings(url)
         try:
             parts = urlsplit(url)
             if parts.path.strip("/") or "#" in url:
-                what = "part behind #" if "#" in url else "path"
+                what = "part after #" if "#" in url else "path"
                 raise InvalidURL(
-                    f"{where} has a {what}, and the URL of ROS is like"
-                    f" ros2://node_name?namespace=/robot1&domain_id=7"
+                    f"invalid ROS URL {where}: it has a {what}; a valid one is, for example,"
+                    " ros2://node_name?namespace=/robot1&domain_id=7"
                 )
             check_settings(cls.__name__, settings, _NAMES)
             found = _settings(where, parse_qsl(parts.query, keep_blank_values=True))
@@ -108,7 +118,7 @@ class Ros2Transport(Transport):
 
     @property
     def url(self) -> str:
-        """The URL under which a client finds the same graph."""
+        """The URL with which a client finds the same graph."""
         settings = self._settings
         query = {"namespace": settings.namespace, "domain_id": settings.domain_id}
         if self._node is not None:
@@ -120,21 +130,21 @@ class Ros2Transport(Transport):
 
     @asynccontextmanager
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
-        """See `Transport.serve`. The types of all actions are compared with those of ROS first."""
-        plans = _plans(endpoints)
+        """See `Transport.serve`. First, the types of all actions are compared with those of ROS."""
+        served = _served(endpoints)
         async with self._open() as ros:
             full = [action_names(ros.node, endpoint.info.name) for endpoint in endpoints]
             if len(set(full)) < len(full):
                 raise TransportError("two of the endpoints serve actions of the same name")
-            async with served(ros, plans, self._feedback_depth):
+            async with serve_actions(ros, served, self._feedback_depth):
                 yield self.url
 
     @asynccontextmanager
     async def connect(self) -> AsyncGenerator[Connection, None]:
-        """See `Transport.connect`. It finds nobody missing: servers may come later."""
+        """See `Transport.connect`. It does not look for servers, which may come later."""
         async with (
             self._open() as ros,
-            connected(
+            connect_actions(
                 ros,
                 feedback_depth=self._feedback_depth,
                 discovery_timeout=self._discovery_timeout,
@@ -146,39 +156,33 @@ class Ros2Transport(Transport):
         return own_node(self._settings) if self._node is None else users_node(self._node)
 
 
-def _plans(endpoints: Sequence[Endpoint]) -> list[Plan]:
-    plans: list[Plan] = []
+def _served(endpoints: Sequence[Endpoint]) -> list[ServedEndpoint]:
+    served: list[ServedEndpoint] = []
     errors: list[str] = []
     for endpoint in endpoints:
         try:
-            plans.append(Plan(endpoint))
+            served.append(ServedEndpoint(endpoint))
         except TransportError as exc:
             errors.append(str(exc))
     if errors:
         raise TransportError(";\n".join(errors))
-    return plans
+    return served
 
 
 def _settings(where: str, query: list[tuple[str, str]]) -> dict[str, Any]:
-    """The settings in a URL, of their types; `where` is the rest of it, for errors.
+    """Return the settings in a URL, converted to their types; `where` names the URL in errors.
 
     Raises:
-        InvalidURL: There is no such setting, or it is there twice, or of another type.
+        InvalidURL: There is no such setting, or it is given twice, or has another type.
     """
-    kinds = {
-        "namespace": str,
-        "domain_id": int,
-        "feedback_depth": int,
-        "discovery_timeout": float,
-    }
     settings: dict[str, Any] = {}
     for name, text in query:
-        if name not in kinds:
-            raise InvalidURL(unknown_setting(where, name, kinds))
+        if name not in _IN_URLS:
+            raise InvalidURL(unknown_setting(where, name, _IN_URLS))
         if name in settings:
-            raise InvalidURL(f"{where}: setting given twice")
+            raise InvalidURL(f"{where}: setting {name!r} given twice")
         try:
-            settings[name] = kinds[name](text)
+            settings[name] = _IN_URLS[name](text)
         except ValueError:
-            raise InvalidURL(f"{where}: the setting {name!r} cannot be {text!r}") from None
+            raise InvalidURL(f"{where}: invalid setting {name!r}: {text!r}") from None
     return settings

@@ -1,109 +1,33 @@
-"""From the thread that rclpy spins to the event loop: what has arrived, and nothing else.
+"""The waitable of a node: takes what has arrived, in the thread that rclpy spins.
 
-The `Intake` takes all that there is of each handle and hands it over in a `Mailbox`; what becomes
-of it is decided on the event loop. No code of users and no rule of actions is run in the thread,
-and nothing is raised in it: an exception would end the spinning.
+It takes everything that is there for each handle, and puts it into a `Mailbox`. The event loop
+decides what becomes of it. The thread runs no code of users and no rule of actions, and raises
+nothing: an exception would end the spinning.
 """
 
 from __future__ import annotations
 
 import logging
-import socket
 from abc import ABC, abstractmethod
-from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
 from threading import Lock
 from types import TracebackType
-from typing import Any, TypeAlias
+from typing import Any
 
-import anyio
-
+from fibaction_transports.ros2.mailbox import MAILBOX, TURN, Mailbox, Sink
 from fibaction_transports.ros2.rcl import InvalidHandle, ReentrantCallbackGroup, waitable
-
-MAILBOX = 20_000
-"""How many items may wait for the event loop; then no more is taken, and what arrives waits in the
-middleware, whose queues have depths of their own."""
-TURN = 64
-"""How many items are handled before others get their turn on the event loop."""
-
-Sink: TypeAlias = Callable[[Any], None]
-"""Handles an item on the event loop; it does not wait."""
 
 logger = logging.getLogger("fibaction.ros2")
 
 
-class Mailbox:
-    """Items for the event loop, put by any thread.
-
-    A byte in a pair of sockets wakes the loop, whichever it is: one for all items that wait.
-    """
-
-    def __init__(self, room: Callable[[], None]) -> None:
-        """`room` is called on the event loop when the mailbox is no longer full."""
-        self._room = room
-        self._items: deque[tuple[Sink, Any]] = deque()
-        self._lock = Lock()
-        self._awake = False
-        self._full = False
-        self._reader, self._writer = socket.socketpair()
-        self._reader.setblocking(False)
-        self._writer.setblocking(False)
-
-    @property
-    def is_full(self) -> bool:
-        """Whether to take no more for now; `room` will be called."""
-        self._full = len(self._items) >= MAILBOX
-        # The loop may have emptied it between that look and that note, and told nobody: look again.
-        return self._full and len(self._items) >= MAILBOX
-
-    def put(self, items: list[tuple[Sink, Any]]) -> None:
-        """Hand over items."""
-        self._items.extend(items)
-        with self._lock:
-            if self._awake:
-                return
-            self._awake = True
-            with suppress(OSError):  # it is closed, and nobody waits any more
-                self._writer.send(b"\0")
-
-    async def run(self) -> None:
-        """Handle what comes, for ever."""
-        while True:
-            await anyio.wait_readable(self._reader)
-            with self._lock:
-                self._reader.recv(16)
-                self._awake = False
-            while self._items:
-                self._handle_some()
-                if self._full and len(self._items) < MAILBOX // 2:
-                    self._full = False
-                    self._room()
-                await anyio.lowlevel.checkpoint()
-
-    def _handle_some(self) -> None:
-        for _ in range(min(len(self._items), TURN)):
-            sink, item = self._items.popleft()
-            try:
-                sink(item)
-            except Exception:
-                logger.exception("a message was dropped, because it could not be handled")
-
-    def close(self) -> None:
-        """No more is handled."""
-        self._items.clear()
-        self._reader.close()
-        self._writer.close()
-
-
 class Source(ABC):
-    """A raw handle that things arrive at."""
+    """A raw handle, and the sink of what arrives there."""
 
     kind: str
-    """What the wait set calls it."""
+    """The handle's kind, as the wait set names it."""
 
     def __init__(self, handle: Any, sink: Sink, unread: Sink | None = None) -> None:
-        """`unread` is handed the error if something cannot be taken."""
+        """`unread` is called with the error if something cannot be taken."""
         self.handle = handle
         self.index: int | None = None
         self._sink = sink
@@ -111,10 +35,10 @@ class Source(ABC):
 
     @abstractmethod
     def take(self) -> Any:
-        """What has arrived first; None if there is nothing."""
+        """Take what has arrived first; None if there is nothing."""
 
     def take_all(self) -> list[tuple[Sink, Any]]:
-        """All that has arrived, each with its sink."""
+        """Take all that has arrived, each with its sink."""
         items: list[tuple[Sink, Any]] = []
         failures = 0
         while len(items) < MAILBOX and failures < TURN:
@@ -123,7 +47,7 @@ class Source(ABC):
             except InvalidHandle:
                 break  # it has just been destroyed
             except Exception as exc:
-                # For instance text that is no Unicode. It has been taken all the same.
+                # For instance, text that is not valid Unicode. The middleware has dropped it.
                 failures += 1
                 logger.error("a message could not be taken: %s", exc)
                 if self._unread is not None:
@@ -136,7 +60,7 @@ class Source(ABC):
 
 
 class Requests(Source):
-    """What clients ask a service: `(header, request)`."""
+    """The requests to a service: `(header, request)`."""
 
     kind = "service"
 
@@ -150,7 +74,7 @@ class Requests(Source):
 
 
 class Responses(Source):
-    """What a service answers: `(number of the request, response)`."""
+    """The responses of a service: `(number of the request, response)`."""
 
     kind = "client"
 
@@ -166,7 +90,7 @@ class Responses(Source):
 
 
 class Messages(Source):
-    """What is published to a topic, as bytes: most of it may be of no interest."""
+    """The messages of a topic, as bytes, because most of them may be ignored."""
 
     kind = "subscription"
 
@@ -186,8 +110,8 @@ _COUNTS = {
 }
 
 
-class Intake(waitable.Waitable):  # type: ignore[misc]  # rclpy has no types here
-    """Takes from all its sources whatever arrives, when an executor of rclpy spins it."""
+class RosWaitable(waitable.Waitable):  # type: ignore[misc]  # rclpy has no types here
+    """Takes from its sources whatever arrives, when an executor of rclpy spins it."""
 
     def __init__(self, mailbox: Mailbox) -> None:
         waitable.Waitable.__init__(self, ReentrantCallbackGroup())
@@ -198,21 +122,21 @@ class Intake(waitable.Waitable):  # type: ignore[misc]  # rclpy has no types her
         self._ready: list[Source] = []
 
     def add(self, *sources: Source) -> None:
-        """Take from these, too, after the executor has been woken.
+        """Take from these sources, too. It has an effect after the executor has been woken.
 
-        What has arrived together is handed over in the order of the sources, and taken in the
-        reverse order. So feedback that was sent before a result is also seen before it, if it is
-        added before.
+        Items that have arrived together are put in the order of the sources, and taken in the
+        reverse order. So feedback that was sent before a result is also handled before it, if its
+        source is added first.
         """
         with self._lock:
             self._sources += sources
 
     def clear(self) -> None:
-        """Take no more."""
+        """Remove all sources."""
         with self._lock:
             self._sources = ()
 
-    # What an executor calls, in its thread and in this order
+    # Methods that an executor calls, in its thread and in this order
 
     def __enter__(self) -> None:
         self._entered = []
@@ -244,13 +168,13 @@ class Intake(waitable.Waitable):  # type: ignore[misc]  # rclpy has no types her
         taken: list[tuple[Sink, Any]] = []
         ready = {id(source) for source in self._ready}
         for source in reversed(self._entered):
-            # A result is ready, and its feedback has come since: so look at those before, too.
+            # If a result is ready, its feedback may have arrived since the wait: take that, too.
             if id(source) in ready or (taken and source.kind == "subscription"):
                 taken[:0] = source.take_all()
         self._mailbox.put(taken)
 
     async def execute(self, taken_data: None) -> None:
-        """All is done by then."""
+        """Do nothing: `take_data` has done all."""
 
     def __exit__(
         self,

@@ -1,4 +1,4 @@
-"""One goal at the server: its feedback is published, and its end is handed to who waits for it."""
+"""Forwards one goal of an endpoint to ROS: its feedback, its statuses, and its outcome."""
 
 from __future__ import annotations
 
@@ -14,49 +14,51 @@ from fibaction.goals import GoalInfo, Outcome
 from fibaction.states import GoalStatus
 
 BATCH = 32
-"""How much feedback is published before others get their turn on the event loop."""
+"""Feedback messages that are published before other tasks get their turn on the event loop."""
 GRACE = 1.0
-"""Seconds that an outcome waits for the first client who asks for it. ROS's clients ask only when
-they have been told of the acceptance, and a goal that ends at once may be forgotten by then."""
+"""Seconds that an outcome waits for the first client that asks for it. Clients of ROS ask only
+after they were told of the acceptance, and a goal that ends at once may be forgotten by then."""
 
 
-class Pump:
-    """Follows a goal, and publishes its feedback in order."""
+class GoalForwarder:
+    """Follows a goal, publishes its feedback in order, and answers requests for its result."""
 
     def __init__(
         self,
         stream: GoalStream,
         publish: Callable[[bytes], Awaitable[None]],
-        tell: Callable[[GoalInfo], None],
+        update: Callable[[GoalInfo], None],
     ) -> None:
-        """`tell` is told each status up to the end, before the end: others may tell it later."""
+        """`update` is called with each status before the end, ahead of the stream of all statuses,
+        which may be read later.
+        """
         self.stream = stream
         self.late: list[GoalInfo] = []
-        """Statuses to be told when all feedback has been published."""
+        """Statuses to publish after all feedback."""
         self._publish = publish
-        self._tell = tell
+        self._update = update
         self._answer: Any = None
         self._asked = False
         self._waiting = 0
         self._news = Notifier()
 
     async def outcome(self) -> Outcome[bytes]:
-        """Publish all feedback, then say how the goal ended; UNKNOWN if that cannot be known."""
+        """Publish all feedback, then return the outcome; UNKNOWN if it cannot be known."""
         with self.stream as stream:
             try:
-                while (outcome := await self._publish_some(stream)) is None:
+                while (outcome := await self._forward_some(stream)) is None:
                     await anyio.lowlevel.checkpoint()
                 return outcome
             except ActionError as exc:  # a gateway has lost the server behind it
                 return Outcome(GoalStatus.UNKNOWN, reason=str(exc))
 
-    async def _publish_some(self, stream: GoalStream) -> Outcome[bytes] | None:
+    async def _forward_some(self, stream: GoalStream) -> Outcome[bytes] | None:
         updates = stream.take(BATCH)
         for update in updates:
             if isinstance(update, FeedbackItem):
                 await self._publish(update.payload)
             elif isinstance(update, GoalStatus):
-                self._tell(GoalInfo(stream.goal_id, stream.stamp, update))
+                self._update(GoalInfo(stream.goal_id, stream.stamp, update))
             else:
                 return update
         if not updates:
@@ -65,16 +67,16 @@ class Pump:
 
     @property
     def is_owed(self) -> bool:
-        """Whether the goal has ended, and not everybody has been told."""
+        """True if the goal has ended: until this forwarder is done, a client waits for the end."""
         return self.stream.status.is_terminal
 
     def hurry(self) -> None:
-        """Do not wait for clients who have yet to ask."""
+        """Do not wait for clients that have yet to ask."""
         self._asked = True
         self._news.notify()
 
     async def hand_over(self, answer: Any) -> None:
-        """Give that to all who wait for the end, and to the first who will, for a while."""
+        """Give the answer to all requests that wait, and wait a while for the first of them."""
         self._answer = answer
         self._news.notify()
         if not self._asked:
@@ -85,7 +87,7 @@ class Pump:
             await self._news.wait()
 
     async def answer(self) -> Any:
-        """Wait for the end, and for what `hand_over` gives."""
+        """Wait for the answer that `hand_over` gives, and return it."""
         self._asked = True
         self._waiting += 1
         self._news.notify()

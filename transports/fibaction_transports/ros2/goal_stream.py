@@ -1,6 +1,6 @@
-"""What a client follows of one goal.
+"""The stream with which a client follows one goal at a server of ROS.
 
-It is told what has arrived, and keeps it until it is read. It knows nothing of ROS.
+It is told what has arrived, and keeps it until it is read. It does not use ROS itself.
 """
 
 from __future__ import annotations
@@ -17,43 +17,43 @@ from fibaction.goals import GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
 
 
-class Reading(ABC):
-    """How to read what arrives."""
+class GoalDecoder(ABC):
+    """Decodes what a goal's server sends."""
 
     @abstractmethod
     def feedback(self, message: bytes) -> bytes:
-        """The payload of a feedback message.
+        """Return the payload of a feedback message.
 
         Raises:
-            ProtocolError: It is none.
+            ProtocolError: The message cannot be decoded.
         """
 
     @abstractmethod
     def outcome(self, response: Any) -> Outcome[bytes]:
-        """What the answer to a request for a result says.
+        """Return the outcome in the answer to a request for a result.
 
         Raises:
-            ProtocolError: It is no end of a goal.
+            ProtocolError: The answer is not the end of a goal.
         """
 
 
-class RosGoal(GoalStream):
+class RosGoalStream(GoalStream):
     """One goal at a server of ROS.
 
-    Its feedback is numbered here, as it arrives: ROS has no numbers, so what is lost on the way is
-    not noticed. What is unread is kept, up to a limit; then the oldest gives way.
+    Feedback is numbered here, as it arrives: ROS has no numbers, so feedback that is lost on the
+    way is not noticed. Unread feedback is kept up to a limit; then the oldest is dropped.
     """
 
-    def __init__(self, goal_id: GoalID, reading: Reading, depth: int, *, reads: bool) -> None:
+    def __init__(self, goal_id: GoalID, decoder: GoalDecoder, depth: int, *, reads: bool) -> None:
         self.goal_id = goal_id
         self.stamp = 0
         self.latest = False
         self.cursor = 0
-        self.reading = reading
-        self.asked: list[int] = []
+        self.decoder = decoder
+        self.requests: list[int] = []
         """The numbers of the requests for its result."""
         self.servers: frozenset[bytes] = frozenset()
-        """Who served when it was accepted: one of them has the goal."""
+        """The servers at the time when it was accepted: one of them has the goal."""
         self.news = Notifier()
         self.reads = reads
         self._items: deque[FeedbackItem] = deque(maxlen=depth)
@@ -74,45 +74,45 @@ class RosGoal(GoalStream):
 
     @property
     def has_begun(self) -> bool:
-        """Whether it is known that the server has accepted the goal."""
+        """True if the server is known to have accepted the goal."""
         return self._status is not GoalStatus.UNKNOWN
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing more is to come."""
+        """True if nothing more will arrive."""
         return self._outcome is not None or self._error is not None
 
-    # What arrives
+    # What has arrived
 
     def begin(self, info: GoalInfo) -> None:
-        """The server has accepted the goal; this is what is known of it."""
+        """Note that the server has accepted the goal, and when."""
         self.stamp, self._status = info.stamp, info.status
         self.news.notify()
 
-    def arrive(self, message: bytes) -> None:
-        """Feedback has arrived."""
+    def add_feedback(self, message: bytes) -> None:
+        """Add a feedback message, which is decoded when it is read."""
         self._received += 1
         if self.reads and not self.is_over:
             self._items.append(FeedbackItem(self._received, message))
             self.news.notify()
 
-    def tell(self, status: GoalStatus) -> None:
-        """The goal has another status."""
-        if self.has_begun and status > self._status:  # statuses only ever grow
+    def set_status(self, status: GoalStatus) -> None:
+        """Set the status, unless it is an earlier one: statuses only ever grow."""
+        if self.has_begun and status > self._status:
             self._status = status
             if self.reads and status.is_active:
                 self._statuses.append(status)
                 self.news.notify()
 
     def end(self, outcome: Outcome[bytes]) -> None:
-        """The goal has ended."""
+        """End the stream with the goal's outcome."""
         if not self.is_over:
             self._outcome = outcome
             self._status = outcome.status
             self.news.notify()
 
     def fail(self, error: ActionError) -> None:
-        """Nothing more will arrive, or nothing that could be read."""
+        """End the stream with an error, because the rest will not arrive or cannot be decoded."""
         if not self.is_over:
             self._error = error
             self.news.notify()
@@ -123,7 +123,7 @@ class RosGoal(GoalStream):
         if self._statuses:
             return (self._statuses.popleft(),)
         if self._items:
-            return [self._read() for _ in range(min(limit, len(self._items)))]
+            return [self._next_feedback() for _ in range(min(limit, len(self._items)))]
         self._raise_error()
         if self._outcome is None:
             return ()
@@ -131,18 +131,18 @@ class RosGoal(GoalStream):
             self.cursor = self._received
         return (self._outcome,)
 
-    def _read(self) -> FeedbackItem:
+    def _next_feedback(self) -> FeedbackItem:
         item = self._items.popleft()
         self.cursor = item.number
         self._delivered += 1
-        return FeedbackItem(item.number, self.reading.feedback(item.payload))
+        return FeedbackItem(item.number, self.decoder.feedback(item.payload))
 
     def known_outcome(self) -> Outcome[bytes] | None:
         self._raise_error()
         return self._outcome
 
     def hold(self, wanted: bool) -> None:
-        """It has no effect: in ROS, nobody can make a server wait."""
+        """Do nothing: in ROS, a client cannot make a server wait."""
 
     def close(self) -> None:
         self.reads = False

@@ -1,4 +1,4 @@
-"""The client's half: endpoints whose servers are action servers of ROS."""
+"""The client's half of the transport: endpoints whose servers are action servers of ROS."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ from fibaction.goals import (
 )
 from fibaction.server.status_broadcast import StatusSubscription
 from fibaction.states import GoalStatus
-from fibaction_transports.ros2.following import Reading, RosGoal
-from fibaction_transports.ros2.messages import RosAction, RosCodecs
+from fibaction_transports.ros2.action_client import RosActionClient
+from fibaction_transports.ros2.conversion import RosAction, RosCodecs, goal_id_of, stamp_of
+from fibaction_transports.ros2.goal_stream import GoalDecoder, RosGoalStream
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import RosNode
 from fibaction_transports.ros2.rcl import deserialize, uuid_of
-from fibaction_transports.ros2.remote import RemoteServer
 
 SETTLED = 0.2
-"""Seconds without a new action after which the list of actions counts as complete."""
+"""Seconds without a change after which a list of actions or nodes counts as complete."""
 LIST_PAUSE = 0.05
 """Seconds between two looks at the graph."""
 
 FIRST_STAMP, LAST_STAMP = -(2**31) * 10**9, 2**31 * 10**9 - 1
-"""The stamps that a message of ROS can hold."""
+"""The first and the last stamp that a message of ROS can hold."""
 
 FoundT = TypeVar("FoundT")
 
@@ -51,13 +51,13 @@ _UNNAMED = "_NODE_NAME_UNKNOWN_"
 
 
 class RosEndpoint(Endpoint):
-    """One action of ROS, with the types that its user sees."""
+    """An action of ROS, with the types of its user."""
 
-    def __init__(self, server: RemoteServer, info: ActionInfo, codecs: RosCodecs) -> None:
-        self._server = server
+    def __init__(self, client: RosActionClient, info: ActionInfo, codecs: RosCodecs) -> None:
+        self._client = client
         self._info = info
         self._codecs = codecs
-        self._reading = _Reading(server.impl, codecs)
+        self._decoder = _Decoder(client.impl, codecs)
 
     @property
     def info(self) -> ActionInfo:
@@ -70,58 +70,54 @@ class RosEndpoint(Endpoint):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
-    ) -> RosGoal:
+    ) -> RosGoalStream:
         try:
             message = self._codecs.goal.to_ros(goal)
         except ProtocolError as exc:
             raise GoalRejected(str(exc), goal_id=goal_id) from exc
-        stream = RosGoal(goal_id, self._reading, self._server.depth, reads=feedback)
-        await self._server.send(stream, message)
+        stream = RosGoalStream(goal_id, self._decoder, self._client.depth, reads=feedback)
+        await self._client.send(stream, message)
         return stream
 
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False
-    ) -> RosGoal:
+    ) -> RosGoalStream:
         """See `Endpoint.feedback`. ROS remembers no feedback, so `after` has no effect."""
-        stream = RosGoal(goal_id, self._reading, self._server.depth, reads=True)
-        await self._server.attach(stream)
+        stream = RosGoalStream(goal_id, self._decoder, self._client.depth, reads=True)
+        await self._client.follow(stream)
         return stream
 
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None
     ) -> CancelAnswer:
-        request = self._server.impl.CancelGoalService.Request()
+        request = self._client.impl.CancelGoalService.Request()
         info = request.goal_info
         info.goal_id.uuid = uuid_of(goal_id or bytes(16))
-        # What is beyond them would silently become another time, or none, which means all goals.
+        # A stamp beyond these would silently become another one, or none, which means all goals.
         within = min(max(stamp or 0, FIRST_STAMP), LAST_STAMP)
         info.stamp.sec, info.stamp.nanosec = divmod(within, 10**9)
-        response = await self._server.cancel(request)
+        response = await self._client.cancel(request)
         canceling = tuple(
-            GoalInfo(
-                GoalID(bytes(one.goal_id.uuid)),
-                one.stamp.sec * 10**9 + one.stamp.nanosec,
-                GoalStatus.CANCELING,
-            )
+            GoalInfo(goal_id_of(one.goal_id), stamp_of(one.stamp), GoalStatus.CANCELING)
             for one in response.goals_canceling
         )
         try:
             code = CancelCode(response.return_code)
         except ValueError as exc:
-            raise ProtocolError(f"the answer to a cancel: {exc}") from exc
+            raise ProtocolError(f"invalid answer to a cancel: {exc}") from exc
         if goal_id is not None and not stamp and not canceling and code is CancelCode.NONE:
-            code = CancelCode.REJECTED  # rclpy's servers have no other way to say so
+            code = CancelCode.REJECTED  # servers of rclpy cannot say it in another way
         return CancelAnswer(code, canceling)
 
     async def status(self) -> StatusSubscription:
-        return await self._server.watch()
+        return await self._client.subscribe()
 
     async def wait_for_server(self) -> None:
-        await self._server.presence.come()
+        await self._client.presence.come()
 
 
-class _Reading(Reading):
-    """How an endpoint reads what arrives."""
+class _Decoder(GoalDecoder):
+    """Decodes with the codecs of an endpoint."""
 
     def __init__(self, impl: Any, codecs: RosCodecs) -> None:
         self._impl = impl
@@ -132,23 +128,23 @@ class _Reading(Reading):
         try:
             found = deserialize(message, self._impl.FeedbackMessage)
         except Exception as exc:  # rclpy raises whatever rcl says
-            raise ProtocolError(f"feedback of {len(message)} bytes: {exc}") from exc
+            raise ProtocolError(f"invalid feedback of {len(message)} bytes: {exc}") from exc
         return self._codecs.feedback.from_ros(found.feedback)
 
     def outcome(self, response: Any) -> Outcome[bytes]:
         if response.status == GoalStatus.UNKNOWN:
             return UNKNOWN_OUTCOME
         if response.status not in _ENDS:
-            raise ProtocolError(f"the answer with the result has the status {response.status}")
+            raise ProtocolError(f"invalid answer with a result: its status is {response.status}")
         status = GoalStatus(response.status)
         result: bytes | None = self._codecs.result.from_ros(response.result)
         if status is not GoalStatus.SUCCEEDED and result == self._empty:
-            result = None  # ROS has no way to say that there is none
+            result = None  # ROS cannot send "no result"
         return Outcome(status, result)
 
 
 class RosConnection(Connection):
-    """A node that is a client of whatever is served in its graph."""
+    """A connection to all actions in the graph of a node."""
 
     def __init__(
         self, ros: RosNode, tasks: TaskGroup, *, feedback_depth: int, discovery_timeout: float
@@ -158,40 +154,40 @@ class RosConnection(Connection):
         self._depth = feedback_depth
         self._timeout = discovery_timeout
         self._deadline = current_time() + discovery_timeout
-        self._servers: dict[tuple[str, str], RemoteServer] = {}
+        self._clients: dict[tuple[str, str], RosActionClient] = {}
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
         """See `Connection.endpoint`.
 
         Raises:
-            TransportError: The action's type is not known in ROS, or does not match.
+            TransportError: The type of the action is not known in ROS, or does not match.
         """
         info = action.info if isinstance(action, Action) else action
         full = action_names(self._ros.node, info.name)
         type_name = info.type_name or dict(self._looked(self._found)).get(full.feedback, "")
         found = RosAction.find(type_name, info.name)
         codecs = found.codecs(info)
-        server = self._servers.get((full.feedback, type_name))
-        if server is None:
-            server = RemoteServer(
+        client = self._clients.get((full.feedback, type_name))
+        if client is None:
+            client = RosActionClient(
                 self._ros,
                 info.name,
                 found.ros_type.Impl,
                 feedback_depth=self._depth,
                 discovery_timeout=self._timeout,
             )
-            self._servers[full.feedback, type_name] = server
-            self._tasks.start_soon(server.run, name=f"client of {info.name}")
-        return RosEndpoint(server, info, codecs)
+            self._clients[full.feedback, type_name] = client
+            self._tasks.start_soon(client.run, name=f"client of {info.name}")
+        return RosEndpoint(client, info, codecs)
 
     async def actions(self) -> list[ActionInfo]:
-        """See `Connection.actions`. Those whose types are not installed here have no schemas."""
+        """See `Connection.actions`. Actions whose types are not installed here have no schemas."""
         found = await self._settled(self._found)
         return [_described(self._relative(topic), type_name) for topic, type_name in found]
 
     async def peers(self, action: str) -> ActionPeers:
-        """See `Connection.peers`. They are named by their nodes, and all users by who listens to
-        the feedback, which all clients of actions do.
+        """See `Connection.peers`. Peers are named by their nodes. The clients are the nodes that
+        subscribe to the feedback, as every client of an action does.
         """
         node = self._ros.node
 
@@ -204,8 +200,8 @@ class RosConnection(Connection):
         return await self._settled(look) or ActionPeers()
 
     async def _settled(self, look: Callable[[], FoundT]) -> FoundT:
-        """What is found in the graph when it has not changed for a moment, or when nothing has been
-        found for so long that there is nothing.
+        """Return what is found in the graph when it has not changed for a moment, or when nothing
+        was found for `discovery_timeout` seconds.
 
         Raises:
             ConnectionLost: ROS has been shut down.
@@ -226,7 +222,7 @@ class RosConnection(Connection):
         return found
 
     def _found(self) -> list[tuple[str, str]]:
-        """The feedback topics of the actions that are served, and the actions' types."""
+        """Return the feedback topics of all actions with a server, each with the action's type."""
         node = self._ros.node
         return sorted(
             (topic, types[0].removesuffix(_SUFFIX))
@@ -237,16 +233,16 @@ class RosConnection(Connection):
         )
 
     def _relative(self, topic: str) -> str:
-        """The action's name, as short as it can be in the node's namespace."""
+        """Return the shortest name of the action in the node's namespace."""
         name = topic.removesuffix(_FEEDBACK)
         short = name.removeprefix(self._ros.node.get_namespace().rstrip("/") + "/")
         same = action_names(self._ros.node, short).feedback == topic
         return short if same else name
 
     def close(self) -> None:
-        """Let nobody wait any longer."""
-        for server in self._servers.values():
-            server.close()
+        """End everything that is pending."""
+        for client in self._clients.values():
+            client.close()
 
 
 def _described(name: str, type_name: str) -> ActionInfo:
@@ -257,18 +253,18 @@ def _described(name: str, type_name: str) -> ActionInfo:
 
 
 def _nodes(ends: Iterable[Any]) -> tuple[str, ...]:
-    """The full names of the nodes that have these ends of a topic, as far as they are known: an
-    end may be discovered before its node.
+    """Return the full names of the nodes of these ends of a topic. Ends whose nodes are not yet
+    discovered are left out.
     """
     named = [one for one in ends if one.node_name != _UNNAMED]
     return tuple(sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in named}))
 
 
 @asynccontextmanager
-async def connected(
+async def connect_actions(
     ros: RosNode, *, feedback_depth: int, discovery_timeout: float
 ) -> AsyncGenerator[RosConnection, None]:
-    """A connection for as long as the block lasts."""
+    """Connect for as long as the block lasts."""
     async with Background() as tasks:
         connection = RosConnection(
             ros, tasks, feedback_depth=feedback_depth, discovery_timeout=discovery_timeout

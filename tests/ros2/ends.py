@@ -1,0 +1,87 @@
+"""Both ends of an action over ROS, in the process of the tests."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio
+
+from fibaction import ActionClient, ActionServer, GoalHandle, GoalID, connect, serve
+from fibaction_transports.ros2.action_client import RosActionClient
+from fibaction_transports.ros2.goal_stream import GoalDecoder, RosGoalStream
+from fibaction_transports.ros2.rcl import uuid_of
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+
+Items = AsyncGenerator[Feedback | Result, None]
+PATIENCE = 10.0
+"""Seconds after which a test that hangs fails."""
+
+
+def new_url() -> str:
+    """Return a URL with a namespace of its own."""
+    return f"ros2://?namespace=/t{uuid.uuid4().hex}"
+
+
+async def forever(goal: GoalHandle[Goal]) -> Items:
+    yield Feedback([1])
+    await anyio.sleep_forever()
+    yield Result([])
+
+
+@asynccontextmanager
+async def both_ends(
+    url: str, execute: Callable[[GoalHandle[Goal]], Items] = fibonacci, **settings: Any
+) -> AsyncGenerator[ActionClient[Goal, Feedback, Result], None]:
+    """Serve an executor, and give a client."""
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, execute, **settings), url),
+            connect(url, FIBONACCI) as client,
+        ):
+            yield client
+
+
+@asynccontextmanager
+async def raw_client(
+    url: str, server: ActionServer[Goal, Feedback, Result]
+) -> AsyncGenerator[RosActionClient, None]:
+    """Serve, and give the part of the client that sends raw requests."""
+    with anyio.fail_after(PATIENCE):
+        async with serve(server, url), connect(url) as connection:
+            await connection.endpoint(FIBONACCI).wait_for_server()
+            yield client_of(connection.endpoint(FIBONACCI))
+
+
+def client_of(endpoint: Any) -> RosActionClient:
+    """Return the part of an endpoint that sends raw requests."""
+    client: RosActionClient = endpoint._client
+    return client
+
+
+class Undecoded(GoalDecoder):
+    """Gives everything as it has arrived."""
+
+    def feedback(self, message: bytes) -> bytes:
+        return message
+
+    def outcome(self, response: Any) -> Any:
+        return response
+
+
+async def send(client: RosActionClient, goal_id: GoalID, order: int) -> Any:
+    """Send a goal, and return the response."""
+    request = client.impl.SendGoalService.Request()
+    request.goal_id.uuid = uuid_of(goal_id)
+    request.goal.order = order
+    return await client._goals.call(request)
+
+
+async def result_of(client: RosActionClient, goal_id: GoalID) -> Any:
+    """Request a result, and return the response."""
+    stream = RosGoalStream(goal_id, Undecoded(), 10, reads=False)
+    client._follow(stream)
+    client._followed.request_result(stream)
+    return await stream.outcome()

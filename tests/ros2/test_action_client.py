@@ -1,0 +1,407 @@
+"""The client: lost messages are requested again, and a wait ends if nothing can come any more."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import (
+    ActionServer,
+    CancelCode,
+    ConnectionLost,
+    GoalHandle,
+    GoalID,
+    GoalRejected,
+    GoalStatus,
+    ServerNotFound,
+    UnknownGoal,
+    connect,
+    serve,
+)
+from fibaction.action import ActionInfo
+from fibaction.exceptions import ProtocolError
+from fibaction.goals import ActionPeers
+from fibaction_transports.ros2 import (
+    action_client,
+    endpoint,
+    followed_goals,
+    presence,
+    service_client,
+)
+from fibaction_transports.ros2.action_server import RosActionServer
+from fibaction_transports.ros2.service_client import ServiceCall, ServiceClient, send_request
+from fibaction_transports.ros2.waitable import Responses
+from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.fibonacci import FIBONACCI, Goal, Result, fibonacci
+from tests.ros2.ends import PATIENCE, Items, both_ends, client_of, forever, new_url
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def url() -> str:
+    return new_url()
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(service_client, "FIRST_TIMEOUT", 0.3)
+    for module in (action_client, followed_goals):
+        monkeypatch.setattr(module, "LATE", 0.1)
+
+
+def lose(monkeypatch: pytest.MonkeyPatch, part: str, *, answers: bool, count: int = 1) -> list[Any]:
+    """Let the server lose requests of one kind, or its answers to them; gives what was lost."""
+    lost: list[Any] = []
+    answer: Callable[[Any, Any], Any] = getattr(RosActionServer, part)
+
+    async def loses(self: RosActionServer, request: Any) -> Any:
+        if len(lost) < count and not answers:
+            lost.append(request)
+            return None  # which cannot be sent
+        response = await answer(self, request)
+        if len(lost) < count:
+            lost.append(response)
+            return None
+        return response
+
+    monkeypatch.setattr(RosActionServer, part, loses)
+    return lost
+
+
+# Retries
+
+
+@pytest.mark.promise("LOSS-5")
+@pytest.mark.parametrize("answers", [False, True], ids=["request", "answer"])
+async def test_a_goal_that_is_lost_on_the_way_is_sent_again_and_runs_once(
+    url: str, answers: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = 0
+
+    async def counts(goal: GoalHandle[Goal]) -> Items:
+        nonlocal runs
+        runs += 1
+        yield Result([goal.request.order])
+
+    lost = lose(monkeypatch, "_answer_goal", answers=answers)
+    async with both_ends(url, counts) as client:
+        assert await client.call(Goal(7)) == Result([7])
+    assert len(lost) == runs == 1
+
+
+@pytest.mark.promise("LOSS-5")
+async def test_a_retry_that_is_rejected_because_of_the_first_request_is_an_acceptance(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    misses = iter(range(2))
+    lost = lose(monkeypatch, "_answer_goal", answers=True)
+    async with both_ends(url, forever) as client:
+        known = client_of(client.endpoint).known
+        look = known.get
+        # The status list comes late: only after the retry has been rejected.
+        monkeypatch.setattr(
+            known, "get", lambda goal_id: look(goal_id) if next(misses, None) is None else None
+        )
+        goal = await client.send_goal(Goal(7))
+        assert goal.status.is_active
+        assert goal.stamp > 0
+    assert len(lost) == 1
+
+
+async def test_a_retry_that_is_rejected_is_rejected(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def on_goal(goal: Goal) -> None:
+        raise GoalRejected("busy")
+
+    lose(monkeypatch, "_answer_goal", answers=False)
+    async with both_ends(url, on_goal=on_goal) as client:
+        with pytest.raises(GoalRejected, match="ROS 2 transmits no reason"):
+            await client.send_goal(Goal(7))
+
+
+@pytest.mark.promise("LOSS-5")
+async def test_a_cancel_that_is_lost_is_sent_again(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost = lose(monkeypatch, "_answer_cancel", answers=False)
+    async with both_ends(url, forever) as client:
+        goal = await client.send_goal(Goal(7))
+        assert (await goal.cancel()).accepted
+        assert (await goal.outcome()).status is GoalStatus.CANCELED
+    assert len(lost) == 1
+
+
+@pytest.mark.parametrize("answers", [False, True], ids=["request", "answer"])
+async def test_a_result_that_is_lost_is_requested_again(
+    url: str, answers: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost = lose(monkeypatch, "_answer_result", answers=answers, count=2)
+    async with both_ends(url) as client:
+        assert await client.call(Goal(2)) == Result([0, 1, 1])
+        with pytest.raises(UnknownGoal):
+            await client.attach(GoalID.random())
+    assert len(lost) == 2
+
+
+async def test_of_500_goals_at_once_few_wait_for_an_answer_at_a_time(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    most = 0
+    send = ServiceClient.send
+
+    def counts(self: ServiceClient, request: Any, call: ServiceCall) -> int:
+        nonlocal most
+        number = send(self, request, call)
+        most = max(most, len(self._open))
+        return number
+
+    monkeypatch.setattr(ServiceClient, "send", counts)
+    monkeypatch.setattr(service_client, "FIRST_TIMEOUT", 10.0)
+    monkeypatch.setattr("tests.ros2.ends.PATIENCE", 30)
+    async with both_ends(url) as client, anyio.create_task_group() as tasks:
+        for _ in range(500):
+            tasks.start_soon(client.call, Goal(2))
+    assert most <= service_client.AT_ONCE
+
+
+async def test_the_result_of_a_running_goal_is_requested_again_if_a_server_does_not_know_the_goal(
+    url: str,
+) -> None:
+    async with both_ends(url, forever) as client:
+        with await client.endpoint.status() as statuses:
+            goal = await client.send_goal(Goal(1))
+            while (info := await statuses.receive()) is not None:
+                if info.status is GoalStatus.EXECUTING:
+                    break
+        raw = client_of(client.endpoint)
+        (number,) = raw._followed._requested
+        raw._followed._take_result((number, raw.impl.GetResultService.Response()))
+        assert (await goal.cancel()).accepted
+        assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
+# Ends of a wait
+
+
+async def test_a_wait_ends_when_the_server_goes_away(url: str) -> None:
+    ends: list[str] = []
+
+    async def wait(ending: Any) -> None:
+        try:
+            await ending
+        except ConnectionLost as exc:
+            ends.append(str(exc))
+
+    with anyio.fail_after(PATIENCE):
+        async with connect(url, FIBONACCI) as client, anyio.create_task_group() as tasks:
+            server = ActionServer(FIBONACCI, forever)
+            async with server, serve(server, url):
+                await client.wait_for_server()
+                goal = await client.send_goal(Goal(1))
+                statuses = await client.endpoint.status()
+                while (info := await statuses.receive()) is not None:
+                    if info.status is GoalStatus.EXECUTING:
+                        break
+                tasks.start_soon(wait, goal.outcome())
+                tasks.start_soon(wait, statuses.receive())
+                await anyio.wait_all_tasks_blocked()
+    assert ends == ["the server of 'fibonacci' has gone away"] * 2
+
+
+async def test_a_wait_ends_when_the_connection_is_closed_here(url: str) -> None:
+    ends: list[str] = []
+
+    async def wait(goal: Any) -> None:
+        try:
+            await goal.outcome()
+        except ConnectionLost as exc:
+            ends.append(str(exc))
+
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, forever), url),
+            anyio.create_task_group() as tasks,
+        ):
+            async with connect(url, FIBONACCI) as client:
+                tasks.start_soon(wait, await client.send_goal(Goal(1)))
+                await anyio.wait_all_tasks_blocked()
+            await anyio.wait_all_tasks_blocked()
+            assert ends == ["the connection was closed here"]
+
+
+async def test_a_request_fails_after_ros_was_shut_down(url: str) -> None:
+    with anyio.fail_after(PATIENCE):
+        async with connect(url) as connection:
+            client = connection.client(FIBONACCI)
+            client_of(client.endpoint).presence._ros.node.context.shutdown()
+            for ask in (
+                client.wait_for_server,
+                client.cancel_goals,
+                connection.actions,
+                lambda: connection.peers("fibonacci"),
+            ):
+                with pytest.raises(ConnectionLost, match="rclpy was shut down"):
+                    await ask()
+
+
+def test_a_request_that_cannot_be_sent_is_a_lost_connection() -> None:
+    class Gone:
+        def send_request(self, request: Any) -> int:
+            raise RuntimeError("the context is not valid")
+
+    with pytest.raises(ConnectionLost, match="ROS cannot send any more: the context"):
+        send_request(Gone(), None)
+
+
+async def test_a_server_that_is_killed_before_any_sign_of_life_is_missed(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(presence, "FIRST_SIGN", 0.5)
+    async with both_ends(url, forever) as client:
+        # It is dead, and the graph still has it.
+        monkeypatch.setattr(presence.Presence, "_poll_liveliness", lambda self: None)
+        goal = await client.send_goal(Goal(1))
+        with pytest.raises(ConnectionLost, match="has gone away"):
+            await goal.outcome()
+
+
+async def test_a_server_that_has_left_is_missed_at_once(url: str) -> None:
+    with anyio.fail_after(PATIENCE):
+        async with connect(f"{url}&discovery_timeout=60", FIBONACCI) as client:
+            async with serve(ActionServer(FIBONACCI, fibonacci), url):
+                assert await client.call(Goal(2)) == Result([0, 1, 1])
+            with pytest.raises(ServerNotFound):
+                while True:
+                    with suppress(ConnectionLost):  # it leaves just now
+                        await client.cancel_goals()
+
+
+# Answers that do not fit
+
+
+async def test_a_rejected_cancel_as_rclpy_answers_it_is_rejected(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = 0
+
+    async def rejects(self: RosActionServer, request: Any) -> Any:
+        return self._impl.CancelGoalService.Response(return_code=code)
+
+    monkeypatch.setattr(RosActionServer, "_answer_cancel", rejects)
+    async with both_ends(url, forever) as client:
+        by_id = await client.cancel_goals(GoalID.random())
+        assert by_id.return_code is CancelCode.REJECTED
+        assert (await client.cancel_goals()).return_code is CancelCode.NONE
+        code = 77
+        with pytest.raises(ProtocolError, match="77"):
+            await client.cancel_goals()
+
+
+@pytest.mark.parametrize("status", [GoalStatus.EXECUTING, 77])
+async def test_an_answer_that_is_not_the_end_of_a_goal_is_a_protocol_error(
+    url: str, status: int
+) -> None:
+    async with both_ends(url, forever) as client:
+        goal = await client.send_goal(Goal(1))
+        raw = client_of(client.endpoint)
+        (number,) = raw._followed._requested
+        response = raw.impl.GetResultService.Response(status=status)
+        raw._followed._take_result((number, response))
+        with pytest.raises(ProtocolError, match=f"its status is {int(status)}"):
+            await goal.result()
+
+
+@pytest.mark.promise("GOAL-4")
+async def test_a_result_that_cannot_be_read_ends_the_wait_for_it_and_for_no_other(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a text of a server in C++ that is not Unicode."""
+    take: Callable[[Responses], Any] = Responses.take
+    bad = array("i", [1])
+
+    def take_all_but_bad(self: Responses) -> Any:
+        item = take(self)
+        if item is not None and getattr(getattr(item[1], "result", None), "sequence", ()) == bad:
+            raise ValueError("invalid text")
+        return item
+
+    monkeypatch.setattr(Responses, "take", take_all_but_bad)
+
+    async def execute(goal: GoalHandle[Goal]) -> Items:
+        if goal.request.order == 2:
+            await ended.wait()
+        yield Result([goal.request.order])
+
+    ended = anyio.Event()
+    async with both_ends(url, execute) as client:
+        running = await client.send_goal(Goal(2))
+        with pytest.raises(ProtocolError, match="result cannot be read: invalid text"):
+            await client.call(Goal(1))
+        ended.set()
+        assert await running.result() == Result([2])
+
+
+async def test_an_endpoint_rejects_invalid_feedback(url: str) -> None:
+    async with connect(url, FIBONACCI) as client:
+        assert client.endpoint.info == FIBONACCI.info
+        with pytest.raises(ProtocolError, match="invalid feedback of 3 bytes"):
+            client.endpoint._decoder.feedback(b"abc")  # type: ignore[attr-defined]  # RosEndpoint
+
+
+@pytest.mark.promise("CANCEL-14")
+@pytest.mark.parametrize(
+    ("stamp", "canceled"),
+    [(2**31 * 10**9, True), (10**30, True), (-(2**31 + 1) * 10**9, False), (-(10**30), False)],
+)
+async def test_a_stamp_beyond_those_of_ros_is_before_or_after_all_goals(
+    url: str, stamp: int, canceled: bool
+) -> None:
+    async with both_ends(url, forever) as client:
+        await client.send_goal(Goal(1))
+        answer = await client.cancel_goals(before=stamp)
+        assert answer.return_code is CancelCode.NONE
+        assert bool(answer.goals_canceling) is canceled
+
+
+# The graph
+
+
+async def test_peers_are_the_nodes_that_serve_and_that_subscribe(url: str) -> None:
+    place = url.partition("=")[2]
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), url.replace("//", "//robot")),
+            connect(url.replace("//", "//operator"), FIBONACCI) as client,
+            connect(url.replace("//", "//onlooker")) as connection,
+        ):
+            await client.wait_for_server()
+            peers = ActionPeers()
+            while not (peers.servers and peers.clients):  # one may be known before the other
+                peers = await connection.peers("fibonacci")
+            assert peers == ActionPeers((f"{place}/robot",), (f"{place}/operator",))
+
+
+async def test_an_action_without_servers_and_clients_has_no_peers(url: str) -> None:
+    with anyio.fail_after(PATIENCE):
+        async with connect(f"{url}&discovery_timeout=0.1") as connection:
+            assert await connection.peers("fibonacci") == ActionPeers()
+
+
+async def test_a_new_client_sees_the_goals_that_there_are(url: str) -> None:
+    async with both_ends(url, forever) as client:
+        assert await client.goals() == []
+        goal = await client.send_goal(Goal(1))
+        async with connect(url, FIBONACCI) as other:
+            assert [one.goal_id for one in await other.goals()] == [goal.goal_id]
+
+
+def test_an_action_whose_type_is_not_installed_has_no_schemas() -> None:
+    unknown = ActionInfo("arm", "no_such_msgs/action/Arm")
+    assert endpoint._described("arm", "no_such_msgs/action/Arm") == unknown

@@ -1,0 +1,70 @@
+"""The stream with which a client follows one goal."""
+
+from __future__ import annotations
+
+import pytest
+
+from fibaction import ConnectionLost, GoalID, GoalInfo, GoalStatus, Outcome
+from fibaction.abc import FeedbackItem
+from fibaction_transports.ros2.goal_stream import RosGoalStream
+from tests.ros2.ends import Undecoded
+
+pytestmark = pytest.mark.anyio
+
+LOST = ConnectionLost("it is gone")
+
+
+def new_stream(depth: int = 3, *, reads: bool = True) -> RosGoalStream:
+    made = RosGoalStream(GoalID.random(), Undecoded(), depth, reads=reads)
+    made.begin(GoalInfo(made.goal_id, 5, GoalStatus.ACCEPTED))
+    return made
+
+
+async def test_unread_feedback_is_bounded_and_dropped_feedback_is_counted() -> None:
+    stream = new_stream(3)
+    for number in range(5):
+        stream.add_feedback(bytes([number]))
+    assert stream.take(2) == [FeedbackItem(3, b"\2"), FeedbackItem(4, b"\3")]
+    assert stream.dropped == 2
+    assert stream.take(2) == [FeedbackItem(5, b"\4")]
+    assert stream.take(2) == ()
+    stream.end(Outcome(GoalStatus.SUCCEEDED, b""))
+    assert stream.take() == (stream.known_outcome(),)
+    assert (await stream.outcome()).status is stream.status is GoalStatus.SUCCEEDED
+    stream.fail(LOST)  # too late
+    assert stream.take() == (stream.known_outcome(),)
+    assert stream.dropped == 2
+
+
+async def test_statuses_come_before_feedback_and_only_forward() -> None:
+    stream = new_stream()
+    stream.add_feedback(b"x")
+    for status in (GoalStatus.EXECUTING, GoalStatus.ACCEPTED, GoalStatus.SUCCEEDED):
+        stream.set_status(status)
+    assert await anext(aiter(stream)) is GoalStatus.EXECUTING
+    assert await anext(aiter(stream)) == FeedbackItem(1, b"x")
+    assert stream.status is GoalStatus.SUCCEEDED
+    stream.hold(True)  # has no effect
+
+
+async def test_feedback_that_has_arrived_is_read_before_the_error_is_raised() -> None:
+    stream = new_stream()
+    stream.add_feedback(b"x")
+    stream.fail(LOST)
+    stream.add_feedback(b"y")
+    stream.end(Outcome(GoalStatus.SUCCEEDED))
+    assert stream.take() == [FeedbackItem(1, b"x")]
+    for wait in (stream.receive, stream.outcome):
+        with pytest.raises(ConnectionLost, match="it is gone"):
+            await wait()
+
+
+@pytest.mark.parametrize("reads", [True, False])
+def test_a_stream_that_is_closed_or_does_not_read_keeps_nothing(reads: bool) -> None:
+    stream = new_stream(reads=reads)
+    stream.add_feedback(b"x")
+    stream.set_status(GoalStatus.EXECUTING)
+    stream.close()
+    stream.add_feedback(b"y")
+    assert stream.take() == ()
+    assert stream.status is GoalStatus.EXECUTING

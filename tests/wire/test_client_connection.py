@@ -1,0 +1,864 @@
+"""What the client's half does for its caller: a real client, and a server whose messages are made
+by a test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any, cast
+
+import anyio
+import msgspec
+import pytest
+
+from fibaction.abc import Connection, FeedbackItem
+from fibaction.exceptions import (
+    ActionError,
+    AuthenticationFailed,
+    ConnectionLost,
+    GoalRejected,
+    InvalidMessage,
+    InvalidURL,
+    LimitReached,
+    ProtocolError,
+    ServerFailed,
+    ServerNotFound,
+    TransportError,
+    UnknownGoal,
+)
+from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.states import GoalStatus
+from fibaction.wire.connection import open_connection
+from fibaction.wire.messages import (
+    VERSION,
+    Actions,
+    AskPeers,
+    AwaitServer,
+    CancelAnswered,
+    CancelGoals,
+    Close,
+    Done,
+    Ended,
+    Failed,
+    Feedback,
+    Finished,
+    Follow,
+    Following,
+    GoalChanged,
+    Goodbye,
+    ListActions,
+    Peers,
+    Ping,
+    Received,
+    Rejected,
+    SendGoal,
+    StatusChanged,
+    Watching,
+    WatchStatus,
+    Welcome,
+    Why,
+)
+from fibaction.wire.settings import ClientSettings
+from tests import fibonacci as fib
+from tests.fibonacci import FIBONACCI
+from tests.virtual_time import in_virtual_time
+from tests.wire.ends import (
+    AWAY,
+    CALLS,
+    EXECUTING,
+    GOAL,
+    GOAL_ID,
+    ONCE,
+    PATIENT,
+    SUCCEEDED,
+    WHERE,
+    WINDOW,
+    Network,
+    endpoint_of,
+    feedback,
+    following,
+    goal_of,
+    is_used,
+    numbers_of,
+    observed,
+    outcome_of,
+    reached,
+    real,
+    update_of,
+    watched,
+)
+from tests.wire.memory import LONG, Apart, MemoryChannel, Running, settled
+
+pytestmark = pytest.mark.anyio
+
+Call = Callable[[Connection], Awaitable[Any]]
+every_call = pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
+
+
+async def fails_at_once(connection: Connection, error: type[ActionError]) -> str:
+    """All calls do, and with the same text, which it gives."""
+    texts = set()
+    for call in CALLS.values():
+        with anyio.fail_after(0.1), pytest.raises(error) as caught:
+            await call(connection)
+        assert type(caught.value) is error
+        texts.add(str(caught.value))
+    (text,) = texts
+    return text
+
+
+async def cannot_connect(
+    network: Network, error: type[ActionError], settings: ClientSettings = PATIENT
+) -> str:
+    """The first attempt fails, and there is no other; gives the text."""
+    with anyio.fail_after(60), pytest.raises(error) as caught:
+        async with open_connection(network.dial, WHERE, settings):
+            raise AssertionError
+    assert type(caught.value) is error
+    assert network.dialed == 1
+    return str(caught.value)
+
+
+def end(call_id: int, place: int = 0) -> Ended:
+    return Ended(call_id, SUCCEEDED, b"result", "", place)
+
+
+# The handshake
+
+
+async def test_the_first_message_says_who_the_client_is_on_each_connection() -> None:
+    network = Network()
+    settings = ClientSettings(heartbeat=LONG, token="s3cret", max_frame=1234)
+    assert "s3cret" not in repr(settings)
+    hellos = []
+
+    async def accept() -> None:
+        for _ in range(2):
+            server, hello = await network.reached()
+            hellos.append(hello)
+            await server.say(Welcome(VERSION, LONG))
+            await settled()
+            server.channel.cut()
+
+    async with Running(accept) as accepting:
+        async with open_connection(network.dial, WHERE, settings):
+            await accepting.answer()
+    assert hellos[0] == hellos[1]
+    hello = hellos[0]
+    assert (hello.version, hello.heartbeat, hello.token) == (VERSION, LONG, "s3cret")
+    assert hello.max_frame == 1234
+    assert len(hello.session) >= 16
+
+
+@pytest.mark.parametrize(
+    ("refusal", "settings"),
+    [(AWAY, ONCE), (AuthenticationFailed("another certificate"), PATIENT)],
+    ids=["no reconnecting", "not let in"],
+)
+async def test_a_first_attempt_that_fails_for_good_is_an_error_at_once(
+    refusal: TransportError, settings: ClientSettings
+) -> None:
+    network = Network()
+    network.refusal = refusal
+    assert await cannot_connect(network, type(refusal), settings) == str(refusal)
+
+
+HINT = ": give one as token=, or behind the URL as ?token="
+UNEXPECTED = f"{WHERE}: a Welcome of version 2 was not expected"
+TOO_EARLY = f"{WHERE}: the first message was a Done, not a Welcome"
+STARTS: dict[str, tuple[Any, str, type[ActionError], str]] = {
+    "no token": (Goodbye("no", Why.FORBIDDEN), "", AuthenticationFailed, f"{WHERE}: no{HINT}"),
+    "token": (Goodbye("no", Why.FORBIDDEN), "s3cret", AuthenticationFailed, f"{WHERE}: no"),
+    "a goodbye": (Goodbye("no", Why.PROTOCOL), "", ProtocolError, f"{WHERE}: no"),
+    "another version": (Welcome(2, LONG), "", ProtocolError, UNEXPECTED),
+    "no welcome": (Done(1), "", ProtocolError, TOO_EARLY),
+}
+
+
+@pytest.mark.parametrize(("message", "token", "error", "text"), STARTS.values(), ids=STARTS)
+async def test_a_server_that_begins_otherwise_is_left_for_good(
+    message: Any, token: str, error: type[ActionError], text: str
+) -> None:
+    network = Network()
+    settings = msgspec.structs.replace(PATIENT, token=token)
+    async with Running(lambda: network.answer(message)) as answering:
+        assert await cannot_connect(network, error, settings) == text
+        assert (await answering.answer()).channel.is_cut
+
+
+async def test_a_server_that_says_welcome_twice_is_left_for_good() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with Running(endpoint_of(connection).wait_for_server) as waiting:
+            await server.say(Welcome(VERSION, LONG))
+            with pytest.raises(ProtocolError, match="a Welcome of version 1 was not expected"):
+                await waiting.answer()
+        await fails_at_once(connection, ProtocolError)
+    assert network.dialed == 1
+
+
+async def test_a_frame_that_is_not_a_message_ends_the_connection_for_good() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        await server.channel.send([b"\xc1"])
+        await settled()
+        await fails_at_once(connection, ProtocolError)
+    assert network.dialed == 1
+
+
+# Before there is a connection
+
+
+async def test_calls_before_the_first_connection_fail_at_once() -> None:
+    network = Network()
+    network.refusal = AWAY
+    with anyio.fail_after(5):
+        async with open_connection(network.dial, WHERE, PATIENT) as connection:
+            assert await fails_at_once(connection, ServerNotFound) == str(AWAY)
+
+
+async def answer_the_wait(network: Network, waiting: Running) -> None:
+    """Take the next connection in, and answer who waits for the server."""
+    server = await network.accept()
+    asked = await server.hear(AwaitServer)
+    assert asked.action == "fibonacci"
+    await server.say(Done(asked.id))
+    await waiting.answer()
+
+
+@in_virtual_time()
+async def test_an_attempt_that_hangs_has_five_seconds() -> None:
+    network = Network()
+    network.hangs = True
+    start = anyio.current_time()
+    async with open_connection(network.dial, WHERE, PATIENT) as connection:
+        assert anyio.current_time() - start == pytest.approx(5)
+        text = await fails_at_once(connection, ServerNotFound)
+        assert text == f"{WHERE} did not answer within 5 s"
+        network.hangs = False
+        async with Running(endpoint_of(connection).wait_for_server) as waiting:
+            await answer_the_wait(network, waiting)
+
+
+@in_virtual_time()
+async def test_a_server_that_does_not_answer_the_hello_is_lost() -> None:
+    settings = ClientSettings(heartbeat=1, reconnect=False)
+    text = await cannot_connect(Network(), ConnectionLost, settings)
+    assert text == f"{WHERE} has been silent for 4.5 s"
+    assert anyio.current_time() < 6
+
+
+@in_virtual_time()
+async def test_attempts_are_made_for_as_long_as_it_takes_and_not_too_often() -> None:
+    network = Network()
+    network.refusal = AWAY
+    async with open_connection(network.dial, WHERE, PATIENT) as connection:
+        async with Running(endpoint_of(connection).wait_for_server) as waiting:
+            await anyio.sleep(0.2)
+            assert network.dialed >= 4
+            await anyio.sleep(3600)
+            assert 1800 <= network.dialed <= 3700
+            assert not waiting.is_done
+            network.refusal = None
+            await answer_the_wait(network, waiting)
+        await settled()
+        async with Running(connection.actions) as asking:
+            assert not asking.is_done
+
+
+async def test_a_wait_for_the_server_goes_on_while_the_server_is_full() -> None:
+    network = Network()
+    full = Goodbye("the server is full", Why.LIMIT)
+    async with Running(lambda: network.answer(full)):
+        async with open_connection(network.dial, WHERE, PATIENT) as connection:
+            async with Running(endpoint_of(connection).wait_for_server) as waiting:
+                assert not waiting.is_done
+                await answer_the_wait(network, waiting)
+
+
+# Calls
+
+
+async def test_a_cancel_is_asked_and_answered() -> None:
+    async with reached() as (connection, server):
+        endpoint = endpoint_of(connection)
+        async with Running(lambda: endpoint.cancel_goals(GOAL_ID, 5)) as asking:
+            asked = await server.hear(CancelGoals)
+            assert asked == CancelGoals(asked.id, "fibonacci", GOAL_ID, 5)
+            await server.say(CancelAnswered(asked.id, 0, [(GOAL_ID, 4, GoalStatus.CANCELING)], "x"))
+            goal = GoalInfo(GOAL_ID, 4, GoalStatus.CANCELING)
+            assert await asking.answer() == CancelAnswer(CancelCode.NONE, (goal,), "x")
+
+
+async def test_the_actions_and_the_peers_of_one_are_asked_of_the_server() -> None:
+    async with reached() as (connection, server):
+        async with Running(connection.actions) as asking:
+            await server.say(Actions((await server.hear(ListActions)).id, [FIBONACCI.info]))
+            assert await asking.answer() == [FIBONACCI.info]
+        async with Running(lambda: connection.peers("fibonacci")) as asking:
+            asked = await server.hear(AskPeers)
+            await server.say(Peers(asked.id, ["10.0.0.7:1"]))
+            assert await asking.answer() == ActionPeers((WHERE,), ("10.0.0.7:1",))
+        assert connection.endpoint(FIBONACCI).info == FIBONACCI.info
+        assert connection.endpoint(FIBONACCI.info).info == FIBONACCI.info
+
+
+async def test_a_call_that_is_alone_is_sent_at_once_and_those_beside_it_together(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with reached() as (connection, server):
+        told: list[bool] = []
+        wake = MemoryChannel.wake_writer
+
+        def noted(channel: MemoryChannel, *, at_once: bool = False) -> None:
+            told.append(at_once)
+            wake(channel, at_once=at_once)
+
+        monkeypatch.setattr(MemoryChannel, "wake_writer", noted)
+        before = len(server.channel.writes)
+        async with anyio.create_task_group() as tasks:
+            for _ in range(3):
+                tasks.start_soon(connection.actions)
+            assert len(await server.hear_all()) == 3
+            assert told == [True, False, False]
+            assert len(server.channel.writes) == before + 1
+            tasks.cancel_scope.cancel()
+
+
+# What `Failed` says, by its number; and of a goal, where that differs.
+FAILURES: list[tuple[int, type[ActionError], type[ActionError]]] = [
+    (Why.UNKNOWN_GOAL, ServerFailed, UnknownGoal),
+    (Why.SERVER_NOT_FOUND, ServerNotFound, ServerNotFound),
+    (Why.CONNECTION_LOST, ConnectionLost, ConnectionLost),
+    (Why.FORBIDDEN, AuthenticationFailed, AuthenticationFailed),
+    (Why.LIMIT, LimitReached, LimitReached),
+    (Why.PROTOCOL, ProtocolError, ProtocolError),
+    (Why.TRANSPORT, TransportError, TransportError),
+    (Why.SERVER_FAILED, ServerFailed, ServerFailed),
+    (Why.INVALID_MESSAGE, InvalidMessage, InvalidMessage),
+    (Why.INVALID_URL, InvalidURL, InvalidURL),
+    (0, ConnectionLost, ConnectionLost),
+    (99, ConnectionLost, ConnectionLost),
+]
+
+
+@pytest.mark.parametrize(("why", "kind", "of_a_goal"), FAILURES)
+async def test_each_number_of_a_failure_is_an_error_and_the_call_is_over(
+    why: int, kind: type[ActionError], of_a_goal: type[ActionError]
+) -> None:
+    async with reached() as (connection, server):
+        for name in ("actions", "cancel_goals", "status", "send_goal", "feedback"):
+            async with Running(lambda name=name: CALLS[name](connection)) as asking:
+                (asked,) = await server.hear_all()
+                await server.say(Failed(asked.id, why, "for a reason"))
+                with pytest.raises(ActionError) as caught:
+                    await asking.answer()
+            is_of_a_goal = name in ("send_goal", "feedback")
+            assert type(caught.value) is (of_a_goal if is_of_a_goal else kind)
+            if isinstance(caught.value, UnknownGoal):
+                assert caught.value.goal_id == GOAL_ID
+            else:
+                assert str(caught.value) == "for a reason"
+            assert await server.hear_all() == []
+
+
+async def test_a_goal_that_is_rejected_is_named_with_the_reason() -> None:
+    async with reached() as (connection, server):
+        async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, b"goal")) as sending:
+            await server.say(Rejected((await server.hear(SendGoal)).id, "no arm"))
+            with pytest.raises(GoalRejected) as caught:
+                await sending.answer()
+        assert (caught.value.reason, caught.value.goal_id) == ("no arm", GOAL_ID)
+        assert await server.hear_all() == []
+
+
+async def test_the_result_of_an_unknown_goal_is_unknown() -> None:
+    async with reached() as (connection, server):
+        async with Running(lambda: endpoint_of(connection).get_result(GOAL_ID)) as asking:
+            await server.say(Failed((await server.hear(Follow)).id, Why.UNKNOWN_GOAL, "unknown"))
+            assert (await asking.answer()).status is GoalStatus.UNKNOWN
+
+
+@pytest.mark.parametrize(
+    "answer", [Done(1), Rejected(1, "no"), Following(1, 1, GoalStatus.ACCEPTED, False, 0)], ids=type
+)
+async def test_an_answer_of_the_wrong_kind_is_an_error_of_that_call(answer: Any) -> None:
+    async with reached() as (connection, server):
+        async with Running(connection.actions) as asking:
+            assert (await server.hear(ListActions)).id == 1
+            await server.say(answer)
+            name = type(answer).__name__
+            with pytest.raises(ProtocolError, match=f"^a {name} does not answer what was asked$"):
+                await asking.answer()
+        await is_used(connection, server)
+
+
+@every_call
+async def test_a_call_that_is_given_up_is_closed(call: Call) -> None:
+    async with reached() as (connection, server):
+        async with Running(lambda: call(connection)):
+            (asked,) = await server.hear_all()
+        closing = Received if isinstance(asked, Follow) else Close
+        assert await server.hear_all() == [closing(asked.id)]
+
+
+async def test_a_goal_that_is_given_up_before_its_answer_is_ignored_but_for_its_end() -> None:
+    async with reached() as (connection, server):
+        async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, b"goal")):
+            sent = await server.hear(SendGoal)
+        assert await server.hear_all() == [Close(sent.id)]
+        await server.say(following(sent), Feedback(sent.id, 1, b""), end(sent.id, 1))
+        assert await server.hear_all() == [Received(sent.id)]
+        await is_used(connection, server)
+
+
+async def test_signs_of_life_and_answers_to_no_call_are_ignored() -> None:
+    async with reached() as (connection, server):
+        await server.say(Ping(), Done(77), end(78))
+        assert await server.hear_all() == [Received(78)]  # so that nothing is kept for it
+        await is_used(connection, server)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda connection: connection.peers("no text \udcff"),
+        lambda connection: endpoint_of(connection).get_result(cast("GoalID", object())),
+        lambda connection: endpoint_of(connection).send_goal(cast("GoalID", 2**70), b"goal"),
+    ],
+)
+async def test_arguments_that_cannot_be_sent_are_an_error_of_that_call_only(call: Call) -> None:
+    async with reached() as (connection, server):
+        with anyio.fail_after(5), pytest.raises(InvalidMessage, match="the message cannot be sent"):
+            await call(connection)
+        await is_used(connection, server)
+
+
+@pytest.mark.parametrize("stamp", [-(2**70), -1, 1, 2**63, 2**70])
+async def test_a_cancel_by_any_time_cancels_the_goals_before_it_and_no_others(stamp: int) -> None:
+    async with real(anyio.Event()) as endpoint:
+        goal = await endpoint.send_goal(GOAL_ID, GOAL)
+        with anyio.fail_after(5):
+            answer = await endpoint.cancel_goals(stamp=stamp)
+        assert answer.return_code is CancelCode.NONE
+        assert answer.accepted == (stamp > goal.stamp)
+
+
+@pytest.mark.parametrize(
+    ("after", "numbers"), [(-(2**70), [1, 2, 3]), (-1, [1, 2, 3]), (2**70, [3])]
+)
+async def test_a_goal_can_be_followed_behind_any_number(after: int, numbers: list[int]) -> None:
+    go = anyio.Event()
+    async with real(*feedback(1, 2), go, *feedback(3), fib.Result([])) as endpoint:
+        goal = await endpoint.send_goal(GOAL_ID, GOAL)
+        assert await numbers_of(goal, 2) == [1, 2]
+        with anyio.fail_after(5):
+            again = await endpoint.feedback(GOAL_ID, after=after)
+        go.set()
+        assert await numbers_of(again) == numbers
+
+
+@in_virtual_time()
+async def test_a_request_that_no_server_can_read_is_not_asked_for_ever() -> None:
+    async with real(anyio.Event()) as endpoint:
+        with anyio.fail_after(2), pytest.raises(ProtocolError):
+            await endpoint.cancel_goals(cast("GoalID", b"short"))
+
+
+# A goal
+
+
+async def test_a_goal_is_sent_followed_and_ends() -> None:
+    async with reached() as (connection, server):
+        async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, b"goal")) as sending:
+            sent = await server.hear(SendGoal)
+            assert sent == SendGoal(sent.id, "fibonacci", GOAL_ID, b"goal", WINDOW)
+            await server.say(following(sent))
+            goal = await sending.answer()
+        assert (goal.goal_id, goal.stamp, goal.status) == (GOAL_ID, 7, EXECUTING)
+        async with Running(goal.outcome) as waiting:
+            await server.say(StatusChanged(sent.id, GoalStatus.CANCELING))
+            await server.say(Feedback(sent.id, 1, b"one"), Feedback(sent.id, 2, b"two"))
+            await server.say(end(sent.id, 2))
+            outcome = await waiting.answer()
+        assert (outcome.status, outcome.result, outcome.reason) == (SUCCEEDED, b"result", "")
+        assert await server.hear_all() == [Received(sent.id)]
+        server.channel.cut()  # whatever becomes of the connection after that
+        assert await update_of(goal) is GoalStatus.CANCELING
+        assert await update_of(goal) == FeedbackItem(1, b"one")
+        assert await update_of(goal) == FeedbackItem(2, b"two")
+        assert await numbers_of(goal) == []
+        assert (await outcome_of(goal), goal.status, goal.dropped) == (outcome, SUCCEEDED, 0)
+
+
+async def test_each_update_of_a_goal_is_waited_for() -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            updates: list[tuple[Any, Any]] = [
+                (Feedback(call_id, 1, b"1"), FeedbackItem(1, b"1")),
+                (StatusChanged(call_id, GoalStatus.CANCELING), GoalStatus.CANCELING),
+            ]
+            for message, expected in updates:
+                async with Running(lambda: update_of(goal)) as waiting:
+                    await server.say(message)
+                    assert await waiting.answer() == expected
+            async with Running(goal.receive) as waiting:
+                await server.say(end(call_id, 1))
+                assert await waiting.answer() is None
+
+
+async def test_the_stream_of_feedback_leaves_statuses_out() -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            await server.say(StatusChanged(call_id, GoalStatus.CANCELING))
+            await server.say(Feedback(call_id, 1, b"1"))
+            assert await numbers_of(goal, 1) == [1]
+
+
+async def test_a_goal_without_feedback_asks_for_none_and_need_not_be_closed() -> None:
+    async with reached() as (connection, server):
+        endpoint = endpoint_of(connection)
+        sending = Running(lambda: endpoint.send_goal(GOAL_ID, b"goal", feedback=False))
+        async with sending:
+            sent = await server.hear(SendGoal)
+            assert sent.credit is None
+            await server.say(following(sent), StatusChanged(sent.id, GoalStatus.CANCELING))
+            goal = await sending.answer()
+        await settled()
+        assert goal.status is GoalStatus.CANCELING
+        assert await numbers_of(goal) == []
+        goal.hold(False)
+        goal.close()
+        await server.say(end(sent.id, 9))
+        assert (await outcome_of(goal)).status is SUCCEEDED
+        assert await server.hear_all() == [Received(sent.id)]
+
+
+async def test_a_stream_that_is_closed_gives_the_outcome_only_and_says_so_once() -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            await server.say(Feedback(call_id, 1, b"1"))
+            async with Running(lambda: numbers_of(goal)) as reading:
+                with goal:
+                    pass
+                goal.close()
+                assert await reading.answer() in ([], [1])
+            assert await server.hear_all() == [Close(call_id)]
+            canceling = StatusChanged(call_id, GoalStatus.CANCELING)
+            await server.say(Feedback(call_id, 2, b"2"), canceling)
+            await settled()
+            assert await numbers_of(goal) == []
+            assert goal.status is GoalStatus.CANCELING
+            await server.say(end(call_id, 2))
+            assert (await outcome_of(goal)).result == b"result"
+            assert await server.hear_all() == [Received(call_id)]
+
+
+async def test_closing_after_the_end_keeps_the_outcome_and_need_not_be_said() -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            await server.say(Feedback(call_id, 1, b"1"), end(call_id, 1))
+            assert await server.hear_all() == [Received(call_id)]
+            goal.close()
+            assert await numbers_of(goal) == []
+            assert (await outcome_of(goal)).result == b"result"
+            assert await server.hear_all() == []
+
+
+@pytest.mark.parametrize("why", [Why.LIMIT, Why.SERVER_NOT_FOUND, Why.UNKNOWN_GOAL])
+async def test_a_goal_that_fails_gives_what_has_come_before(why: int) -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            await server.say(Feedback(call_id, 1, b"1"), Failed(call_id, why, "for a reason"))
+            assert await server.hear_all() == []  # there is no end to have heard of
+            assert await numbers_of(goal, 1) == [1]
+            if why == Why.UNKNOWN_GOAL:  # the server has forgotten it
+                assert (await outcome_of(goal)).status is goal.status is GoalStatus.UNKNOWN
+                assert await numbers_of(goal) == []
+                return
+            errors = []
+            for wait in (outcome_of, outcome_of, numbers_of):
+                with pytest.raises(TransportError, match=r"^for a reason$") as caught:
+                    await wait(goal)
+                errors.append(caught.value)
+            assert {type(error) for error in errors} == {
+                LimitReached if why == Why.LIMIT else ServerNotFound
+            }
+            assert len(set(map(id, errors))) == 3  # each raised for itself
+
+
+UNFIT: dict[str, tuple[bool, Callable[[int], Any], str]] = {
+    **{
+        type(make(1)).__name__: (
+            True,
+            make,
+            f"a {type(make(1)).__name__} does not answer what was asked",
+        )
+        for make in (Done, Finished)
+    },
+    "early end": (False, end, "a Ended does not answer what was asked"),
+    **{
+        status.name: (
+            True,
+            lambda call_id, status=status: Ended(call_id, status, None, "", 0),
+            f"a goal has ended as {status.name}",
+        )
+        for status in GoalStatus
+        if status.is_active
+    },
+}
+
+
+@pytest.mark.parametrize(("accepted", "make", "text"), UNFIT.values(), ids=UNFIT)
+async def test_a_message_that_does_not_fit_a_goal_ends_the_connection_for_good(
+    accepted: bool, make: Callable[[int], Any], text: str
+) -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, b"goal")) as sending:
+            sent = await server.hear(SendGoal)
+            if accepted:
+                await server.say(following(sent))
+                goal = await sending.answer()
+            await server.say(make(sent.id))
+            with pytest.raises(ProtocolError, match=f"^{WHERE}: {text}$"):
+                await (outcome_of(goal) if accepted else sending.answer())
+    assert network.dialed == 1
+
+
+# Goals of other clients
+
+
+@pytest.mark.parametrize("has_ended", [False, True])
+async def test_an_observer_that_drops_its_stream_before_the_end_says_so(has_ended: bool) -> None:
+    async with reached() as (connection, server):
+        goal, call_id = await observed(connection, server)
+        if has_ended:
+            await server.say(end(call_id))
+            assert await server.hear_all() == [Received(call_id)]
+        del goal
+        assert await server.hear_all() == [Received(call_id)] * (not has_ended)
+
+
+@pytest.mark.parametrize("way", ["own", "failed", "lost"])
+async def test_a_stream_that_has_nothing_to_say_is_dropped_silently(way: str) -> None:
+    async with reached(settings=ONCE) as (connection, server):
+        if way == "own":
+            async with goal_of(connection, server) as (goal, _):
+                pass
+        else:
+            goal, call_id = await observed(connection, server)
+            if way == "failed":
+                await server.say(Failed(call_id, Why.LIMIT, "too much"))
+                await settled()
+            else:
+                server.channel.cut()
+                with pytest.raises(ConnectionLost):
+                    await outcome_of(goal)
+        del goal
+        assert await server.hear_all() == []
+
+
+# Statuses
+
+
+def changed(call_id: int, *stamps: int, dropped: int = 0) -> list[GoalChanged]:
+    return [
+        GoalChanged(call_id, bytes([stamp] * 16), stamp, EXECUTING, dropped) for stamp in stamps
+    ]
+
+
+async def test_statuses_are_watched_to_their_end() -> None:
+    async with reached() as (connection, server):
+        async with Running(endpoint_of(connection).status) as asking:
+            asked = await server.hear(WatchStatus)
+            assert asked == WatchStatus(asked.id, "fibonacci", WINDOW)
+            await server.say(Watching(asked.id, 1))
+            statuses = await asking.answer()
+        async with Running(statuses.receive) as waiting:
+            await server.say(GoalChanged(asked.id, GOAL_ID, 5, EXECUTING, 3, 9, "ann"))
+            info = await waiting.answer()
+        assert info == GoalInfo(GOAL_ID, 5, EXECUTING, 9, "ann")
+        assert (type(info.goal_id), type(info.status)) == (GoalID, GoalStatus)
+        assert statuses.dropped == 3
+        await server.say(*changed(asked.id, 6), Finished(asked.id))
+        with anyio.fail_after(5):
+            info = await statuses.receive()
+            assert info is not None
+            assert info.stamp == 6
+            assert await statuses.receive() is None
+        statuses.close()
+        assert await server.hear_all() == []  # there is nothing to close
+
+
+@pytest.mark.parametrize("is_early", [True, False])
+@pytest.mark.parametrize(
+    "make", [Finished, end, lambda call_id: Following(call_id, 1, 1, False, 0)]
+)
+async def test_a_message_that_does_not_fit_statuses_ends_the_connection_for_good(
+    make: Callable[[int], Any], is_early: bool
+) -> None:
+    if make is Finished and not is_early:
+        return
+    async with reached() as (connection, server):
+        async with Running(endpoint_of(connection).status) as asking:
+            asked = await server.hear(WatchStatus)
+            if not is_early:
+                await server.say(Watching(asked.id, 0))
+                statuses = await asking.answer()
+            await server.say(make(asked.id))
+            with anyio.fail_after(5), pytest.raises(ProtocolError, match="does not answer"):
+                await (asking.answer() if is_early else statuses.receive())
+
+
+async def test_closing_the_statuses_says_so_once_and_ends_them() -> None:
+    async with reached() as (connection, server):
+        statuses, call_id = await watched(connection, server)
+        async with Running(statuses.receive) as waiting:
+            statuses.close()
+            statuses.close()
+            assert await waiting.answer() is None
+        assert await server.hear_all() == [Close(call_id)]
+        await server.say(*changed(call_id, 1))
+        await settled()
+        assert await statuses.receive() is None
+        await server.say(Finished(call_id))
+        assert await server.hear_all() == []
+
+
+@pytest.mark.parametrize("ending", ["complete", "finished", "lost"])
+async def test_the_goals_that_there_are_can_be_listed(ending: str) -> None:
+    async with reached(settings=ONCE) as (connection, server):
+        statuses, call_id = await watched(connection, server, known=2)
+        async with Running(statuses.listed) as listing:
+            await server.say(*changed(call_id, 1))
+            await settled()
+            assert not listing.is_done
+            if ending == "lost":
+                server.channel.cut()
+                with pytest.raises(ConnectionLost):
+                    await listing.answer()
+                return
+            await server.say(*(changed(call_id, 2, 3) if ending == "complete" else []))
+            await server.say(Finished(call_id))
+            stamps = [info.stamp for info in await listing.answer()]
+        assert stamps == ([1, 2] if ending == "complete" else [1])
+
+
+# Leaving
+
+
+async def test_leaving_writes_what_was_said_and_says_goodbye_last() -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            goal.close()
+    assert await server.hear(Close) == Close(call_id)
+    assert (await server.hear(Goodbye)).why == 0
+    await server.hear_the_end()
+
+
+WAIT: Call = lambda connection: endpoint_of(connection).wait_for_server()  # noqa: E731  # as the others
+
+
+@pytest.mark.parametrize("call", [*CALLS.values(), WAIT], ids=[*CALLS, "wait_for_server"])
+async def test_no_call_waits_any_longer_once_the_connection_was_left(call: Call) -> None:
+    async with anyio.create_task_group() as tasks:
+        errors: list[str] = []
+
+        async def ask() -> None:
+            with pytest.raises(ConnectionLost) as caught:
+                await call(connection)
+            errors.append(str(caught.value))
+
+        async with reached() as (connection, _):
+            tasks.start_soon(ask)
+            await settled()
+        with anyio.fail_after(1):
+            await ask()
+            await settled()
+    assert errors == [f"the connection to {WHERE} was closed here"] * 2
+
+
+@pytest.mark.parametrize("call", [*CALLS.values(), WAIT], ids=[*CALLS, "wait_for_server"])
+async def test_leaving_while_there_is_no_connection_does_not_wait(call: Call) -> None:
+    network = Network()
+    network.refusal = AWAY
+    async with open_connection(network.dial, WHERE, PATIENT) as connection:
+        pass
+    with anyio.fail_after(1), pytest.raises(ConnectionLost, match="was closed here"):
+        await call(connection)
+
+
+async def test_a_connection_that_is_left_while_it_is_being_lost_does_not_come_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    go = anyio.Event()
+
+    async def close_slowly(_: MemoryChannel) -> None:
+        with anyio.CancelScope(shield=True):
+            await go.wait()
+
+    async def let_go() -> None:
+        await settled()
+        go.set()
+
+    monkeypatch.setattr(MemoryChannel, "aclose", close_slowly)
+    async with anyio.create_task_group() as tasks:
+        async with reached() as (connection, server):
+            server.channel.cut()
+            await settled()
+            tasks.start_soon(let_go)
+    with anyio.fail_after(1), pytest.raises(ConnectionLost):
+        await endpoint_of(connection).wait_for_server()
+
+
+@in_virtual_time()
+async def test_leaving_a_server_that_does_not_read_takes_a_second() -> None:
+    async with reached() as (_, server):
+        server.channel.stop_reading()
+        start = anyio.current_time()
+    assert anyio.current_time() - start == pytest.approx(1)
+    assert server.channel.is_cut
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_no_call_waits_on_where_the_task_that_leaves_is_itself_canceled() -> None:
+    apart = Apart(reached())
+    connection, server = await apart.entered()
+    async with Running(connection.actions) as asking:
+        server.channel.stop_reading()
+        await apart.canceled_while_it_leaves()
+        with pytest.raises(ConnectionLost, match="was closed here"):
+            await asking.answer(within=0.5)
+
+
+async def test_an_exception_of_the_block_goes_on_as_itself() -> None:
+    with pytest.raises(ZeroDivisionError):
+        async with reached() as (_, server):
+            raise ZeroDivisionError
+    await server.hear(Goodbye)
+
+
+# With a real server at the other end
+
+
+async def test_a_goal_arrives_as_it_was_sent_and_so_does_its_result() -> None:
+    async with real(*feedback(*range(20)), fib.Result([9])) as endpoint:
+        goal = await endpoint.send_goal(GOAL_ID, GOAL)
+        heard = []
+        with anyio.fail_after(5):
+            while (item := await goal.receive()) is not None:
+                heard.append(FIBONACCI.feedback.decode(item.payload).partial_sequence[0])
+        assert heard == list(range(20))
+        result = (await outcome_of(goal)).result
+        assert FIBONACCI.result.decode(result) == fib.Result([9])
+
+
+async def test_the_result_of_a_goal_with_much_feedback_can_be_fetched_meanwhile() -> None:
+    go = anyio.Event()
+    async with real(go, *feedback(*range(WINDOW)), fib.Result([9])) as endpoint:
+        goal = await endpoint.send_goal(GOAL_ID, GOAL, feedback=False)
+        async with Running(lambda: endpoint.get_result(GOAL_ID)) as getting:
+            go.set()
+            assert (await outcome_of(goal)).status is SUCCEEDED
+            assert (await getting.answer(within=0.5)).status is SUCCEEDED

@@ -1,0 +1,956 @@
+"""How much each end takes: credit, limits, slow readers, the size of messages, and heartbeats."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncGenerator, Callable
+from contextlib import suppress
+from itertools import pairwise
+from typing import Any
+
+import anyio
+import pytest
+import trio
+from anyio.abc import ByteStream
+from hypothesis import given
+from hypothesis import strategies as st
+from trio.testing import MockClock
+
+from fibaction.exceptions import (
+    ConnectionLost,
+    GoalRejected,
+    InvalidMessage,
+    LimitReached,
+    ProtocolError,
+    ServerNotFound,
+)
+from fibaction.goals import GoalID
+from fibaction.server import ActionServer
+from fibaction.states import GoalStatus
+from fibaction.testing import ScriptedServer
+from fibaction.wire.channel import StreamChannel
+from fibaction.wire.framing import MAX_FRAME, header
+from fibaction.wire.link import Link
+from fibaction.wire.messages import (
+    VERSION,
+    Actions,
+    AwaitServer,
+    CancelAnswered,
+    CancelGoals,
+    Close,
+    Credit,
+    Done,
+    Ended,
+    Failed,
+    Feedback,
+    Finished,
+    Follow,
+    Following,
+    GoalChanged,
+    Goodbye,
+    Hello,
+    ListActions,
+    Ping,
+    Received,
+    Rejected,
+    SendGoal,
+    StatusChanged,
+    Why,
+    encode,
+)
+from fibaction.wire.settings import ClientSettings, Limits
+from fibaction.wire.subscriptions import PIECE
+from tests import fibonacci as fib
+from tests.fibonacci import FIBONACCI
+from tests.virtual_time import in_virtual_time
+from tests.wire import memory
+from tests.wire.ends import (
+    ANN,
+    ANY,
+    BOB,
+    GOAL,
+    GOAL_ID,
+    SUCCEEDED,
+    WHERE,
+    WINDOW,
+    A,
+    B,
+    C,
+    Client,
+    Lines,
+    Network,
+    asked_again,
+    endpoint_of,
+    feedback,
+    following,
+    goal_of,
+    held,
+    is_used,
+    kinds,
+    numbers_of,
+    observed,
+    outcome_of,
+    reached,
+    real,
+    running,
+    scripted,
+    send,
+    serving,
+    watched,
+)
+from tests.wire.memory import LONG, Peer, Running, logged, settled
+
+pytestmark = pytest.mark.anyio
+
+
+# The credit that a client gives
+
+
+async def test_no_more_feedback_comes_than_there_is_credit_for() -> None:
+    async with serving(scripted(*feedback(1, 2, 3, 4, 5), fib.Result([]))) as served:
+        client = await served.greet()
+        await client.send(1, credit=2)
+        assert [message.number for message in await client.hear_all()] == [1, 2]
+        await client.say(Credit(1, 2))
+        assert [message.number for message in await client.hear_all()] == [3, 4]
+        await client.say(Credit(1, 0))
+        assert await client.hear_all() == []
+        await client.say(Credit(1, ANY), Credit(1, ANY))
+        assert kinds(await client.hear_all()) == [Feedback, Ended]
+
+
+async def test_credit_for_feedback_that_is_to_come_counts() -> None:
+    go = anyio.Event()
+    async with serving(scripted(go, *feedback(1, 2, 3), fib.Result([]))) as served:
+        client = await served.greet()
+        await client.say(send(1, credit=1), Credit(1, 1))
+        assert kinds(await client.hear_all()) == [Following, StatusChanged]
+        go.set()
+        assert [message.number for message in await client.hear_all()] == [1, 2]
+
+
+async def test_a_status_comes_without_credit() -> None:
+    async with serving(scripted(*feedback(1, 2), anyio.Event())) as served:
+        client = await served.greet()
+        await client.send(1, credit=1)
+        assert (await client.hear(Feedback)).number == 1
+        await client.say(CancelGoals(2, "fibonacci", A, None))
+        heard = await client.hear_by_id()
+        assert heard[1] == [StatusChanged(1, GoalStatus.CANCELING)]
+
+
+@pytest.mark.parametrize(("count", "first"), [(2, [Feedback]), (1, [Feedback, Ended])])
+async def test_the_end_waits_for_credit_as_long_as_feedback_is_left(
+    count: int, first: list[type]
+) -> None:
+    async with serving(scripted(*feedback(*range(count)), fib.Result([]))) as served:
+        client = await served.greet()
+        await client.send(1, credit=1)
+        heard = kinds(await client.hear_all())
+        assert heard == first
+        await client.say(Credit(1, 2))
+        heard += kinds(await client.hear_all())
+        assert heard == [Feedback] * count + [Ended]
+
+
+# The size of the messages that a client takes
+
+LARGE = fib.Result([0] * 1000)
+
+
+def ended(request: int, result: fib.Result, place: int = 0) -> Ended:
+    return Ended(request, SUCCEEDED, FIBONACCI.result.encode(result), "", place)
+
+
+async def test_a_result_over_the_clients_limit_fails_that_goal_and_is_not_kept() -> None:
+    go = anyio.Event()
+    server = ScriptedServer(FIBONACCI, [*feedback(1), go, LARGE], [go, fib.Result([])])
+    async with serving(server, limits=Limits(goals=2)) as served:
+        client = await served.greet(max_frame=500)
+        await client.send(1, A)
+        await client.hear(Feedback)
+        await client.send(2, B)
+        with logged() as lines:
+            go.set()
+            heard = await client.hear_by_id()
+        text = f"the answer has {len(encode(ended(1, LARGE, 1)))} bytes, and 500 are the limit"
+        assert heard == {1: [Failed(1, Why.LIMIT, text)], 2: [ended(2, fib.Result([]))]}
+        assert [line.getMessage() for line in lines] == [f"an answer is not sent: {text}"]
+        await client.send(1, C)
+
+
+async def test_feedback_over_the_clients_limit_is_left_out_and_costs_no_credit() -> None:
+    large = fib.Feedback([0] * 1000)
+    server = running(*feedback(1), large, *feedback(3), large, fib.Result([]))
+    async with serving(server) as served:
+        client = await served.greet(max_frame=500)
+        with logged() as lines:
+            await client.send(1, credit=2)
+            assert [message.number for message in await client.hear_all()] == [1, 3]
+        text = "feedback of a goal is left out: its client takes messages of 500 bytes at most"
+        assert {(line.levelno, line.getMessage()) for line in lines} == {(logging.WARNING, text)}
+        await client.say(Credit(1, 1))  # it takes credit to find out that the next is too large
+        assert await client.hear_all() == [ended(1, fib.Result([]), 4)]
+
+
+async def test_feedback_of_exactly_the_clients_limit_is_told() -> None:
+    limit = len(encode(Feedback(1, 1, FIBONACCI.feedback.encode(fib.Feedback([0] * 100)))))
+    server = running(fib.Feedback([0] * 100), fib.Feedback([0] * 101), fib.Result([]))
+    async with serving(server) as served:
+        client = await served.greet(max_frame=limit)
+        await client.send(1)
+        assert kinds(await client.hear_all()) == [Feedback, Ended]
+
+
+async def test_an_answer_over_the_clients_limit_fails_that_request_only() -> None:
+    async with serving(held()) as served:
+        client = await served.greet(max_frame=150)
+        for number in range(10):
+            await client.ask(send(number, bytes([number + 1] * 16), None), Following)
+        await client.say(CancelGoals(50, "fibonacci", None, None), ListActions(51))
+        heard = await client.hear_by_id()
+        assert [heard[request][0].why for request in (50, 51)] == [Why.LIMIT] * 2
+        await client.ask(AwaitServer(52, "fibonacci"), Done)
+
+
+LONG_TEXT = "größer" * 100
+WHOLE = len(encode(Rejected(1, "no arm")))
+
+
+@pytest.mark.parametrize("error", [GoalRejected, ServerNotFound])
+@pytest.mark.parametrize("limit", [30, 31, 32, 33, 100, 500])
+async def test_an_error_is_cut_to_the_clients_limit_between_two_letters(
+    error: Callable[[str], Exception], limit: int
+) -> None:
+    class Failing(ActionServer[fib.Goal, fib.Feedback, fib.Result]):
+        def offer_goal(self, *args: Any, **kwargs: Any) -> Any:
+            raise error(LONG_TEXT)
+
+    async with serving(Failing(FIBONACCI, fib.fibonacci)) as served:
+        client = await served.greet(max_frame=limit)
+        answer = await client.ask(send(1), Rejected if error is GoalRejected else Failed)
+        assert limit - 6 <= len(encode(answer)) <= limit
+        text = getattr(answer, "reason", None) or getattr(answer, "text", "")
+        assert text
+        assert LONG_TEXT.startswith(text)
+
+
+@pytest.mark.parametrize(("limit", "text"), [(1, ""), (WHOLE - 1, "no ar"), (WHOLE, "no arm")])
+async def test_an_error_is_told_as_far_as_it_fits(limit: int, text: str) -> None:
+    async with serving(scripted(GoalRejected("no arm"))) as served:
+        client = await served.greet(max_frame=limit)
+        assert await client.ask(send(1), Rejected) == Rejected(1, text)
+
+
+# Turns
+
+
+def endless(window: int) -> tuple[ActionServer[Any, Any, Any], list[int]]:
+    """A server whose goals give feedback without an end if they are of any order, and a count."""
+    count = [0]
+
+    async def executor(goal: Any) -> AsyncGenerator[fib.Feedback | fib.Result, None]:
+        while goal.request.order:
+            yield fib.Feedback([0] * 1000)  # a piece of it fills a write
+            count[0] += 1
+        yield fib.Result([])
+
+    return ActionServer(FIBONACCI, executor, feedback_window=window), count
+
+
+async def test_a_goal_with_endless_feedback_delays_neither_another_nor_an_answer() -> None:
+    server, _ = endless(1000)
+    async with serving(server) as served:
+        client = await served.greet()
+        client.channel.stop_reading()
+        await client.say(send(1))
+        await settled()
+        few = FIBONACCI.goal.encode(fib.Goal(0))
+        await client.say(SendGoal(2, "fibonacci", B, few, ANY), ListActions(3))
+        await settled()
+        client.channel.go_on_reading()
+        before: dict[int, int] = {}
+        heard = 0
+        with anyio.fail_after(5):
+            while 2 not in before:
+                message = await client.hear(object)
+                if isinstance(message, Feedback):
+                    heard += 1
+                elif isinstance(message, Ended | Actions):
+                    before[message.id] = heard
+        # One piece before each message of the other goal, and what was on its way before.
+        assert PIECE < before[2] <= 6 * PIECE
+        assert before[3] <= 2 * PIECE
+
+
+@pytest.mark.parametrize("count", [2, 20])
+async def test_goals_with_as_much_to_tell_take_turns(count: int) -> None:
+    piece = [fib.Feedback([0] * 1000)] * PIECE
+    async with serving(running(*piece * 8, fib.Result([]), feedback_window=1000)) as served:
+        client = await served.greet()
+        client.channel.stop_reading()
+        for number in range(count):
+            await client.say(send(number, bytes([number + 1] * 16)))
+        await settled()
+        client.channel.go_on_reading()
+        told = dict.fromkeys(range(count), 0)
+        spread = 0
+        for message in await client.hear_all():
+            if isinstance(message, Feedback):
+                told[message.id] += 1
+                spread = max(spread, max(told.values()) - min(told.values()))
+        assert set(told.values()) == {8 * PIECE}
+        # The first is some turns ahead: one that was being written, and two in which those that
+        # came after it were told only that they are followed, and executing.
+        assert spread <= 4 * PIECE
+
+
+async def test_messages_that_there_are_at_once_are_one_write() -> None:
+    async with serving(held()) as served:
+        client = await served.greet()
+        before = len(client.channel.writes)
+        await client.say(*(AwaitServer(number, "fibonacci") for number in range(10)))
+        assert len(await client.hear_all()) == 10
+        assert len(client.channel.writes) == before + 1
+
+
+# The limits of a server
+
+
+@pytest.mark.parametrize(
+    "message", [AwaitServer(1, "fibonacci"), ListActions(1), send(1)], ids=type
+)
+async def test_an_id_that_is_in_use_ends_the_session(message: Any) -> None:
+    async with serving(held()) as served:
+        client = await served.greet()
+        await client.send(1)
+        goodbye = await client.ask(message, Goodbye)
+        text = "the server has closed the connection: it used the ID 1 twice"
+        assert goodbye == Goodbye(text, Why.PROTOCOL)
+        await client.hear_the_end()
+
+
+async def test_an_id_that_was_answered_can_be_used_again() -> None:
+    async with serving(held()) as served:
+        client = await served.greet()
+        for _ in range(3):
+            assert await client.is_served()
+
+
+async def test_no_more_goals_are_taken_than_the_limit_and_more_once_one_has_ended() -> None:
+    async with serving(held(), limits=Limits(goals=1, requests=7)) as served:
+        client, other = await served.greet(ANN), await served.greet(BOB)
+        await client.send(1, A)
+        text = "too much at once: the limits of a connection are 1 goals and 7 other requests"
+        assert await client.ask(send(2, B), Rejected) == Rejected(2, text)
+        failed = await client.ask(Follow(3, "fibonacci", B, None, False, 1), Failed)
+        assert failed == Failed(3, Why.LIMIT, text)
+        await other.send(1, B)
+        await client.say(CancelGoals(4, "fibonacci", A, None))
+        heard = await client.hear_by_id()
+        assert (kinds(heard[4]), kinds(heard[1])) == ([CancelAnswered], [StatusChanged, Ended])
+        # It is kept for a client that has not said that it knows.
+        await client.ask(send(5, C), Rejected)
+        await client.say(Received(1))
+        await client.send(5, C)
+
+
+async def test_goals_that_are_sent_at_once_do_not_pass_the_limit() -> None:
+    async with serving(held(), limits=Limits(goals=2)) as served:
+        client = await served.greet()
+        await client.say(*(send(i, bytes([i] * 16), None) for i in range(1, 6)))
+        heard = kinds(await client.hear_all())
+        assert (heard.count(Following), heard.count(Rejected)) == (2, 3)
+
+
+async def test_no_more_requests_are_taken_than_the_limit() -> None:
+    async with serving(limits=Limits(requests=2)) as served:
+        served.endpoints["fibonacci"] = held()
+        client = await served.greet()
+        await client.say(*(AwaitServer(i, "fibonacci") for i in range(1, 5)))
+        heard = await client.hear_all()
+        assert [(type(message), message.id, message.why) for message in heard] == [
+            (Failed, 3, Why.LIMIT),
+            (Failed, 4, Why.LIMIT),
+        ]
+        await client.say(Close(1))
+        await settled()
+        await client.say(AwaitServer(3, "fibonacci"))
+        assert await client.hear_all() == []
+
+
+async def test_goals_that_are_decided_upon_take_no_more_memory_than_the_limit() -> None:
+    decide = anyio.Event()
+
+    async def on_goal(goal: fib.Goal) -> None:
+        await decide.wait()
+
+    server = ActionServer(FIBONACCI, fib.fibonacci, on_goal=on_goal)
+    async with serving(server, limits=Limits(memory=len(GOAL))) as served:
+        client, other = await served.greet(ANN), await served.greet(BOB)
+        await client.say(send(1, A, None))
+        assert await client.hear_all() == []
+        rejected = await client.ask(send(2, B, None), Rejected)
+        assert rejected == Rejected(2, f"too many bytes at once: the limit is {len(GOAL)}")
+        await other.say(send(2, B, None))
+        decide.set()
+        await client.hear(Following)
+        await other.hear(Following)
+        await client.hear(Ended)
+        await client.send(3, C, credit=None)
+
+
+# Clients that do not read
+
+
+@in_virtual_time()
+@pytest.mark.parametrize("requests", [1, 1000], ids=["over the limit", "unknown goals"])
+async def test_a_client_that_asks_and_does_not_read_fills_no_memory(requests: int) -> None:
+    limits = Limits(requests=requests, queue=10_000)
+    size = len(encode(Failed(1, Why.UNKNOWN_GOAL, f"there is no goal {GoalID(B)}")))
+    async with serving(held(), limits=limits) as served:
+        client = await served.greet(name="the greedy one")
+        client.channel.stop_reading()
+        said = 0
+        with logged() as lines, suppress(ConnectionLost):
+            while True:
+                await client.say(Follow(said, "fibonacci", B, None, False, 1))
+                said += 1
+                await anyio.sleep(0.01)
+        await settled()
+        assert said <= 2 * 10_000 / size + 101  # those of the second that the last word may take
+        assert [(line.levelno, line.getMessage()) for line in lines] == [
+            (logging.WARNING, "the greedy one asks for more than it reads")
+        ]
+
+
+async def test_answers_wait_for_a_client_that_does_not_read_and_do_not_end_its_connection() -> None:
+    async with serving(held(), limits=Limits(queue=100)) as served:
+        client, lost = await served.greet(ANN), await served.greet(BOB)
+        for one in (client, lost):
+            one.channel.stop_reading()
+            await one.say(*(ListActions(number) for number in range(50)))
+        await settled()
+        await client.say(send(50, credit=None))
+        await settled()
+        with logged() as lines:
+            lost.channel.cut()
+            await settled()
+        assert [line.levelno for line in lines] == [logging.INFO]
+        client.channel.go_on_reading()
+        heard = kinds(await client.hear_all())
+        assert (heard.count(Actions), heard.count(Following)) == (50, 1)
+
+
+async def test_feedback_for_a_client_that_does_not_read_waits_where_it_is_made() -> None:
+    server, count = endless(10)
+    async with serving(server, limits=Limits(queue=1000)) as served:
+        client, other = await served.greet(ANN), await served.greet(BOB)
+        client.channel.stop_reading()
+        goals = 20
+        for number in range(goals):
+            await client.say(send(number, bytes([number + 1] * 16)))
+        await settled()
+        # The window of each, and what the one write that is stuck may hold.
+        assert count[0] <= goals * 12 + PIECE
+        few = FIBONACCI.goal.encode(fib.Goal(0))
+        await other.say(SendGoal(1, "fibonacci", bytes([99] * 16), few, ANY))
+        assert kinds(await other.hear_all())[-1] is Ended
+
+
+# Heartbeats
+
+
+async def lost_after(client: Client, *helpers: Callable[[], Any]) -> float:
+    """Run helpers until the server ends the connection; return the seconds, 100 if it does not."""
+    start = anyio.current_time()
+    with anyio.move_on_after(100):
+        async with anyio.create_task_group() as tasks:
+            for helper in helpers:
+                tasks.start_soon(helper)
+            await client.channel.cut_off()
+            tasks.cancel_scope.cancel()
+    return anyio.current_time() - start
+
+
+def every(pause: float, function: Callable[[], Any]) -> Callable[[], Any]:
+    async def repeat() -> None:
+        while True:
+            await anyio.sleep(pause)
+            if (waited := function()) is not None:
+                await waited
+
+    return repeat
+
+
+def alive(client: Client, pause: float = 1) -> Callable[[], Any]:
+    return every(pause, lambda: client.say(Ping()))
+
+
+@in_virtual_time()
+@pytest.mark.parametrize(("own", "peers"), [(2.0, 2.0), (1.0, 10.0), (3.0, 0.1)])
+async def test_a_silent_client_is_lost_after_four_of_the_heartbeats_that_it_announced(
+    own: float, peers: float
+) -> None:
+    async with serving(held(), heartbeat=own) as served:
+        client = await served.greet(heartbeat=peers)
+        with logged() as lines:
+            took = await lost_after(client)
+        assert 4 * peers < took <= 5 * peers + max(own, 0.25)
+        (line,) = lines
+        assert line.getMessage().startswith("the client has been silent for ")
+        assert abs(float(line.getMessage().split()[-2]) - took) <= own / 2 + 0.25
+
+
+@in_virtual_time()
+async def test_a_client_that_is_late_is_not_lost() -> None:
+    async with serving(held(), heartbeat=1) as served:
+        client = await served.greet(heartbeat=1)
+        assert await lost_after(client, alive(client, 3.5)) == 100
+        # Silence counts from the last message, which was said two seconds before.
+        assert 4 < 2 + await lost_after(client) <= 5.5
+
+
+@in_virtual_time()
+async def test_a_client_that_reads_nothing_is_lost_after_four_of_the_servers_heartbeats() -> None:
+    async with serving(held(), heartbeat=2) as served:
+        client = await served.greet(heartbeat=LONG)
+        client.channel.stop_reading()
+        with logged() as lines:
+            took = await lost_after(client, alive(client))
+        assert 4 * 2 < took <= 4 * 2 + 2 + 2  # the first ping is what gets stuck
+        assert [line.getMessage() for line in lines] == ["the client has read nothing for 9.0 s"]
+
+
+@in_virtual_time()
+@pytest.mark.parametrize("part", ["a piece", "a message"])
+@pytest.mark.parametrize(("pause", "is_lost"), [(0.5, False), (3.9, False), (5.1, True)])
+async def test_a_client_that_reads_something_now_and_then_is_not_lost(
+    part: str, pause: float, is_lost: bool
+) -> None:
+    talking = running(*feedback(*range(1000)), fib.Result([]))
+    async with serving(talking, heartbeat=1) as served:
+        client = await served.greet(heartbeat=1)
+        client.channel.stop_reading()
+        await client.say(send(1))
+
+        async def read_a_message() -> None:
+            client.channel.go_on_reading()
+            with suppress(ConnectionLost):
+                await client.channel.receive()
+            client.channel.stop_reading()
+
+        read: Any = client.channel.take_a_piece if part == "a piece" else read_a_message
+        took = await lost_after(client, alive(client), every(pause, read))
+        assert (took < 100) == is_lost
+
+
+@in_virtual_time()
+async def test_time_in_which_this_process_does_not_run_is_not_the_clients_silence() -> None:
+    async with serving(held(), heartbeat=1) as served:
+        client = await served.greet(heartbeat=1)
+
+        async def stop_the_process() -> None:
+            await anyio.sleep(10.2)
+            clock = trio.lowlevel.current_clock()
+            assert isinstance(clock, MockClock)
+            clock.jump(80)
+
+        assert await lost_after(client, alive(client, 0.9), stop_the_process) >= 100
+
+
+def gaps(client: Client) -> list[float]:
+    """Seconds between the writes of the server."""
+    times = [time for time, _ in client.channel.writes]
+    return [late - early for early, late in pairwise(times)]
+
+
+@in_virtual_time()
+@pytest.mark.parametrize("peers", [2, 0.125])
+async def test_pings_are_sent_when_there_is_nothing_else_to_say(peers: float) -> None:
+    async with serving(held(), heartbeat=2) as served:
+        client = await served.greet(heartbeat=peers)
+        assert await lost_after(client, alive(client, peers / 2)) == 100
+        assert {tuple(frames) for _, frames in client.channel.writes[1:]} == {(encode(Ping()),)}
+        assert 1 <= min(gaps(client)[1:]) <= max(gaps(client)) <= 2
+        assert len(gaps(client)) >= 49
+
+
+@in_virtual_time()
+@pytest.mark.parametrize("pause", [0.375, 0.9, 1.0, 1.1, 1.5, 1.9, 2.0, 2.1, 3.3])
+async def test_a_client_hears_something_often_enough_whatever_else_is_said(pause: float) -> None:
+    async def executor(goal: Any) -> AsyncGenerator[fib.Feedback | fib.Result, None]:
+        while True:
+            await anyio.sleep(pause)
+            yield fib.Feedback([])
+
+    async with serving(ActionServer(FIBONACCI, executor), heartbeat=1) as served:
+        client = await served.greet(heartbeat=1)
+        await client.say(send(1))
+        assert await lost_after(client, alive(client)) == 100
+        assert max(gaps(client)) <= 2
+        if pause < 0.5:
+            written = [frame for _, frames in client.channel.writes for frame in frames]
+            assert encode(Ping()) not in written
+
+
+@in_virtual_time()
+async def test_the_last_word_to_a_client_that_does_not_read_is_given_up_after_a_second() -> None:
+    async with serving(held()) as served:
+        client = await served.greet()
+        client.channel.stop_reading()
+        await client.say(Hello(VERSION, LONG))
+        await anyio.sleep(0.9)
+        assert not client.channel.is_cut
+        await anyio.sleep(0.2)
+        assert client.channel.is_cut
+
+
+async def test_a_link_that_was_ended_before_it_ran_does_not_run() -> None:
+    end, other = memory.pair()
+    link, error = Link(end, LONG), ConnectionLost("never mind")
+    link.post(b"one")
+    link.end(error)
+    link.end(ConnectionLost("later"))  # the first reason counts
+    assert await link.run(lambda frame: None) is error
+    assert other.writes == []
+
+
+class TricklingStream(ByteStream):
+    """Gives one byte each second."""
+
+    def __init__(self, data: bytes) -> None:
+        self._left = data
+
+    async def receive(self, max_bytes: int = 65536) -> bytes:
+        if not self._left:
+            await anyio.sleep_forever()
+        await anyio.sleep(1)
+        byte, self._left = self._left[:1], self._left[1:]
+        return byte
+
+    async def send(self, item: bytes) -> None:
+        pass
+
+    async def send_eof(self) -> None:
+        raise NotImplementedError
+
+    async def aclose(self) -> None:
+        pass
+
+
+@in_virtual_time()
+async def test_a_client_in_the_middle_of_a_message_is_not_silent() -> None:
+    hello = encode(Hello(VERSION, 1, session=bytes(20)))
+    data = header(len(hello)) + hello
+    async with serving(held(), heartbeat=1, limits=Limits(handshake=1000)) as served:
+        with logged() as lines:
+            served.serve(StreamChannel(TricklingStream(data), "the slow one", 1000))
+            await anyio.sleep(len(data) + 3.9)
+            assert lines == []
+            await anyio.sleep(2)
+        assert lines[0].getMessage().startswith("the slow one has been silent for ")
+
+
+# What a client keeps of a goal
+
+
+async def tell(server: Peer, call_id: int, *numbers: int) -> None:
+    """Send feedback, and let it arrive."""
+    await server.say(*(Feedback(call_id, number, b"%d" % number) for number in numbers))
+    await settled()
+
+
+async def credit_of(server: Peer, call_id: int) -> list[int]:
+    """The credit that the client has given, which is all that it has said."""
+    heard = await server.hear_all()
+    assert heard == [Credit(call_id, message.count) for message in heard]
+    return [message.count for message in heard]
+
+
+def with_window(window: int) -> ClientSettings:
+    return ClientSettings(heartbeat=LONG, window=window)
+
+
+WINDOWS = pytest.mark.parametrize(("window", "batch"), [(2, 1), (3, 2), (4, 2), (5, 3), (8, 4)])
+
+
+@WINDOWS
+async def test_credit_is_given_in_batches_of_half_a_window(window: int, batch: int) -> None:
+    async with reached(settings=with_window(window)) as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            await tell(server, call_id, *range(1, window + 1))
+            for count in range(1, window + 1):
+                assert await numbers_of(goal, 1) == [count]
+                assert await credit_of(server, call_id) == [batch] * (count % batch == 0)
+
+
+@WINDOWS
+async def test_credit_for_statuses_is_given_in_batches_of_half_a_window(
+    window: int, batch: int
+) -> None:
+    async with reached(settings=with_window(window)) as (connection, server):
+        statuses, call_id = await watched(connection, server)
+        await server.say(*(GoalChanged(call_id, A, n, 2, 0) for n in range(window)))
+        for count in range(1, window + 1):
+            assert (await statuses.receive()).stamp == count - 1
+            assert await credit_of(server, call_id) == [batch] * (count % batch == 0)
+
+
+@pytest.mark.parametrize("settings", [with_window(1), with_window(2)])
+async def test_the_smallest_window_of_a_goal_is_two(settings: ClientSettings) -> None:
+    # Of two, one can be dropped for the next.
+    async with reached(settings=settings) as (connection, server):
+        async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, b"goal")):
+            assert (await server.hear(SendGoal)).credit == 2
+            await server.hear_all()
+
+
+async def test_no_credit_is_given_after_the_end_nor_after_the_stream_was_closed() -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            await tell(server, call_id, 1, 2, 3, 4)
+            await server.say(Ended(call_id, SUCCEEDED, b"result", "", 4))
+            await settled()
+            assert await numbers_of(goal) == [1, 2, 3, 4]
+            assert await server.hear_all() == [Received(call_id)]
+        async with goal_of(connection, server) as (goal, call_id):
+            await tell(server, call_id, 1, 2, 3, 4)
+            goal.close()
+            goal.hold(False)
+            assert await server.hear_all() == [Close(call_id)]
+        statuses, call_id = await watched(connection, server)
+        await server.say(*(GoalChanged(call_id, A, number, 2, 0) for number in range(4)))
+        await server.say(Finished(call_id))
+        await settled()
+        assert [(await statuses.receive()).stamp for _ in range(4)] == [0, 1, 2, 3]
+        assert await statuses.receive() is None
+        assert await server.hear_all() == []
+
+
+BEYOND: dict[str, tuple[list[int], str]] = {
+    "twice": ([1, 2, 2], "feedback 2 came after 2"),
+    "backwards": ([2, 1], "feedback 1 came after 2"),
+    "from before the place": ([0], "feedback 0 came after 0"),
+    "without credit": ([1, 2, 3, 4, 5], "there were more messages than credit for them"),
+}
+
+
+@pytest.mark.parametrize(("numbers", "text"), BEYOND.values(), ids=BEYOND)
+async def test_feedback_out_of_order_or_beyond_the_credit_is_the_servers_error(
+    numbers: list[int], text: str
+) -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            await tell(server, call_id, *numbers)
+            with pytest.raises(ProtocolError, match=f"^{WHERE}: {text}$"):
+                await outcome_of(goal)
+
+
+async def test_statuses_beyond_the_credit_are_the_servers_error() -> None:
+    async with reached() as (connection, server):
+        statuses, call_id = await watched(connection, server)
+        await server.say(*(GoalChanged(call_id, A, n, 2, 0) for n in range(WINDOW + 1)))
+        await settled()
+        for _ in range(WINDOW):
+            await statuses.receive()
+        with pytest.raises(ProtocolError, match="more messages than credit"):
+            await statuses.receive()
+
+
+async def test_of_the_latest_feedback_only_the_newest_is_kept() -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server, latest=True) as (goal, call_id):
+            for number in range(1, 20):  # which never keeps the server waiting
+                await tell(server, call_id, number)
+            assert sum(await credit_of(server, call_id)) >= 19 - WINDOW // 2
+            assert await numbers_of(goal, 1) == [19]
+            assert goal.dropped == 18
+            assert await credit_of(server, call_id) == []
+
+
+@pytest.mark.parametrize("own", [True, False])
+async def test_a_reader_that_does_not_hold_the_executor_up_misses_the_oldest_feedback(
+    own: bool,
+) -> None:
+    async with reached() as (connection, server):
+        if own:
+            async with goal_of(connection, server) as (goal, call_id):
+                pass
+            await tell(server, call_id, 1, 2, 3, 4)
+            assert await credit_of(server, call_id) == []
+            goal.hold(False)
+            assert await credit_of(server, call_id) == [2]
+        else:
+            goal, call_id = await observed(connection, server)
+            goal.hold(True)  # an observer cannot
+            await tell(server, call_id, 1, 2, 3, 4)
+            assert await credit_of(server, call_id) == [2]
+        await tell(server, call_id, 5)
+        assert await numbers_of(goal, 2) == [4, 5]
+        assert goal.dropped == 3
+
+
+async def test_a_reader_that_holds_the_executor_up_again_misses_nothing() -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            goal.hold(False)
+            goal.hold(True)
+            await tell(server, call_id, 1, 2, 3, 4)
+            assert await numbers_of(goal, 4) == [1, 2, 3, 4]
+            assert goal.dropped == 0
+
+
+async def test_feedback_that_has_come_before_the_end_is_kept_for_every_reader() -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            await tell(server, call_id, 1, 2, 3, 4)
+            await server.say(Ended(call_id, SUCCEEDED, b"result", "", 4))
+            await settled()
+            goal.hold(False)
+            assert await numbers_of(goal) == [1, 2, 3, 4]
+            assert goal.dropped == 0
+
+
+async def test_feedback_that_the_server_left_out_counts_as_dropped_once_it_is_passed() -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server, place=10) as (goal, call_id):
+            await tell(server, call_id, 13)
+            assert goal.dropped == 0  # it is still to be read
+            assert await numbers_of(goal, 1) == [13]
+            assert goal.dropped == 2
+            await server.say(Ended(call_id, SUCCEEDED, b"result", "", 20))
+            assert await numbers_of(goal) == []
+            assert goal.dropped == 9
+
+
+async def test_an_end_that_counts_less_feedback_than_has_come_changes_nothing() -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            await tell(server, call_id, 1, 2)
+            await server.say(Ended(call_id, SUCCEEDED, b"result", "", 0))
+            assert await numbers_of(goal) == [1, 2]
+            assert goal.dropped == 0
+
+
+class Scripted:
+    """A server that keeps to the credit it has for a goal."""
+
+    def __init__(self, network: Network, server: Peer, call_id: int, window: int) -> None:
+        self.credit = window
+        self.last = 0
+        self._network = network
+        self._server = server
+        self._call_id = call_id
+
+    async def listen(self) -> None:
+        self.credit += sum(await credit_of(self._server, self._call_id))
+
+    async def tell(self) -> None:
+        if self.credit:
+            self.credit -= 1
+            self.last += 1
+            await tell(self._server, self._call_id, self.last)
+
+    async def reconnect(self) -> None:
+        self._server, asked = await asked_again(self._network, self._server, Follow)
+        assert (asked.after, asked.own) == (self.last, True)
+        self.credit = asked.credit
+        await self._server.say(following(asked, place=self.last))
+
+
+@given(
+    st.integers(2, 9),
+    st.lists(st.sampled_from(["tell", "read", "read all", "reconnect"]), max_size=20),
+)
+def test_a_server_that_keeps_to_its_credit_is_never_wrong_and_never_stuck(
+    window: int, steps: list[str]
+) -> None:
+    async def check() -> None:
+        network = Network()
+        async with reached(network, with_window(window)) as (connection, server):
+            async with goal_of(connection, server) as (goal, call_id):
+                peer = Scripted(network, server, call_id, window)
+                seen: list[int] = []
+                for step in steps:
+                    unread = peer.last - len(seen)
+                    if step == "tell":
+                        await peer.tell()
+                    elif step == "read":
+                        seen += await numbers_of(goal, min(unread, 1))
+                    elif step == "read all":
+                        seen += await numbers_of(goal, unread)
+                    else:
+                        await peer.reconnect()
+                    await peer.listen()
+                    unread = peer.last - len(seen)
+                    assert peer.credit + unread <= window
+                    assert peer.credit or unread
+                assert seen == list(range(1, len(seen) + 1))
+                assert goal.dropped == 0
+
+    anyio.run(check, backend="trio", backend_options={"clock": MockClock(autojump_threshold=0)})
+
+
+# The size of the messages that each end takes
+
+
+async def test_a_message_over_the_servers_limit_is_an_error_of_that_call_only() -> None:
+    size = len(encode(SendGoal(1, "fibonacci", GOAL_ID, bytes(10), WINDOW)))
+    async with reached(max_frame=size) as (connection, server):
+        with anyio.fail_after(5), pytest.raises(InvalidMessage) as caught:
+            await endpoint_of(connection).send_goal(GOAL_ID, bytes(40))
+        text = f"the message has {size + 30} bytes, and {size} are the server's limit"
+        assert str(caught.value) == text
+        assert await server.hear_all() == []
+        async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, bytes(10))):
+            assert len(encode(await server.hear(SendGoal))) == size
+        await server.hear(Close)
+        await is_used(connection, server)
+
+
+async def test_a_goal_that_the_next_server_does_not_take_is_not_sent_to_it() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        send_goal = endpoint_of(connection).send_goal
+        async with Running(lambda: send_goal(GOAL_ID, bytes(2000))) as sending:
+            await server.hear(SendGoal)
+            server.channel.cut()
+            server = await network.accept(max_frame=1000)
+            with pytest.raises(InvalidMessage, match="1000 are the server's limit"):
+                await sending.answer(within=1)
+
+
+async def test_a_message_over_every_servers_limit_is_not_sent() -> None:
+    async with reached() as (connection, server):
+        with anyio.fail_after(5), pytest.raises(InvalidMessage, match="the server's limit"):
+            await endpoint_of(connection).send_goal(GOAL_ID, bytes(MAX_FRAME))
+        assert await server.hear_all() == []
+
+
+SMALL = ClientSettings(heartbeat=LONG, window=WINDOW, max_frame=500)
+
+
+async def test_messages_over_the_limit_of_either_end_harm_one_goal_and_no_connection() -> None:
+    go, lines = anyio.Event(), Lines()
+    large = fib.Feedback([0] * 1000)
+    server = ScriptedServer(
+        FIBONACCI,
+        [*feedback(1), fib.Result([0] * 1000)],
+        [*feedback(1), go, *[large] * (3 * WINDOW), *feedback(2), large, fib.Result([9])],
+    )
+    limits = Limits(frame=500)
+    async with real(server=server, lines=lines, settings=SMALL, limits=limits) as endpoint:
+        with anyio.fail_after(5), pytest.raises(InvalidMessage, match="500 are the server's limit"):
+            await endpoint.send_goal(GOAL_ID, bytes(500))
+        too_large = await endpoint.send_goal(GOAL_ID, GOAL)
+        other = await endpoint.send_goal(GoalID(B), GOAL)
+        assert await numbers_of(too_large, 1) == [1]
+        for _ in range(2):
+            with pytest.raises(LimitReached, match="500 are the limit"):
+                await outcome_of(too_large)
+        go.set()
+        assert await numbers_of(other) == [1, 3 * WINDOW + 2]
+        assert other.dropped == 3 * WINDOW + 1
+        assert (await outcome_of(other)).status is SUCCEEDED
+        assert len(lines.ends) == 1

@@ -1,0 +1,1045 @@
+"""What goes on when a connection is lost: goals and their owners at the server's end, calls at the
+client's, and both together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import AsyncExitStack
+from functools import partial
+from typing import Any, Literal
+
+import anyio
+import pytest
+
+from fibaction.abc import Connection
+from fibaction.exceptions import AuthenticationFailed, ConnectionLost, ServerNotFound
+from fibaction.goals import GoalID
+from fibaction.states import GoalStatus
+from fibaction.testing import ScriptedServer
+from fibaction.wire.auth import AccessPolicy, Permission
+from fibaction.wire.link import HIGH_WATER, OVERFULL
+from fibaction.wire.messages import (
+    VERSION,
+    Actions,
+    AwaitServer,
+    Close,
+    Done,
+    Ended,
+    Failed,
+    Feedback,
+    Follow,
+    Following,
+    GoalChanged,
+    Goodbye,
+    ListActions,
+    Ping,
+    Received,
+    Rejected,
+    SendGoal,
+    StatusChanged,
+    Watching,
+    WatchStatus,
+    Welcome,
+    Why,
+    encode,
+)
+from fibaction.wire.settings import ClientSettings
+from tests import fibonacci as fib
+from tests.fibonacci import FIBONACCI
+from tests.virtual_time import in_virtual_time
+from tests.wire.ends import (
+    ANN,
+    ANY,
+    AWAY,
+    BOB,
+    CALLS,
+    EXECUTING,
+    GOAL,
+    GOAL_ID,
+    ONCE,
+    RESULT,
+    SUCCEEDED,
+    WHERE,
+    WINDOW,
+    A,
+    B,
+    Lines,
+    Network,
+    Server,
+    asked_again,
+    endpoint_of,
+    feedback,
+    follow,
+    following,
+    goal_of,
+    held,
+    is_used,
+    kinds,
+    numbers_of,
+    observed,
+    outcome_of,
+    reached,
+    real,
+    running,
+    scripted,
+    send,
+    serving,
+    update_of,
+    watched,
+)
+from tests.wire.memory import LONG, MemoryChannel, Running, logged, settled
+
+pytestmark = pytest.mark.anyio
+
+forgotten_or_not = pytest.mark.parametrize("result_timeout", [10, 0])
+"""Whether the server still knows a goal that has ended, or only its owner's session does."""
+every_call = pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
+
+
+# At the server: an end, and the feedback before it, until their client has heard of them
+
+
+@forgotten_or_not
+async def test_an_end_that_was_lost_with_the_line_is_told_again(result_timeout: float) -> None:
+    server = running(*feedback(1, 2), fib.Result([]), result_timeout=result_timeout)
+    async with serving(server) as served:
+        client = await served.greet()
+        await client.send(1)
+        (*_, ended) = await client.hear_all()
+        for number in range(3):  # it may be lost again
+            if number:  # and the client may be back before that is noticed
+                client.channel.cut()
+            client = await served.greet()
+            following = await client.ask(follow(2), Following)
+            assert (following.status, following.place) == (SUCCEEDED, 2)
+            assert await client.hear_all() == [ended]
+        assert ended == Ended(1, SUCCEEDED, RESULT, "", 2)
+        await client.say(Received(1))
+        again = await served.greet()
+        answer = await again.ask(follow(2), Failed if result_timeout == 0 else Following)
+        assert getattr(answer, "why", None) == (None if result_timeout else Why.UNKNOWN_GOAL)
+
+
+@forgotten_or_not
+@pytest.mark.parametrize("credit", [1, ANY])
+async def test_feedback_that_was_not_heard_is_told_on_the_next_connection(
+    result_timeout: float, credit: int
+) -> None:
+    server = running(*feedback(1, 2, 3), fib.Result([]), result_timeout=result_timeout)
+    async with serving(server) as served:
+        client = await served.greet()
+        await client.send(1, credit=credit)
+        await client.hear_all()
+        client.channel.cut()
+        again = await served.greet()
+        assert (await again.ask(follow(1), Following)).place == 1
+        *told, ended = await again.hear_all()
+        assert [message.number for message in told] == [2, 3]
+        assert isinstance(ended, Ended)
+
+
+@forgotten_or_not
+async def test_a_goal_that_is_sent_again_after_it_has_ended_runs_once(
+    result_timeout: float,
+) -> None:
+    server = running(*feedback(1), fib.Result([]), result_timeout=result_timeout)
+    async with serving(server) as served:
+        client = await served.greet()
+        await client.say(send(1))
+        await settled()
+        client.channel.cut()  # with the answer, and all that came behind it
+        again = await served.greet()
+        other = SendGoal(2, "fibonacci", A, FIBONACCI.goal.encode(fib.Goal(99)), ANY)
+        rejected = await again.ask(other, Rejected)
+        assert rejected.reason == "its ID is in use by another goal"
+        first = await again.ask(send(1), Following)
+        assert first.place == 0
+        assert kinds(await again.hear_all())[-2:] == [Feedback, Ended]
+        observer = await served.greet(BOB)
+        if result_timeout:
+            seen = await observer.ask(follow(0, own=False), Following)
+            assert seen.stamp == first.stamp  # it is the same run
+
+
+async def test_an_end_that_was_lost_is_told_to_its_own_client_only() -> None:
+    async with serving(running(fib.Result([]), result_timeout=0)) as served:
+        client = await served.greet(ANN)
+        await client.say(send(1))
+        await client.hear_all()
+        client.channel.cut()
+        for session in (BOB, b""):
+            other = await served.greet(session)
+            assert (await other.ask(follow(0), Failed)).why == Why.UNKNOWN_GOAL
+        ann = await served.greet(ANN)
+        assert (await ann.ask(follow(0, own=False), Failed)).why == Why.UNKNOWN_GOAL
+        # And once, if that client follows its goal twice.
+        await ann.say(follow(0, request=2), follow(0, request=3))
+        heard = sorted((await ann.hear_by_id()).values(), key=len)
+        assert [kinds(one) for one in heard] == [[Failed], [Following, Ended]]
+
+
+async def test_a_client_that_has_no_session_owns_no_goal() -> None:
+    async with serving(running(fib.Result([]), result_timeout=0)) as served:
+        client = await served.greet(b"")
+        await client.say(send(1))
+        await client.hear_all()
+        client.channel.cut()
+        again = await served.greet(b"")
+        assert (await again.ask(follow(0), Failed)).why == Why.UNKNOWN_GOAL
+
+
+async def test_an_end_is_not_told_again_after_a_goodbye() -> None:
+    async with serving(running(fib.Result([]), result_timeout=0)) as served:
+        client = await served.greet()
+        await client.say(send(1))
+        await client.hear_all()
+        await client.say(Goodbye("I know enough"))
+        await client.hear_the_end()
+        again = await served.greet()
+        assert (await again.ask(follow(0), Failed)).why == Why.UNKNOWN_GOAL
+
+
+async def test_a_client_that_wants_no_old_feedback_is_told_the_end_that_was_lost() -> None:
+    async with serving(running(*feedback(1), fib.Result([]), result_timeout=0)) as served:
+        client = await served.greet()
+        await client.send(1)
+        await client.hear_all()
+        again = await served.greet()
+        assert (await again.ask(follow(None), Following)).place == 1
+        assert kinds(await again.hear_all()) == [Ended]
+
+
+@in_virtual_time()
+@forgotten_or_not
+@pytest.mark.parametrize("then", ["keep", "cancel"])
+async def test_an_end_is_kept_as_long_as_its_client_has_to_come_back(
+    result_timeout: float, then: Literal["keep", "cancel"]
+) -> None:
+    server = running(*feedback(1), fib.Result([]), result_timeout=result_timeout)
+    async with serving(server, grace=50, then=then) as served:
+        client = await served.greet()
+        await client.send(1)
+        await client.hear_all()
+        with logged() as lines:
+            for _ in range(2):  # each loss has the whole time
+                client.channel.cut()
+                await anyio.sleep(49)
+                client = await served.greet()
+                assert (await client.ask(follow(1), Following)).status == SUCCEEDED
+                assert kinds(await client.hear_all()) == [Ended]
+            await anyio.sleep(200)  # a client that is here has any time
+            client.channel.cut()
+            await anyio.sleep(51)
+        assert not any("is canceled" in line.getMessage() for line in lines)
+        late = await served.greet()
+        assert (await late.ask(follow(1), Failed)).why == Why.UNKNOWN_GOAL
+
+
+# At the server: a goal that goes on
+
+
+def talking() -> Server:
+    """A server whose goals give more feedback than their client takes, and succeed."""
+    return running(*feedback(*range(100)), fib.Result([]))
+
+
+async def status_of(server: Server) -> GoalStatus:
+    stream = await server.feedback(GOAL_ID)
+    await settled()
+    return stream.status
+
+
+@in_virtual_time()
+async def test_a_goal_that_is_kept_waits_for_its_client_for_the_grace_and_runs_on() -> None:
+    server = talking()
+    async with serving(server, grace=10) as served:
+        await (await served.greet(BOB)).send(1, B, credit=1)
+        client = await served.greet()
+        await client.send(1, credit=1)
+        client.channel.cut()
+        await anyio.sleep(9.9)
+        assert await status_of(server) is EXECUTING
+        await anyio.sleep(0.2)
+        assert await status_of(server) is SUCCEEDED
+
+
+async def test_a_goal_that_is_kept_does_not_wait_after_a_goodbye() -> None:
+    server = talking()
+    async with serving(server) as served:
+        client = await served.greet()
+        await client.send(1, credit=1)
+        await client.say(Goodbye("done"))
+        await client.hear_all()
+        assert await status_of(server) is SUCCEEDED
+
+
+@in_virtual_time()
+async def test_a_goal_whose_client_does_not_come_back_is_canceled_after_the_grace() -> None:
+    server = held()
+    async with serving(server, then="cancel", grace=10) as served:
+        client = await served.greet()
+        await client.send(1)
+        with logged() as lines:
+            client.channel.cut()
+            await anyio.sleep(9.9)
+            assert await status_of(server) is EXECUTING
+            await anyio.sleep(0.2)
+            assert await status_of(server) is GoalStatus.CANCELED
+        assert [line.getMessage() for line in lines[1:]] == [
+            f"goal {GOAL_ID} is canceled: its client has not come back"
+        ]
+
+
+async def test_the_goal_of_a_client_that_leaves_is_canceled_at_once() -> None:
+    async with serving(held(), then="cancel") as served:
+        client, other = await served.greet(ANN), await served.greet(BOB)
+        await client.send(1)
+        await other.ask(follow(None, own=False), Following)
+        await client.say(Goodbye("done"))
+        assert [message.status for message in await other.hear_all()] == [3, 5]
+
+
+@in_virtual_time()
+async def test_a_goal_that_has_ended_within_the_grace_is_not_canceled() -> None:
+    go = anyio.Event()
+    server = running(go, fib.Result([]), result_timeout=100)
+    async with serving(server, then="cancel", grace=10) as served:
+        client = await served.greet()
+        await client.send(1)
+        with logged() as lines:
+            client.channel.cut()
+            await settled()
+            go.set()
+            await anyio.sleep(20)
+        assert await status_of(server) is SUCCEEDED
+        assert len(lines) == 1  # of the connection
+
+
+@in_virtual_time()
+@pytest.mark.parametrize("message", [follow(0), send(1)], ids=["followed", "sent again"])
+@pytest.mark.parametrize("is_noticed", [True, False])
+async def test_the_goal_of_a_client_that_comes_back_goes_on(message: Any, is_noticed: bool) -> None:
+    async with serving(held(), then="cancel", grace=10) as served:
+        client = await served.greet()
+        await client.send(1)
+        for _ in range(3):  # each loss has the whole grace
+            if is_noticed:
+                client.channel.cut()
+                await anyio.sleep(9)
+            again = await served.greet()
+            await again.ask(message, Following)
+            client.channel.cut()
+            client = again
+        await anyio.sleep(60)
+        assert set(kinds(await client.hear_all())) <= {StatusChanged}
+        assert await status_of(served.endpoints["fibonacci"]) is EXECUTING  # type: ignore[arg-type]  # the server
+
+
+@in_virtual_time()
+async def test_a_client_that_came_back_is_not_waited_for_any_longer() -> None:
+    async with serving(held(), grace=1e9) as served:
+        client = await served.greet()
+        await client.send(1)
+        counts = set()
+        for _ in range(3):
+            await settled()
+            counts.add(len(anyio.get_running_tasks()))
+            client.channel.cut()
+            await settled()
+            client = await served.greet()
+            await client.ask(follow(0), Following)
+        assert len(counts) == 1
+
+
+async def test_a_goal_that_another_client_sends_too_stays_with_its_own_client() -> None:
+    go = anyio.Event()
+    async with serving(scripted(go, *feedback(1), fib.Result([])), then="cancel") as served:
+        ann, bob = await served.greet(ANN), await served.greet(BOB)
+        await ann.send(1)
+        await bob.ask(send(1), Following)
+        await bob.say(Goodbye("done"))
+        await bob.hear_all()
+        go.set()
+        assert kinds(await ann.hear_all()) == [Feedback, Ended]
+
+
+async def test_an_observer_that_is_lost_leaves_the_goal_as_it_was() -> None:
+    async with serving(held(), then="cancel", grace=0) as served:
+        client, other = await served.greet(ANN), await served.greet(BOB)
+        await client.send(1)
+        await other.ask(follow(None, own=False), Following)
+        other.channel.cut()
+        assert await client.hear_all() == []
+
+
+async def test_a_client_that_may_only_send_may_follow_its_own_goals_again() -> None:
+    access = AccessPolicy(authorize=lambda _, __, verb: verb is Permission.SEND)
+    async with serving(held(), access=access) as served:
+        client = await served.greet(ANN)
+        await client.send(1)
+        client.channel.cut()
+        for session in (BOB, b""):
+            other = await served.greet(session)
+            assert (await other.ask(follow(0), Failed)).why == Why.FORBIDDEN
+        ann = await served.greet(ANN)
+        assert (await ann.ask(follow(0), Following)).status == EXECUTING
+
+
+@in_virtual_time()
+async def test_a_goal_that_is_accepted_while_the_connection_ends_waits_for_its_client() -> None:
+    go = anyio.Event()
+
+    class Slow(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
+        def offer_goal(self, *args: Any, **kwargs: Any) -> Any:
+            async def answer() -> Any:
+                with anyio.CancelScope(shield=True):
+                    await go.wait()
+                return ScriptedServer.offer_goal(self, *args, **kwargs)
+
+            return answer()
+
+    server = Slow(FIBONACCI, [anyio.Event()])
+    async with serving(server, then="cancel", grace=10) as served:
+        client = await served.greet()
+        await client.say(send(1))
+        await settled()
+        client.channel.cut()
+        await settled()
+        go.set()
+        await anyio.sleep(9)
+        assert await status_of(server) is EXECUTING
+        await anyio.sleep(2)
+        assert await status_of(server) is GoalStatus.CANCELED
+
+
+@pytest.mark.parametrize("error", [ConnectionLost("the gateway is away"), ValueError("a bug")])
+async def test_a_goal_that_cannot_be_canceled_is_logged_and_harms_no_other(
+    error: Exception,
+) -> None:
+    class Failing(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
+        async def cancel_goals(self, *args: Any, **kwargs: Any) -> Any:
+            raise error
+
+    async with serving(Failing(FIBONACCI, [anyio.Event()]), then="cancel") as served:
+        client, other = await served.greet(ANN), await served.greet(BOB)
+        await client.send(1)
+        with logged() as lines:
+            await client.say(Goodbye("done"))
+            await client.hear_the_end()
+            await settled()
+        assert lines[-1].getMessage() == f"goal {GOAL_ID} could not be canceled: {error}"
+        assert await other.is_served()
+
+
+# At the server: a goal that was sent twice
+
+
+@pytest.mark.parametrize("after", [2, 3, 99])
+async def test_of_a_goal_that_was_sent_twice_each_call_goes_on_behind_what_it_had(
+    after: int,
+) -> None:
+    """What is kept for the client is the stream of the second, which had one message only."""
+    async with serving(running(*feedback(1, 2, 3), fib.Result([]), result_timeout=0)) as served:
+        client = await served.greet()
+        await client.send(1, credit=0)
+        await client.say(send(2, credit=1))
+        await client.hear_all()
+        client.channel.cut()
+        again = await served.greet()
+        assert (await again.ask(follow(after), Following)).place == min(after, 3)
+        *told, ended = await again.hear_all()
+        assert [one.number for one in told] == list(range(after + 1, 4))
+        assert isinstance(ended, Ended)
+
+
+async def test_both_calls_of_a_goal_that_was_sent_twice_go_on_on_the_next_connection_too() -> None:
+    first, second = anyio.Event(), anyio.Event()
+    steps = [first, *feedback(1), second, *feedback(2), fib.Result([])]
+    async with serving(scripted(*steps)) as served:
+        client = await served.greet()
+        await client.send(1)
+        await client.ask(send(2), Following)
+        first.set()
+        heard = await client.hear_by_id()
+        assert [[one.number for one in heard[call]] for call in (1, 2)] == [[1], [1]]
+        client.channel.cut()
+        again = await served.greet()
+        await again.say(follow(1, request=1), follow(1, request=2))
+        await again.hear_by_id()
+        second.set()
+        heard = await again.hear_by_id()
+        for call in (1, 2):
+            told, ended = heard[call]
+            assert (told.number, ended.status, ended.place) == (2, SUCCEEDED, 2)
+
+
+@pytest.mark.parametrize("is_lost", [True, False])
+@in_virtual_time()
+async def test_of_a_goal_that_was_sent_twice_the_last_call_is_waited_for(is_lost: bool) -> None:
+    server = running(*feedback(*range(30)), fib.Result([]), feedback_window=4)
+    async with serving(server, grace=10) as served:
+        client = await served.greet()
+        await client.send(1, credit=1)
+        await client.say(send(2, credit=1))
+        await client.hear_all()
+        if not is_lost:  # the end of the first leaves the goal to the second
+            await client.say(Close(1))
+            await client.hear_all()
+            assert await status_of(server) is EXECUTING
+        client.channel.cut()
+        await anyio.sleep(9)
+        assert await status_of(server) is EXECUTING
+        again = await served.greet()
+        await again.say(follow(1, credit=100))
+        assert kinds(await again.hear_all())[-1] is Ended
+        assert await status_of(server) is SUCCEEDED
+
+
+# At the client: calls
+
+
+async def test_the_loss_of_a_server_is_one_line_of_the_log() -> None:
+    network = Network()
+    async with reached(network) as (_, server):
+        with logged() as lines:
+            server.channel.cut()
+            await network.accept()
+            await settled()
+        assert [line.getMessage() for line in lines] == [f"{WHERE} closed its side"]
+
+
+@every_call
+async def test_a_call_without_an_answer_is_made_again(
+    call: Callable[[Connection], Awaitable[Any]],
+) -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with Running(lambda: call(connection)) as calling:
+            (first,) = await server.hear_all()
+            for _ in range(2):
+                server.channel.cut()
+                server = await network.accept()
+                assert await server.hear_all() == [first]
+            assert not calling.is_done
+
+
+@every_call
+async def test_a_call_between_two_connections_waits_for_the_next(
+    call: Callable[[Connection], Awaitable[Any]],
+) -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        network.refusal = AWAY
+        server.channel.cut()
+        await settled()
+        async with Running(lambda: call(connection)) as calling:
+            assert not calling.is_done
+            network.refusal = None
+            server = await network.accept()
+            assert len(await server.hear_all()) == 1
+
+
+@every_call
+async def test_without_reconnecting_the_loss_ends_every_call(
+    call: Callable[[Connection], Awaitable[Any]],
+) -> None:
+    network = Network()
+    async with reached(network, ONCE) as (connection, server):
+        async with Running(lambda: call(connection)) as calling:
+            server.channel.cut()
+            with pytest.raises(ConnectionLost, match=f"^{WHERE} closed its side$"):
+                await calling.answer()
+        with anyio.fail_after(1), pytest.raises(ConnectionLost, match="closed its side"):
+            await call(connection)
+    assert network.dialed == 1
+
+
+async def test_a_server_that_says_goodbye_is_found_again() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        await server.say(Goodbye("the server is closing the connection"))
+        server = await network.accept()
+        await settled()
+        await is_used(connection, server)
+
+
+async def test_a_server_that_lets_the_client_in_no_more_is_left_for_good() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with Running(connection.actions) as asking:
+            await server.hear(ListActions)
+            await server.say(Goodbye("the token has expired", Why.FORBIDDEN))
+            with pytest.raises(AuthenticationFailed, match="the token has expired"):
+                await asking.answer()
+        with pytest.raises(AuthenticationFailed) as caught:
+            await connection.actions()
+        assert str(caught.value) == f"{WHERE}: the token has expired"
+    assert network.dialed == 1
+
+
+async def test_calls_to_be_made_again_may_be_more_than_the_queue_of_a_connection_takes() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        network.refusal = AWAY
+        server.channel.cut()
+        await settled()
+        async with AsyncExitStack() as stack:
+            for number in range(5 * OVERFULL):
+                goal_id = GoalID(bytes([number] * 16))
+                call = partial(endpoint_of(connection).send_goal, goal_id, bytes(HIGH_WATER // 2))
+                await stack.enter_async_context(Running(call))
+            network.refusal = None
+            server = await network.accept()
+            numbers = [(await server.hear(SendGoal)).goal_id[0] for _ in range(5 * OVERFULL)]
+            assert numbers == list(range(5 * OVERFULL))
+
+
+@pytest.mark.parametrize("is_lost", [True, False])
+async def test_a_call_that_waits_for_room_is_sent_once_if_it_is_not_given_up(
+    is_lost: bool,
+) -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        server.channel.stop_reading()
+        send_goal = endpoint_of(connection).send_goal
+        async with Running(lambda: send_goal(GOAL_ID, bytes(HIGH_WATER))):
+            async with Running(lambda: send_goal(GoalID(bytes([2] * 16)), b"given up")):
+                pass
+            async with Running(lambda: send_goal(GoalID(bytes([3] * 16)), b"small")):
+                if is_lost:
+                    server.channel.cut()
+                    server = await network.accept()
+                else:
+                    server.channel.go_on_reading()
+                heard = await server.hear_all()
+                sent = [len(one.goal) for one in heard if isinstance(one, SendGoal)]
+                assert sent == [HIGH_WATER, 5]
+
+
+# At the client: goals and statuses
+
+
+async def test_a_goal_is_resumed_behind_the_last_feedback_and_loses_none() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with goal_of(connection, server, place=5) as (goal, call_id):
+            server, asked = await asked_again(network, server, Follow)
+            assert asked == Follow(call_id, "fibonacci", GOAL_ID, 5, True, WINDOW)
+            await server.say(following(asked, place=5))
+            await server.say(*(Feedback(call_id, number, b"") for number in (6, 7)))
+            await settled()
+            assert await numbers_of(goal, 1) == [6]
+            server, asked = await asked_again(network, server, Follow)
+            # One that has arrived has yet to be read.
+            assert asked == Follow(call_id, "fibonacci", GOAL_ID, 7, True, WINDOW - 1)
+            await server.say(following(asked, place=7), Feedback(call_id, 8, b""))
+            await server.say(Ended(call_id, SUCCEEDED, b"result", "", 8))
+            assert await numbers_of(goal) == [7, 8]
+            assert goal.dropped == 0
+
+
+async def test_feedback_that_got_lost_between_two_connections_counts_as_dropped() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            await server.say(Feedback(call_id, 1, b"1"))
+            await settled()
+            server, asked = await asked_again(network, server, Follow)
+            await server.say(following(asked, place=5), Feedback(call_id, 6, b"6"))
+            assert await numbers_of(goal, 2) == [1, 6]
+            assert goal.dropped == 4
+
+
+async def test_a_stream_that_is_full_asks_for_nothing_until_it_is_read() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            await server.say(*(Feedback(call_id, number, b"") for number in (1, 2, 3, 4)))
+            await settled()
+            for _ in range(3):
+                server, asked = await asked_again(network, server, Follow)
+                assert (asked.after, asked.credit) == (4, 0)
+                await server.say(following(asked, place=4))
+            assert await numbers_of(goal, 2) == [1, 2]
+            assert [message.count for message in await server.hear_all()] == [2]
+            await server.say(Feedback(call_id, 5, b""))
+            assert await numbers_of(goal, 3) == [3, 4, 5]
+
+
+async def test_credit_that_was_not_given_is_part_of_what_the_next_connection_gets() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            for number in (1, 2):  # of which each would be half of a batch
+                await server.say(Feedback(call_id, number, b""))
+                assert await numbers_of(goal, 1) == [number]
+                assert await server.hear_all() == []
+                server, asked = await asked_again(network, server, Follow)
+                assert asked.credit == WINDOW
+                await server.say(following(asked, place=number))
+
+
+async def test_an_observer_stays_one() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        kept, kept_id = await observed(connection, server, place=5)
+        left, left_id = await observed(connection, server, place=5)
+        left.close()
+        assert await server.hear(Close) == Close(left_id)
+        del left
+        assert await server.hear(Received) == Received(left_id)
+        server.channel.cut()
+        server = await network.accept()
+        (again,) = await server.hear_all()
+        assert again == Follow(kept_id, "fibonacci", GOAL_ID, 5, False, WINDOW)
+        ended = Ended(kept_id, SUCCEEDED, b"result", "", 5)
+        await server.say(following(again, place=5), ended)
+        assert (await outcome_of(kept)).result == b"result"
+        assert await server.hear_all() == [Received(kept_id)]
+
+
+@pytest.mark.parametrize("feedback", [True, False])
+async def test_a_stream_of_which_only_the_end_is_wanted_is_resumed_for_that(feedback: bool) -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with goal_of(connection, server, feedback=feedback) as (goal, call_id):
+            network.refusal = AWAY
+            server.channel.cut()
+            await settled()
+            goal.close()
+            network.refusal = None
+            server = await network.accept()
+            asked = await server.hear(Follow)
+            assert (asked.own, asked.credit) == (True, None)
+            ended = Ended(call_id, SUCCEEDED, b"result", "", 9)
+            await server.say(following(asked), ended)
+            assert (await outcome_of(goal)).result == b"result"
+
+
+@pytest.mark.parametrize("stamp", [None, 8], ids=["forgotten", "another of its ID"])
+async def test_a_goal_that_the_server_does_not_have_any_more_is_unknown(stamp: int | None) -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            await server.say(Feedback(call_id, 1, b""))
+            await settled()
+            server, asked = await asked_again(network, server, Follow)
+            if stamp is None:
+                await server.say(Failed(call_id, Why.UNKNOWN_GOAL, "unknown"))
+            else:
+                await server.say(following(asked, stamp=stamp))
+                assert await server.hear(Close) == Close(call_id)
+            assert (await outcome_of(goal)).status is GoalStatus.UNKNOWN
+            assert await numbers_of(goal) == [1]  # what has come, has come
+
+
+async def test_a_status_that_changed_between_two_connections_is_told_once() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with goal_of(connection, server, status=GoalStatus.ACCEPTED) as (goal, call_id):
+            for status in (GoalStatus.ACCEPTED, EXECUTING, EXECUTING):
+                server, asked = await asked_again(network, server, Follow)
+                await server.say(following(asked, status=status))
+            await server.say(StatusChanged(call_id, EXECUTING), Feedback(call_id, 1, b""))
+            assert await update_of(goal) is EXECUTING
+            assert await numbers_of(goal, 1) == [1]
+            server, asked = await asked_again(network, server, Follow)
+            # It has ended meanwhile, and what came before that is told behind it.
+            await server.say(following(asked, status=GoalStatus.CANCELED, place=1))
+            await server.say(StatusChanged(call_id, GoalStatus.CANCELING))
+            await server.say(Feedback(call_id, 2, b""))
+            assert (await update_of(goal)).number == 2
+            assert goal.status is GoalStatus.CANCELED
+
+
+@in_virtual_time()
+async def test_a_goal_whose_server_does_not_come_back_has_lost_its_connection() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        (other, _) = await observed(connection, server)
+        async with goal_of(connection, server) as (goal, _):
+            network.refusal = AWAY
+            server.channel.cut()
+            for wait in (goal.receive, goal.outcome, other.outcome):
+                with anyio.fail_after(60), pytest.raises(ConnectionLost):
+                    await wait()
+
+
+def changes(call_id: int, *stamps: int, dropped: int = 0) -> Sequence[GoalChanged]:
+    return [
+        GoalChanged(call_id, bytes([stamp] * 16), stamp, EXECUTING, dropped) for stamp in stamps
+    ]
+
+
+async def test_statuses_are_watched_again_as_far_as_there_is_room() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        statuses, call_id = await watched(connection, server)
+        await server.say(*changes(call_id, 1, 2, dropped=3))
+        await settled()
+        assert (await statuses.receive()).stamp == 1
+        server, asked = await asked_again(network, server, WatchStatus)
+        assert asked == WatchStatus(call_id, "fibonacci", WINDOW - 1)
+        await server.say(Watching(call_id, 0), *changes(call_id, 3, 4, 5, dropped=1))
+        await settled()
+        assert statuses.dropped == 4
+        for _ in range(3):
+            server, asked = await asked_again(network, server, WatchStatus)
+            assert asked.credit == 0
+        await server.say(Watching(call_id, 0))
+        assert [(await statuses.receive()).stamp for _ in range(4)] == [2, 3, 4, 5]
+
+
+async def test_a_list_of_goals_has_each_once_across_connections() -> None:
+    network = Network()
+    async with reached(network, ClientSettings(heartbeat=LONG, window=10)) as (connection, server):
+        statuses, call_id = await watched(connection, server, known=2)
+        async with Running(statuses.listed) as listing:
+            await server.say(*changes(call_id, 1))
+            server, _ = await asked_again(network, server, WatchStatus)
+            await server.say(Watching(call_id, 3), *changes(call_id, 1, 2, 3, 4))
+            assert [info.stamp for info in await listing.answer()] == [1, 2, 3]
+        assert (await statuses.receive()).stamp == 4
+        fewer, call_id = await watched(connection, server, known=2)
+        async with Running(fewer.listed) as listing:
+            server.channel.cut()
+            server = await network.accept()
+            await server.say(Watching(call_id, 0))
+            assert await listing.answer() == []
+
+
+@pytest.mark.parametrize("is_late", [True, False])
+async def test_statuses_that_were_closed_are_not_watched_again(is_late: bool) -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, bytes(HIGH_WATER))):
+            await server.hear(SendGoal)
+            statuses, _ = await watched(connection, server)
+            if not is_late:
+                statuses.close()
+                await server.hear(Close)
+            server.channel.cut()
+            server = await network.accept()
+            if is_late:  # before they could be watched again
+                server.channel.stop_reading()
+                await settled()
+                statuses.close()
+                server.channel.go_on_reading()
+            assert kinds(await server.hear_all()) == [SendGoal] + [Close] * is_late
+
+
+# At the client: for how long
+
+
+@in_virtual_time()
+async def test_a_server_that_misses_four_signs_of_life_is_lost() -> None:
+    settings = ClientSettings(heartbeat=1, reconnect=False)
+    async with reached(settings=settings, heartbeat=10) as (connection, server):
+        async with Running(connection.actions) as asking:
+            for _ in range(2):
+                await anyio.sleep(39)
+                assert not asking.is_done
+                await server.say(Ping())
+            with pytest.raises(ConnectionLost, match="has been silent for 4"):
+                await asking.answer(within=42)
+
+
+@in_virtual_time()
+async def test_a_server_that_falls_silent_is_found_again() -> None:
+    network = Network()
+    async with reached(network, ClientSettings(heartbeat=1), heartbeat=1) as (connection, server):
+        async with Running(connection.actions) as asking:
+            await server.hear(ListActions)
+            server.channel.mute()
+            server = await network.accept()
+            await server.say(Actions((await server.hear(ListActions)).id, []))
+            assert await asking.answer() == []
+
+
+@in_virtual_time()
+@every_call
+async def test_a_call_waits_for_the_next_connection_so_long_and_no_longer(
+    call: Callable[[Connection], Awaitable[Any]],
+) -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        network.refusal = ServerNotFound("the line is dead")
+        server.channel.cut()
+        await settled()
+        async with Running(lambda: call(connection)) as calling:
+            await anyio.sleep(29)
+            assert not calling.is_done
+            # There was a server, so this is not `ServerNotFound`.
+            with pytest.raises(ConnectionLost, match=r"^the line is dead$"):
+                await calling.answer()
+        with anyio.fail_after(0.1), pytest.raises(ServerNotFound):
+            await call(connection)
+        network.refusal = None
+        server = await network.accept()
+        await settled()
+        await is_used(connection, server)
+
+
+@in_virtual_time()
+@pytest.mark.parametrize("hangs", ["dial", "welcome"])
+async def test_a_call_does_not_wait_for_an_attempt_that_hangs(hangs: str) -> None:
+    network = Network()
+    settings = ClientSettings(heartbeat=LONG, reconnect_timeout=6)
+    async with reached(network, settings) as (connection, server):
+        network.hangs = hangs == "dial"
+        server.channel.cut()
+        await settled()
+        async with Running(connection.actions) as asking:
+            await anyio.sleep(5.9)
+            assert not asking.is_done
+            with pytest.raises(ConnectionLost):
+                await asking.answer(within=0.2)
+        network.hangs = False
+        server = await network.accept()
+        await settled()
+        await is_used(connection, server)
+
+
+@in_virtual_time()
+async def test_each_loss_has_the_whole_time_and_a_connection_that_came_back_has_any() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        for _ in range(3):
+            network.refusal = AWAY
+            server.channel.cut()
+            async with Running(connection.actions) as asking:
+                await anyio.sleep(20)
+                network.refusal = None
+                server = await network.accept()
+                asked = await server.hear(ListActions)
+                await anyio.sleep(60)
+                await server.say(Actions(asked.id, []))
+                assert await asking.answer() == []
+
+
+class Late(MemoryChannel):
+    """A connection whose first message comes at a certain time."""
+
+    at: float | None = None
+
+    async def receive(self) -> list[bytes]:
+        if self.at is not None:
+            await anyio.sleep_until(self.at)
+            self.at = None
+            return [encode(Welcome(VERSION, LONG))]
+        return await super().receive()
+
+
+class LateNetwork(Network):
+    """A network whose next connection comes in the moment in which it is given up."""
+
+    lost: float | None = None
+
+    async def dial(self) -> MemoryChannel:
+        channel = await super().dial()
+        if self.lost is not None:
+            channel.__class__ = Late
+            vars(channel)["at"] = self.lost + 30
+        return channel
+
+
+@in_virtual_time()
+async def test_a_connection_that_comes_back_in_the_last_moment_is_used() -> None:
+    """Trio runs the two that are due at the same time in an order of chance."""
+    seen = set()
+    for _ in range(100):
+        network = LateNetwork()
+        async with reached(network) as (connection, server):
+            network.lost = anyio.current_time()
+            server.channel.cut()
+            async with (
+                Running(endpoint_of(connection).wait_for_server) as waiting,
+                Running(connection.actions) as asking,
+            ):
+                server, _ = await network.reached()
+                await anyio.sleep(31)
+                seen.add(asking.is_done)
+                for message in await server.hear_all():
+                    await server.say(Done(message.id))
+                await waiting.answer()
+        if len(seen) == 2:
+            break
+    assert seen == {True, False}
+
+
+@in_virtual_time()
+async def test_a_wait_for_the_server_goes_on_across_a_long_absence() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        async with Running(endpoint_of(connection).wait_for_server) as waiting:
+            await server.hear(AwaitServer)
+            network.refusal = AWAY
+            server.channel.cut()
+            await anyio.sleep(3600)
+            assert not waiting.is_done
+            network.refusal = None
+            server = await network.accept()
+            await server.say(Done((await server.hear(AwaitServer)).id))
+            await waiting.answer()
+
+
+@pytest.mark.parametrize("reconnects", [True, False])
+async def test_a_wait_for_an_action_that_is_not_served_goes_on_at_the_next_server(
+    reconnects: bool,
+) -> None:
+    network = Network()
+    settings = ClientSettings(heartbeat=LONG, reconnect=reconnects)
+    async with reached(network, settings) as (connection, server):
+        async with Running(endpoint_of(connection).wait_for_server) as waiting:
+            failed = Failed((await server.hear(AwaitServer)).id, Why.SERVER_NOT_FOUND, "no such")
+            await server.say(failed)
+            await settled()
+            assert not waiting.is_done
+            server.channel.cut()
+            if reconnects:
+                server = await network.accept()
+                await server.say(Done((await server.hear(AwaitServer)).id))
+                await waiting.answer()
+            else:
+                with pytest.raises(ConnectionLost, match="closed its side"):
+                    await waiting.answer()
+
+
+# Both together: what is on its way when the line dies
+
+
+@forgotten_or_not
+@pytest.mark.parametrize("wanted", [True, False])
+@pytest.mark.parametrize("later", [[], [3, 4]], ids=["the end", "feedback"])
+async def test_messages_that_got_lost_with_the_line_arrive_on_the_next(
+    result_timeout: float, wanted: bool, later: list[int]
+) -> None:
+    go, lines = anyio.Event(), Lines()
+    steps = [*feedback(1, 2), go, *feedback(*later), fib.Result([9])]
+    server = running(*steps, result_timeout=result_timeout)
+    async with real(server=server, lines=lines) as endpoint:
+        goal = await endpoint.send_goal(GOAL_ID, GOAL, feedback=wanted)
+        await settled()
+        lines.end.mute()
+        go.set()
+        await settled()
+        assert goal.status is not SUCCEEDED
+        lines.end.cut()
+        assert await numbers_of(goal) == ([1, 2, *later] if wanted else [])
+        outcome = await outcome_of(goal)
+        assert outcome.status is SUCCEEDED
+        assert FIBONACCI.result.decode(outcome.result) == fib.Result([9])
+        assert len(lines.ends) == 2
+        assert goal.dropped == 0 or not wanted
+
+
+async def test_a_received_that_got_lost_with_the_line_is_not_a_goal_of_the_next() -> None:
+    lines = Lines()
+    async with real(*feedback(1, 2), fib.Result([9]), lines=lines) as endpoint:
+        goal = await endpoint.send_goal(GOAL_ID, GOAL)
+        assert await numbers_of(goal) == [1, 2]
+        lines.end.cut()
+        assert (await outcome_of(goal)).status is SUCCEEDED
+        again = await endpoint.send_goal(GoalID(bytes([2] * 16)), GOAL)
+        assert await numbers_of(again) == [1, 2]

@@ -1,0 +1,330 @@
+"""The action client over rcl: one for each action and node, shared by all endpoints of the action.
+
+Theory of operation
+-------------------
+
+An action of ROS is three services and two topics. The client uses raw handles of rclpy for them,
+and knows nothing of the types of the payloads: `endpoint` converts them.
+
+*Messages arrive* in the thread that rclpy spins. A `RosWaitable` takes them, and a `Mailbox` brings
+them to the event loop, where the `_take_...` methods handle them without waiting. So no state here
+needs a lock.
+
+*A goal* is sent by a `ServiceClient`, which retries. A retry may be rejected because the first
+request was accepted and only its answer was lost: so a rejection counts only if the goal is not in
+the status list either. From before the request on, a `RosGoalStream` in `FollowedGoals` is told of
+the goal's feedback, its statuses and its result, because the server may send feedback before its
+acceptance arrives.
+
+*The end of a goal* is the answer to the request for its result. `FollowedGoals` requests it when
+the goal is accepted, and again if the status list says that the goal has ended and the answer is
+missing.
+
+*Statuses* come in lists of all goals. `ReceivedStatuses` finds what has changed. Streams of all
+statuses, and the streams of the goals, are told the changes.
+
+*A server that has gone* does not say so. `run` looks for the server as long as a call, a goal or a
+stream of statuses is pending. `Presence` knows by the graph, and by signs of life, whether there is
+a server. If there is none, everything that is pending ends with `ConnectionLost`, after
+`LAST_WORDS` seconds for what is still on its way. A server that was started anew has another ID
+(GID) in the graph: goals that were accepted by servers that are all gone end likewise.
+
+*A loss on the way* is noticed only by what is missing: by a timeout (`ServiceClient`), or by the
+status list (`FollowedGoals`). Feedback that is lost is not noticed at all, as in every client of
+ROS.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+from anyio import current_time
+
+from fibaction._notify import Notifier
+from fibaction.exceptions import ConnectionLost, GoalRejected, UnknownGoal
+from fibaction.goals import GoalID, GoalInfo
+from fibaction.server.status_broadcast import StatusSubscription
+from fibaction.states import GoalStatus
+from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.conversion import stamp_of
+from fibaction_transports.ros2.followed_goals import LATE, FollowedGoals
+from fibaction_transports.ros2.goal_stream import RosGoalStream
+from fibaction_transports.ros2.names import action_names
+from fibaction_transports.ros2.node import RosNode
+from fibaction_transports.ros2.presence import WATCH_PAUSE, Presence
+from fibaction_transports.ros2.rcl import raw, uuid_of
+from fibaction_transports.ros2.service_client import ServiceCall, ServiceClient
+from fibaction_transports.ros2.status_list import ReceivedStatuses, goal_of_feedback
+from fibaction_transports.ros2.waitable import Messages
+
+QUEUE = 10
+"""Feedback that the middleware may hold, as a multiple of what a goal keeps for its reader. The
+queue holds the feedback of all goals until the thread that takes it gets its turn, which may be
+late on a busy machine; most of the time it is empty."""
+FIRST_LIST = 1.0
+"""Seconds to wait for the first status list. It may never come: a server of rclpy or rclcpp that
+has never had a goal has published none."""
+LAST_WORDS = 0.25
+"""Seconds for messages to arrive that a server has sent before it left."""
+NO_REASON = "the server rejected it; ROS 2 transmits no reason, but the server's log may have it"
+
+
+class RosActionClient:
+    """A client of the servers of one action."""
+
+    def __init__(
+        self,
+        ros: RosNode,
+        action: str,
+        impl: Any,
+        *,
+        feedback_depth: int,
+        discovery_timeout: float,
+    ) -> None:
+        """Make the handles.
+
+        Raises:
+            TransportError: ROS does not allow them.
+        """
+        self.impl = impl
+        self.depth = feedback_depth
+        """Feedback messages of a goal that are kept for a late reader."""
+        self.known = ReceivedStatuses()
+        self._action = action
+        full = action_names(ros.node, action)
+        make, services = ros.make, qos.services()
+        # Subscriptions first. A server that knows the clients then knows these, too, so that its
+        # messages arrive once it answers.
+        queue = qos.feedback(QUEUE * feedback_depth)
+        feedback = make(raw.Subscription, impl.FeedbackMessage, full.feedback, queue)
+        status = make(
+            raw.Subscription, impl.GoalStatusMessage, full.status, qos.subscribed_status()
+        )
+        goals = make(raw.Client, impl.SendGoalService, full.send_goal, services)
+        cancels = make(raw.Client, impl.CancelGoalService, full.cancel_goal, services)
+        results = make(raw.Client, impl.GetResultService, full.get_result, services)
+        self._goals = ServiceClient(goals, impl.SendGoalService)
+        self._cancels = ServiceClient(cancels, impl.CancelGoalService)
+        self._followed = FollowedGoals(action, results, impl.GetResultService, self.known)
+        self._undecided: list[RosGoalStream] = []
+        self._subscriptions: list[StatusSubscription] = []
+        self._listed_by: frozenset[bytes] = frozenset()
+        """The servers when the last status list came: one of them has sent it."""
+        self._pending = Notifier()
+        self._listed = Notifier()
+        self.presence = Presence(
+            ros,
+            action,
+            impl.GoalStatusMessage,
+            full,
+            (goals, cancels, results),
+            (feedback, status),
+            discovery_timeout,
+        )
+        ros.on_loss(self._fail)
+        ros.listen(
+            Messages(feedback, impl.FeedbackMessage, self._take_feedback),
+            Messages(status, impl.GoalStatusMessage, self._take_statuses),
+            self._goals.source,
+            self._cancels.source,
+            self._followed.source,
+        )
+
+    # Requests
+
+    async def send(self, stream: RosGoalStream, goal: Any) -> None:
+        """Send a goal, which the stream follows from its beginning.
+
+        Raises:
+            GoalRejected, ServerNotFound, ConnectionLost: See `Endpoint.send_goal`.
+        """
+        await self.presence.needed()
+        request = self.impl.SendGoalService.Request()
+        request.goal_id.uuid = uuid_of(stream.goal_id)
+        request.goal = goal
+        self._follow(stream)
+        try:
+            info = await self._accepted(stream.goal_id, request)
+            stream.servers = self.presence.servers()
+            stream.begin(GoalInfo(info.goal_id, info.stamp, GoalStatus.ACCEPTED))
+            if (now := self.known.get(stream.goal_id)) is not None:
+                stream.set_status(now.status)
+            self._followed.request_result(stream)
+        except BaseException:
+            self._followed.remove(stream)
+            raise
+
+    async def _accepted(self, goal_id: GoalID, request: Any) -> GoalInfo:
+        with ServiceCall(self._goals, request) as call:
+            self._pending.notify()
+            while not await call.attempt():
+                # If it was the answer that was lost, the goal is in the list.
+                if (info := self.known.get(goal_id)) is not None:
+                    return info
+            if not call.response.accepted and call.tries > 1:
+                # The retry was rejected because of the first request.
+                await self._listing(goal_id, call)
+                if (info := self.known.get(goal_id)) is not None:
+                    return info
+            response = call.response
+        if not response.accepted:
+            raise GoalRejected(NO_REASON, goal_id=goal_id)
+        return GoalInfo(goal_id, stamp_of(response.stamp), GoalStatus.ACCEPTED)
+
+    async def _listing(self, goal_id: GoalID, call: ServiceCall) -> None:
+        """Wait a moment until the goal is listed, or another answer accepts it."""
+        deadline = current_time() + LATE
+        while self.known.get(goal_id) is None and not call.response.accepted:
+            if current_time() >= deadline:
+                return
+            await anyio.sleep(LATE / 10)
+
+    async def follow(self, stream: RosGoalStream) -> None:
+        """Let the stream follow a goal that was sent before.
+
+        Raises:
+            UnknownGoal, ServerNotFound, ConnectionLost: See `Endpoint.feedback`.
+            ProtocolError: The goal has ended, and its result cannot be read.
+        """
+        await self.presence.needed()
+        self._forget_gone()
+        self._follow(stream)
+        try:
+            self._followed.request_result(stream)
+            info = self.known.get(stream.goal_id)
+            if info is not None and info.status.is_active:
+                stream.begin(info)
+            else:
+                await self._decided(stream)
+            stream.servers = self.presence.servers()
+        except BaseException:
+            self._followed.remove(stream)
+            raise
+
+    async def _decided(self, stream: RosGoalStream) -> None:
+        """Wait for the answer if the goal has ended, or for a status list if it has not."""
+        self._followed.expect_result(stream.goal_id, 2 * LATE)
+        self._undecided.append(stream)
+        try:
+            while not (stream.has_begun or stream.is_over):
+                await stream.news.wait()
+        finally:
+            self._undecided.remove(stream)
+        if stream.is_over and (await stream.outcome()).status is GoalStatus.UNKNOWN:
+            raise UnknownGoal(stream.goal_id)
+
+    async def cancel(self, request: Any) -> Any:
+        """Send a cancel request, and return the answer.
+
+        Raises:
+            ServerNotFound, ConnectionLost: See `Endpoint.cancel_goals`.
+        """
+        await self.presence.needed()
+        self._pending.notify()
+        return await self._cancels.call(request)
+
+    async def subscribe(self) -> StatusSubscription:
+        """Follow the statuses of all goals.
+
+        Raises:
+            ServerNotFound, ConnectionLost: See `Endpoint.status`.
+        """
+        await self.presence.needed()
+        self._forget_gone()
+        with anyio.move_on_after(FIRST_LIST):
+            while not self.known.has_come:
+                await self._listed.wait()
+        statuses = StatusSubscription(self.known, self._unsubscribe)
+        self._subscriptions.append(statuses)
+        self._pending.notify()
+        return statuses
+
+    def _unsubscribe(self, statuses: StatusSubscription) -> None:
+        if statuses in self._subscriptions:
+            self._subscriptions.remove(statuses)
+
+    def _follow(self, stream: RosGoalStream) -> None:
+        self._followed.add(stream)
+        self._pending.notify()
+
+    # Messages
+
+    def _take_feedback(self, message: bytes) -> None:
+        for stream in self._followed.of(goal_of_feedback(message)):
+            stream.add_feedback(message)
+
+    def _take_statuses(self, message: bytes) -> None:
+        self._listed_by = self.presence.servers()
+        for info in self.known.update(message):
+            for statuses in self._subscriptions:
+                statuses.put(info)
+            streams = self._followed.of(info.goal_id)
+            for stream in streams:
+                stream.set_status(info.status)
+            if streams and not info.status.is_active:
+                self._followed.expect_result(info.goal_id, LATE)
+        self._listed.notify()
+        for stream in self._undecided:
+            if (now := self.known.get(stream.goal_id)) is not None and now.status.is_active:
+                stream.begin(now)
+
+    # Servers that have gone
+
+    async def run(self) -> None:
+        """Look after everything that is pending, until canceled."""
+        while True:
+            while not self._is_pending():
+                await self._pending.wait()
+            await anyio.sleep(WATCH_PAUSE)
+            if self._is_pending():
+                if not self.presence.is_there():
+                    await anyio.sleep(LAST_WORDS)
+                    self._fail(self._gone())
+                    self.known.clear()
+                else:
+                    await self._fail_gone()
+            self._followed.retry_overdue()
+
+    def _is_pending(self) -> bool:
+        calling = self._goals.calls or self._cancels.calls
+        return bool(calling or self._followed or self._subscriptions)
+
+    def _gone(self) -> ConnectionLost:
+        return ConnectionLost(f"the server of {self._action!r} has gone away")
+
+    async def _fail_gone(self) -> None:
+        """End the goals of servers that have gone, although others have taken their place."""
+        self._forget_gone()
+        left = {stream for stream in self._followed if self._has_gone(stream.servers)}
+        if left:
+            await anyio.sleep(LAST_WORDS)
+            self._followed.fail_if(left.__contains__, self._gone())
+
+    def _forget_gone(self) -> None:
+        """Forget the status list of a server that has gone. The server that serves now may never
+        send one: servers of rclpy and rclcpp begin with their first goal.
+        """
+        if self._has_gone(self._listed_by):
+            self._listed_by = frozenset()
+            self.known.clear()
+            self._fail_subscriptions(self._gone())
+
+    def _has_gone(self, servers: frozenset[bytes]) -> bool:
+        now = self.presence.servers()
+        return bool(servers and now and servers.isdisjoint(now))
+
+    def _fail(self, error: ConnectionLost) -> None:
+        for client in (self._goals, self._cancels):
+            client.fail(error)
+        self._followed.fail(error)
+        self._fail_subscriptions(error)
+
+    def _fail_subscriptions(self, error: ConnectionLost) -> None:
+        for statuses in self._subscriptions:
+            statuses.fail(error)
+        self._subscriptions.clear()
+
+    def close(self) -> None:
+        """End everything that is pending."""
+        self._fail(ConnectionLost("the connection was closed here"))

@@ -1,0 +1,224 @@
+"""The status list of an action server: published, received, and as bytes.
+
+Every message of the status topic lists all goals that the server remembers. `PublishedStatuses`
+decides at the server when a list is sent. `ReceivedStatuses` finds at the client what has changed
+since the list before.
+
+The bytes are those of CDR, the encoding that all middlewares of ROS 2 use. They are read and
+written here, because rclpy makes some four Python objects, one of them of numpy, for each line of
+a list, and a list is sent at every change of every goal: with some hundred goals, that would be
+most of the work.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeAlias
+
+from fibaction._notify import Notifier
+from fibaction.exceptions import ProtocolError
+from fibaction.goals import GoalID, GoalInfo
+from fibaction.states import TRANSITIONS, GoalStatus
+
+StatusLine: TypeAlias = tuple[Any, ...]
+"""One line of a list: the goal's ID, the seconds and nanoseconds of its stamp, its status."""
+
+_BILLION = 10**9
+_HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian
+# A line is a UUID, the stamp's seconds and nanoseconds, and the status. The numbers of the stamp
+# are aligned to 4 bytes, so all lines but the first have a gap of 3 behind the UUID.
+_GAP = slice(16, 19)
+
+
+class PublishedStatuses:
+    """The goals that a server remembers. The list is published when one of them has changed.
+
+    Changes of one turn of the event loop are published together. No status of a goal is left out:
+    a second change of a goal is added after the first has been published.
+    """
+
+    def __init__(self, publish: Callable[[bytes], None]) -> None:
+        self._publish = publish
+        self._lines: dict[GoalID, bytes] = {}
+        self._changed: set[GoalID] = set()
+        self._news = Notifier()
+
+    def __contains__(self, goal_id: GoalID) -> bool:
+        return goal_id in self._lines
+
+    def update(self, info: GoalInfo) -> None:
+        """Set the status of a goal; UNKNOWN removes it. An earlier or equal status is ignored."""
+        known = self._lines.get(info.goal_id)
+        published: int = GoalStatus.UNKNOWN if known is None else status_of(known)
+        if info.status == published or GoalStatus.UNKNOWN < info.status < published:
+            return
+        if info.goal_id in self._changed:
+            self.flush()
+        if info.status is GoalStatus.UNKNOWN:
+            del self._lines[info.goal_id]
+        else:
+            self._lines[info.goal_id] = pack_line(info)
+        self._changed.add(info.goal_id)
+        self._news.notify()
+
+    def clear(self) -> None:
+        """Remove all goals: the endpoint was restarted, or cannot be reached."""
+        if self._lines:
+            self._changed.update(self._lines)
+            self._lines.clear()
+            self._news.notify()
+
+    def flush(self) -> None:
+        """Publish the list now, if it has changed."""
+        if self._changed:
+            self._changed.clear()
+            self._publish(pack_statuses(self._lines.values()))
+
+    async def run(self) -> None:
+        """Publish the changes until canceled."""
+        while True:
+            while not self._changed:
+                await self._news.wait()
+            self.flush()
+
+
+def _shortest_ways() -> dict[tuple[GoalStatus, GoalStatus], tuple[GoalStatus, ...]]:
+    """Return the statuses from one to another; EXECUTING before CANCELING if both would do."""
+    ways: dict[tuple[GoalStatus, GoalStatus], tuple[GoalStatus, ...]] = {}
+    for start in GoalStatus:
+        todo: deque[tuple[GoalStatus, ...]] = deque([(start,)])
+        while todo:
+            way = todo.popleft()
+            for (before, _), after in TRANSITIONS.items():
+                if before is way[-1] and (start, after) not in ways:
+                    ways[start, after] = (*way[1:], after)
+                    todo.append((*way, after))
+    return ways
+
+
+_WAYS = _shortest_ways()
+
+
+class ReceivedStatuses:
+    """The goals of the last status list that was received.
+
+    Readers get the list in its latest version only, so some statuses are never seen. The statuses
+    that a goal must have had are reported all the same, so that every change is a legal one.
+    """
+
+    def __init__(self) -> None:
+        self._infos: dict[bytes, GoalInfo] = {}
+        self._lines: set[StatusLine] = set()
+        self._first = True
+
+    def __iter__(self) -> Iterator[GoalInfo]:
+        return iter(self._infos.values())
+
+    def get(self, goal_id: bytes) -> GoalInfo | None:
+        """Return the last known status of a goal; None if the list does not have the goal."""
+        return self._infos.get(goal_id)
+
+    @property
+    def has_come(self) -> bool:
+        """True if a list has been received."""
+        return not self._first
+
+    def clear(self) -> None:
+        """Forget the list: its server has gone, and the next list is another server's."""
+        self._infos.clear()
+        self._lines.clear()
+        self._first = True
+
+    def update(self, message: bytes) -> list[GoalInfo]:
+        """Take a list, and return the changes in order; UNKNOWN for a goal that has left the list.
+
+        Raises:
+            ProtocolError: The message is not a status list.
+        """
+        lines = unpack_statuses(message)
+        changed = [info_of(line) for line in lines if line not in self._lines]
+        gone = self._infos.keys() - {line[0] for line in lines}
+        steps = [step for info in changed for step in self._steps(info)]
+        for goal_id in gone:
+            info = self._infos.pop(goal_id)
+            steps.append(GoalInfo(info.goal_id, info.stamp, GoalStatus.UNKNOWN))
+        self._infos.update((info.goal_id, info) for info in changed)
+        self._lines = set(lines)
+        self._first = False
+        return steps
+
+    def _steps(self, info: GoalInfo) -> Iterator[GoalInfo]:
+        before = self._infos.get(info.goal_id)
+        if before is not None:
+            way = _WAYS.get((before.status, info.status), (info.status,))
+        elif self._first:
+            way = (info.status,)  # earlier statuses are older than this client
+        else:
+            way = (GoalStatus.ACCEPTED, *_WAYS.get((GoalStatus.ACCEPTED, info.status), ()))
+        return (GoalInfo(info.goal_id, info.stamp, status) for status in way)
+
+
+# Bytes
+
+
+def pack_line(info: GoalInfo) -> bytes:
+    """Return one line of a status list, as `pack_statuses` takes it."""
+    seconds, nanoseconds = divmod(info.stamp, _BILLION)
+    return struct.pack("<16s3xiIb", info.goal_id, seconds, nanoseconds, info.status)
+
+
+def status_of(line: bytes) -> int:
+    """Return the status in a line of `pack_line`."""
+    return line[-1]
+
+
+def pack_statuses(lines: Iterable[bytes]) -> bytes:
+    """Return an `action_msgs/msg/GoalStatusArray` with lines of `pack_line`."""
+    body = bytearray(b"".join(lines))
+    count = len(body) // 28
+    del body[_GAP]
+    return _HEADER + count.to_bytes(4, "little") + body
+
+
+def unpack_statuses(message: bytes) -> list[StatusLine]:
+    """Return the lines of an `action_msgs/msg/GoalStatusArray`.
+
+    Raises:
+        ProtocolError: The message is not a status list.
+    """
+    order = {0: ">", 1: "<"}.get(message[1]) if len(message) >= 8 else None
+    try:
+        if order is None:
+            raise ValueError("it is not CDR")
+        (count,) = struct.unpack_from(f"{order}I", message, 4)
+        if count == 0:
+            return []
+        first = struct.unpack_from(f"{order}16siIb", message, 8)
+        rest = memoryview(message)[33 : 5 + 28 * count]
+        lines = [first, *struct.iter_unpack(f"{order}16s3xiIb", rest)]
+        if len(lines) != count:
+            raise ValueError(f"it announces {count} goals and has {len(lines)}")
+    except (ValueError, struct.error) as exc:
+        raise ProtocolError(f"invalid status list of {len(message)} bytes: {exc}") from exc
+    return lines
+
+
+def info_of(line: StatusLine) -> GoalInfo:
+    """Return the goal of a line.
+
+    Raises:
+        ProtocolError: The number is not a status of ROS.
+    """
+    goal_id, seconds, nanoseconds, status = line
+    try:
+        known = GoalStatus(status)
+    except ValueError as exc:
+        raise ProtocolError(f"invalid status list: {exc}") from exc
+    return GoalInfo(GoalID(goal_id), seconds * _BILLION + nanoseconds, known)
+
+
+def goal_of_feedback(message: bytes) -> bytes:
+    """Return the goal ID, the first field of every `FeedbackMessage`."""
+    return message[4:20]
