@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 
 class _RosKeywords(TypedDict, total=False):
-    node_name: str | None
     namespace: str
     domain_id: int | None
     arguments: Sequence[str] | None

@@ -1,6 +1,6 @@
-"""From a URL to a transport, through the entry-point group `fibaction.transports`.
+"""Find the transport of a URL, through the entry-point group `fibaction.transports`.
 
-So a package that nobody here has heard of can bring a transport of its own.
+So any installed package can bring a transport.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ GROUP = "fibaction.transports"
 
 
 def transport_for(where: str | Transport, **settings: Any) -> Transport:
-    """The transport that a URL asks for; a transport is given back as it is.
+    """Return the transport of a URL; a transport is returned as it is.
 
-    `settings` go to the transport's constructor, and count for more than those in the URL.
+    `settings` go to the constructor of the transport, and count for more than those in the URL.
 
     Raises:
-        TransportError: No installed package brings a transport for the URL's scheme, or what that
-            transport needs is not installed, or the URL is not one.
-        TypeError: The transport has no such setting, or `where` is a transport, and has its own,
-            or it is neither.
+        InvalidURL: The URL is malformed, or no installed package has a transport for its scheme.
+        TransportError: A package that the transport needs is not installed.
+        TypeError: The transport has no such setting; or `where` is a transport, which has its
+            settings already, or is something else.
     """
     if isinstance(where, Transport):
         if settings:
@@ -61,7 +61,7 @@ def transport_for(where: str | Transport, **settings: Any) -> Transport:
 
 
 def _check_is_address(where: object) -> None:
-    """See that it is something like an address, and not for instance a server.
+    """Check that an address is text, and not for example a server.
 
     Raises:
         TypeError: It is not.
@@ -73,9 +73,9 @@ def _check_is_address(where: object) -> None:
 
 
 def without_settings(url: str) -> str:
-    """A URL for people to read, and for logs: without anything that may be secret.
+    """Return a URL without anything that may be secret, for errors and logs.
 
-    Its settings may be a token, and what stands before an `@` a password.
+    Its settings may have a token, and there may be a password before an `@`.
     """
     return re.sub("://[^/]*@", "://", url.partition("?")[0])
 

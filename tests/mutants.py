@@ -39,6 +39,8 @@ import pytest_asyncio
 import trio
 from hypothesis import HealthCheck, Phase, settings
 
+from tests.units import tests_of
+
 try:
     import libcst
     from mutmut.mutation.mutators import mutation_operators
@@ -229,11 +231,6 @@ def source_of(name: str) -> Path:
     return ROOT / "fibaction" / f"{name}.py"
 
 
-def tests_of(name: str) -> Path:
-    path = Path(name)
-    return ROOT / "tests" / path.parent / f"test_{path.name}.py"
-
-
 def run_tests(name: str, code: str) -> tuple[int, str]:
     """What pytest ends with if the module has that code, and what it prints.
 
@@ -265,7 +262,7 @@ def run_tests_here(name: str, code: str) -> int:
         [
             *("-x", "-q", "-p", "no:cacheprovider", "--hypothesis-profile=mutants"),
             *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # of what was imported before
-            *(f"--timeout={SECONDS_PER_TEST}", str(tests_of(name))),
+            *(f"--timeout={SECONDS_PER_TEST}", *map(str, tests_of(ROOT, source_of(name)))),
         ]
     )
 
@@ -335,7 +332,7 @@ def module(name: str) -> str:
     Raises:
         argparse.ArgumentTypeError: There is no such module, or no such tests.
     """
-    for path in (source_of(name), tests_of(name)):
+    for path in (source_of(name), *tests_of(ROOT, source_of(name))):
         if not path.exists():
             raise argparse.ArgumentTypeError(f"there is no {path.relative_to(ROOT)}")
     return name

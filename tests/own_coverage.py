@@ -2,7 +2,7 @@
 
     python -m pytest -p tests.own_coverage [FILE OR FOLDER...]
 
-A module's own test file covers it, or, in the folders of `UNITS`, the tests of the unit do. So no
+`tests/units.py` says which tests belong to a module: its own test file, or those of its unit. So no
 line depends on a test that lies elsewhere. This is a plugin of pytest, so that no test runs twice:
 it traces each test file apart from the others. The run fails if a module falls short all of whose
 tests are run.
@@ -10,7 +10,6 @@ tests are run.
 
 from __future__ import annotations
 
-import ast
 import importlib
 import json
 import os
@@ -23,42 +22,13 @@ from typing import Any, TypeAlias
 import pytest
 from coverage import Coverage
 
-SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/transports"}
-ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
-UNITS = {
-    "fibaction/_public.py": ["tests/test_init.py"],
-    "fibaction/streams.py": ["tests/test_abc.py"],
-    "fibaction/cli": ["tests/cli"],
-    "fibaction/server": ["tests/server", "tests/contract"],
-    "fibaction/server/registry.py": ["tests/server/test_registry.py"],  # a rule without I/O
-    "fibaction/wire": ["tests/wire"],
-    "fibaction/wire/messages.py": ["tests/wire/test_messages.py"],  # a rule without I/O
-    "transports/fibaction_transports/tcp": ["tests/transports/tcp"],
-}
-"""The tests that cover a module, or all modules of a folder together; the longest path counts.
-Every other module, so each public one, is covered by a test file of its own."""
+from tests.units import modules
 
 IMPORTING = "importing"
 """The context of what runs when the modules are imported, which counts for all tests."""
 
 Arcs: TypeAlias = "dict[str, list[tuple[int, int]]]"
 """The steps of the interpreter in each module, from line to line."""
-
-
-def modules(root: Path) -> Iterator[tuple[Path, list[Path]]]:
-    """Yield each module, and the test files or folders that cover it."""
-    for source, tests in SOURCES.items():
-        for module in sorted((root / source).rglob("*.py")):
-            if module.is_relative_to(root / ELSEWHERE):
-                continue
-            if len(ast.parse(module.read_text()).body) > 1:  # more than a docstring
-                units = [unit for unit in UNITS if module.is_relative_to(root / unit)]
-                if units:
-                    yield module, [root / test for test in UNITS[max(units, key=len)]]
-                else:
-                    name = f"test_{module.stem.strip('_')}.py"
-                    own = root / tests / module.relative_to(root / source).with_name(name)
-                    yield module, [own]
 
 
 def dotted(module: Path) -> str:

@@ -30,9 +30,8 @@ import fibaction.action_files
 import fibaction.json_payload
 import fibaction.monitor
 import fibaction.testing
-import fibaction.wire.auth
+import fibaction.wire
 import fibaction.wire.channel
-import fibaction.wire.settings
 import fibaction_transports.inprocess
 import fibaction_transports.tcp
 from fibaction import CancelCode, GoalStatus, connect, serve
@@ -41,6 +40,7 @@ from fibaction.testing import ScriptedServer
 from fibaction.urls import GROUP
 from fibaction.wire import messages
 from fibaction.wire.framing import MAX_FRAME
+from fibaction.wire.settings import ClientSettings, ServerSettings, WireKeywords
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.golden import GOLDEN
 from tests.pages import FENCED, NOT_RUN, Block
@@ -384,9 +384,8 @@ def resolve(dotted: str) -> object:
         (fibaction.abc, "GoalStream"),
         (fibaction.testing, "Step"),
         (fibaction._notify, "Notifier"),
-        (fibaction.wire.auth, "Peer"),
+        (fibaction.wire, "WireTransport"),
         (fibaction.wire.channel, "Channel"),
-        (fibaction.wire.settings, "Limits"),
         (fibaction_transports.inprocess, "InProcessTransport"),
         (fibaction_transports.tcp, "TcpTransport"),
     ],
@@ -408,11 +407,16 @@ def test_every_public_name_is_in_the_reference(module: ModuleType, known: str) -
 def test_the_settings_on_the_page_have_the_defaults_of_the_code() -> None:
     page = (DOCS / "reference" / "tcp.md").read_text(encoding="utf-8")
     section = page.partition("\n## Settings\n")[2].partition("\n:::")[0]
-    shared = inspect.signature(fibaction_transports.tcp.UnixTransport.__mro__[1]).parameters
+    defaults: dict[str, object] = {"tokens": None, "authorize": None, "limits": None}
+    for kind in (ClientSettings, ServerSettings):
+        for field in msgspec.structs.fields(kind):
+            if field.name in WireKeywords.__annotations__ and field.name != "limits":
+                defaults[field.name] = field.default
 
     rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \|", section, re.MULTILINE)
     documented = {name: ast.literal_eval(default.strip("`")) for name, default in rows}
-    assert documented == {name: setting.default for name, setting in shared.items()}
+    assert documented == defaults
+    assert set(documented) == set(WireKeywords.__annotations__)
 
 
 @every_page

@@ -46,7 +46,9 @@ def test_a_name_that_is_not_public_is_an_attribute_error() -> None:
             getattr(fibaction, name)
 
 
-def test_public_names_are_imported_at_their_first_use() -> None:
+def test_public_names_are_imported_at_their_first_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(vars(fibaction), "GoalStatus")
+    assert fibaction.GoalStatus is _public.GoalStatus
     before = modules_after("import fibaction")
     assert {name for name in before if name.startswith("fibaction")} == {"fibaction"}
     assert {"anyio", "msgspec", "importlib.metadata"}.isdisjoint(before)

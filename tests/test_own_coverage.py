@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests import own_coverage
+from tests import own_coverage, units
 
 SETTINGS = """
 [tool.pytest.ini_options]
@@ -76,7 +76,8 @@ def project(tmp_path: Path) -> Path:
         file = tmp_path / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text)
-    shutil.copy(own_coverage.__file__, tmp_path / "tests")
+    for module in (own_coverage, units):
+        shutil.copy(module.__file__, tmp_path / "tests")
     return tmp_path
 
 

@@ -62,7 +62,7 @@ _CODES: tuple[tuple[type[ActionError], ExitCode], ...] = (
 
 # Hints of the library for Python code.
 _WAIT_HINT = re.compile(r", or wait for (it|one) with wait_for_server\(\)")
-_SETTING_HINT = re.compile(r"\b([a-z_]+)=(True|False)\b")
+_CODE_HINT = re.compile(r" \(in code [^)]*\)")
 
 
 class Failure(click.ClickException):
@@ -97,13 +97,12 @@ def failure_of(
 
 
 def message_of(error: ActionError | str, advice: str = "") -> str:
-    """Return the message of an error, with its hints for Python code replaced by those for a shell.
+    """Return the message of an error without its hints for Python code.
 
-    `wait_for_server()` becomes the `advice`, and a setting is spelled as in a URL: `insecure=True`
-    becomes `?insecure=true`.
+    The hint to wait for the server becomes the `advice`.
     """
     text = _WAIT_HINT.sub(f", {advice}" if advice else "", str(error))
-    return _SETTING_HINT.sub(lambda found: f"?{found[1]}={found[2].lower()} in the URL", text)
+    return _CODE_HINT.sub("", text)
 
 
 def run(

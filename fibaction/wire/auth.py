@@ -96,4 +96,4 @@ def check_token(token: str) -> None:
     try:
         token.encode()
     except UnicodeEncodeError:
-        raise ValueError("the token is not valid text: it has bytes that are not UTF-8") from None
+        raise ValueError("token is not valid text") from None

@@ -18,9 +18,23 @@ MAX_FRAME = 16 * 2**20
 _LENGTH = Struct(">I")
 _pack, _unpack = _LENGTH.pack, _LENGTH.unpack_from
 
-_HTTP = (b"GET ", b"POST", b"HEAD", b"HTTP", b"<!DO", b"<htm")
-_OTHERS = {b"\x16\x03": "TLS", **dict.fromkeys(_HTTP, "HTTP")}
-"""First bytes of other protocols, requests and responses, to give a helpful error."""
+
+_TLS = "TLS: use tls:// at both ends, or at neither"
+_HTTP = "HTTP: check the port"
+_OTHERS = {
+    b"\x16\x03": _TLS,  # a client says hello
+    b"\x15\x03": _TLS,  # a server does not understand its client
+    b"HTTP": _HTTP,  # a server answers
+    b"<!DO": _HTTP,  # a server answers as in HTTP 0.9
+    b"<htm": _HTTP,
+    b"GET ": _HTTP,
+    b"HEAD": _HTTP,
+    b"POST": _HTTP,
+    b"PUT ": _HTTP,
+    b"OPTI": _HTTP,
+    b"CONN": _HTTP,
+}
+"""First bytes of other protocols, to give a helpful error."""
 
 
 def header(length: int) -> bytes:

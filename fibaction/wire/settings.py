@@ -152,7 +152,8 @@ def server_settings(given: WireKeywords) -> ServerSettings:
         ValueError: A value is out of range.
     """
     access = AccessPolicy(given.get("tokens"), given.get("authorize"))
-    fields = _fields_of(ServerSettings, given) | {"limits": given.get("limits") or Limits()}
+    fields = _fields_of(ServerSettings, given)
+    fields["limits"] = given.get("limits") or Limits()
     return ServerSettings(access=access, **fields)
 
 

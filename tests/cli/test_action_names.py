@@ -29,7 +29,7 @@ async def test_a_slash_in_front_of_a_name_is_optional_and_a_near_name_is_suggest
 @pytest.mark.parametrize(
     "verb",
     [
-        *(["type"], ["info"], ["send_goal"], ["goals"], ["goals", "-w"], ["echo"]),
+        *(["type"], ["send_goal"], ["goals"], ["goals", "-w"]),
         *(["cancel", "--all"], ["cancel"], ["attach", "aa"]),
     ],
     ids=lambda verb: " ".join(verb),

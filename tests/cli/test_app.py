@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import errno
 import logging
+import signal
 import subprocess
 import sys
 import time
@@ -14,7 +15,7 @@ from typing import Any
 import click
 import pytest
 
-from fibaction.cli import app
+from fibaction.cli import app, exit_at_once
 from fibaction.cli.exit_codes import ExitCode
 from tests.cli.conftest import Invoke, Run
 
@@ -147,6 +148,14 @@ def test_a_reader_who_has_enough_is_no_error(tcp: str) -> None:
 
     assert run.stdout == "/arm/pick\n"
     assert run.stderr == ""
+
+
+def test_a_verb_handles_ctrl_c_by_itself(invoke: Invoke) -> None:
+    signal.signal(signal.SIGINT, exit_at_once)
+    invoke("--help")
+    assert signal.getsignal(signal.SIGINT) is exit_at_once
+    invoke("gen", "--help")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 # How it is built

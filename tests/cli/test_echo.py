@@ -14,6 +14,7 @@ import pytest
 from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus, connect, serve
 from fibaction.cli import echo as echo_module
 from fibaction.cli.echo import EchoPrinter, EventPrinter, echo, print_events
+from fibaction.cli.exit_codes import ExitCode
 from fibaction.events import GoalFeedback
 from tests.cli.conftest import Open, Run, Start, detached, interrupt
 from tests.cli.served import Heard, Served, counter
@@ -89,6 +90,14 @@ def test_a_closed_output_ends_echo(started: Start, fibaction: Run, tcp: str) -> 
 
     assert process.wait(30) == 1
     fibaction("cancel", goal_id, url=tcp)
+
+
+def test_a_misspelt_action_suggests_the_near_one(here: Run, tcp: str) -> None:
+    assert here("echo", "fibonaci", url=tcp) == (
+        ExitCode.UNREACHABLE,
+        "",
+        "Error: nobody serves the action /fibonaci; did you mean /fibonacci?\n",
+    )
 
 
 async def echoed(
@@ -173,3 +182,11 @@ def test_echo_cuts_what_is_long_unless_all_is_wanted(monkeypatch: pytest.MonkeyP
     assert "- 999\n" in said[1]
     assert said[2]["feedback"] == list(range(1000))
     assert said[3]["event"] == "status"
+
+
+def test_a_status_as_json_has_all_that_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    printed = Heard()
+    monkeypatch.setattr(echo_module, "say_json", printed)
+    EventPrinter(as_json=True).on_event("one", GoalInfo(ID, 1, GoalStatus.ACCEPTED))
+
+    assert printed[0]["status"] == "ACCEPTED"

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 
-from fibaction.cli.escape import clean, clean_json
+from fibaction.cli.escape import clean, clean_json, clean_lines
 
 
 def test_text_of_others_is_cleaned_once() -> None:
     assert clean("ok\n\x1b[2J\u2028\U000e0001") == "ok\\x0a\\x1b[2J\\u2028\\U000e0001"
     assert clean(clean("\x1b")) == clean("\x1b")
     assert clean("füñf 鳥") == "füñf 鳥"
+    assert clean_lines("a\x1b\nb") == "a\\x1b\nb"
 
 
 def test_json_is_cleaned_in_the_way_of_json() -> None:

@@ -171,11 +171,9 @@ async def test_the_advice_for_python_code_is_replaced(nobody: str) -> None:
         assert failure_of(caught.value, "or else").message.endswith(", or else")
 
 
-def test_a_setting_is_spelled_as_in_a_url_and_not_as_in_python() -> None:
-    error = TransportError("use tls://, or say insecure=True if the network is your own")
-    assert message_of(error) == (
-        "use tls://, or say ?insecure=true in the URL if the network is your own"
-    )
+def test_how_python_spells_a_setting_is_left_out() -> None:
+    error = TransportError("use tls://, or ?insecure=true behind the URL (in code insecure=True)")
+    assert message_of(error) == "use tls://, or ?insecure=true behind the URL"
 
 
 def test_ctrl_c_where_nothing_is_to_be_canceled_ends_as_shells_expect() -> None:

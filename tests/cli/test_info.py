@@ -9,7 +9,7 @@ import pytest
 from fibaction import serve
 from fibaction._api import ClientConnection
 from fibaction.abc import Connection
-from fibaction.cli.exit_codes import Failure
+from fibaction.cli.exit_codes import ExitCode, Failure
 from fibaction.cli.info import print_info
 from fibaction.goals import ActionPeers
 from tests.cli.conftest import Invoke, Run
@@ -21,6 +21,14 @@ def test_info_has_the_lines_that_ros_prints(here: Run, url: str) -> None:
 
     assert (code, err) == (0, "")
     assert re.fullmatch(r"Action: /fibonacci\nAction clients: \d+\nAction servers: \d+\n", out)
+
+
+def test_a_misspelt_action_suggests_the_near_one(here: Run, tcp: str) -> None:
+    assert here("info", "fibonaci", url=tcp) == (
+        ExitCode.UNREACHABLE,
+        "",
+        "Error: nobody serves the action /fibonaci; did you mean /fibonacci?\n",
+    )
 
 
 def test_info_as_json_has_the_schemas(invoke: Invoke, tcp: str) -> None:

@@ -202,6 +202,8 @@ def test_the_other_process_is_the_command_without_reload(
 
 
 def test_without_a_parent_an_error_is_the_callers() -> None:
+    with reload.started_by(None):
+        pass
     with pytest.raises(Failure), reload.started_by(None):
         raise Failure("it is wrong", ExitCode.USAGE)
 

@@ -116,6 +116,14 @@ def test_a_used_address_is_one_sentence_and_nothing_else(folder: Path, invoke: I
     assert result.output.count("\n") == 1
 
 
+def test_reload_is_another_process(invoke: Invoke, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[str, tuple[str, ...], str]] = []
+    monkeypatch.setattr(serve, "run_reloading", lambda *arguments: asked.append(arguments))
+
+    assert invoke("serve", "robot:server", "unix:///a", "--reload", url="tcp://b").exit_code == 0
+    assert asked == [("robot:server", ("unix:///a",), "tcp://b")]
+
+
 def test_ctrl_c_during_the_import_is_an_interruption(folder: Path, invoke: Invoke) -> None:
     (folder / "slow.py").write_text("raise KeyboardInterrupt\n")
 
@@ -127,7 +135,8 @@ def test_a_url_that_cannot_be_served_at_is_one_sentence(folder: Path, invoke: In
 
     assert result.exit_code == ExitCode.USAGE
     assert "can be reached from other machines" in result.stderr
-    assert "?insecure=true in the URL" in result.stderr
+    assert "?insecure=true behind the URL" in result.stderr
+    assert "True" not in result.stderr
 
 
 def test_urls_of_this_process_alone_are_rejected(

@@ -21,7 +21,7 @@ from fibaction.server.executor import Execution, Executor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord
 from fibaction.states import GoalEvent, transition
-from tests.executors import ABORTED, Items
+from tests.executors import Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
@@ -98,21 +98,6 @@ async def test_feedback_is_handed_over_as_it_is_yielded_and_the_result_is_the_en
     assert item == FeedbackItem(1, FIBONACCI.feedback.encode(Feedback([0, 1, 1])))
 
 
-@pytest.mark.parametrize(
-    ("executor", "reason", "part"), ABORTED, ids=[case[0].__name__ for case in ABORTED]
-)
-async def test_an_executor_that_goes_wrong_has_failed(
-    executor: Executor[Goal, Feedback, Result], reason: str, part: list[int] | None
-) -> None:
-    ending = await Bench(executor).run()
-    result = None if part is None else packed(part)
-    if ending.kind is EndKind.CANCELED:
-        # Whether it may say so is the server's to judge.
-        assert ending.result == result
-    else:
-        assert ending == Ending(EndKind.FAILED, result, reason)
-
-
 async def test_a_goal_can_be_canceled_without_a_part() -> None:
     async def says_so(goal: GoalHandle[Goal]) -> Items:
         raise GoalCanceled("nothing was done")
@@ -175,41 +160,6 @@ async def test_what_is_to_end_python_itself_is_not_kept_back() -> None:
 
     with pytest.raises(SystemExit):
         await Bench(exits).run()
-
-
-async def test_an_interruption_arrives_once_and_what_is_awaited_after_it_is_left_in_peace() -> None:
-    arrived = []
-
-    async def tidies_up(goal: GoalHandle[Goal]) -> Items:
-        try:
-            await anyio.sleep_forever()
-        except anyio.get_cancelled_exc_class():
-            arrived.append(1)
-            for _ in range(3):
-                await anyio.lowlevel.checkpoint()
-                yield Feedback([1])
-            raise GoalCanceled("done", result=Result([2])) from None
-
-    assert await Bench(tidies_up).run_and_cancel() == Ending(EndKind.CANCELED, packed([2]), "done")
-    assert arrived == [1]
-
-
-async def test_an_interruption_that_nobody_catches_ends_the_executor() -> None:
-    async def waits(goal: GoalHandle[Goal]) -> Items:
-        yield Feedback([1])
-        await anyio.sleep_forever()
-
-    assert await Bench(waits).run_and_cancel() == Ending(EndKind.CANCELED)
-
-
-async def test_an_interruption_through_a_task_group_of_the_executor_is_no_failure() -> None:
-    async def delegates(goal: GoalHandle[Goal]) -> Items:
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(anyio.sleep_forever)
-            await anyio.sleep_forever()
-        yield Result([])
-
-    assert await Bench(delegates).run_and_cancel() == Ending(EndKind.CANCELED)
 
 
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])  # for trio see `_Steps`
@@ -321,25 +271,6 @@ async def test_killing_what_has_not_begun_does_nothing() -> None:
     assert (await bench.run()).kind is EndKind.RESULT
 
 
-async def test_killing_ends_the_clean_up_too() -> None:
-    async def hangs(goal: GoalHandle[Goal]) -> Items:
-        try:
-            await anyio.sleep_forever()
-        finally:
-            await anyio.sleep_forever()
-        yield Result([])
-
-    bench = Bench(hangs)
-
-    async def kill() -> None:
-        bench.execution.interrupt()
-        await anyio.wait_all_tasks_blocked()
-        assert bench.ending is None
-        bench.execution.kill()
-
-    assert (await bench.run_and(kill)).kind is EndKind.CANCELED
-
-
 async def test_an_interruption_before_the_start_arrives_at_the_first_await() -> None:
     async def waits(goal: GoalHandle[Goal]) -> Items:
         await anyio.sleep_forever()
@@ -350,71 +281,11 @@ async def test_an_interruption_before_the_start_arrives_at_the_first_await() -> 
     assert await bench.run() == Ending(EndKind.CANCELED)
 
 
-async def test_an_interruption_is_raised_at_the_yield_of_an_executor_that_never_awaits() -> None:
-    async def cancels_itself(goal: GoalHandle[Goal]) -> Items:
-        number = 0
-        while True:
-            number += 1
-            if number == 7:
-                bench.cancel()
-            try:
-                yield Feedback([number])
-            except anyio.get_cancelled_exc_class():
-                raise GoalCanceled(result=Result([number])) from None
-
-    bench = Bench(cancels_itself)
-    assert await bench.run() == Ending(EndKind.CANCELED, packed([7]))
-
-
-async def test_an_executor_may_answer_the_interruption_with_its_result() -> None:
-    async def cancels_itself(goal: GoalHandle[Goal]) -> Items:
-        bench.cancel()
-        yield Result([1])
-
-    bench = Bench(cancels_itself)
-    assert await bench.run() == Ending(EndKind.RESULT, packed([1]))
-
-
-async def test_a_yield_waits_while_the_log_is_full_and_can_be_interrupted_there() -> None:
-    bench = Bench(fibonacci, order=20, window=2)
-
-    async def read_a_little() -> None:
-        assert bench.log.count == 2
-        assert await bench.stream.receive() is not None
-        await anyio.wait_all_tasks_blocked()
-        assert bench.log.count == 3
-        bench.cancel()
-
-    assert await bench.run_and(read_a_little) == Ending(EndKind.CANCELED)
-
-
 async def test_a_yield_waits_no_longer_than_the_stall_timeout() -> None:
     bench = Bench(fibonacci, order=20, window=2, stall_timeout=0.001)
     assert (await bench.run()).kind is EndKind.RESULT
     assert await bench.read() == [4181, 6765]
     assert bench.stream.dropped == 17
-
-
-async def test_an_executor_that_never_awaits_lets_others_run() -> None:
-    turns = 0
-
-    async def count_turns() -> None:
-        nonlocal turns
-        while True:
-            await anyio.lowlevel.checkpoint()
-            turns += 1
-
-    async def busy(goal: GoalHandle[Goal]) -> Items:
-        while turns < 3:
-            yield Feedback([turns])
-        yield Result([turns])
-
-    bench = Bench(busy, window=1)
-    bench.stream.close()
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(count_turns)
-        assert (await bench.run()).kind is EndKind.RESULT
-        tasks.cancel_scope.cancel()
 
 
 async def test_the_handle_tells_what_the_executor_may_know() -> None:

@@ -95,16 +95,6 @@ async def test_a_follower_knows_its_goal() -> None:
 
 
 @pytest.mark.asyncio
-@pytest.mark.parametrize("happens", [lambda log: append(log, 1), end], ids=["feedback", "the end"])
-async def test_a_follower_waits_for_feedback_or_the_end(
-    happens: Callable[[FeedbackLog], None],
-) -> None:
-    log = new_log()
-    stream = log.follow()
-    await while_waiting(stream.receive, lambda: happens(log))
-
-
-@pytest.mark.asyncio
 async def test_a_follower_needs_no_change_of_status_to_hear_of_the_end() -> None:
     log = new_log()
     stream = log.follow()
@@ -114,18 +104,6 @@ async def test_a_follower_needs_no_change_of_status_to_hear_of_the_end() -> None
         log.finish()
 
     await while_waiting(stream.receive, end_without_a_change)
-
-
-@pytest.mark.asyncio
-async def test_all_feedback_comes_before_the_end_and_then_only_the_end() -> None:
-    log = new_log()
-    stream = log.follow()
-    append(log, 2)
-    end(log)
-    with anyio.fail_after(5):
-        assert await numbers(stream) == [1, 2]
-        assert await stream.receive() is None
-        assert await stream.outcome() is OUTCOME
 
 
 @pytest.mark.asyncio
@@ -142,101 +120,6 @@ async def test_a_follower_begins_where_it_asks_to(after: int | None, expected: l
     with anyio.fail_after(5):
         assert await numbers(stream) == expected
     assert stream.dropped == 0
-
-
-@pytest.mark.asyncio
-async def test_followers_are_each_at_a_place_of_their_own() -> None:
-    log = new_log()
-    one, other = log.follow(), log.follow()
-    append(log, 2)
-    end(log)
-    with anyio.fail_after(5):
-        assert await numbers(one) == [1, 2]
-        assert await numbers(other) == [1, 2]
-
-
-@pytest.mark.asyncio
-async def test_a_slow_follower_loses_the_oldest_and_is_told_how_many() -> None:
-    log = new_log(window=2)
-    stream = log.follow()
-    append(log, 5)
-    end(log)
-    with anyio.fail_after(5):
-        assert await numbers(stream) == [4, 5]
-    assert stream.dropped == 3
-
-
-@pytest.mark.asyncio
-async def test_with_latest_a_slow_follower_sees_the_newest() -> None:
-    log = new_log(window=10, latest=True)
-    stream = log.follow()
-    append(log, 3)
-    with anyio.fail_after(5):
-        assert await stream.receive() == FeedbackItem(3, b"3")
-        append(log, 1)
-        end(log)
-        assert await numbers(stream) == [4]
-    assert stream.dropped == 2
-
-
-@pytest.mark.asyncio
-async def test_feedback_that_the_log_of_an_ended_goal_no_longer_has_counts_as_dropped() -> None:
-    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
-    goal.feedback_count = 3
-    goal.outcome = OUTCOME
-    stream = FeedbackLog(goal).follow(after=1)
-    with anyio.fail_after(5):
-        assert await numbers(stream) == []
-        assert await numbers(stream) == []
-    assert stream.dropped == 2
-
-
-@pytest.mark.asyncio
-async def test_a_follower_without_feedback_hears_of_the_end_only() -> None:
-    log = new_log()
-    stream = log.follow(feedback=False)
-    assert not log.is_followed
-    append(log, 1)
-    with anyio.fail_after(5):
-        assert await stream.receive() is None
-    await while_waiting(stream.outcome, lambda: end(log))
-    assert stream.dropped == 0
-    stream.close()
-
-
-@pytest.mark.asyncio
-async def test_the_outcome_can_be_waited_for_by_many_and_without_reading() -> None:
-    log = new_log()
-    one, other = log.follow(), log.follow()
-    append(log, 1)
-    outcomes: list[Outcome[bytes]] = []
-
-    async def wait(stream: FeedbackCursor) -> None:
-        outcomes.append(await stream.outcome())
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(wait, one)
-            tasks.start_soon(wait, other)
-            await anyio.wait_all_tasks_blocked()
-            assert outcomes == []
-            end(log)
-    assert outcomes == [OUTCOME, OUTCOME]
-
-
-@pytest.mark.asyncio
-@pytest.mark.parametrize("reads", [True, False])
-async def test_a_closed_follower_reads_no_more_but_still_hears_the_outcome(reads: bool) -> None:
-    log = new_log()
-    stream = log.follow(feedback=reads)
-    append(log, 1)
-    stream.close()
-    stream.close()
-    assert not log.is_followed
-    with anyio.fail_after(5):
-        assert await stream.receive() is None
-        end(log)
-        assert await stream.outcome() is OUTCOME
 
 
 @pytest.mark.parametrize("reads", [True, False])
@@ -492,16 +375,6 @@ def test_who_reads_no_feedback_is_told_of_the_end_and_of_nothing_else(reads: boo
     assert stream.known_outcome() is OUTCOME
 
 
-@pytest.mark.asyncio
-@pytest.mark.parametrize("reads", [True, False], ids=["closed", "without feedback"])
-async def test_who_reads_no_feedback_can_wait_for_news_of_the_end(reads: bool) -> None:
-    log = new_log()
-    stream = log.follow(feedback=reads)
-    if reads:
-        stream.close()
-    await while_waiting(lambda: GoalStream.outcome(stream), lambda: end(log))
-
-
 def test_a_log_keeps_alive_who_reads_it_and_nobody_else() -> None:
     log = new_log()
     reader, closed = log.follow(), log.follow()
@@ -598,35 +471,6 @@ async def test_a_listener_waits_until_something_happens(
     log = new_log()
     stream = log.follow()
     await while_waiting(lambda: next_update(stream), lambda: happens(log, stream))
-
-
-@pytest.mark.asyncio
-async def test_feedback_that_is_not_asked_for_is_left_for_later() -> None:
-    log = new_log()
-    stream = log.follow()
-    append(log, 1)
-    heard: list[GoalStatus] = []
-
-    async def listen() -> None:
-        while stream.known_outcome() is None:
-            taken = stream.take(0)
-            heard.extend(update for update in taken if isinstance(update, GoalStatus))
-            if not taken:
-                await stream.news.wait()
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(listen)
-            await anyio.wait_all_tasks_blocked()
-            assert heard == []
-            append(log, 1)
-            change(log, GoalStatus.EXECUTING)
-            await anyio.wait_all_tasks_blocked()
-            assert heard == [GoalStatus.EXECUTING]
-            end(log)
-        assert heard == [GoalStatus.EXECUTING]
-        assert await events(stream) == [1, 2]
-    assert stream.dropped == 0
 
 
 @pytest.mark.asyncio
@@ -803,16 +647,6 @@ async def test_the_wait_for_room_ends_when_its_client_reads_or_lets_go(
     append(log, 1)
     await while_waiting(lambda: log.wait_for_room(math.inf), lambda: make_room(log, stream))
     assert not log.is_full
-
-
-@pytest.mark.asyncio
-async def test_each_feedback_waits_until_the_one_before_was_read() -> None:
-    log = new_log(window=1)
-    stream = log.follow(hold=True)
-    for number in range(1, 4):
-        append(log, 1)
-        await while_waiting(lambda: log.wait_for_room(math.inf), lambda: read_one(log, stream))
-        assert stream.cursor == number
 
 
 @pytest.mark.asyncio

@@ -6,7 +6,7 @@ import asyncio  # noqa: TID251  # it alone can cancel a task without a scope
 import gc
 import math
 import tracemalloc
-from collections.abc import AsyncGenerator, Coroutine, Iterator
+from collections.abc import Coroutine, Iterator
 from functools import partial
 from typing import Any
 
@@ -19,14 +19,12 @@ from fibaction import (
     ActionInfo,
     ActionServer,
     CancelCode,
-    CancelRejected,
     GoalHandle,
     GoalID,
     GoalRejected,
     GoalStatus,
     Outcome,
     ServerNotFound,
-    UnknownGoal,
 )
 from fibaction.abc import FeedbackItem, GoalStream
 from fibaction.goals import Sender
@@ -213,29 +211,6 @@ async def test_a_server_that_is_not_running_is_not_found() -> None:
         await server.__aenter__()
 
 
-async def test_waiting_for_a_server_ends_when_it_starts() -> None:
-    server = ActionServer(FIBONACCI, fibonacci)
-    found = anyio.Event()
-
-    async def wait() -> None:
-        await server.wait_for_server()
-        found.set()
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(wait)
-            await anyio.wait_all_tasks_blocked()
-            assert not found.is_set()
-            async with server:
-                await found.wait()
-
-
-async def test_stopping_twice_is_harmless() -> None:
-    async with ActionServer(FIBONACCI, fibonacci) as server:
-        await server.stop()
-        await server.stop()
-
-
 @pytest.mark.promise("ERROR-3")
 async def test_the_exception_of_the_block_goes_on_as_itself() -> None:
     error = KeyError("mine")
@@ -330,36 +305,6 @@ async def test_who_stops_a_server_and_is_itself_canceled_leaves_nobody_waiting(
             assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
     assert not executor.is_clean
     assert "did not stop in time" in caplog.text
-
-
-async def test_a_goal_that_the_server_had_no_time_to_start_is_aborted_all_the_same() -> None:
-    async with ActionServer(FIBONACCI, fibonacci, shutdown_timeout=0) as server:
-        stream = await server.send_goal(GoalID.random(), packed(1))
-        assert stream.status is GoalStatus.ACCEPTED
-        await server.stop()
-        assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
-
-
-async def test_an_executor_that_does_not_stop_in_time_is_killed(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    begun = anyio.Event()
-
-    async def hangs(goal: GoalHandle[Goal]) -> Items:
-        begun.set()
-        try:
-            await anyio.sleep_forever()
-        finally:
-            await anyio.sleep_forever()
-        yield Result([])
-
-    async with ActionServer(FIBONACCI, hangs, shutdown_timeout=0.001) as server:
-        stream = await server.send_goal(GoalID.random(), packed(1), feedback=False)
-        await begun.wait()
-    assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
-    assert (
-        f"goal {stream.goal_id} of action 'fibonacci' did not stop in time (0.001 s)" in caplog.text
-    )
 
 
 async def test_no_goal_is_accepted_while_the_server_stops() -> None:
@@ -459,118 +404,6 @@ async def test_a_goal_that_was_not_decided_because_python_ends_is_decided_anew()
             stream = await server.send_goal(goal_id, packed(1))
             assert (await stream.outcome()).status is GoalStatus.SUCCEEDED
     assert len(asked) == 2
-
-
-async def test_a_goal_is_decided_once_however_often_it_is_sent() -> None:
-    decide = anyio.Event()
-    asked = []
-
-    async def on_goal(goal: Goal) -> None:
-        asked.append(goal)
-        await decide.wait()
-
-    async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
-        goal_id = GoalID.random()
-        streams: list[GoalStream] = []
-
-        async def send() -> None:
-            streams.append(await server.send_goal(goal_id, packed(2)))
-
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(send)
-            tasks.start_soon(send)
-            await anyio.wait_all_tasks_blocked()
-            decide.set()
-        outcomes = [await stream.outcome() for stream in streams]
-    assert outcomes == [Outcome(GoalStatus.SUCCEEDED, result([0, 1, 1]))] * 2
-    assert asked == [Goal(2)]
-
-
-async def test_if_whoever_decides_gives_up_the_next_one_to_ask_decides() -> None:
-    asked = 0
-    first_asked = anyio.Event()
-
-    async def on_goal(goal: Goal) -> None:
-        nonlocal asked
-        asked += 1
-        if asked == 1:
-            first_asked.set()
-            await anyio.sleep_forever()
-
-    async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
-        goal_id = GoalID.random()
-        streams: list[GoalStream] = []
-
-        async def send(scope: anyio.CancelScope) -> None:
-            with scope:
-                streams.append(await server.send_goal(goal_id, packed(2)))
-
-        first, second = anyio.CancelScope(), anyio.CancelScope()
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(send, first)
-            await first_asked.wait()
-            tasks.start_soon(send, second)
-            await anyio.wait_all_tasks_blocked()
-            first.cancel()
-        assert len(streams) == 1
-        assert (await streams[0].outcome()).status is GoalStatus.SUCCEEDED
-    assert asked == 2
-
-
-@pytest.mark.promise("CANCEL-21")
-async def test_a_goal_that_is_being_decided_is_canceled_by_its_id_once_it_is_accepted() -> None:
-    decide = anyio.Event()
-
-    async def on_goal(goal: Goal) -> None:
-        await decide.wait()
-
-    async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
-        goal_id = GoalID.random()
-        answers: list[Any] = []
-
-        async def send() -> None:
-            answers.append(await server.send_goal(goal_id, packed(2)))
-
-        async def cancel() -> None:
-            answers.append(await server.cancel_goals(goal_id))
-
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(send)
-            await anyio.wait_all_tasks_blocked()
-            tasks.start_soon(cancel)
-            await anyio.wait_all_tasks_blocked()
-            assert answers == []
-            decide.set()
-        stream, answer = sorted(answers, key=lambda one: not isinstance(one, GoalStream))
-        assert (await stream.outcome()).status in (GoalStatus.CANCELED, GoalStatus.SUCCEEDED)
-        assert answer.return_code in (CancelCode.NONE, CancelCode.GOAL_TERMINATED)
-
-
-async def test_a_goal_of_the_wrong_type_and_one_that_is_refused_are_rejected() -> None:
-    def on_goal(goal: Goal) -> None:
-        raise GoalRejected("never")
-
-    async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
-        with pytest.raises(GoalRejected, match=r"Expected `object`, got `int`"):
-            await server.send_goal(GoalID.random(), b"\x01")
-        with pytest.raises(GoalRejected, match="never"):
-            await server.send_goal(GoalID.random(), packed(1))
-        assert repr(server) == "<ActionServer 'fibonacci' running goals=0>"
-
-
-async def test_a_goal_sent_again_is_followed_from_its_first_feedback() -> None:
-    async with ActionServer(FIBONACCI, fibonacci) as server:
-        goal_id = GoalID.random()
-        first = await server.send_goal(goal_id, packed(4))
-        await first.outcome()
-        again = await server.send_goal(goal_id, packed(4))
-        assert again.stamp == first.stamp
-        numbers = []
-        while (item := await again.receive()) is not None:
-            numbers.append(item.number)
-        assert numbers == [1, 2, 3]
-        with pytest.raises(UnknownGoal):
-            await server.feedback(GoalID.random())
 
 
 # Offering a goal
@@ -824,29 +657,6 @@ async def test_whoever_comes_after_the_end_gets_the_feedback_that_somebody_else_
 # Canceling
 
 
-async def test_goals_are_canceled_side_by_side_and_refusals_are_told() -> None:
-    def on_cancel(goal: GoalHandle[Goal]) -> None:
-        if goal.request.order == 1:
-            raise CancelRejected("not this one")
-
-    executor = Held()
-    async with ActionServer(FIBONACCI, executor, on_cancel=on_cancel) as server:
-        streams = [await server.send_goal(GoalID.random(), packed(order)) for order in range(3)]
-        await executor.begun.wait()
-        answer = await server.cancel_goals()
-        assert [info.goal_id for info in answer.goals_canceling] == [
-            streams[0].goal_id,
-            streams[2].goal_id,
-        ]
-        assert answer.reason == "not this one"
-        executor.go.set()
-        assert [(await stream.outcome()).status for stream in streams] == [
-            GoalStatus.CANCELED,
-            GoalStatus.SUCCEEDED,
-            GoalStatus.CANCELED,
-        ]
-
-
 async def test_a_goal_that_ends_before_its_turn_comes_to_be_canceled_is_passed_over() -> None:
     executor = Held()
     asked: list[GoalID] = []
@@ -866,28 +676,6 @@ async def test_a_goal_that_ends_before_its_turn_comes_to_be_canceled_is_passed_o
     assert outcomes == {GoalStatus.CANCELED, GoalStatus.SUCCEEDED}
 
 
-async def test_a_cancel_of_a_goal_that_is_canceling_asks_nobody_again() -> None:
-    asked: list[GoalHandle[Goal]] = []
-
-    async def slow_to_stop(goal: GoalHandle[Goal]) -> Items:
-        begun.set()
-        try:
-            await anyio.sleep_forever()
-        finally:
-            await go.wait()
-        yield Result([])
-
-    begun, go = anyio.Event(), anyio.Event()
-    async with ActionServer(FIBONACCI, slow_to_stop, on_cancel=asked.append) as server:
-        stream = await server.send_goal(GoalID.random(), packed(1))
-        await begun.wait()
-        first = await server.cancel_goals(stream.goal_id)
-        assert await server.cancel_goals(stream.goal_id) == first
-        go.set()
-        await stream.outcome()
-    assert len(asked) == 1
-
-
 @pytest.mark.promise("CANCEL-13")
 async def test_a_goal_that_is_canceled_before_its_start_never_runs() -> None:
     executor = Held()
@@ -896,30 +684,6 @@ async def test_a_goal_that_is_canceled_before_its_start_never_runs() -> None:
         assert (await server.cancel_goals(stream.goal_id)).accepted
         assert await stream.outcome() == Outcome(GoalStatus.CANCELED)
     assert not executor.begun.is_set()
-
-
-async def test_a_goal_that_has_ended_while_its_cancel_was_decided_is_left_alone() -> None:
-    asked, decide = anyio.Event(), anyio.Event()
-
-    async def on_cancel(goal: GoalHandle[Goal]) -> None:
-        asked.set()
-        await decide.wait()
-
-    executor = Held()
-    async with ActionServer(FIBONACCI, executor, on_cancel=on_cancel) as server:
-        stream = await server.send_goal(GoalID.random(), packed(1))
-        codes = []
-
-        async def cancel() -> None:
-            codes.append((await server.cancel_goals(stream.goal_id)).return_code)
-
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(cancel)
-            await asked.wait()
-            executor.go.set()
-            await stream.outcome()
-            decide.set()
-    assert codes == [CancelCode.GOAL_TERMINATED]
 
 
 async def test_an_executor_that_ends_as_canceled_unasked_is_aborted() -> None:
@@ -1040,7 +804,3 @@ async def test_memory_does_not_grow_beyond_the_kept_results() -> None:
     # The hundred kept goals were made before tracing began, and are replaced by traced ones: some
     # 700 bytes each. If each of the 3,000 left only 100 bytes behind, it would be 300,000 more.
     assert after - before < 200_000
-
-
-async def generate(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-    yield Result([])

@@ -33,8 +33,6 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction._tasks import Background
-from fibaction.wire.auth import Peer, Permission
 from fibaction_transports.tcp import TcpTransport
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import hearing
@@ -349,38 +347,6 @@ async def as_soon_as_connected(call: Callable[[], Awaitable[T]]) -> T:
             return await call()
         except ConnectionLost:
             await anyio.sleep(0.01)
-
-
-async def test_who_waits_for_a_server_waits_through_failed_attempts() -> None:
-    async with bad_line(ActionServer(FIBONACCI, fibonacci)) as line:
-        line.refuses = True
-        async with connect(line.url, FIBONACCI) as client:
-            with anyio.fail_after(5):
-
-                async def mend() -> None:
-                    await line.until(3)
-                    line.refuses = False
-
-                async with Background() as tasks:
-                    tasks.start_soon(mend)
-                    await client.wait_for_server()
-                    assert not line.refuses
-
-
-async def test_who_may_only_send_gets_the_outcome_after_a_cut_too() -> None:
-    def authorize(peer: Peer, action: str, verb: Permission) -> bool:
-        return verb is Permission.SEND
-
-    executor = Counting(stop=1)
-    async with bad_line(ActionServer(FIBONACCI, executor), authorize=authorize) as line:
-        async with connect(line.url, FIBONACCI) as client:
-            with anyio.fail_after(5):
-                goal = await client.send_goal(Goal(2))
-                goal.close()
-                await executor.started.wait()
-                line.cut()
-                executor.go_on.set()
-                assert await goal.result() == Result([2])
 
 
 @pytest.mark.promise("FEEDBACK-12")

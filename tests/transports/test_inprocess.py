@@ -18,6 +18,7 @@ from fibaction import (
     serve,
 )
 from fibaction.abc import Endpoint
+from fibaction.urls import transport_for
 from fibaction_transports import inprocess
 from fibaction_transports.inprocess import InProcessTransport
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -161,3 +162,11 @@ async def test_a_place_that_nobody_uses_is_forgotten() -> None:
     InProcessTransport("passing")
     gc.collect()
     assert "inproc://passing" not in inprocess._places
+
+
+async def test_a_setting_by_name_is_an_error_since_there_are_none() -> None:
+    with pytest.raises(TypeError) as caught:
+        transport_for("inproc://robot", heartbeat=2)
+    assert str(caught.value) == (
+        "InProcessTransport has no setting 'heartbeat'; it has no settings"
+    )

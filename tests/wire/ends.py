@@ -19,7 +19,7 @@ from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.channel import Channel
-from fibaction.wire.connection import ClientSettings, connected
+from fibaction.wire.connection import open_connection
 from fibaction.wire.framing import MAX_FRAME
 from fibaction.wire.messages import (
     VERSION,
@@ -37,9 +37,8 @@ from fibaction.wire.messages import (
     decode_from_client,
     decode_from_server,
 )
-from fibaction.wire.session import ServerSettings
-from fibaction.wire.settings import Limits
-from fibaction.wire.wire_server import WireServer, hub
+from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
+from fibaction.wire.wire_server import WireServer, open_server
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.wire import memory
@@ -188,8 +187,8 @@ async def serving(
             await stack.enter_async_context(server)
         endpoints: dict[str, Endpoint] = {server.info.name: server for server in servers}
         terms = ServerSettings(heartbeat, access or AccessPolicy(), limits, then, grace)
-        wire, tasks = await stack.enter_async_context(hub(endpoints, terms))
-        yield Served(wire, tasks, endpoints, limits.frame)
+        wire = await stack.enter_async_context(open_server(endpoints, terms))
+        yield Served(wire, wire.tasks, endpoints, limits.frame)
 
 
 # A real client, and a server whose messages a test makes
@@ -246,7 +245,7 @@ async def reached(
     """A real client's connection, and the server that a test speaks for."""
     network = network or Network()
     async with Running(lambda: network.accept(heartbeat, max_frame)) as accepting:
-        async with connected(network.dial, WHERE, settings) as connection:
+        async with open_connection(network.dial, WHERE, settings) as connection:
             yield connection, await accepting.answer()
 
 
@@ -369,7 +368,7 @@ async def real(
             await anyio.lowlevel.checkpoint()
             return other
 
-        async with connected(dial, WHERE, settings) as connection:
+        async with open_connection(dial, WHERE, settings) as connection:
             yield endpoint_of(connection)
 
 

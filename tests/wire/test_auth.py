@@ -63,7 +63,7 @@ def test_tokens_that_would_let_nobody_or_everybody_in_are_refused(
 
 
 def test_a_token_that_no_client_could_send_is_refused_and_not_shown() -> None:
-    with pytest.raises(ValueError, match=r"^the token is not valid text: it has bytes") as caught:
+    with pytest.raises(ValueError, match=r"^token is not valid text$") as caught:
         AccessPolicy({"sesame": "ali", "secret \udcff": "bob"})
     assert "secret" not in str(caught.value)
     assert caught.value.__suppress_context__
@@ -148,6 +148,6 @@ def test_only_where_nobody_is_asked_everybody_may_do_everything() -> None:
 
 def test_a_token_is_text() -> None:
     check_token("sésame")
-    with pytest.raises(ValueError, match=r"^the token is not valid text: it has bytes") as caught:
+    with pytest.raises(ValueError, match=r"^token is not valid text") as caught:
         check_token("secret \udcff")
     assert "secret" not in str(caught.value)

@@ -28,7 +28,7 @@ from fibaction.exceptions import (
 )
 from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
 from fibaction.states import GoalStatus
-from fibaction.wire.connection import ClientSettings, connected
+from fibaction.wire.connection import open_connection
 from fibaction.wire.messages import (
     VERSION,
     Actions,
@@ -58,6 +58,7 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
+from fibaction.wire.settings import ClientSettings
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.virtual_time import in_virtual_time
@@ -111,7 +112,7 @@ async def cannot_connect(
 ) -> str:
     """The first attempt fails, and there is no other; gives the text."""
     with anyio.fail_after(60), pytest.raises(error) as caught:
-        async with connected(network.dial, WHERE, settings):
+        async with open_connection(network.dial, WHERE, settings):
             raise AssertionError
     assert type(caught.value) is error
     assert network.dialed == 1
@@ -140,7 +141,7 @@ async def test_the_first_message_says_who_the_client_is_on_each_connection() -> 
             server.channel.cut()
 
     async with Running(accept) as accepting:
-        async with connected(network.dial, WHERE, settings):
+        async with open_connection(network.dial, WHERE, settings):
             await accepting.answer()
     assert hellos[0] == hellos[1]
     hello = hellos[0]
@@ -212,7 +213,7 @@ async def test_calls_before_the_first_connection_fail_at_once() -> None:
     network = Network()
     network.refusal = AWAY
     with anyio.fail_after(5):
-        async with connected(network.dial, WHERE, PATIENT) as connection:
+        async with open_connection(network.dial, WHERE, PATIENT) as connection:
             assert await fails_at_once(connection, ServerNotFound) == str(AWAY)
 
 
@@ -230,7 +231,7 @@ async def test_an_attempt_that_hangs_has_five_seconds() -> None:
     network = Network()
     network.hangs = True
     start = anyio.current_time()
-    async with connected(network.dial, WHERE, PATIENT) as connection:
+    async with open_connection(network.dial, WHERE, PATIENT) as connection:
         assert anyio.current_time() - start == pytest.approx(5)
         text = await fails_at_once(connection, ServerNotFound)
         assert text == f"{WHERE} did not answer within 5 s"
@@ -251,7 +252,7 @@ async def test_a_server_that_does_not_answer_the_hello_is_lost() -> None:
 async def test_attempts_are_made_for_as_long_as_it_takes_and_not_too_often() -> None:
     network = Network()
     network.refusal = AWAY
-    async with connected(network.dial, WHERE, PATIENT) as connection:
+    async with open_connection(network.dial, WHERE, PATIENT) as connection:
         async with Running(endpoint_of(connection).wait_for_server) as waiting:
             await anyio.sleep(0.2)
             assert network.dialed >= 4
@@ -269,7 +270,7 @@ async def test_a_wait_for_the_server_goes_on_while_the_server_is_full() -> None:
     network = Network()
     full = Goodbye("the server is full", Why.LIMIT)
     async with Running(lambda: network.answer(full)):
-        async with connected(network.dial, WHERE, PATIENT) as connection:
+        async with open_connection(network.dial, WHERE, PATIENT) as connection:
             async with Running(endpoint_of(connection).wait_for_server) as waiting:
                 assert not waiting.is_done
                 await answer_the_wait(network, waiting)
@@ -782,7 +783,7 @@ async def test_no_call_waits_any_longer_once_the_connection_was_left(call: Call)
 async def test_leaving_while_there_is_no_connection_does_not_wait(call: Call) -> None:
     network = Network()
     network.refusal = AWAY
-    async with connected(network.dial, WHERE, PATIENT) as connection:
+    async with open_connection(network.dial, WHERE, PATIENT) as connection:
         pass
     with anyio.fail_after(1), pytest.raises(ConnectionLost, match="was closed here"):
         await call(connection)

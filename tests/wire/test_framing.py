@@ -116,6 +116,9 @@ def test_a_frame_over_the_limit_is_refused_with_its_header(frames: list[bytes], 
         reader.feed(header(size)[-1:])
 
 
+ADVICE = {"TLS": "use tls:// at both ends, or at neither", "HTTP": "check the port"}
+
+
 @pytest.mark.parametrize(
     ("data", "name"),
     [
@@ -125,11 +128,11 @@ def test_a_frame_over_the_limit_is_refused_with_its_header(frames: list[bytes], 
         (b"HEAD / HTTP/1.1", "HTTP"),
         (b"HTTP/1.1 400 Bad Request", "HTTP"),
         (b"<!DOCTYPE HTML>", "HTTP"),
-        (b"<html>", "HTTP"),
+        (b"\x15\x03\x03\x00\x02", "TLS"),
     ],
 )
 def test_bytes_of_another_protocol_are_recognized(data: bytes, name: str) -> None:
-    with pytest.raises(ProtocolError, match=f"bytes: this looks like {name}$"):
+    with pytest.raises(ProtocolError, match=f"bytes: this looks like {name}: {ADVICE[name]}$"):
         FrameReader().feed(data)
 
 

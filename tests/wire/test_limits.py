@@ -29,7 +29,6 @@ from fibaction.server import ActionServer
 from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.channel import StreamChannel
-from fibaction.wire.connection import ClientSettings
 from fibaction.wire.framing import MAX_FRAME, header
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
@@ -59,7 +58,7 @@ from fibaction.wire.messages import (
     Why,
     encode,
 )
-from fibaction.wire.settings import Limits
+from fibaction.wire.settings import ClientSettings, Limits
 from fibaction.wire.subscriptions import PIECE
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI

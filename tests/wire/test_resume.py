@@ -18,7 +18,6 @@ from fibaction.goals import GoalID
 from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy, Permission
-from fibaction.wire.connection import ClientSettings
 from fibaction.wire.link import HIGH_WATER, OVERFULL
 from fibaction.wire.messages import (
     VERSION,
@@ -45,6 +44,7 @@ from fibaction.wire.messages import (
     Why,
     encode,
 )
+from fibaction.wire.settings import ClientSettings
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.virtual_time import in_virtual_time

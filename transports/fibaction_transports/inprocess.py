@@ -16,8 +16,9 @@ from weakref import WeakSet, WeakValueDictionary
 from fibaction._notify import Notifier
 from fibaction.abc import Connection, Endpoint, GoalStream, StatusStream, Transport
 from fibaction.action import Action, ActionInfo
-from fibaction.exceptions import ConnectionLost, ServerNotFound, TransportError
+from fibaction.exceptions import ConnectionLost, InvalidURL, ServerNotFound, TransportError
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
+from fibaction.urls import check_settings
 
 StreamT = TypeVar("StreamT", bound=GoalStream | StatusStream)
 
@@ -53,7 +54,7 @@ class InProcessTransport(Transport):
     def __init__(self, name: str | None = None) -> None:
         url = f"inproc://{name or uuid.uuid4().hex}"
         if not _URL.fullmatch(url):
-            raise TransportError(f"an in-process URL is like inproc://robot, unlike {url!r}")
+            raise InvalidURL(f"an in-process URL is like inproc://robot, unlike {url!r}")
         self._place = _places.setdefault(url, _Place(url))
 
     @classmethod
@@ -68,10 +69,9 @@ class InProcessTransport(Transport):
         """
         where, has_settings, _ = url.partition("?")
         if has_settings:  # not shown: people take them along from another URL, with the token
-            raise TransportError(
-                f"{where} has settings behind ?, and there are none: leave them out"
-            )
-        return cls(url.removeprefix("inproc://") or "/", **settings)
+            raise InvalidURL(f"{where} has settings behind ?, and there are none: leave them out")
+        check_settings(cls.__name__, settings, ())
+        return cls(url.removeprefix("inproc://") or "/")
 
     @asynccontextmanager
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:

@@ -13,7 +13,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.wire.settings import Limits
+from fibaction.wire.settings import Limits, WireKeywords
 from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport
 from tests.transports.tcp.servers import SECRET, new_server
 
@@ -45,11 +45,17 @@ ALL_HAVE = "token, heartbeat, reconnect, reconnect_timeout, window, orphans, gra
     [
         (
             f"tcp://robot?tokem={SECRET}",
-            f"tcp://robot has no setting 'tokem': did you mean 'token'? Its settings are {ALL_HAVE}, insecure",
+            (
+                "tcp://robot has no setting 'tokem': did you mean 'token'?"
+                f" Its settings are {ALL_HAVE}, insecure"
+            ),
         ),
         (
             "tls://robot?cart=x",
-            f"tls://robot has no setting 'cart': did you mean 'cert'? Its settings are {ALL_HAVE}, insecure, ca, cert, key",
+            (
+                "tls://robot has no setting 'cart': did you mean 'cert'?"
+                f" Its settings are {ALL_HAVE}, insecure, ca, cert, key"
+            ),
         ),
         (
             f"tcp://robot?window=few&token={SECRET}",
@@ -190,3 +196,19 @@ async def test_a_socket_whose_path_cannot_be_is_refused() -> None:
     with pytest.raises(TransportError):
         async with serve(new_server(), "unix:///tmp/a%00b"):
             raise AssertionError("the block must not run")
+
+
+@pytest.mark.parametrize(
+    ("url", "more"), [("tcp://robot", True), ("tls://robot", True), ("unix:///run/x", False)]
+)
+async def test_a_setting_that_does_not_exist_is_an_error_that_lists_those_that_do(
+    url: str, more: bool
+) -> None:
+    wrong: Any = {"hartbeat": 2}
+    with pytest.raises(TypeError) as caught:
+        connect(url, **wrong)
+    settings = ", ".join((*WireKeywords.__annotations__, *(("tls", "insecure") if more else ())))
+    name = "TcpTransport" if more else "UnixTransport"
+    assert str(caught.value) == (
+        f"{name} has no setting 'hartbeat': did you mean 'heartbeat'? Its settings are {settings}"
+    )

@@ -17,7 +17,7 @@ from typing import Any
 import anyio
 import anyio.lowlevel
 import pytest
-from anyio.abc import Listener, SocketAttribute, SocketStream
+from anyio.abc import ByteStream, Listener, SocketAttribute, SocketStream
 
 from fibaction import (
     ActionClient,
@@ -407,12 +407,10 @@ async def test_a_server_with_an_empty_token_is_refused() -> None:
 
 
 async def test_a_token_that_cannot_be_sent_is_refused_before_anything_is() -> None:
-    with pytest.raises(
-        TransportError, match=r"^tcp://robot: the token is not valid text"
-    ) as caught:
+    with pytest.raises(TransportError, match=r"^tcp://robot: token is not valid text") as caught:
         connect("tcp://robot", FIBONACCI, token="secret \udcff")
     assert "secret" not in str(caught.value)
-    with pytest.raises(ValueError, match="the token is not valid text"):
+    with pytest.raises(ValueError, match="token is not valid text"):
         UnixTransport("/run/x", token="secret \udcff")
 
 
@@ -576,3 +574,24 @@ async def test_what_is_too_large_is_one_goals_error_and_the_connection_lives(
         await heard.until("left: ")
         lines = [one.getMessage() for one in heard.records if one.levelno == logging.INFO]
         assert len(lines) == 1  # there was one connection, to the end
+
+
+@pytest.mark.parametrize("reconnect", [True, False])
+async def test_a_client_at_the_port_of_a_web_server_is_told_so(reconnect: bool) -> None:
+    async def answer(stream: ByteStream) -> None:
+        async with stream:
+            await stream.receive()
+            await stream.send(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+
+    async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
+        url = f"tcp://127.0.0.1:{listener.extra(SocketAttribute.local_port)}"
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(listener.serve, answer)
+            with anyio.fail_after(5), pytest.raises(ProtocolError) as caught:
+                async with connect(url, FIBONACCI, reconnect=reconnect):
+                    raise AssertionError("the block must not run")
+            tasks.cancel_scope.cancel()
+    assert str(caught.value) == (
+        f"{url}: frame of 1213486160 bytes exceeds the limit of 16777216 bytes: this looks like"
+        " HTTP: check the port"
+    )

@@ -30,6 +30,16 @@ _IN_URLS: dict[str, Callable[[str], Any]] = {
 }
 """The settings that a URL may have, and their types."""
 
+_NAMES = (
+    "namespace",
+    "domain_id",
+    "arguments",
+    "node",
+    "feedback_depth",
+    "discovery_timeout",
+)
+"""The settings that are given by name."""
+
 
 class Ros2Transport(Transport):
     """The actions of a ROS graph."""
@@ -100,6 +110,7 @@ class Ros2Transport(Transport):
                     f"invalid ROS URL {where}: it has a {what}; a valid one is, for example,"
                     " ros2://node_name?namespace=/robot1&domain_id=7"
                 )
+            check_settings(cls.__name__, settings, _NAMES)
             found = _settings(where, parse_qsl(parts.query, keep_blank_values=True))
             return cls(parts.netloc or None, **{**found, **settings})
         except ValueError as exc:

@@ -1,0 +1,41 @@
+"""The tests that belong to each module: of its own, or of the unit that it is part of."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/transports"}
+ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
+UNITS = {
+    "fibaction/_public.py": ["tests/test_init.py"],
+    "fibaction/streams.py": ["tests/test_abc.py"],
+    "fibaction/cli": ["tests/cli"],
+    "fibaction/server": ["tests/server", "tests/contract"],
+    "fibaction/server/registry.py": ["tests/server/test_registry.py"],  # a rule without I/O
+    "fibaction/wire": ["tests/wire"],
+    "fibaction/wire/messages.py": ["tests/wire/test_messages.py"],  # a rule without I/O
+    "transports/fibaction_transports/tcp": ["tests/transports/tcp"],
+}
+"""The tests that cover a module, or all modules of a folder together; the longest path counts.
+Every other module, so each public one, is covered by a test file of its own."""
+
+
+def tests_of(root: Path, module: Path) -> list[Path]:
+    """Return the test files or folders that cover a module."""
+    units = [unit for unit in UNITS if module.is_relative_to(root / unit)]
+    if units:
+        return [root / test for test in UNITS[max(units, key=len)]]
+    source, tests = next(pair for pair in SOURCES.items() if module.is_relative_to(root / pair[0]))
+    name = f"test_{module.stem.strip('_')}.py"
+    return [root / tests / module.relative_to(root / source).with_name(name)]
+
+
+def modules(root: Path) -> Iterator[tuple[Path, list[Path]]]:
+    """Yield each module that has more than a docstring, and the tests that cover it."""
+    for source in SOURCES:
+        for module in sorted((root / source).rglob("*.py")):
+            is_empty = len(ast.parse(module.read_text()).body) <= 1
+            if not (is_empty or module.is_relative_to(root / ELSEWHERE)):
+                yield module, tests_of(root, module)
