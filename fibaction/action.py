@@ -278,8 +278,9 @@ def _check_can_be_encoded(info: object, seen: set[int]) -> None:
         _check_can_be_encoded(info.type, seen)
     elif isinstance(info, inspect.Type):
         for name in info.__struct_fields__:
-            value = getattr(info, name)
-            for part in value if isinstance(value, tuple) else (value,):
+            value: object = getattr(info, name)
+            parts = cast("tuple[object, ...]", value if isinstance(value, tuple) else (value,))
+            for part in parts:
                 _check_can_be_encoded(part, seen)
 
 

@@ -203,12 +203,15 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
 
     def __init__(
         self,
-        client: ActionClient[Any, FeedbackT, ResultT],
+        endpoint: Endpoint,
         goal_id: GoalID,
         sending: Coroutine[Any, Any, ClientGoal[FeedbackT, ResultT]],
+        blocks: set[SendingGoal[FeedbackT, ResultT]],
     ) -> None:
-        self._client = client
+        """`blocks` has the goals of one client whose block is open."""
+        self._endpoint = endpoint
         self._goal_id = goal_id
+        self._blocks = blocks
         self._sending = sending
         self._goal: ClientGoal[FeedbackT, ResultT] | None = None
 
@@ -216,11 +219,11 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
         return self._sending.__await__()
 
     async def __aenter__(self) -> ClientGoal[FeedbackT, ResultT]:
-        self._client._blocks.add(self)
+        self._blocks.add(self)
         try:
             self._goal = await self._sending
         except BaseException:
-            self._client._blocks.discard(self)
+            self._blocks.discard(self)
             raise
         return self._goal
 
@@ -232,8 +235,8 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
     ) -> None:
         assert self._goal is not None
         self._goal.close()
-        if self in self._client._blocks:  # else `ActionClient.leave` has canceled the goal
-            self._client._blocks.discard(self)
+        if self in self._blocks:  # else `ActionClient.leave` has canceled the goal
+            self._blocks.discard(self)
             await self.leave()
 
     async def leave(self) -> None:
@@ -245,7 +248,7 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
             goal_id = self._goal.goal_id
         with anyio.move_on_after(LEAVE_TIMEOUT, shield=True) as timeout:
             try:
-                answer = await self._client.endpoint.cancel_goals(goal_id)
+                answer = await self._endpoint.cancel_goals(goal_id)
                 if not answer.accepted and answer.reason:
                     logger.warning("goal %s was left, but runs on: %s", goal_id, answer.reason)
             except ActionError as error:
@@ -286,7 +289,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         if goal_id is None:
             goal_id = GoalID.random()
         _check_is_id(goal_id)
-        return SendingGoal(self, goal_id, self._send(goal, goal_id))
+        return SendingGoal(self.endpoint, goal_id, self._send(goal, goal_id), self._blocks)
 
     async def call(
         self,
@@ -306,7 +309,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         """
         goal_id = GoalID.random()
         sending = self._send(goal, goal_id, feedback=on_feedback is not None)
-        async with SendingGoal(self, goal_id, sending) as sent:
+        async with SendingGoal(self.endpoint, goal_id, sending, self._blocks) as sent:
             if on_feedback is not None:
                 async for feedback in sent.feedback:
                     answer = on_feedback(feedback)
@@ -393,7 +396,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
         The end of the block of `connect` calls this, before it closes the connection.
         """
-        blocks, self._blocks = self._blocks, set()
+        blocks = tuple(self._blocks)
+        self._blocks.clear()
         async with anyio.create_task_group() as tasks:
             for block in blocks:
                 tasks.start_soon(block.leave)

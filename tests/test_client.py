@@ -230,7 +230,7 @@ async def test_a_rejected_goal_raises_from_both_ways_of_sending_it() -> None:
                 raise AssertionError("the block must not run")
 
 
-async def test_a_goal_that_nobody_awaits_is_warned_about() -> None:
+async def test_a_goal_that_is_not_awaited_is_warned_about() -> None:
     async with ScriptedServer(FIBONACCI, [Result([])]) as server:
         with pytest.warns(RuntimeWarning, match="was never awaited"):
             client_of(server).send_goal(Goal(1))
@@ -344,14 +344,14 @@ async def test_feedback_and_result_that_are_not_of_their_type_are_the_servers_er
         await goal.outcome()
 
 
-async def test_a_result_that_nobody_knows_any_more_is_an_unknown_goal() -> None:
+async def test_a_result_that_is_not_known_any_more_is_an_unknown_goal() -> None:
     goal = await client_of(Broken(BrokenStream(unknown=True))).send_goal(Goal(1))
     assert (await goal.outcome()).status is GoalStatus.UNKNOWN
     with pytest.raises(UnknownGoal):
         await goal.result()
 
 
-async def test_a_lost_connection_is_told_to_whoever_waits_and_leaving_does_not_hide_it(
+async def test_a_lost_connection_is_told_to_each_wait_and_leaving_does_not_hide_it(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     stream = BrokenStream()
@@ -363,7 +363,7 @@ async def test_a_lost_connection_is_told_to_whoever_waits_and_leaving_does_not_h
     assert "was left, but could not be canceled: the line is dead" in caplog.text
 
 
-async def test_leaving_a_goal_that_refuses_or_is_unknown_does_not_raise(
+async def test_leaving_a_goal_whose_cancel_is_rejected_or_that_is_unknown_does_not_raise(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     def refuse(goal: GoalHandle[Goal]) -> None:

@@ -52,13 +52,12 @@ logger = logging.getLogger("fibaction.server")
 class GoalHandle(Generic[GoalT]):
     """One goal, as its executor sees it."""
 
-    __slots__ = ("_goal", "_stop_reason", "request")
+    __slots__ = ("_goal", "request")
 
     def __init__(self, goal: GoalRecord, request: GoalT) -> None:
         self.request = request
         """The goal that the client sent."""
         self._goal = goal
-        self._stop_reason = ""
 
     @property
     def goal_id(self) -> GoalID:
@@ -78,7 +77,7 @@ class GoalHandle(Generic[GoalT]):
     @property
     def cancel_requested(self) -> bool:
         """True if the goal is to stop: its cancel was accepted, or the server ends it."""
-        return self._goal.status is GoalStatus.CANCELING or bool(self._stop_reason)
+        return self._goal.status is GoalStatus.CANCELING or bool(self._goal.stop_reason)
 
     def __repr__(self) -> str:
         return f"<GoalHandle {self.goal_id} {self.status.name}>"
@@ -124,11 +123,6 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._scopes: CancelOnce | None = None
         self._steps: Steps[Ending]
 
-    @property
-    def stop_reason(self) -> str:
-        """The reason for which the server ends the goal; empty if it does not."""
-        return self.handle._stop_reason
-
     def run(self, scopes: CancelOnce) -> Awaitable[Ending]:
         """Run the executor to its end, and return its ending. To be called once."""
         self._scopes = scopes
@@ -145,11 +139,6 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             self._is_interrupted = True
             if self._scopes is not None:
                 self._steps.interrupt()
-
-    def stop(self, reason: str) -> None:
-        """Interrupt the executor because the server ends the goal, for that reason."""
-        self.handle._stop_reason = reason
-        self.interrupt()
 
     def kill(self) -> None:
         """Cancel every `await` from now on, those of the clean-up included."""

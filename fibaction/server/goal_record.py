@@ -34,6 +34,7 @@ class GoalRecord:
         "sender",
         "stamp",
         "status",
+        "stop_reason",
     )
 
     def __init__(self, goal_id: GoalID, digest: bytes, stamp: int, sender: Sender) -> None:
@@ -48,6 +49,8 @@ class GoalRecord:
         self.ended_at = 0
         """Time of the end: nanoseconds since 1970; 0 while the goal is active."""
         self.feedback_count = 0
+        self.stop_reason = ""
+        """Why the server ends the goal by itself; empty while it does not."""
 
     @property
     def info(self) -> GoalInfo:

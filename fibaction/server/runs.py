@@ -164,7 +164,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         clean-up has not ended within `timeout` seconds.
         """
         for run in self._runs.values():
-            run.execution.stop(reason)
+            run.goal.stop_reason = reason
+            run.execution.interrupt()
         try:
             with anyio.move_on_after(timeout, shield=True):
                 while self._runs:
@@ -195,7 +196,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         if goal.status is GoalStatus.ACCEPTED:
             self._execute(run)  # the table has no edge from ACCEPTED to an end
         if ending.kind is EndKind.CANCELED and goal.status is GoalStatus.EXECUTING:
-            reason = run.execution.stop_reason or ending.reason or CANCELED_UNASKED
+            reason = goal.stop_reason or ending.reason or CANCELED_UNASKED
             ending = Ending(EndKind.CANCELED, ending.result, reason)
         run.outcome = self._registry.outcome_for(goal, ending)
 

@@ -17,6 +17,7 @@ MODULES = [
     "tests.contract.test_errors",
     "tests.contract.test_executing",
     "tests.contract.test_feedback",
+    "tests.contract.test_leaving",
 ]
 pytest.register_assert_rewrite(*MODULES)
 
@@ -42,11 +43,11 @@ EXCLUSIONS: dict[str, str] = {
     "test_a_rejected_goal_sent_again_is_rejected_again_without_a_second_decision": REASON,
     "test_a_cancel_is_raised_at_an_await_and_the_part_that_is_done_is_kept": REASON,
     "test_clean_up_that_raises_is_aborted_with_the_reason": REASON,
-    "test_a_refused_cancel_leaves_the_goal_running": REASON,
-    "test_a_cancel_callback_that_fails_refuses": REASON,
-    "test_cancel_all_tells_the_truth_when_some_refuse": REASON,
-    "test_leaving_the_block_of_a_goal_that_refuses_is_logged": REASON,
-    "test_stopping_ends_every_goal_as_aborted_and_answers_everybody": REASON,
+    "test_a_rejected_cancel_leaves_the_goal_running": REASON,
+    "test_a_cancel_callback_that_fails_rejects": REASON,
+    "test_cancel_all_tells_the_truth_when_some_reject": REASON,
+    "test_leaving_the_block_of_a_goal_whose_cancel_is_rejected_is_logged": REASON,
+    "test_stopping_ends_every_goal_as_aborted_and_answers_every_client": REASON,
     "test_a_goal_that_is_sent_while_the_server_stops_is_rejected": REASON,
     "test_an_executor_that_does_not_stop_in_time_is_killed": REASON,
     "test_an_executor_that_goes_wrong_is_aborted_with_the_reason": REASON,
@@ -54,17 +55,17 @@ EXCLUSIONS: dict[str, str] = {
     "test_the_same_goal_sent_again_while_it_is_decided_waits_for_that": AGAIN,
     "test_another_goal_under_an_id_in_use_is_rejected": AGAIN,
     "test_a_goal_of_the_wrong_type_is_rejected_and_the_reason_names_the_field": DEFAULT,
-    "test_an_action_that_nobody_serves_is_not_found_and_can_be_waited_for": TYPE,
+    "test_an_action_that_is_not_served_is_not_found_and_can_be_waited_for": TYPE,
     "test_several_actions_share_one_connection": TYPE,
-    "test_an_executor_that_never_awaits_starves_nobody_and_can_be_canceled": TYPE,
+    "test_an_executor_that_never_awaits_starves_no_other_and_can_be_canceled": TYPE,
     "test_the_executor_waits_at_its_yield_for_a_client_that_does_not_read": HOLD,
     "test_a_client_that_stalls_loses_the_oldest_and_is_told_how_many": HOLD,
     "test_a_client_that_has_caught_up_loses_nothing_again": HOLD,
     "test_a_goal_whose_feedback_is_not_read_delays_no_other_goal": HOLD,
     "test_latest_never_waits_and_a_slow_reader_sees_the_newest": NUMBER,
-    "test_an_observer_follows_from_now_on_and_slows_nobody_down": NUMBER,
+    "test_an_observer_follows_from_now_on_and_does_not_slow_the_goal_down": NUMBER,
     "test_an_observer_may_ask_for_what_was_before": PAST,
-    "test_who_watches_all_goals_sees_the_feedback_of_one_that_ends_at_once": PAST,
+    "test_a_watcher_of_all_goals_sees_the_feedback_of_one_that_ends_at_once": PAST,
     "test_a_server_that_has_stopped_is_not_found": STOPPED,
     "test_every_error_of_the_table_is_shown_here": ERRORS,
     "test_an_error_of_an_endpoint_arrives_as_itself": ERRORS,
@@ -75,7 +76,7 @@ EXCLUSIONS: dict[str, str] = {
 
 
 def address() -> str:
-    """A namespace where nobody serves anything."""
+    """Return a URL with a namespace of its own."""
     return f"ros2://?namespace=/t{uuid.uuid4().hex}"
 
 
@@ -87,7 +88,7 @@ WAYS = {
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thousand goals take some 6 s, and several times that on a busy machine."""
+    """Allow for a thousand goals, which take some 6 s, and several times that on a busy machine."""
     monkeypatch.setattr(contract, "PATIENCE", 45.0)
 
 

@@ -120,7 +120,7 @@ def test_a_new_goal_is_to_be_decided_and_is_then_accepted() -> None:
     assert registry.statuses() == [goal.info]
 
 
-def test_the_list_of_goals_tells_who_sent_each_as_far_as_that_is_known() -> None:
+def test_the_list_of_goals_names_the_sender_of_each_as_far_as_it_is_known() -> None:
     registry = GoalRegistry()
     accepted(registry, A)
     registry.admit(B, b"x", now=0.0)

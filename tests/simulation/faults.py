@@ -24,12 +24,14 @@ from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.server.status_broadcast import StatusBroadcast
 from fibaction.states import GoalStatus
-from fibaction.wire.calls import RemoteGoal, _Credits
+from fibaction.wire.calls import Credits
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.connection import RemoteConnection
 from fibaction.wire.link import PING, Link
 from fibaction.wire.messages import CancelAnswered, Ended, Follow, Received, decode_from_client
 from fibaction.wire.ownership import Owners
+from fibaction.wire.reconnect import Reconnector
+from fibaction.wire.remote_goal import RemoteGoal
 from fibaction.wire.session import Session
 from fibaction.wire.subscriptions import Subscription
 
@@ -300,11 +302,11 @@ def the_end_wakes_nobody(real: Any) -> Any:
     return hear
 
 
-@mistake(_Credits, "grant", 22, 14)
+@mistake(Credits, "grant", 22, 14)
 def credit_is_never_granted(real: Any) -> Any:
     """Give no credit for messages that were read."""
 
-    def grant(self: _Credits, count: int = 1) -> None:
+    def grant(self: Credits, count: int = 1) -> None:
         pass
 
     return grant
@@ -315,30 +317,30 @@ def a_call_is_not_opened_again(real: Any) -> Any:
     """Do not resume the last request on a new connection."""
 
     def _begin(self: RemoteConnection, welcome: Any) -> None:
-        if self._calls:
-            self._calls.popitem()
+        if self._calls._calls:
+            self._calls._calls.popitem()
         real(self, welcome)
 
     return _begin
 
 
-@mistake(RemoteConnection, "_give_up", 2, 3)
+@mistake(RemoteConnection, "_fail_calls", 2, 3)
 def giving_up_forgets_a_waiter(real: Any) -> Any:
     """Do not fail one waiting call when a connection is given up."""
 
-    def _give_up(self: RemoteConnection, error: Any) -> None:
-        if self._calls:
-            self._calls.popitem()
+    def _fail_calls(self: RemoteConnection, error: Any) -> None:
+        if self._calls._calls:
+            self._calls._calls.popitem()
         real(self, error)
 
-    return _give_up
+    return _fail_calls
 
 
-@mistake(RemoteConnection, "_lose_patience", 2, 4)
+@mistake(Reconnector, "_lose_patience", 2, 4)
 def patience_ends_too_early(real: Any) -> Any:
     """Give up a lost connection after half of the timeout."""
 
-    async def _lose_patience(self: RemoteConnection, patience: Any, ends: float) -> None:
+    async def _lose_patience(self: Reconnector, patience: Any, ends: float) -> None:
         await real(self, patience, (ends + current_time()) / 2)
 
     return _lose_patience
@@ -364,7 +366,7 @@ def silence_is_not_noticed(real: Any) -> Any:
 
     async def _watch(self: Link) -> None:
         while True:
-            await sleep(self._heartbeat)
+            await sleep(self.heartbeat.interval)
             self.post(PING)
 
     return _watch

@@ -20,6 +20,7 @@ from fibaction.server.goal_record import GoalRecord
 from fibaction.server.registry import GoalRegistry
 from fibaction.wire.connection import RemoteConnection
 from fibaction.wire.ownership import Owners
+from fibaction.wire.reconnect import Reconnector
 from fibaction.wire.session import Session
 from fibaction.wire.wire_server import WireServer
 from tests.simulation.facts import Truth
@@ -40,7 +41,7 @@ def recorded(record: Record, on_hub: Callable[[WireServer], None]) -> Generator[
         wrap(Cancellation, "accept", lambda real: _canceling(real, record))
         wrap(RemoteConnection, "_attempt", lambda real: _attempting(real, record))
         wrap(RemoteConnection, "_begin", lambda real: _beginning(real, record))
-        wrap(RemoteConnection, "_give_up", lambda real: _giving_up(real, record))
+        wrap(Reconnector, "_give_up", lambda real: _giving_up(real, record))
         wrap(Session, "run", lambda real: _session_running(real, record))
         wrap(Owners, "adopt", lambda real: _adopting(real, record))
         wrap(Owners, "own", lambda real: _owning(real, record))
@@ -93,7 +94,7 @@ def _canceling(real: Any, record: Record) -> Any:
 def _attempting(real: Any, record: Record) -> Any:
     async def _attempt(self: RemoteConnection) -> ActionError:
         error: ActionError = await real(self)
-        state = record.clients[_name_in(self._where)]
+        state = record.clients[_name_in(self._url)]
         if state.is_ready:
             state.is_ready, state.lost_at = False, record.now()
             state.losses += 1
@@ -118,7 +119,7 @@ def _is_lines_fault(error: ProtocolError, record: Record) -> bool:
 
 def _beginning(real: Any, record: Record) -> Any:
     def _begin(self: RemoteConnection, welcome: Any) -> None:
-        state = record.clients[_name_in(self._where)]
+        state = record.clients[_name_in(self._url)]
         state.is_ready = state.was_ready = True
         state.has_failed, state.lost_at = False, math.inf
         real(self, welcome)
@@ -127,8 +128,8 @@ def _beginning(real: Any, record: Record) -> Any:
 
 
 def _giving_up(real: Any, record: Record) -> Any:
-    def _give_up(self: RemoteConnection, error: ActionError) -> None:
-        state = record.clients[_name_in(self._where)]
+    def _give_up(self: Reconnector, error: ActionError) -> None:
+        state = record.clients[_name_in(self._url)]
         if state.is_absent(record.now()):  # else it is too early, and no excuse
             state.absent_at = record.now()
         real(self, error)

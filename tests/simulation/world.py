@@ -281,10 +281,10 @@ class World:
     def _left_by_goals(self) -> list[str]:
         left: list[str] = []
         if self.hub is not None:
-            left += (f"an orphan: {one!r}" for one in self.hub._orphans._owned)
+            left += (f"an orphan: {one!r}" for one in self.hub._owners._owned)
             for session in self.hub._sessions:
                 peer = session._link.peer
-                left += (f"a goal of {peer}: {one}" for one in session._goals)
+                left += (f"a goal of {peer}: {one}" for one in session._goals._open)
                 left += (f"a request of {peer}: {one}" for one in session._waiting)
         for client in self._clients:
             left += (f"a call of {client.plan.name}: {one}" for one in client.calls())
