@@ -14,7 +14,7 @@ beyond the life of the process belongs into the second step: an outcome is kept 
 
 An executor may end by itself, or because of a cancel (`cancel`), or because the server stops
 (`stop`). A cancel and a stop interrupt it once; only the reason differs, which `_fix_outcome` takes
-from the execution. Executors that are not done within the timeout of `stop` are killed: their goals
+from the goal's record. Executors that are not done within the timeout of `stop` are killed: their goals
 are finished first, and the run's `outcome` then keeps `_run` from finishing them again.
 
 A goal that has ended is followed from its log, as long as the log exists. A log is kept by its
