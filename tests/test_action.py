@@ -168,11 +168,11 @@ def test_another_type_name_is_rejected(type_name: str) -> None:
 def test_a_name_that_is_no_text_is_rejected(wrong: Any) -> None:
     with pytest.raises(TypeError) as caught:
         Action(wrong, goal=int, feedback=int, result=str)
-    assert str(caught.value) == f"an action's name is like `arm/pick_up`, and not {wrong!r}"
+    assert str(caught.value) == f"an action's name is like `arm/pick_up`, not {wrong!r}"
     with pytest.raises(TypeError) as caught:
         Action("a", goal=int, feedback=int, result=str, type_name=wrong)
     assert str(caught.value) == (
-        f"a type name is like `example_interfaces/action/Fibonacci`, and not {wrong!r}"
+        f"a type name is like `example_interfaces/action/Fibonacci`, not {wrong!r}"
     )
 
 
@@ -674,8 +674,8 @@ def test_without_a_package_that_makes_types_there_are_none(install: Install) -> 
     with pytest.raises(TransportError) as caught:
         from_ros()
     assert str(caught.value) == (
-        "no package that makes message types from ROS 2 is installed, so"
-        " 'arduinobot_msgs/action/Fibonacci' cannot be had"
+        "cannot make message types from 'arduinobot_msgs/action/Fibonacci': install a package with"
+        " an entry point 'ros2' in the group 'fibaction.interfaces', such as fibaction itself"
     )
 
 
@@ -685,7 +685,7 @@ def test_without_a_package_that_makes_types_there_are_none(install: Install) -> 
         (
             "raise ImportError('for another Python')",
             (
-                "message types cannot be made from 'arduinobot_msgs/action/Fibonacci', because"
+                "cannot make message types from 'arduinobot_msgs/action/Fibonacci':"
                 " interfaces_0:make cannot be imported: for another Python"
             ),
         ),

@@ -241,11 +241,11 @@ async def test_a_goal_that_is_not_awaited_is_warned_about() -> None:
 async def test_what_is_no_goal_id_goes_nowhere(wrong: Any) -> None:
     broken = Broken(BrokenStream())
     client = client_of(broken)
-    with pytest.raises(TypeError, match="a goal is named by a GoalID"):
+    with pytest.raises(TypeError, match="goal_id is a GoalID"):
         client.send_goal(Goal(1), goal_id=wrong)
-    with pytest.raises(TypeError, match="a goal is named by a GoalID"):
+    with pytest.raises(TypeError, match="goal_id is a GoalID"):
         await client.attach(wrong)
-    with pytest.raises(TypeError, match="a goal is named by a GoalID"):
+    with pytest.raises(TypeError, match="goal_id is a GoalID"):
         await client.cancel_goals(wrong)
     assert (broken.follows, broken.cancels) == ([], [])
 
@@ -440,7 +440,9 @@ async def test_a_goal_that_is_dropped_closes_its_feedback() -> None:
 
 async def test_waiting_for_a_server_has_an_end() -> None:
     client = client_of(Broken(BrokenStream()))
-    with pytest.raises(ServerNotFound, match=r"nobody served the action 'fibonacci' within 0\.001"):
+    with pytest.raises(
+        ServerNotFound, match=r"the action 'fibonacci' was not served within 0\.001"
+    ):
         await client.wait_for_server(timeout=0.001)
     with anyio.move_on_after(0.001) as patience:
         await client.wait_for_server()

@@ -48,7 +48,7 @@ def test_a_goal_id_is_read_from_a_uuid(value: uuid.UUID) -> None:
 
 @pytest.mark.parametrize("text", ["", "00", "g" * 32, "0" * 31, "0" * 34, "é" * 32])
 def test_other_text_is_no_goal_id(text: str) -> None:
-    with pytest.raises(ValueError, match="a goal ID has 32 hexadecimal digits, unlike") as caught:
+    with pytest.raises(ValueError, match="a goal ID has 32 hexadecimal digits, not") as caught:
         GoalID.parse(text)
     assert repr(text) in str(caught.value)
 

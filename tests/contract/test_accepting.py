@@ -147,7 +147,7 @@ async def test_a_callback_that_returns_something_rejects_the_goal(reach: Reach) 
             await client.send_goal(Goal(3))
     assert caught.value.reason == (
         "on_goal failed: TypeError: on_goal returned True:"
-        " return None to agree, raise GoalRejected(reason) to refuse"
+        " return None to accept, raise GoalRejected(reason) to reject"
     )
 
 

@@ -334,7 +334,7 @@ async def test_a_rejected_cancel_leaves_the_goal_running(reach: Reach, asynchron
             False,
             (
                 "on_cancel failed: TypeError: on_cancel returned False:"
-                " return None to agree, raise CancelRejected(reason) to refuse"
+                " return None to accept, raise CancelRejected(reason) to reject"
             ),
         ),
     ],

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.asyncio
 
 @asynccontextmanager
 async def bridge(*arguments: str) -> AsyncGenerator[Process, None]:
-    """The command as a process, when it has said that it bridges; stopped by SIGTERM."""
+    """Run the command as a process until it bridges; stop it by SIGTERM at the end."""
     command = Path(sys.executable).with_name("fibaction")
     process = await anyio.open_process(
         [str(command), "bridge", *arguments], stdin=subprocess.DEVNULL, stderr=None

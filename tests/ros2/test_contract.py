@@ -17,6 +17,7 @@ MODULES = [
     "tests.contract.test_errors",
     "tests.contract.test_executing",
     "tests.contract.test_feedback",
+    "tests.contract.test_leaving",
 ]
 pytest.register_assert_rewrite(*MODULES)
 
@@ -75,7 +76,7 @@ EXCLUSIONS: dict[str, str] = {
 
 
 def address() -> str:
-    """A namespace where nobody serves anything."""
+    """Return a URL with a namespace of its own."""
     return f"ros2://?namespace=/t{uuid.uuid4().hex}"
 
 
@@ -87,7 +88,7 @@ WAYS = {
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thousand goals take some 6 s, and several times that on a busy machine."""
+    """Allow for a thousand goals, which take some 6 s, and several times that on a busy machine."""
     monkeypatch.setattr(contract, "PATIENCE", 45.0)
 
 

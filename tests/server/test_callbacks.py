@@ -193,7 +193,7 @@ async def test_a_callback_that_awaits_a_canceled_task_rejects(
 
     with pytest.raises(refusal) as caught:
         await ask(colour(fail), refusal)
-    text = "on_goal failed: RuntimeError: what it waits for was canceled by somebody else"
+    text = "on_goal failed: RuntimeError: it awaited a task or future that was canceled elsewhere"
     assert caught.value.reason == text
     assert text in caplog.text
 
@@ -216,8 +216,8 @@ async def test_a_callback_that_returns_something_rejects_and_says_what_to_do(
     with pytest.raises(GoalRejected) as caught:
         await ask(colour(lambda argument: answer))
     assert caught.value.reason == (
-        f"on_goal failed: TypeError: on_goal returned {answer!r}: return None to agree,"
-        " raise GoalRejected(reason) to refuse"
+        f"on_goal failed: TypeError: on_goal returned {answer!r}: return None to accept,"
+        " raise GoalRejected(reason) to reject"
     )
 
 

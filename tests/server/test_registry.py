@@ -230,7 +230,9 @@ def test_a_withdrawn_goal_is_decided_anew() -> None:
 @pytest.mark.promise("ACCEPT-12")
 def test_a_goal_id_of_zeros_is_rejected() -> None:
     registry = GoalRegistry()
-    assert rejection_of(registry, NO_GOAL, b"x", now=0.0) == "a goal ID of zeros names no goal"
+    assert (
+        rejection_of(registry, NO_GOAL, b"x", now=0.0) == "its ID is all zeros, which is reserved"
+    )
     assert not registry.is_undecided(NO_GOAL)
 
 
@@ -695,7 +697,7 @@ class ProtocolMachine(RuleBasedStateMachine):
         if (rejection := self.rejection(goal_id)) is not None:
             return rejection.reason if rejection.payload == payload else IN_USE
         if not any(goal_id):
-            return "a goal ID of zeros names no goal"
+            return "its ID is all zeros, which is reserved"
         return "DECIDE"
 
     @rule(goal_id=a_goal_id, payload=a_payload)

@@ -178,7 +178,7 @@ async def test_whatever_gives_an_async_generator_is_an_executor(executor: Any) -
 
 
 def test_an_action_without_types_cannot_be_executed() -> None:
-    with pytest.raises(TypeError, match="has no types, and a server needs them"):
+    with pytest.raises(TypeError, match="is untyped, and a server needs types"):
         ActionServer(Action.untyped(ActionInfo("x")), fibonacci)
 
 
@@ -775,7 +775,7 @@ async def test_an_executor_that_ends_as_canceled_unasked_is_aborted() -> None:
         assert await stream.outcome() == Outcome(
             GoalStatus.ABORTED,
             None,
-            "the executor ended as canceled, but no cancel was asked for",
+            "the executor ended as canceled, but no cancel was requested",
         )
 
 

@@ -166,7 +166,7 @@ async def test_a_first_attempt_that_fails_for_good_is_an_error_at_once(
 
 HINT = ": give one as token=, or behind the URL as ?token="
 UNEXPECTED = f"{WHERE}: a Welcome of version 2 was not expected"
-TOO_EARLY = f"{WHERE}: the first message was a Done, no Welcome"
+TOO_EARLY = f"{WHERE}: the first message was a Done, not a Welcome"
 STARTS: dict[str, tuple[Any, str, type[ActionError], str]] = {
     "no token": (Goodbye("no", Why.FORBIDDEN), "", AuthenticationFailed, f"{WHERE}: no{HINT}"),
     "token": (Goodbye("no", Why.FORBIDDEN), "s3cret", AuthenticationFailed, f"{WHERE}: no"),
