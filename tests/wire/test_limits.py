@@ -513,6 +513,15 @@ async def test_a_client_that_is_late_is_not_lost() -> None:
 
 
 @in_virtual_time()
+async def test_a_client_that_never_reads_is_lost_too() -> None:
+    async with serving(held(), heartbeat=2) as served:
+        client = served.connect()
+        client.channel.stop_reading()
+        await client.say(Hello(VERSION, LONG))
+        assert 4 * 2 < await lost_after(client, alive(client)) <= 4 * 2 + 2 + 1
+
+
+@in_virtual_time()
 async def test_a_client_that_reads_nothing_is_lost_after_four_of_the_servers_heartbeats() -> None:
     async with serving(held(), heartbeat=2) as served:
         client = await served.greet(heartbeat=LONG)
