@@ -1,5 +1,32 @@
-"""`Link`: what both ends of a connection do alike, whatever they say: queue, write, read, and watch
-that the other end is alive. It knows messages only as bytes, but for the sign of life.
+"""`Link`: one connection, as both ends have it: queue, read, write, and watch the peer.
+
+Theory of operation
+-------------------
+
+A `Link` stands between a `Line`, which moves frames, and the half that gives the frames a meaning:
+a `Session` at the server, a `RemoteConnection` at the client. It knows messages only as bytes, with
+the exception of `Ping`.
+
+*Sending.* There are three ways, for three kinds of messages:
+
+- `post` queues a small message at once. There are few of these, such as credit or a rejection. A
+  peer that makes them faster than it reads them is ended at `OVERFULL` times the high-water mark.
+- `send` queues a message as soon as the queue is below the high-water mark: back-pressure for
+  answers, each of which has a task that can wait.
+- The *source* is asked for frames when the line can take more, after `wake_writer()`, until it has
+  none. Goals use it: feedback waits in its log, and not in a queue for each client, so a thousand
+  goals of a slow client cost no memory here, and each gets its turn.
+
+The line asks for frames by `_next_frames`. To be asked again means that the frames before are
+written; that is how the queue knows how much of it is gone.
+
+*Receiving.* The line calls `on_frames` with what arrives, and each frame goes to `handle`. It must
+not wait; what takes time is started as a task, or waits for credit.
+
+*The end.* A connection ends once, by the first error: one that `handle` raises, one of the line,
+one of the heartbeat, or `end()`. From then on nothing more is fetched from the source, and what is
+posted is lost; `send` raises. `run` returns the error, and after that `say_last` may still send one
+message that tells the peer why. When a peer counts as dead is the rule of `heartbeat`.
 """
 
 from __future__ import annotations
@@ -12,16 +39,13 @@ from anyio import CancelScope, create_task_group, move_on_after, sleep
 from fibaction._notify import Notifier
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
 from fibaction.wire.channel import Line
+from fibaction.wire.heartbeat import Heartbeat
 from fibaction.wire.messages import Ping, encode
 
-MISSED = 4
-"""After so many signs of life that did not come, a peer is taken for dead: one that is late, or
-lost on a bad line, is none."""
 HIGH_WATER = 2**20
-"""Bytes in the queue from which on whoever wants to send waits: some milliseconds of any line."""
-
+"""Bytes in the queue above which `send` waits: some milliseconds of any line."""
 OVERFULL = 2
-"""How many times the high-water mark the queue may come to by what is not made to wait."""
+"""Limit for messages queued without back-pressure, as a multiple of the high-water mark."""
 
 PING = encode(Ping())
 
@@ -31,10 +55,8 @@ class Link:
 
     def __init__(self, line: Line, heartbeat: float, high_water: int = HIGH_WATER) -> None:
         self.peer = line.peer
-        self.peer_heartbeat = heartbeat
-        """How often the peer will say something; it is told in the first message."""
+        self.heartbeat = Heartbeat(line.peer, heartbeat)
         self._line = line
-        self._heartbeat = heartbeat
         self._high_water = high_water
         self._queue: list[bytes] = []
         self._queued = 0
@@ -44,23 +66,23 @@ class Link:
         self._posted = 0  # bytes of the queue that have not waited for room
         self._writing = self._writing_posted = 0  # of those
         self._writes = 0
-        self._has_said = self._has_heard = True  # since `_watch` looked last
+        self._has_said = self._has_heard = True  # since the last step of `_watch`
         self._error: ActionError | None = None
         self._scope = CancelScope()
 
     @property
     def is_open(self) -> bool:
-        """Whether messages can still be sent."""
+        """True if messages can still be sent."""
         return self._error is None
 
     def wake_writer(self, *, at_once: bool = False) -> None:
-        """There is something to fetch from the source. See `Line.stir`."""
+        """Ask the source for frames soon. See `Line.wake_writer`."""
         self._line.wake_writer(at_once=at_once)
 
     def post(self, frame: bytes) -> None:
-        """Queue a message. For small ones, of which there are few; after the end it is lost."""
+        """Queue a small message; after the end it is lost."""
         self._put(frame)
-        # What has waited for room, and may be large, is not held against the peer.
+        # A message that has waited for room may be large, and does not count.
         self._posted += len(frame)
         if self._posted > OVERFULL * self._high_water + len(frame):
             self.end(ProtocolError(f"{self.peer} asks for more than it reads"))
@@ -71,7 +93,7 @@ class Link:
         self._line.wake_writer()
 
     async def send(self, frame: bytes) -> None:
-        """Queue a message as soon as there is room in the queue.
+        """Queue a message as soon as the queue has room.
 
         Raises:
             ConnectionLost: The connection has ended.
@@ -88,12 +110,12 @@ class Link:
             await self._room.wait()
 
     async def say_last(self, frame: bytes) -> None:
-        """After the end: tell the peer why, if it can still be told."""
+        """Tell the peer after the end why it has ended, if the line still works."""
         with suppress(ActionError), move_on_after(1):
             await self._line.send([frame])
 
     def end(self, error: ActionError) -> None:
-        """End the connection for that reason, unless it has ended before."""
+        """End the connection with that error, unless it has ended before."""
         if self._error is None:
             self._error = error
             self._room.notify()
@@ -102,12 +124,11 @@ class Link:
     async def run(
         self, handle: Callable[[bytes], None], source: Callable[[], list[bytes]] | None = None
     ) -> ActionError:
-        """Read, write and watch until the connection ends, and say why it did.
+        """Read, write and watch the peer until the connection ends; return the error that ended it.
 
-        `handle` is called with each message that arrives, and raises nothing but `ActionError`,
-        which ends the connection. `source` is asked for messages whenever the connection can take
-        more, after each `stir()`, until it has none: so what there is to say waits where it is
-        made, and not in a queue.
+        `handle` is called with each message that arrives; an `ActionError` that it raises ends the
+        connection. `source` is asked for messages when the line can take more, after each
+        `wake_writer()`, until it returns none.
         """
         if source is not None:
             self._source = source
@@ -139,7 +160,7 @@ class Link:
         return self._error
 
     def _next_frames(self) -> list[bytes]:
-        """What to send next; what was fetched before has been written."""
+        """Return the frames to send next; those before have been written."""
         if self._is_writing:
             self._writes += 1
             self._has_said = True
@@ -147,7 +168,7 @@ class Link:
             self._posted -= self._writing_posted
             self._room.notify()
         frames: list[bytes] = []
-        if self._error is None:  # what is cut off by the end would cut off the last word, too
+        if self._error is None:  # a half-written frame would make the last message unreadable
             self._writing = self._writing_posted = 0
             if self._queue:
                 frames, self._queue = self._queue, frames
@@ -157,24 +178,15 @@ class Link:
         return frames
 
     async def _watch(self) -> None:
-        # It counts its own rounds, and reads no clock: what happens at each message stays cheap,
-        # and a peer is not blamed for the time in which this process has not run.
-        silent = stuck = unsaid = 0.0
-        progress = self._progress
+        heartbeat, progress = self.heartbeat, self._progress
         while True:
-            step = min(self._heartbeat, self.peer_heartbeat) / 2
+            step = heartbeat.step
             await sleep(step)
-            silent = 0.0 if self._has_heard else silent + step
-            if silent > MISSED * self.peer_heartbeat:
-                raise ConnectionLost(f"{self.peer} has been silent for {silent:.1f} s")
             is_stuck = self._is_writing and progress == self._progress
-            stuck = stuck + step if is_stuck else 0.0
-            if stuck > MISSED * self._heartbeat:
-                raise ConnectionLost(f"{self.peer} has read nothing for {stuck:.1f} s")
-            unsaid = 0.0 if self._has_said else unsaid + step
-            if unsaid >= self._heartbeat / 2:
+            if heartbeat.tick(
+                step, has_heard=self._has_heard, has_said=self._has_said, is_stuck=is_stuck
+            ):
                 self.post(PING)
-                unsaid = 0.0
             self._has_said = self._has_heard = False
             progress = self._progress
 
@@ -184,6 +196,6 @@ class Link:
 
 
 def naming(peer: str, error: ActionError) -> str:
-    """What a connection ended with, as a line of the log that names the peer once."""
+    """Return an error that ended a connection as a line of the log, which names the peer once."""
     text = str(error)
     return text if peer in text else f"{peer}: {text}"

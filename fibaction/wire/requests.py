@@ -1,6 +1,6 @@
-"""What a client asks for beside goals, and what it is told: a task works on each question.
+"""`RequestHandlers`: the requests of a client beside goals. A task works on each.
 
-It knows neither connections nor permissions: `find` asks for those, and `say` sends.
+They know neither connections nor permissions: `find` checks permissions, and `say` sends.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Answer: TypeAlias = CancelAnswered | Done | Watching | GoalChanged | Finished | 
 
 
 class RequestHandlers:
-    """Answers one client's questions."""
+    """Answers the requests of one client."""
 
     def __init__(
         self,
@@ -45,14 +45,14 @@ class RequestHandlers:
         clients_of: Callable[[str], list[str]],
         say: Callable[[Answer], Awaitable[None]],
     ) -> None:
-        """`find` gives the endpoint of an action, if the client may do that there; `clients_of`
-        says who uses an action.
+        """Let `find` return the endpoint of an action, if the client has that permission for it,
+        and `clients_of` the names of all clients that use an action.
         """
         self._endpoints = endpoints
         self._find = find
         self._clients_of = clients_of
         self._say = say
-        self._parts: dict[type, Callable[[Any, RequestSubscription], Awaitable[None]]] = {
+        self._handlers: dict[type, Callable[[Any, RequestSubscription], Awaitable[None]]] = {
             CancelGoals: self._cancel_goals,
             WatchStatus: self._watch_status,
             AwaitServer: self._await_server,
@@ -60,13 +60,13 @@ class RequestHandlers:
             AskPeers: self._ask_peers,
         }
 
-    async def give(self, question: Request, subscription: RequestSubscription) -> None:
-        """Say all that there is to say to a question; of statuses, as much as its flow wants.
+    async def handle(self, request: Request, subscription: RequestSubscription) -> None:
+        """Send all answers to a request; of statuses, as many as the client has credit for.
 
         Raises:
-            ActionError: There is no answer, for that reason.
+            ActionError: The request cannot be answered.
         """
-        await self._parts[type(question)](question, subscription)
+        await self._handlers[type(request)](request, subscription)
 
     async def _cancel_goals(self, message: CancelGoals, _subscription: RequestSubscription) -> None:
         endpoint = await self._find(message.action, Permission.CANCEL)

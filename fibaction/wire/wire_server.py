@@ -1,4 +1,4 @@
-"""All connections of one served transport: takes them in, within the limits, and lets them go."""
+"""`WireServer`: all connections of one served transport."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from fibaction.wire.session import Session
 from fibaction.wire.settings import ServerSettings
 
 LEAVE_TIMEOUT = 1.0
-"""Seconds that a server which closes gives its clients to take what there still is to say."""
+"""Seconds that a closing server gives its clients to take the last messages."""
 
 logger = logging.getLogger("fibaction.wire")
 
 
 class WireServer:
-    """Serves endpoints to whoever connects."""
+    """Serves endpoints to every client that connects, within the limits."""
 
     def __init__(
-        self, tasks: TaskGroup, endpoints: Mapping[str, Endpoint], terms: ServerSettings
+        self, tasks: TaskGroup, endpoints: Mapping[str, Endpoint], settings: ServerSettings
     ) -> None:
         self.tasks = tasks
         """The task group of the connections."""
         self._endpoints = endpoints
-        self._terms = terms
-        self._orphans = Owners(tasks, grace=terms.grace, then=terms.orphans)
-        self._sessions: dict[Session, None] = {}  # in the order of their coming
+        self._settings = settings
+        self._owners = Owners(tasks, grace=settings.grace, then=settings.orphans)
+        self._sessions: dict[Session, None] = {}  # in the order of their arrival
 
     def start(self, line: Line) -> None:
         """Serve one client in a task of its own."""
@@ -48,22 +48,22 @@ class WireServer:
         try:
             await self._serve(line)
         except Exception as exc:
-            # A fault of this package: it is one client's affair, and not the end of all others.
+            # A bug of fibaction. It concerns this client only.
             logger.error("%s: the connection failed", line.peer, exc_info=exc)
         finally:
             await line.aclose()
 
     async def _serve(self, line: Line) -> None:
-        heartbeat, limits = self._terms.heartbeat, self._terms.limits
+        heartbeat, limits = self._settings.heartbeat, self._settings.limits
         if len(self._sessions) >= limits.connections:
             reason = f"the server is full: it has {limits.connections} connections"
-            logger.warning("%s is turned away: %s", line.peer, reason)
+            logger.warning("%s is rejected: %s", line.peer, reason)
             link = Link(line, heartbeat)
             await link.say_last(encode(Goodbye(reason, Why.LIMIT)))
             return
         link = Link(line, heartbeat, limits.queue)
         session = Session(
-            link, self._endpoints, self._terms, self._orphans, self._clients_of, self._supersede
+            link, self._endpoints, self._settings, self._owners, self._clients_of, self._supersede
         )
         self._sessions[session] = None
         try:
@@ -75,21 +75,23 @@ class WireServer:
 
     def _supersede(self, client: bytes) -> None:
         for session in tuple(self._sessions):
-            if session.session and compare_digest(session.session, client):
+            known = session.client.session
+            if known and compare_digest(known, client):
                 session.end()
 
     def _clients_of(self, action: str) -> list[str]:
-        return sorted(session.client for session in self._sessions if action in session.actions)
+        clients = (session.client for session in self._sessions)
+        return sorted(client.name for client in clients if action in client.actions)
 
     async def drain(self) -> None:
-        """Let every client know how its goals have ended, and say goodbye."""
+        """Tell every client how its goals have ended, and say goodbye."""
         try:
             with anyio.move_on_after(LEAVE_TIMEOUT, shield=True):
                 async with anyio.create_task_group() as tasks:
                     for session in tuple(self._sessions):
                         tasks.start_soon(session.drain)
         finally:  # asyncio can cancel the task itself, which no scope shields
-            self._orphans.close()
+            self._owners.close()
 
 
 @asynccontextmanager

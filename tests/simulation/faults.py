@@ -14,7 +14,7 @@ import msgspec
 from anyio import current_time, sleep
 
 from fibaction._notify import Notifier
-from fibaction.events import _Observer
+from fibaction.events import _Merger
 from fibaction.goals import GoalID, GoalInfo
 from fibaction.server.admission import Admission
 from fibaction.server.cancellation import Cancellation
@@ -24,12 +24,14 @@ from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.server.status_broadcast import StatusBroadcast
 from fibaction.states import GoalStatus
-from fibaction.wire.calls import RemoteGoal, _Credits
+from fibaction.wire.calls import Credits
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.connection import RemoteConnection
 from fibaction.wire.link import PING, Link
 from fibaction.wire.messages import CancelAnswered, Ended, Follow, Received, decode_from_client
 from fibaction.wire.ownership import Owners
+from fibaction.wire.reconnect import Reconnector
+from fibaction.wire.remote_goal import RemoteGoal
 from fibaction.wire.session import Session
 from fibaction.wire.subscriptions import Subscription
 
@@ -300,11 +302,11 @@ def the_end_wakes_nobody(real: Any) -> Any:
     return hear
 
 
-@mistake(_Credits, "grant", 22, 14)
+@mistake(Credits, "grant", 22, 14)
 def credit_is_never_granted(real: Any) -> Any:
     """What was read makes no room for more."""
 
-    def grant(self: _Credits, count: int = 1) -> None:
+    def grant(self: Credits, count: int = 1) -> None:
         pass
 
     return grant
@@ -315,40 +317,40 @@ def a_call_is_not_opened_again(real: Any) -> Any:
     """A new connection does not ask for the last thing that was under way."""
 
     def _begin(self: RemoteConnection, welcome: Any) -> None:
-        if self._calls:
-            self._calls.popitem()
+        if self._calls._calls:
+            self._calls._calls.popitem()
         real(self, welcome)
 
     return _begin
 
 
-@mistake(RemoteConnection, "_give_up", 2, 3)
+@mistake(RemoteConnection, "_fail_calls", 2, 3)
 def giving_up_forgets_a_waiter(real: Any) -> Any:
     """When there is no hope for a connection, one who waits is not told."""
 
-    def _give_up(self: RemoteConnection, error: Any) -> None:
-        if self._calls:
-            self._calls.popitem()
+    def _fail_calls(self: RemoteConnection, error: Any) -> None:
+        if self._calls._calls:
+            self._calls._calls.popitem()
         real(self, error)
 
-    return _give_up
+    return _fail_calls
 
 
-@mistake(RemoteConnection, "_lose_patience", 2, 4)
+@mistake(Reconnector, "_lose_patience", 2, 4)
 def patience_ends_too_early(real: Any) -> Any:
     """A client gives a lost connection up in half of the time that its calls are to wait."""
 
-    async def _lose_patience(self: RemoteConnection, patience: Any, ends: float) -> None:
+    async def _lose_patience(self: Reconnector, patience: Any, ends: float) -> None:
         await real(self, patience, (ends + current_time()) / 2)
 
     return _lose_patience
 
 
-@mistake(_Observer, "_follow", 400, 291)
+@mistake(_Merger, "_follow", 400, 291)
 def a_goal_is_watched_twice(real: Any) -> Any:
     """A watcher follows a goal again if a change of its status comes after its feedback."""
 
-    async def _follow(self: _Observer[Any], goal_id: GoalID, *args: Any) -> None:
+    async def _follow(self: _Merger[Any], goal_id: GoalID, *args: Any) -> None:
         await real(self, goal_id, *args)
         self._late.pop(goal_id, None)
 
@@ -364,7 +366,7 @@ def silence_is_not_noticed(real: Any) -> Any:
 
     async def _watch(self: Link) -> None:
         while True:
-            await sleep(self._heartbeat)
+            await sleep(self.heartbeat.interval)
             self.post(PING)
 
     return _watch

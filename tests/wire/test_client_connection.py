@@ -126,7 +126,7 @@ def end(call_id: int, place: int = 0) -> Ended:
 # The handshake
 
 
-async def test_the_first_message_says_who_the_client_is_on_each_connection() -> None:
+async def test_the_first_message_names_the_client_on_each_connection() -> None:
     network = Network()
     settings = ClientSettings(heartbeat=LONG, token="s3cret", max_frame=1234)
     assert "s3cret" not in repr(settings)
@@ -165,7 +165,7 @@ async def test_a_first_attempt_that_fails_for_good_is_an_error_at_once(
 
 HINT = ": give one as token=, or behind the URL as ?token="
 UNEXPECTED = f"{WHERE}: a Welcome of version 2 was not expected"
-TOO_EARLY = f"{WHERE}: the first message was a Done, no Welcome"
+TOO_EARLY = f"{WHERE}: the first message was a Done, not a Welcome"
 STARTS: dict[str, tuple[Any, str, type[ActionError], str]] = {
     "no token": (Goodbye("no", Why.FORBIDDEN), "", AuthenticationFailed, f"{WHERE}: no{HINT}"),
     "token": (Goodbye("no", Why.FORBIDDEN), "s3cret", AuthenticationFailed, f"{WHERE}: no"),

@@ -102,8 +102,8 @@ def forbidden(text: str) -> tuple[Goodbye, str]:
     return Goodbye(text, Why.FORBIDDEN), text
 
 
-NO_TOKEN = forbidden("the server wants a token, and the client gave none")
-WRONG_TOKEN = forbidden("the server refused the client's token")
+NO_TOKEN = forbidden("the server asks for a token, and the client gave none")
+WRONG_TOKEN = forbidden("the server rejected the client's token")
 WRONG: dict[str, tuple[list[Any], tuple[Goodbye, str]]] = {
     **{
         type(message).__name__: (

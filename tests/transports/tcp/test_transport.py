@@ -371,12 +371,12 @@ async def test_a_token_opens_the_door_and_nothing_else_does(
     shown.append(serving.client_settings)
     async with serve(new_server(), serving) as (url,):
         none = (
-            "the server wants a token, and the client gave none: give one as token=, or behind the"
-            " URL as ?token="
+            "the server asks for a token, and the client gave none: give one as token=, or behind"
+            " the URL as ?token="
         )
         for wrong, text in (
-            (f"{url}?token=wrong-{SECRET}", "the server refused the client's token"),
-            (f"{url}?token={SECRET[:-1]}", "the server refused the client's token"),
+            (f"{url}?token=wrong-{SECRET}", "the server rejected the client's token"),
+            (f"{url}?token={SECRET[:-1]}", "the server rejected the client's token"),
             (url, none),
         ):
             for reconnect in (True, False):
@@ -396,8 +396,8 @@ async def test_a_token_opens_the_door_and_nothing_else_does(
     assert {peer.name for peer in people} == {"ann"}
     assert SECRET not in repr(shown)
     assert SECRET not in caplog.text
-    assert "the server refused the client's token" in caplog.text
-    assert "the server wants a token, and the client gave none" in caplog.text
+    assert "the server rejected the client's token" in caplog.text
+    assert "the server asks for a token, and the client gave none" in caplog.text
 
 
 async def test_a_server_with_an_empty_token_is_refused() -> None:

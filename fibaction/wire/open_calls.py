@@ -1,0 +1,167 @@
+"""`OpenCalls`: the calls that a client has open, whatever connection they are on."""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+from weakref import WeakValueDictionary
+
+from fibaction.exceptions import ActionError, InvalidMessage
+from fibaction.goals import GoalID
+from fibaction.wire.calls import Call, PendingRequest
+from fibaction.wire.channel import CHUNK
+from fibaction.wire.framing import MAX_FRAME
+from fibaction.wire.link import Link
+from fibaction.wire.messages import Follow, FromClient, SendGoal, encode
+from fibaction.wire.remote_goal import RemoteGoal
+from fibaction.wire.remote_statuses import RemoteStatuses
+
+
+class OpenCalls:
+    """The open calls of one client, by their IDs, and those that wait to be sent."""
+
+    def __init__(self, window: int, check: Callable[[], None]) -> None:
+        """Let `check` raise the reason why no call can be opened now, if there is one."""
+        self._check = check
+        self._link: Link | None = None
+        self._max_frame = MAX_FRAME
+        self._calls: dict[int, Call] = {}
+        # Those of observers, for as long as the caller keeps them: one goal may have many.
+        self._observed: WeakValueDictionary[int, RemoteGoal] = WeakValueDictionary()
+        self._unopened: deque[Call] = deque()  # on this connection; in turn, as they may be large
+        self._ids = itertools.count(1)
+        # At least two: one can be dropped for the next. With one unread, the end would not come.
+        self._goal_window = max(window, 2)
+        self._window = window
+
+    def __contains__(self, call_id: object) -> bool:
+        return call_id in self._calls or call_id in self._observed
+
+    # For endpoints
+
+    async def ask(self, request: Callable[[int], FromClient], kind: type[Any]) -> Any:
+        """Send a request, on this connection or the next, and return its answer.
+
+        Raises:
+            ActionError: The server answers with an error, or cannot be asked.
+        """
+        call_id = next(self._ids)
+        pending = PendingRequest(call_id, request(call_id))
+        await self._open(pending)
+        return pending.answer(kind)
+
+    async def follow(
+        self, goal_id: GoalID, request: Callable[[int, int], SendGoal | Follow]
+    ) -> RemoteGoal:
+        """Send or follow a goal; `request` gets the ID of the call, and the credit.
+
+        Raises:
+            ActionError: As for `ask`.
+        """
+        opening = request(next(self._ids), self._goal_window)
+        goal = RemoteGoal(goal_id, opening, self._goal_window, self.post)
+        await self._open(goal)
+        if not goal.is_own and self._calls.pop(goal.id, None) is not None:
+            self._observed[goal.id] = goal
+        return goal
+
+    async def follow_statuses(self, action: str) -> RemoteStatuses:
+        """Follow the statuses of all goals of an action.
+
+        Raises:
+            ActionError: As for `ask`.
+        """
+        statuses = RemoteStatuses(next(self._ids), action, self._window, self.post)
+        await self._open(statuses)
+        return statuses
+
+    def post(self, message: FromClient) -> None:
+        """Send a small message, if there is a connection."""
+        if self._link is not None:
+            self._link.post(encode(message))
+
+    async def _open(self, call: Call) -> None:
+        """Open a call, and wait until the server has answered; give it up after an error."""
+        self._check()
+        self._calls[call.id] = call
+        if self._link is not None:
+            self._unopened.append(call)
+            # Calls that are opened in the same turn of the event loop are written together.
+            self._link.wake_writer(at_once=len(self._calls) == 1)
+        try:
+            await call.answered()
+        except BaseException:
+            if self._calls.pop(call.id, None) is not None:
+                self.post(call.giving_up())
+            raise
+
+    # For the connection
+
+    def reopen(self, link: Link, max_frame: int) -> None:
+        """Open all calls on a new connection, whose server takes frames of so many bytes."""
+        self._link, self._max_frame = link, max_frame
+        self._unopened.clear()
+        self._unopened.extend((*self._calls.values(), *self._observed.values()))
+        link.wake_writer()
+
+    def detach(self) -> None:
+        """Wait for another connection: this one has ended."""
+        self._link = None
+        self._unopened.clear()
+
+    def openings(self) -> list[bytes]:
+        """Return frames that open calls on this connection, as many as fill one write."""
+        frames: list[bytes] = []
+        size = 0
+        while self._unopened and size < CHUNK:
+            call = self._unopened.popleft()
+            if call is not (self._calls.get(call.id) or self._observed.get(call.id)):
+                continue  # given up since
+            if call.is_over:
+                self._drop(call)
+                continue
+            try:
+                frame = encode(call.opening())
+            except (TypeError, ValueError, OverflowError) as exc:
+                # The caller has given something else than the types say. Other calls go on.
+                self._reject(call, f"the message cannot be sent: {exc}")
+                continue
+            if len(frame) <= self._max_frame:
+                frames.append(frame)
+                size += len(frame)
+            else:
+                limit = f"{self._max_frame} are the server's limit"
+                self._reject(call, f"the message has {len(frame)} bytes, and {limit}")
+        return frames
+
+    def handle(self, message: Any) -> bool:
+        """Hand a message to its call; return False if it does not belong to one.
+
+        Raises:
+            ProtocolError: The message does not answer that call.
+        """
+        call_id = getattr(message, "id", -1)
+        call = self._calls.get(call_id) or self._observed.get(call_id)
+        if call is None:
+            return False
+        if call.on_message(message):
+            self._drop(call)
+        return True
+
+    def fail(self, error: ActionError) -> None:
+        """End all calls with an error."""
+        calls = (*self._calls.values(), *self._observed.values())
+        self._calls = {}
+        self._observed.clear()
+        for call in calls:
+            call.fail(error)
+
+    def _reject(self, call: Call, text: str) -> None:
+        self._drop(call)
+        call.fail(InvalidMessage(text))
+
+    def _drop(self, call: Call) -> None:
+        if self._calls.pop(call.id, None) is None:
+            self._observed.pop(call.id, None)

@@ -1,0 +1,198 @@
+"""`RemoteGoal`: a goal that a client follows over a connection, and goes on with on the next.
+
+It keeps a window of feedback that was not read, grants credit for what was, and knows the number of
+the last feedback, from which it goes on after a connection was lost.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
+from fibaction.exceptions import ProtocolError
+from fibaction.goals import UNKNOWN_OUTCOME, GoalID, Outcome
+from fibaction.states import GoalStatus
+from fibaction.wire.calls import Call, Credits, Post, unfitting
+from fibaction.wire.errors import error_of
+from fibaction.wire.messages import (
+    Close,
+    Ended,
+    Failed,
+    Feedback,
+    Follow,
+    Following,
+    FromClient,
+    Received,
+    Rejected,
+    SendGoal,
+    StatusChanged,
+    Why,
+)
+
+
+class RemoteGoal(Call, GoalStream):
+    """One goal of a server, followed over a connection."""
+
+    def __init__(
+        self, goal_id: GoalID, opening: SendGoal | Follow, window: int, post: Post
+    ) -> None:
+        super().__init__(opening.id)
+        self.goal_id = goal_id
+        self.stamp = 0
+        self.latest = False
+        self.cursor = 0
+        self._opening = opening
+        self._window = window
+        self._post = post
+        self._status = GoalStatus.UNKNOWN
+        self._outcome: Outcome[bytes] | None = None
+        self._last = 0  # the number of the feedback that arrived last
+        self._start = 0
+        self._delivered = 0
+        self._items: deque[FeedbackItem] = deque()
+        self._statuses: deque[GoalStatus] = deque()
+        self._credit = Credits(opening.id, window, post)
+        self._own = isinstance(opening, SendGoal) or opening.own
+        self._holds = self._own  # an observer never slows the executor down
+        self.reads = opening.credit is not None
+
+    @property
+    def status(self) -> GoalStatus:
+        return self._status
+
+    @property
+    def dropped(self) -> int:
+        return self.cursor - self._start - self._delivered
+
+    @property
+    def is_own(self) -> bool:
+        """True if this client has sent the goal."""
+        return self._own
+
+    def giving_up(self) -> FromClient:
+        return Close(self.id) if self._own else Received(self.id)
+
+    def __del__(self) -> None:
+        # The end cannot be asked for any more, so the server need not tell it.
+        if self._is_answered and not self._own and self._outcome is None and self.error is None:
+            self._post(self.giving_up())
+
+    def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
+        if self._statuses:
+            return (self._statuses.popleft(),)
+        waiting = self._items
+        if not waiting:
+            if self._outcome is None:
+                self.raise_error()
+                return ()
+            if self.reads:
+                self.cursor = self._last
+            return (self._outcome,)
+        if limit == 1:  # what a reader asks for, message by message
+            items = [waiting.popleft()]
+        else:
+            items = [waiting.popleft() for _ in range(min(limit, len(waiting)))]
+        if items:
+            self.cursor = items[-1].number
+            self._delivered += len(items)
+            if self._outcome is None and not self.latest:
+                self._credit.grant(len(items))
+        return items
+
+    def known_outcome(self) -> Outcome[bytes] | None:
+        if self._outcome is None:
+            self.raise_error()
+        return self._outcome
+
+    def hold(self, wanted: bool) -> None:
+        self._holds = wanted and self._own
+        self._make_room()
+
+    def close(self) -> None:
+        if self.reads:
+            self.reads = False
+            self._items.clear()
+            self._statuses.clear()
+            self.news.notify()
+            if self._outcome is None:
+                self._post(Close(self.id))
+
+    def opening(self) -> FromClient:
+        allowed = self._credit.restart(0 if self.latest else len(self._items))
+        if not self._is_answered:
+            return self._opening
+        credit = allowed if self.reads else None
+        return Follow(self.id, self._opening.action, self.goal_id, self._last, self._own, credit)
+
+    def on_message(self, message: Any) -> bool:
+        # Where most messages pass: for a class of msgspec's, `isinstance` takes ten times as long.
+        kind = message.__class__
+        if kind is Feedback and self._is_answered:
+            self._take_feedback(message)
+        elif kind is Following:
+            self._take_following(message)
+        elif kind is StatusChanged and self._is_answered:
+            self._take_status(message.status)
+        elif kind is Ended and self._is_answered:
+            if message.status.is_active:
+                raise ProtocolError(f"a goal has ended as {message.status.name}")
+            self._end(Outcome(message.status, message.result, message.reason), message.place)
+            self._post(Received(self.id))
+        elif kind is Failed and self._is_answered and message.why == Why.UNKNOWN_GOAL:
+            # The server was started anew, or the result has expired meanwhile.
+            self._end(UNKNOWN_OUTCOME, self._last)
+        elif kind is Failed or kind is Rejected:
+            self.fail(error_of(message, self.goal_id))
+        else:
+            raise unfitting(message)
+        self.news.notify()
+        return self._outcome is not None or self.error is not None
+
+    def _take_following(self, message: Following) -> None:
+        if self._is_answered and message.stamp != self.stamp:
+            # The server was started anew, and has been sent another goal of that ID.
+            self._end(UNKNOWN_OUTCOME, self._last)
+            self._post(Close(self.id))
+        elif self._is_answered:
+            self._take_status(message.status)  # it may have changed while there was no connection
+        else:
+            self._is_answered = True
+            self._status = message.status
+            self.stamp, self.latest = message.stamp, message.latest
+            self.cursor = self._start = self._last = message.place
+
+    def _take_status(self, status: GoalStatus) -> None:
+        # Statuses only ever grow. On a new connection the server says first what it is by now, and
+        # may then tell what the last connection has not.
+        if status > self._status:
+            self._status = status
+            if self.reads and status.is_active:
+                self._statuses.append(status)
+
+    def _take_feedback(self, message: Feedback) -> None:
+        if message.number <= self._last:
+            raise ProtocolError(f"feedback {message.number} came after {self._last}")
+        self._credit.spend()
+        self._last = message.number
+        if self.reads:
+            if self.latest:
+                self._items.clear()
+                self._credit.grant()
+            self._items.append(FeedbackItem(message.number, message.payload))
+            if not self._holds:
+                self._make_room()
+
+    def _end(self, outcome: Outcome[bytes], place: int) -> None:
+        self._outcome = outcome
+        self._status = outcome.status
+        self._last = max(place, self._last)
+
+    def _make_room(self) -> None:
+        """Drop the oldest feedback for the next, unless the executor is to wait."""
+        if self._holds or self.latest or self._outcome is not None:
+            return
+        while len(self._items) > max(self._window // 2, 1):
+            self._items.popleft()
+            self._credit.grant()

@@ -1,0 +1,107 @@
+"""`SessionClient`: the client of one session: its handshake, its name and its permissions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from fibaction.abc import Endpoint
+from fibaction.exceptions import AuthenticationFailed, ProtocolError, ServerNotFound
+from fibaction.goals import UNKNOWN_SENDER, Sender
+from fibaction.server.goal_record import digest_of
+from fibaction.wire.auth import Peer, Permission
+from fibaction.wire.framing import MAX_FRAME
+from fibaction.wire.messages import VERSION, FromClient, Hello
+from fibaction.wire.settings import ServerSettings
+
+
+class SessionClient:
+    """The client of one session, unknown until it has said hello."""
+
+    def __init__(
+        self, address: str, endpoints: Mapping[str, Endpoint], settings: ServerSettings
+    ) -> None:
+        self._address = address
+        self._endpoints = endpoints
+        self._settings = settings
+        self._peer: Peer | None = None
+        self.session = b""
+        """The secret that the client has on each of its connections; empty if none. The session
+        sets it when the earlier connections are ended."""
+        self.sender = UNKNOWN_SENDER
+        """The client as the sender of its goals."""
+        self.max_frame = MAX_FRAME
+        """Bytes of the largest message that the client accepts."""
+        self.actions: set[str] = set()
+        """The actions that the client has named."""
+
+    @property
+    def is_known(self) -> bool:
+        """True if the client has said hello, and was let in."""
+        return self._peer is not None
+
+    @property
+    def is_trusted(self) -> bool:
+        """True if its requests need no permission."""
+        return self._settings.access.is_open
+
+    @property
+    def name(self) -> str:
+        """The client's address, with the name of its token if it has one, for people to read."""
+        name = self._peer.name if self._peer is not None else ""
+        return f"{name} at {self._address}" if name else self._address
+
+    def greet(self, message: FromClient) -> Hello:
+        """Take the first message of the client, and let it in.
+
+        Raises:
+            ProtocolError: The message is not a `Hello`, or of another version.
+            AuthenticationFailed: Its token is not accepted.
+        """
+        if not isinstance(message, Hello):
+            raise ProtocolError(f"its first message was a {type(message).__name__}, not a Hello")
+        if message.version != VERSION:
+            raise ProtocolError(
+                f"it speaks version {message.version} of the protocol, and this is {VERSION}"
+            )
+        self._peer = self._settings.access.admit(self._address, message.token)
+        if self._peer is None:
+            # The text is for the log and for the client, so it says whose token it is about.
+            raise AuthenticationFailed(
+                "the server rejected the client's token"
+                if message.token
+                else "the server asks for a token, and the client gave none"
+            )
+        owner = digest_of(message.session) if message.session else b""
+        self.sender = Sender(self.name, owner)
+        self.max_frame = message.max_frame
+        return message
+
+    async def endpoint(self, action: str, permission: Permission) -> Endpoint:
+        """Return the endpoint of an action, if the client has that permission for it.
+
+        Raises:
+            AuthenticationFailed: It does not have it.
+            ServerNotFound: The action is not served here.
+        """
+        assert self._peer is not None
+        if not await self._settings.access.permits(self._peer, action, permission):
+            raise AuthenticationFailed(
+                f"this client may not {permission.value} at the action {action!r}"
+            )
+        return self.find(action)
+
+    def find(self, action: str) -> Endpoint:
+        """Return the endpoint of an action.
+
+        Raises:
+            ServerNotFound: The action is not served here.
+        """
+        try:
+            endpoint = self._endpoints[action]
+        except KeyError:
+            known = ", ".join(map(repr, sorted(self._endpoints))) or "nothing"
+            raise ServerNotFound(
+                f"nobody serves the action {action!r} here: there is {known}"
+            ) from None
+        self.actions.add(action)
+        return endpoint
