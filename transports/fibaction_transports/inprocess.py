@@ -26,7 +26,7 @@ _URL = re.compile(r"inproc://([\w.-]+)", re.ASCII)
 
 
 class _Place:
-    """What is served under one name."""
+    """The endpoints that are served under one name."""
 
     def __init__(self, url: str) -> None:
         self.url = url
