@@ -1,10 +1,10 @@
 """ROS 2 actions for asyncio, with or without ROS.
 
 A client sends a goal; the server accepts or rejects it, streams feedback, and ends it with a
-result; a client may cancel at any time. All that is needed for that is here.
+result; a client may cancel at any time. This package exports all names that programs need for that.
 
-`fibaction.testing` helps to test it, `fibaction.action_files` has `load_action`, which makes an
-action from an `.action` file of ROS 2, and `fibaction.abc` is for those who write transports.
+`fibaction.testing` has helpers for tests, `fibaction.action_files` has `load_action`, which makes
+an action from an `.action` file of ROS 2, and `fibaction.abc` is for authors of transports.
 """
 
 TYPE_CHECKING = False  # type checkers know the name; an import of `typing` would cost time

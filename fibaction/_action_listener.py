@@ -38,16 +38,16 @@ class ActionListener(ABC):
 
     @abstractmethod
     def on_action_lost(self, action: str, reason: str) -> None:
-        """Handle an action that is not served any more, or that cannot be used from here.
+        """Handle an action that is no longer served, or that cannot be used from here.
 
-        It is found again as soon as it is back.
+        `on_action_found` is called again as soon as the action is back.
         """
 
     @abstractmethod
     def on_actions(self, actions: list[ActionInfo] | None, reason: str) -> None:
         """Handle the list of the actions that are served now.
 
-        It is None while the server does not answer, for that `reason`.
+        `actions` is None while the server does not answer, and `reason` then says why.
         """
 
 
@@ -57,7 +57,7 @@ async def follow_actions(
     """Follow every action that is or will be served, until canceled.
 
     Raises:
-        ActionError: There is no server; or the connection is lost and is not reopened.
+        ActionError: The server is not found; or the connection is lost and is not reopened.
     """
     actions: list[ActionInfo] | None = await connection.actions()
     reason = ""

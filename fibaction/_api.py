@@ -1,4 +1,4 @@
-"""`serve` and `connect`: from a URL to a server that can be reached, and to clients of it."""
+"""`serve` and `connect`: serve actions at a URL, and open connections to it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class ServeKeywords(ServerKeywords, _RosKeywords, total=False):
 
 
 class ClientConnection(Connection):
-    """An open connection, as `connect` gives it: a client for each action that is wanted."""
+    """An open connection, as `connect` returns it: the source of clients of all its actions."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -60,25 +60,26 @@ class ClientConnection(Connection):
         return client
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
-        """The endpoint of an action, for instance to serve it somewhere else."""
+        """Return the endpoint of an action, for example to serve it at another address."""
         return self._connection.endpoint(action)
 
     async def actions(self) -> list[ActionInfo]:
-        """What can be reached now: see `Connection.actions`."""
+        """Return the actions that can be reached now: see `Connection.actions`."""
         return await self._connection.actions()
 
     async def leave(self) -> None:
-        """Cancel the goals of `call`, and of blocks of `send_goal`, that have not ended. Leaving
-        the block of `connect` does so, before the connection is closed.
+        """Cancel the goals of `call`, and of blocks of `send_goal`, that have not ended.
+
+        The end of the block of `connect` calls this, before it closes the connection.
         """
-        # Shielded: if the block was canceled, the goals must be canceled all the same.
+        # Shielded: the goals must also be canceled if the block itself was canceled.
         with anyio.CancelScope(shield=True):
             async with create_task_group() as tasks:
                 for client in self._clients:
                     tasks.start_soon(client.leave)
 
     async def peers(self, action: str) -> ActionPeers:
-        """Who serves an action and who uses it: see `Connection.peers`."""
+        """Return the servers and the clients of an action: see `Connection.peers`."""
         return await self._connection.peers(action)
 
 
@@ -103,14 +104,15 @@ def connect(
 ) -> AbstractAsyncContextManager[Any]:
     """Connect to a URL, or by a transport, for as long as the block lasts.
 
-    With an action it gives an `ActionClient`, without one a `ClientConnection`. `settings` are
-    those of the transport's constructor, for instance `reconnect=False`.
+    With an action, the block gets an `ActionClient`, without one a `ClientConnection`. `settings`
+    are those of the transport's constructor, for example `reconnect=False`.
 
     Raises:
         TransportError: The URL cannot be used; the text says why.
-        TypeError: The transport has no such setting, or `where` is no address, or `action` none.
-        ServerNotFound: There is nobody, and the transport can tell at once.
-        AuthenticationFailed: There is, but it does not let this client in.
+        TypeError: The transport does not have such a setting, `where` is not an address, or
+            `action` is not an `Action`.
+        ServerNotFound: The server is not found, and the transport can tell at once.
+        AuthenticationFailed: The server rejects this client.
     """
     transport = transport_for(where, **settings)
     _check_is_action(action)
@@ -120,7 +122,7 @@ def connect(
 def _check_is_action(action: object) -> None:
     if not isinstance(action, Action | None):
         raise TypeError(
-            f"connect() takes an address, and then an Action or nothing, and not {action!r}"
+            f"connect() takes an address and, optionally, an Action; {action!r} is not an Action"
         )
 
 
@@ -151,21 +153,21 @@ async def serve(
     """Serve one endpoint or several, at one address or several, for as long as the block lasts.
 
     An address is a URL or a transport. `settings` are those of the constructors of the URLs'
-    transports, for instance `tokens={...}`. Gives the URLs under which clients find them. Servers
-    that are not running are started, and stopped at the end while their clients can still be
-    answered.
+    transports, for example `tokens={...}`. The block gets the URLs under which clients find the
+    endpoints. Servers that are not running are started, and stopped at the end, while their clients
+    can still be answered.
 
     Raises:
         TransportError: An address cannot be used.
-        TypeError: A transport has no such setting, what is given is no server, or no address, or
-            there is no address at all.
+        TypeError: A transport does not have such a setting, an argument is not a server or not an
+            address, or the address is missing.
         RuntimeError: A server has been stopped; each runs once.
     """
     chosen = _chosen(endpoints)
     if not where:
         raise TypeError(
-            "serve() needs an address, or nobody could reach the server: a URL such as"
-            " tcp://127.0.0.1:7400, or a transport; without one, enter the server itself, and give"
+            "serve() needs at least one address: a URL such as tcp://127.0.0.1:7400, or a"
+            " transport; to use a server without an address, enter it with `async with`, and give"
             " it to an ActionClient"
         )
     transports = [transport_for(one, **settings) for one in where]
@@ -187,11 +189,11 @@ def _chosen(endpoints: Endpoint | Iterable[Endpoint]) -> tuple[Endpoint, ...]:
     chosen: list[Endpoint] = []
     for one in given:
         if not isinstance(one, Endpoint):
-            # Where the arguments are swapped it is a URL, and that may have a token.
+            # If the arguments are swapped, it is a URL, which may contain a token.
             shown = without_settings(one) if isinstance(one, str) else one
             raise TypeError(
-                f"serve() takes servers, such as ActionServer(action, executor), and then where to"
-                f" serve them, and {shown!r} is no server"
+                f"serve() takes servers, such as ActionServer(action, executor), and then"
+                f" addresses; {shown!r} is not a server"
             )
         chosen.append(one)
     return tuple(chosen)

@@ -1,4 +1,4 @@
-"""`Notifier`: how one part tells another that something is new. What is new, it does not know."""
+"""`Notifier`: a signal between parts of the library, which says only that something is new."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ import anyio
 
 
 class Notifier:
-    """Lets any number of tasks wait for "something is new", and one listener hear of it."""
+    """A signal for any number of waiting tasks, and for one callback."""
 
     __slots__ = ("_event", "on_next")
 
     def __init__(self) -> None:
         self._event: anyio.Event | None = None
         self.on_next: Callable[[], None] | None = None
-        """Called at the next `wake()`, once: for one who looks after more than a task can wait for.
-        It must not raise, and not do the work itself."""
+        """The callback of the next `notify()`, called once; None for none.
+
+        It serves components that follow more streams than one task can wait for. It must not raise,
+        and must leave the work to another turn of the event loop."""
 
     def notify(self) -> None:
-        """Wake all who wait now."""
+        """Wake all tasks that wait now."""
         if self._event is not None:
             self._event.set()
             self._event = None
@@ -29,7 +31,7 @@ class Notifier:
             on_next()
 
     async def wait(self) -> None:
-        """Wait for the next `wake()`."""
+        """Wait for the next `notify()`."""
         if self._event is None:
             self._event = anyio.Event()
         await self._event.wait()

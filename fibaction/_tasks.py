@@ -1,4 +1,4 @@
-"""Tasks that help a block of code, and end with it."""
+"""Background tasks of a block of code."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from anyio.abc import TaskGroup
 class Background:
     """A task group that is canceled at the end of its block, and not before.
 
-    If the block is canceled from outside, its tasks go on until it has been left, because the way
-    out may need them: to cancel a goal, somebody must still read and write. And the exception of
-    the block goes on as itself: a task group would wrap it in a group, and its users would have to
-    know that there are tasks. A task in it must raise nothing on purpose.
+    If the block is canceled from outside, the tasks continue until the block has been left, because
+    leaving it may need them: canceling a goal needs the tasks that read and write. An exception of
+    the block is raised as itself; a task group would wrap it in an exception group, and so show its
+    users that tasks exist. The tasks must not raise on purpose.
     """
 
     def __init__(self) -> None:
@@ -27,7 +27,7 @@ class Background:
         await self._host.__aenter__()
         self._host.start_soon(self._hold)
         try:
-            with CancelScope(shield=True):  # it takes no time
+            with CancelScope(shield=True):  # the wait takes one turn of the event loop
                 await self._ready.wait()
         except BaseException:  # asyncio can cancel the task itself, which no scope shields
             await self.__aexit__(None, None, None)

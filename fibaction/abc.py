@@ -1,12 +1,13 @@
-"""The interfaces between clients and servers: all that the author of a transport reads.
+"""The interfaces between clients and servers, for authors of transports.
 
 `Endpoint` is an action server as its clients see it. `ActionServer` is one; the client half of a
-transport is one; the server half of a transport calls one. So anything that can be reached can be
-served again somewhere else. Payloads cross this border as bytes (msgpack), so that nothing between
-a client and a server needs the types, and no mutation on one side is seen on the other.
+transport is one; the server half of a transport calls one. So any endpoint that can be reached can
+be served again at another address. Payloads cross this border as bytes (msgpack), so that the parts
+between a client and a server do not need the types, and a mutation on one side is not seen on the
+other.
 
-Errors: a method raises only what its docstring names; a transport translates the errors of the
-library that it is built on, `raise ... from exc`.
+Errors: a method raises only the errors that its docstring names; a transport translates the errors
+of the library that it is built on, with `raise ... from exc`.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ __all__ = [
 
 
 class Endpoint(ABC):
-    """An action server as its clients see it, whatever lies between."""
+    """An action server as its clients see it, in this process or behind a transport."""
 
     @property
     @abstractmethod
@@ -62,12 +63,12 @@ class Endpoint(ABC):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
     ) -> GoalStream:
-        """Send a goal, and follow it from its very beginning.
+        """Send a goal, and follow it from its beginning.
 
-        The same ID with the same goal may be sent again: it gets the same answer and runs once.
+        The same goal may be sent again with the same ID: it gets the same answer and runs once.
         `feedback=False` follows the outcome only. `sender` is the client that sends it, for the
-        goal's record; a connection to a server elsewhere does not pass it on, since that server
-        knows its clients by itself.
+        goal's record; a connection to another process does not pass it on, since the server there
+        identifies its clients itself.
 
         Raises:
             GoalRejected: The server did not accept it; `reason` says why.
@@ -85,14 +86,15 @@ class Endpoint(ABC):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
     ) -> GoalStream | Coroutine[Any, Any, GoalStream]:
-        """Send a goal as `send_goal` does, without waiting where there is nothing to wait for.
+        """Send a goal as `send_goal` does, without waiting if the goal can be decided at once.
 
         Return the stream if the goal is decided at once, or else a coroutine that waits for it. The
         coroutine must be awaited or closed; until then the goal counts as undecided, and a retry of
-        it blocks. The server half of a transport calls this, so that most goals need no task there.
+        it blocks. The server half of a transport calls this, so that it starts tasks only for goals
+        whose decision takes time.
 
         Raises:
-            ActionError: As for `send_goal`, if it is known at once.
+            ActionError: As for `send_goal`, if the goal is decided at once.
         """
         return self.send_goal(goal_id, goal, feedback=feedback, sender=sender)
 
@@ -102,10 +104,10 @@ class Endpoint(ABC):
     ) -> GoalStream:
         """Follow a goal that was sent before.
 
-        The stream begins with what comes from now on; with `after`, with the feedback that follows
-        that number, as far back as the server remembers (the rest counts as dropped). An observer
-        never slows the goal down; `own` says that this is the goal's own client, which has lost the
-        stream that `send_goal` gave it and goes on from there.
+        The stream begins with the next feedback; with `after`, it begins with the feedback that
+        follows that number, as far back as the server remembers (the rest counts as dropped). A
+        follower never slows the goal down, except with `own=True`, which is for the client that
+        sent the goal, lost the stream that `send_goal` returned, and continues from there.
 
         Raises:
             UnknownGoal: The server has no such goal.
@@ -117,11 +119,11 @@ class Endpoint(ABC):
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None
     ) -> CancelAnswer:
-        """Ask to cancel: by the rules of `action_msgs/srv/CancelGoal`.
+        """Ask the server to cancel goals, by the rules of `action_msgs/srv/CancelGoal`.
 
-        Neither argument: all goals. A stamp: all accepted at or before it. An ID: that goal. Both:
-        that goal and all accepted at or before the stamp. A goal that is still being decided upon
-        is canceled by its ID as soon as it is accepted.
+        Without arguments, this means all goals; with a stamp, all goals accepted at or before it;
+        with an ID, that goal; with both, that goal and all accepted at or before the stamp. A goal
+        that is still being decided is canceled by its ID as soon as it is accepted.
 
         Raises:
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
@@ -139,19 +141,20 @@ class Endpoint(ABC):
 
     @abstractmethod
     async def wait_for_server(self) -> None:
-        """Return as soon as this action is served. Has no time limit of its own.
+        """Wait until this action is served, without a timeout.
 
         Raises:
-            TransportError: The connection ended for good, or the server does not say.
+            TransportError: The connection ended for good, or the server does not answer.
         """
 
     async def get_result(self, goal_id: GoalID) -> Outcome[bytes]:
-        """Wait for the end of a goal; UNKNOWN at once if the server has no such goal.
+        """Wait for the end of a goal, and return its outcome; UNKNOWN if the server has no such
+        goal.
 
         Raises:
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
-            TransportError: As for `feedback` and `GoalStream.ended`.
-            ProtocolError: As for `GoalStream.ended`.
+            TransportError: As for `feedback` and `GoalStream.outcome`.
+            ProtocolError: As for `GoalStream.outcome`.
         """
         try:
             stream = await self.feedback(goal_id)
@@ -163,13 +166,11 @@ class Endpoint(ABC):
 
 @runtime_checkable
 class Startable(Protocol):
-    """An endpoint with a life of its own, which `serve` starts and stops: an `ActionServer`, or
-    what wraps one.
-    """
+    """An endpoint that `serve` starts and stops: an `ActionServer`, or a wrapper of one."""
 
     @property
     def is_running(self) -> bool:
-        """True if it takes goals; then `serve` neither starts nor stops it."""
+        """True if it accepts goals; then `serve` neither starts nor stops it."""
         ...
 
     async def __aenter__(self) -> object:
@@ -186,12 +187,12 @@ class Startable(Protocol):
         ...
 
     async def stop(self) -> None:
-        """Accept no more goals, and end all that there are. Stopping twice is harmless."""
+        """Reject new goals, and end all active ones. Stopping twice is harmless."""
         ...
 
 
 class ForwardingEndpoint(Endpoint):
-    """An endpoint around another one: subclass it, and override what is to be different.
+    """An endpoint around another one; subclasses override the methods that are to be different.
 
         class Audited(ForwardingEndpoint):
             async def cancel_goals(self, goal_id=None, stamp=None):
@@ -201,14 +202,14 @@ class ForwardingEndpoint(Endpoint):
         async with serve(Audited(ActionServer(ACTION, executor)), "tcp://127.0.0.1:7400"):
             ...
 
-    Every call goes on to `inner`, with the sender of the goal. A goal that is offered goes through
-    `send_goal`, so that one method sees every goal. Whether it runs, starts and stops is that of
-    `inner`; around an endpoint without a life of its own it counts as running.
+    Every call is forwarded to `inner`, with the sender of the goal. `offer_goal` calls `send_goal`,
+    so that one method sees every goal. It starts and stops `inner`, and runs while `inner` runs;
+    around an endpoint that is not `Startable` it counts as running.
     """
 
     def __init__(self, inner: Endpoint) -> None:
         self.inner = inner
-        """The endpoint that answers."""
+        """The wrapped endpoint."""
 
     @property
     def info(self) -> ActionInfo:
@@ -242,7 +243,7 @@ class ForwardingEndpoint(Endpoint):
 
     @property
     def is_running(self) -> bool:
-        """True if `inner` takes goals."""
+        """True if `inner` accepts goals."""
         return not isinstance(self.inner, Startable) or self.inner.is_running
 
     async def __aenter__(self) -> ForwardingEndpoint:
@@ -293,9 +294,9 @@ class Connection(ABC):
 
 
 class Transport(ABC):
-    """A way to reach endpoints. It is configured by its constructor or its URL alone.
+    """A way to reach endpoints, configured by its constructor or its URL alone.
 
-    To be found by URL, a package announces its class under the entry-point group
+    To be found by URL, a package declares its class in the entry-point group
     `fibaction.transports`, with the URL's scheme as the name.
     """
 
@@ -305,13 +306,13 @@ class Transport(ABC):
         """Make a transport from a URL, and from settings of its constructor that are not in it.
 
         Raises:
-            TransportError: The URL does not say what this transport needs; the text says what.
-            TypeError: There is no such setting.
+            TransportError: The URL is invalid for this transport; the text says why.
+            TypeError: A setting is unknown.
         """
 
     @abstractmethod
     def serve(self, *endpoints: Endpoint) -> AbstractAsyncContextManager[str]:
-        """Let clients reach these endpoints for as long as the block lasts; gives their URL.
+        """Serve these endpoints for as long as the block lasts; the block gets their URL.
 
         Raises:
             TransportError: The address cannot be used, or already serves such an action.
@@ -322,6 +323,6 @@ class Transport(ABC):
         """Open a connection for as long as the block lasts.
 
         Raises:
-            ServerNotFound: There is no server, and this transport can tell at once.
-            AuthenticationFailed: The server does not let this client in.
+            ServerNotFound: The server is not found, and this transport can tell at once.
+            AuthenticationFailed: The server rejects this client.
         """

@@ -1,6 +1,6 @@
-"""`Action`: a name, three message types, and how each becomes bytes and comes back.
+"""`Action`: a name and three message types, each with its encoding.
 
-Payloads are msgpack, decoded strictly. This module knows nothing of goals, servers or transports.
+Payloads are msgpack, decoded strictly. This module does not depend on goals, servers or transports.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ ResultT = TypeVar("ResultT")
 T = TypeVar("T")
 
 INTERFACES = "fibaction.interfaces"
-"""The entry-point group of what makes message types: called with the name of a type, it gives
-those of the goal, the feedback and the result, or raises TransportError."""
+"""The entry-point group of functions that make message types. Such a function takes the name of a
+ROS 2 type, and returns the types of the goal, the feedback and the result, or raises
+TransportError."""
 
 # ROS 2's rule for names (REP 144, `rmw/validate_full_topic_name.h`), so that an action can be
 # served over ROS under the same name: tokens that do not start with a digit, a `~` only in front.
@@ -35,19 +36,21 @@ _encode = msgspec.msgpack.Encoder().encode
 
 
 class Codec(Generic[T]):
-    """One message type of an action: a value to bytes, and bytes to a value."""
+    """The encoding of one message type of an action, from values to bytes and back."""
 
     __slots__ = ("_decoder", "_sent", "classes", "type")
 
     def __init__(self, message_type: type[T], sent: str = "") -> None:
-        """Make a codec. `sent` is what servers send with it, for the text of errors: `feedback of
-        action 'dock'`; empty for what clients send.
+        """Make a codec.
+
+        `sent` names the messages that servers send with it, for the text of errors, for example
+        `feedback of action 'dock'`; it is empty for messages of clients.
 
         Raises:
             TypeError: msgspec cannot encode and decode such a type.
         """
         self.type = message_type
-        """The type, as it was given."""
+        """The message type, unchanged."""
         self._sent = sent
         self._decoder = msgspec.msgpack.Decoder(message_type)
         info = inspect.type_info(message_type)
@@ -56,17 +59,17 @@ class Codec(Generic[T]):
         """The classes that a value of this type is an instance of; `object` for any."""
 
     def holds(self, value: object) -> TypeGuard[T]:
-        """Whether it is a value of this type, as far as its class tells."""
+        """Return whether the value is of this type, judging by its class alone."""
         return isinstance(value, self.classes)
 
     def encode(self, value: T) -> bytes:
         """Turn a value into bytes.
 
         Raises:
-            TypeError: It holds something that msgpack cannot express.
-            OverflowError: It holds an integer of more than 64 bits.
-            ValueError: It holds text that is no Unicode.
-            RecursionError: It holds itself.
+            TypeError: It contains an object that msgpack cannot express.
+            OverflowError: It contains an integer of more than 64 bits.
+            ValueError: It contains text that is not valid Unicode.
+            RecursionError: It contains itself.
         """
         return _encode(value)
 
@@ -79,19 +82,22 @@ class Codec(Generic[T]):
         try:
             return self._decoder.decode(payload)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError) as exc:
-            # A TypeError is msgspec's for a set of what cannot be in one.
+            # msgspec raises TypeError for a set of unhashable values.
             raise self._misread(str(exc)) from exc
         except Exception as exc:  # of the type's own, for instance in its `__post_init__`
             raise self._misread(text_of(exc)) from exc
 
     def _misread(self, text: str) -> ProtocolError:
-        # The field alone would be looked for in the code that reads, where it is not to be found.
+        # Without the sender, the reader of the text would look for the fault in the client's code.
         if self._sent:
             text = f"{self._sent} is not of its type, as its server sent it: {text}"
         return ProtocolError(text)
 
     def schema(self) -> dict[str, Any]:
-        """The type's JSON Schema; empty, which allows anything, where msgspec can make none."""
+        """Return the type's JSON Schema.
+
+        It is empty, which allows any value, if msgspec cannot make a schema of the type.
+        """
         try:
             return msgspec.json.schema(self.type)
         except TypeError:
@@ -99,7 +105,7 @@ class Codec(Generic[T]):
 
 
 class ActionInfo(msgspec.Struct, frozen=True):
-    """An action described without its Python types: enough for a generic client or a gateway."""
+    """The description of an action without its Python types, for generic clients and gateways."""
 
     name: str
     type_name: str = ""
@@ -112,9 +118,9 @@ class ActionInfo(msgspec.Struct, frozen=True):
 class Action(Generic[GoalT, FeedbackT, ResultT]):
     """A name, and the types of the goal, the feedback and the result.
 
-    A type is anything that msgspec can encode and decode strictly: a `msgspec.Struct`, a
-    dataclass, an attrs class, a `TypedDict`, a builtin. The types of feedback and result must
-    differ at run time, because an executor yields both.
+    A type is any that msgspec can encode and decode strictly: a `msgspec.Struct`, a dataclass, an
+    attrs class, a `TypedDict`, a builtin. The types of feedback and result must differ at run time,
+    because an executor yields both.
     """
 
     def __init__(
@@ -128,12 +134,13 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
     ) -> None:
         """Define an action.
 
-        `name` follows ROS 2's rule: letters, digits and `_`, in parts parted by `/`, none of which
-        starts with a digit. `type_name` is the ROS 2 type, `package/action/Type`, if there is one.
+        `name` follows ROS 2's rule: parts of letters, digits and `_`, separated by `/`; a part does
+        not start with a digit. `type_name` is the ROS 2 type, `package/action/Type`; empty if the
+        action has none.
 
         Raises:
             ValueError: The name or the type name breaks that rule.
-            TypeError: One of them is no text, msgspec cannot handle a type, or feedback and result
+            TypeError: One of them is not text, msgspec cannot handle a type, or feedback and result
                 cannot be told apart.
         """
         self.name = _checked(_NAME, name, "an action's name is like `arm/pick_up`")
@@ -156,7 +163,7 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
 
     @property
     def info(self) -> ActionInfo:
-        """The description that travels: name, type name and JSON Schemas."""
+        """The description that is sent to clients: name, type name and JSON Schemas."""
         if self._info is None:
             schemas = (codec.schema() for codec in (self.goal, self.feedback, self.result))
             self._info = ActionInfo(self.name, self.type_name, *schemas)
@@ -164,9 +171,10 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
 
     @classmethod
     def untyped(cls, info: ActionInfo) -> Action[Any, Any, Any]:
-        """An action of plain data (dicts, lists, numbers, text), for clients without the types.
+        """Make an action of plain data (dicts, lists, numbers, text), for clients without the
+        types.
 
-        It cannot be given to an `ActionServer`, which needs types to tell a result from feedback.
+        An `ActionServer` rejects it, because it needs types to tell a result from feedback.
         """
         action = cast("Action[Any, Any, Any]", object.__new__(cls))
         anything = cast("type[Any]", Any)
@@ -178,13 +186,13 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
 
     @classmethod
     def from_ros(cls, type_name: str, *, name: str) -> Action[Any, Any, Any]:
-        """An action whose types are made from a ROS 2 type, for those who have only that.
+        """Make an action whose types are those of an installed ROS 2 type.
 
         They are structs with ROS's fields, defaults and constants: `action.goal.type(order=3)`.
-        The type is looked for where Python imports from, so ROS 2 and the package must be there.
+        The type is imported as a Python module, so ROS 2 and the type's package must be importable.
 
         Raises:
-            TransportError: The type cannot be had; the text says what is missing.
+            TransportError: The type cannot be imported; the text says what is missing.
             ValueError: The name breaks the rule for names.
         """
         goal, feedback, result = _interface(type_name)
@@ -195,23 +203,23 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
 
 
 def _interface(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
-    """The types of a ROS 2 action, from whatever package knows how to make them."""
+    """Return the types of a ROS 2 action, made by the package that declares the entry point."""
     from importlib.metadata import entry_points  # takes longer than all other imports
 
     found = tuple(entry_points(group=INTERFACES, name="ros2"))
     if not found:
         raise TransportError(
-            f"no package that makes message types from ROS 2 is installed, so {type_name!r}"
-            " cannot be had"
+            f"cannot make message types from {type_name!r}: install a package with an entry point"
+            f" 'ros2' in the group {INTERFACES!r}, such as fibaction itself"
         )
     try:
         make = found[0].load()
     except TransportError:
-        raise  # it says by itself what it needs
-    except Exception as exc:  # whatever somebody else's module does when it is imported
+        raise  # its text already says what is missing
+    except Exception as exc:  # importing another package may raise anything
         raise TransportError(
-            f"message types cannot be made from {type_name!r}, because {found[0].value}"
-            f" cannot be imported: {exc}"
+            f"cannot make message types from {type_name!r}: {found[0].value} cannot be imported:"
+            f" {exc}"
         ) from exc
     goal, feedback, result = make(type_name)
     return goal, feedback, result
@@ -219,9 +227,9 @@ def _interface(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
 
 def _checked(rule: re.Pattern[str], text: object, meaning: str) -> str:
     if not isinstance(text, str):
-        raise TypeError(f"{meaning}, and not {text!r}")
+        raise TypeError(f"{meaning}, not {text!r}")
     if not rule.fullmatch(text):
-        raise ValueError(f"{meaning}, unlike {text!r}")
+        raise ValueError(f"{meaning}, not {text!r}")
     return text
 
 
@@ -253,10 +261,10 @@ _CLASSES: dict[type[inspect.Type], tuple[type, ...]] = {
 
 
 def _check_can_be_encoded(info: object, seen: set[int]) -> None:
-    """Look for a class that msgspec would hand to a hook, wherever it is nested.
+    """Check that no class, however deeply nested, is one that msgspec would give to a hook.
 
     Raises:
-        TypeError: There is one.
+        TypeError: A class is.
     """
     if id(info) in seen:  # a type may contain itself
         return
@@ -270,13 +278,14 @@ def _check_can_be_encoded(info: object, seen: set[int]) -> None:
         _check_can_be_encoded(info.type, seen)
     elif isinstance(info, inspect.Type):
         for name in info.__struct_fields__:
-            value = getattr(info, name)
-            for part in value if isinstance(value, tuple) else (value,):
+            value: object = getattr(info, name)
+            parts = cast("tuple[object, ...]", value if isinstance(value, tuple) else (value,))
+            for part in parts:
                 _check_can_be_encoded(part, seen)
 
 
 def _runtime_classes(info: inspect.Type) -> Iterator[type]:
-    """The classes of the values of a type; `object` for a type that says nothing."""
+    """Yield the classes of the values of a type; `object` for a type that allows any value."""
     if isinstance(info, inspect.Metadata):
         yield from _runtime_classes(info.type)
     elif isinstance(info, inspect.UnionType):

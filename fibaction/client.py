@@ -1,7 +1,32 @@
-"""`ActionClient` and `ClientGoal`: sends goals to an endpoint, and follows them.
+"""`ActionClient` and `ClientGoal`: send goals to an endpoint, and follow them.
 
-Everything is typed by the `Action`, and nothing here knows what lies between the client and the
-server: that is the endpoint's affair.
+Theory of operation
+-------------------
+
+A client calls the methods of an `Endpoint`, which may be a server in the same process or the client
+half of a transport. The client adds the types of the `Action`: it encodes goals, and decodes
+feedback and results. It keeps no state about goals but one set, `_blocks`.
+
+Sending: `send_goal` returns a `SendingGoal`, which is both awaitable and an async context manager.
+Nothing is sent before one of the two begins. If the task is canceled while it waits for the answer,
+the goal may have been accepted already; so the client cancels it by its ID, which it made itself.
+
+Following: a `ClientGoal` has one `GoalStream`. `feedback` reads it item by item; `outcome` waits
+for its end, whether or not the feedback is read. An outcome is decoded once and kept.
+
+Holding: by default, a server loses no feedback of a goal that its own client reads, so the executor
+waits for a slow reader. A client that waits for the outcome without reading would wait for an
+executor that waits for the client. `outcome` therefore releases the executor (`GoalStream.hold`) if
+the calling task is the reader, or if the feedback has no reader; the next read holds it again. A
+reader in another task keeps the executor waiting, since that task goes on reading. A feedback
+reader that is garbage collected closes its stream, which releases the executor, too.
+
+Leaving: the end of a block of `send_goal`, or of `call`, cancels a goal that has not ended, and
+waits for the server's answer for at most LEAVE_TIMEOUT, shielded from a cancellation of the block
+itself. If the connection ends first, as at the end of the block of `connect`, then
+`ActionClient.leave` cancels the goals of all blocks that are still open, side by side, while the
+connection can still carry the cancels. A block that ends afterwards is no longer in `_blocks`, and
+does not cancel again.
 """
 
 from __future__ import annotations
@@ -30,14 +55,14 @@ from fibaction.goals import CancelAnswer, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
 
 LEAVE_TIMEOUT = 5.0
-"""Seconds that leaving a goal's block waits for the server's answer to the cancel: more than any
-answer takes, and the time within which a dead peer is noticed."""
+"""Seconds that the end of a goal's block waits for the answer to its cancel: longer than an answer
+takes, and as long as it takes to detect a dead peer."""
 
 logger = logging.getLogger(__name__)
 
 
 class FeedbackReader(Generic[FeedbackT]):
-    """The feedback of one goal, to be read with `async for`; it ends when the goal does."""
+    """The feedback of one goal, for `async for`; the iteration ends when the goal does."""
 
     def __init__(self, stream: GoalStream, codec: Codec[FeedbackT]) -> None:
         self._stream = stream
@@ -50,13 +75,13 @@ class FeedbackReader(Generic[FeedbackT]):
         return self
 
     async def __anext__(self) -> FeedbackT:
-        """The next feedback.
+        """Return the next feedback.
 
         Raises:
             StopAsyncIteration: The goal has ended, and all its feedback has been read.
             ConnectionLost: The connection ended before the goal did.
             TransportError: As for `ClientGoal.outcome`.
-            ProtocolError: The server sent what is not of the feedback's type.
+            ProtocolError: The feedback is not of its type.
         """
         if not self._holding:
             self._holding = True
@@ -66,27 +91,28 @@ class FeedbackReader(Generic[FeedbackT]):
             raise StopAsyncIteration
         return self._codec.decode(item.payload)
 
-    def let_go(self) -> None:
-        """The calling task is about to wait for the result. If it is the one that reads, or nobody
-        does, no more will be read for now: do not make the executor wait for it.
+    def release(self) -> None:
+        """Stop making the executor wait for this reader, until its next read.
+
+        Does nothing if another task reads. Called by a task that is about to wait for the result.
         """
         if self._reader is None or self._reader == anyio.get_current_task().id:
             self._holding = False
             self._stream.hold(False)
 
     def __del__(self) -> None:
-        # Nobody can read any more, so the executor is not to wait for that.
+        # The executor must not wait for a reader that no longer exists.
         self._stream.close()
 
 
 class ClientGoal(Generic[FeedbackT, ResultT]):
-    """One goal that the server accepted, as its client sees it."""
+    """One accepted goal, as its client sees it."""
 
     def __init__(
         self, endpoint: Endpoint, action: Action[Any, FeedbackT, ResultT], stream: GoalStream
     ) -> None:
         self.feedback = FeedbackReader(stream, action.feedback)
-        """The feedback, for `async for`. If nobody reads it, the server keeps the last of it."""
+        """The feedback, for `async for`. While it is not read, the server keeps the newest."""
         self._endpoint = endpoint
         self._codec = action.result
         self._stream = stream
@@ -94,52 +120,54 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
 
     @property
     def goal_id(self) -> GoalID:
-        """The goal's name."""
+        """The goal's ID."""
         return self._stream.goal_id
 
     @property
     def stamp(self) -> int:
-        """When the goal was accepted: nanoseconds since 1970, by the server's clock."""
+        """The time of the acceptance: nanoseconds since 1970, by the server's clock."""
         return self._stream.stamp
 
     @property
     def status(self) -> GoalStatus:
-        """The status that was last heard of."""
+        """The newest status that this client knows."""
         return self._stream.status
 
     @property
     def feedback_dropped(self) -> int:
-        """How many feedback messages were not delivered because they were not read in time. It is
-        known for those before the last one read; at the end of the feedback, for all.
+        """The number of feedback messages that were not delivered, because they were not read in
+        time.
+
+        It counts the messages before the last one that was read; at the end of the feedback, all.
         """
         return self._stream.dropped
 
     async def outcome(self) -> Outcome[ResultT]:
-        """Wait for the end of the goal, and say how it ended.
+        """Wait for the end of the goal, and return its outcome.
 
-        While the task that reads the feedback waits here, or nobody reads it, the executor is not
-        held up by what is unread.
+        The executor does not wait for unread feedback while this is awaited, unless another task
+        reads the feedback.
 
         Raises:
             ConnectionLost: The connection ended before the goal did.
-            TransportError: The server cannot tell the outcome, or may not: for instance, the result
-                is larger than this client takes.
-            ProtocolError: The server sent what is not of the result's type.
+            TransportError: The outcome cannot be received, for example because the result is larger
+                than this client's limit.
+            ProtocolError: The result is not of its type.
         """
         if self._outcome is None:
-            self.feedback.let_go()
+            self.feedback.release()
             raw = await self._stream.outcome()
             result = None if raw.result is None else self._codec.decode(raw.result)
             self._outcome = Outcome(raw.status, result, raw.reason)
         return self._outcome
 
     async def result(self) -> ResultT:
-        """Wait for the end of the goal, and give its result.
+        """Wait for the end of the goal, and return its result.
 
         Raises:
-            GoalAborted: It was aborted; `reason` says why, `result` is what there was.
-            GoalCanceled: It was canceled; `result` is what there was.
-            UnknownGoal: The server does not know of it any more.
+            GoalAborted: It was aborted; `reason` says why, `result` is the partial result.
+            GoalCanceled: It was canceled; `result` is the partial result.
+            UnknownGoal: The server has forgotten the goal.
             ConnectionLost, TransportError, ProtocolError: As for `outcome`.
         """
         outcome = await self.outcome()
@@ -151,18 +179,19 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
         raise error(outcome.reason, result=outcome.result, goal_id=self.goal_id)
 
     async def cancel(self) -> CancelAnswer:
-        """Ask the server to cancel the goal, and give its answer. That the cancel is accepted does
-        not mean that the goal will end as CANCELED: see `outcome()`.
+        """Ask the server to cancel the goal, and return its answer.
+
+        An accepted cancel does not mean that the goal will end as CANCELED: see `outcome()`.
 
         Raises:
-            ServerNotFound, ConnectionLost: The server cannot be asked.
-            AuthenticationFailed: This client may not cancel.
-            TransportError: The server takes no more requests of this client for now.
+            ServerNotFound, ConnectionLost: The server cannot be reached.
+            AuthenticationFailed: This client lacks the permission to cancel.
+            TransportError: The server has too many requests of this client already.
         """
         return await self._endpoint.cancel_goals(self.goal_id)
 
     def close(self) -> None:
-        """Read no more feedback. The goal goes on, and its outcome can still be waited for."""
+        """Stop reading feedback. The goal goes on, and `outcome()` still works."""
         self._stream.close()
 
     def __repr__(self) -> str:
@@ -170,16 +199,19 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
 
 
 class SendingGoal(Generic[FeedbackT, ResultT]):
-    """A goal on its way: `await` it, or use it in `async with`. See `ActionClient.send_goal`."""
+    """A goal to be sent, by `await` or `async with`: see `ActionClient.send_goal`."""
 
     def __init__(
         self,
-        client: ActionClient[Any, FeedbackT, ResultT],
+        endpoint: Endpoint,
         goal_id: GoalID,
         sending: Coroutine[Any, Any, ClientGoal[FeedbackT, ResultT]],
+        blocks: set[SendingGoal[FeedbackT, ResultT]],
     ) -> None:
-        self._client = client
+        """`blocks` has the goals of one client whose block is open."""
+        self._endpoint = endpoint
         self._goal_id = goal_id
+        self._blocks = blocks
         self._sending = sending
         self._goal: ClientGoal[FeedbackT, ResultT] | None = None
 
@@ -187,11 +219,11 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
         return self._sending.__await__()
 
     async def __aenter__(self) -> ClientGoal[FeedbackT, ResultT]:
-        self._client._blocks.add(self)
+        self._blocks.add(self)
         try:
             self._goal = await self._sending
         except BaseException:
-            self._client._blocks.discard(self)
+            self._blocks.discard(self)
             raise
         return self._goal
 
@@ -203,30 +235,30 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
     ) -> None:
         assert self._goal is not None
         self._goal.close()
-        if self in self._client._blocks:  # else the connection was left, and has canceled the goal
-            self._client._blocks.discard(self)
+        if self in self._blocks:  # else `ActionClient.leave` has canceled the goal
+            self._blocks.discard(self)
             await self.leave()
 
     async def leave(self) -> None:
-        """Cancel the goal if it has not ended, and wait for the answer; log it if it runs on."""
+        """Cancel the goal if it has not ended, wait for the answer, and log if the goal runs on."""
         goal_id = self._goal_id
         if self._goal is not None:
             if self._goal.status.is_terminal:
                 return
             goal_id = self._goal.goal_id
-        with anyio.move_on_after(LEAVE_TIMEOUT, shield=True) as patience:
+        with anyio.move_on_after(LEAVE_TIMEOUT, shield=True) as timeout:
             try:
-                answer = await self._client.endpoint.cancel_goals(goal_id)
+                answer = await self._endpoint.cancel_goals(goal_id)
                 if not answer.accepted and answer.reason:
                     logger.warning("goal %s was left, but runs on: %s", goal_id, answer.reason)
             except ActionError as error:
                 logger.warning("goal %s was left, but could not be canceled: %s", goal_id, error)
-        if patience.cancelled_caught:
+        if timeout.cancelled_caught:
             logger.warning("goal %s was left, but its server does not answer the cancel", goal_id)
 
 
 class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
-    """Sends goals of one action to one endpoint. It needs no closing."""
+    """A client of one action at one endpoint, which need not be closed."""
 
     def __init__(self, endpoint: Endpoint, action: Action[GoalT, FeedbackT, ResultT]) -> None:
         self.endpoint = endpoint
@@ -237,26 +269,27 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
     def send_goal(
         self, goal: GoalT, *, goal_id: GoalID | None = None
     ) -> SendingGoal[FeedbackT, ResultT]:
-        """Send a goal: `await` it, or better, `async with` it.
+        """Send a goal: `async with` the returned object, or `await` it.
 
-        `await` gives a `ClientGoal` as soon as the server has accepted; the goal then goes on by
-        itself. `async with` gives the same, and leaving the block early cancels the goal; it does
-        not wait for the executor's clean-up. Being canceled before the answer is there cancels the
-        goal, too. `goal_id` is for those who send the same goal again after an answer was lost.
+        Both return a `ClientGoal` as soon as the server has accepted the goal. The end of the block
+        of `async with` cancels the goal if it has not ended, without waiting for the executor's
+        clean-up; after `await`, the goal goes on by itself. A cancellation of the task before the
+        answer has arrived cancels the goal, too. `goal_id` serves to send the same goal again after
+        its answer was lost.
 
         Raises:
-            GoalRejected: The server did not accept; `reason` says why.
-            ServerNotFound: Nobody serves this action.
+            GoalRejected: The server did not accept the goal; `reason` says why.
+            ServerNotFound: This action is not served.
             ConnectionLost: The connection ended before the answer.
-            AuthenticationFailed: This client may not do that.
+            AuthenticationFailed: This client lacks the permission.
             ProtocolError: The goal is too large to be sent.
-            TypeError, OverflowError: The goal holds what cannot be encoded: see `Codec.encode`.
-            TypeError: `goal_id` is no `GoalID`.
+            TypeError, OverflowError: The goal cannot be encoded: see `Codec.encode`.
+            TypeError: `goal_id` is not a `GoalID`.
         """
         if goal_id is None:
             goal_id = GoalID.random()
         _check_is_id(goal_id)
-        return SendingGoal(self, goal_id, self._send(goal, goal_id))
+        return SendingGoal(self.endpoint, goal_id, self._send(goal, goal_id), self._blocks)
 
     async def call(
         self,
@@ -264,8 +297,10 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         *,
         on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
     ) -> ResultT:
-        """Send a goal, and give its result; `on_feedback`, sync or async, is called with each
-        feedback. Being canceled, or an exception of `on_feedback`, cancels the goal.
+        """Send a goal, and return its result.
+
+        `on_feedback`, sync or async, is called with each feedback. A cancellation of the calling
+        task, or an exception of `on_feedback`, cancels the goal.
 
         Raises:
             GoalRejected, ServerNotFound, ConnectionLost, AuthenticationFailed, ProtocolError,
@@ -274,7 +309,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         """
         goal_id = GoalID.random()
         sending = self._send(goal, goal_id, feedback=on_feedback is not None)
-        async with SendingGoal(self, goal_id, sending) as sent:
+        async with SendingGoal(self.endpoint, goal_id, sending, self._blocks) as sent:
             if on_feedback is not None:
                 async for feedback in sent.feedback:
                     answer = on_feedback(feedback)
@@ -285,7 +320,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
     async def attach(
         self, goal_id: GoalID, *, after: int | None = None
     ) -> ClientGoal[FeedbackT, ResultT]:
-        """Follow a goal that somebody sent: its feedback from now on, and its result.
+        """Follow a goal that any client sent: its feedback from now on, and its result.
 
         With `after`, the feedback begins behind that number, as far back as the server remembers.
 
@@ -293,7 +328,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             UnknownGoal: The server has no such goal.
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
             TransportError: As for `ClientGoal.cancel`.
-            TypeError: `goal_id` is no `GoalID`, or `after` no whole number.
+            TypeError: `goal_id` is not a `GoalID`, or `after` is not a whole number.
         """
         _check_is_id(goal_id)
         after = None if after is None else index(after)
@@ -303,13 +338,15 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
     async def cancel_goals(
         self, goal_id: GoalID | None = None, *, before: int | None = None
     ) -> CancelAnswer:
-        """Ask to cancel goals, whoever sent them: all of them; with `before`, those accepted at or
-        before that stamp; with `goal_id`, that goal; with both, that goal and those.
+        """Ask the server to cancel goals of any clients.
+
+        Without arguments, this means all goals; with `before`, those accepted at or before that
+        stamp; with `goal_id`, that goal; with both, that goal and those.
 
         Raises:
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
             TransportError: As for `ClientGoal.cancel`.
-            TypeError: `goal_id` is no `GoalID`, or `before` no whole number.
+            TypeError: `goal_id` is not a `GoalID`, or `before` is not a whole number.
         """
         if goal_id is not None:
             _check_is_id(goal_id)
@@ -317,7 +354,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         return await self.endpoint.cancel_goals(goal_id, before)
 
     async def goals(self) -> list[GoalInfo]:
-        """Every goal that the server knows: those that have ended, then the active ones.
+        """Return every goal that the server knows: those that have ended, then the active ones.
 
         Raises:
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
@@ -327,10 +364,15 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             return await statuses.listed()
 
     def events(self, *, feedback: bool = True) -> AbstractAsyncContextManager[Events[FeedbackT]]:
-        """`async with` this, and `async for` over what it gives: first every goal that the server
-        knows, then each change of a status, and, with `feedback`, the feedback of all goals, of new
-        ones from the beginning, as far as the server remembers it. A goal's end comes after its
-        feedback.
+        """Return a block whose value is an iterator over all events of the action's goals.
+
+        The events are first every goal that the server knows, then each change of a status, and,
+        with `feedback`, the feedback of all goals, of new ones from the beginning, as far back as
+        the server remembers. The end of a goal comes after its feedback.
+
+            async with client.events() as events:
+                async for event in events:
+                    ...
 
         Raises:
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
@@ -339,21 +381,23 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         return events_of(self.endpoint, self.action.feedback, feedback=feedback)
 
     async def wait_for_server(self, timeout: float | None = None) -> None:
-        """Return as soon as somebody serves the action.
+        """Wait until the action is served.
 
         Raises:
-            ServerNotFound: Nobody did within `timeout` seconds (None: no limit).
-            TransportError: The connection ended for good, or the server does not say.
+            ServerNotFound: It was not served within `timeout` seconds (None: no limit).
+            TransportError: The connection ended for good, or the server does not answer.
         """
         with anyio.move_on_after(timeout):
             return await self.endpoint.wait_for_server()
-        raise ServerNotFound(f"nobody served the action {self.action.name!r} within {timeout:g} s")
+        raise ServerNotFound(f"the action {self.action.name!r} was not served within {timeout:g} s")
 
     async def leave(self) -> None:
-        """Cancel the goals whose block of `send_goal`, or whose `call`, has not ended. Leaving the
-        block of `connect` does so before the connection is closed.
+        """Cancel the goals of `call`, and of blocks of `send_goal`, that have not ended.
+
+        The end of the block of `connect` calls this, before it closes the connection.
         """
-        blocks, self._blocks = self._blocks, set()
+        blocks = tuple(self._blocks)
+        self._blocks.clear()
         async with anyio.create_task_group() as tasks:
             for block in blocks:
                 tasks.start_soon(block.leave)
@@ -365,7 +409,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         try:
             stream = await self.endpoint.send_goal(goal_id, payload, feedback=feedback)
         except get_cancelled_exc_class():
-            # The goal may be on its way, and nobody would ever know of it.
+            # The server may have accepted the goal, and it would run without a client.
             with anyio.move_on_after(LEAVE_TIMEOUT, shield=True), suppress(ActionError):
                 await self.endpoint.cancel_goals(goal_id)
             raise
@@ -376,6 +420,6 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
 
 def _check_is_id(goal_id: object) -> None:
-    """See it here: a server takes what sends it something else for broken, and hangs up."""
+    """Raise TypeError here; a server closes the connection of a client that sends other bytes."""
     if not isinstance(goal_id, GoalID):
-        raise TypeError(f"a goal is named by a GoalID, as of GoalID.parse(), and not {goal_id!r}")
+        raise TypeError(f"goal_id is a GoalID, as from GoalID.parse(), not {goal_id!r}")

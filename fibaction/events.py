@@ -1,6 +1,31 @@
-"""All that happens to the goals of one action, in one stream: what a log or a monitor wants.
+"""All events of the goals of one action, merged into one stream, for logs and monitors.
 
-It follows the statuses, and the feedback of each goal as an observer, who slows nothing down.
+Theory of operation
+-------------------
+
+An endpoint has two kinds of streams: one with the statuses of all goals, and one per goal with its
+feedback. `events_of` merges them. One task follows the statuses, and for each active goal a further
+task follows its feedback; all of them send into one memory stream of BUFFER events, which the
+reader of `Events` takes from. If the reader is slow, the tasks wait, and the streams behind them
+drop the oldest, as they do for each slow follower. None of them holds an executor.
+
+The feedback of a goal that is new begins at its first message; that of a goal which the server knew
+before begins with the next one.
+
+Order: a goal's end must come after its feedback, but the two arrive by different streams, and the
+end usually arrives first. So `_late` has an entry for each goal whose feedback is followed:
+
+- a list, while the feedback is read: an end that arrives meanwhile is appended to it, and is sent
+  when the feedback is at its end; then the entry is removed;
+- None, after the feedback has ended and before the status stream has reported the end: the entry
+  prevents that a further status, such as CANCELING, has the goal followed a second time; the end
+  removes it.
+
+A goal may be reported after its end by one more status, UNKNOWN, when the server forgets it; this
+waits in the same list, so it also comes after the feedback.
+
+Errors: an error of a stream is sent as an event, and `Events` raises it to the reader. An unknown
+goal is not an error: it ended and was forgotten before its feedback was asked for.
 """
 
 from __future__ import annotations
@@ -21,7 +46,7 @@ from fibaction.exceptions import ActionError, UnknownGoal
 from fibaction.goals import GoalID, GoalInfo
 
 BUFFER = 64
-"""Events that wait for the reader; then the streams behind wait, each with a window of its own."""
+"""Events that wait for the reader; the streams behind have windows of their own."""
 
 
 class GoalFeedback(msgspec.Struct, Generic[FeedbackT], frozen=True):
@@ -29,12 +54,15 @@ class GoalFeedback(msgspec.Struct, Generic[FeedbackT], frozen=True):
 
     goal_id: GoalID
     number: int
-    """Its place among the feedback of the goal: 1, 2, 3 and so on; a gap tells what was missed."""
+    """The number of the message among the goal's feedback: 1, 2, 3 and so on; a gap shows that
+    messages were missed."""
     feedback: FeedbackT
 
 
 class Events(Generic[FeedbackT]):
-    """What happens, for `async for`; it ends when the server stops, or its block has been left."""
+    """The events of all goals, for `async for`, which ends when the server stops or the block of
+    the events is left.
+    """
 
     def __init__(
         self,
@@ -46,24 +74,24 @@ class Events(Generic[FeedbackT]):
 
     @property
     def dropped(self) -> int:
-        """How many changes of a status were missed, because they were not read in time."""
+        """The number of status changes that were missed, because they were not read in time."""
         return self._statuses.dropped
 
     def __aiter__(self) -> Events[FeedbackT]:
         return self
 
     async def __anext__(self) -> GoalInfo | GoalFeedback[FeedbackT]:
-        """The next event.
+        """Return the next event.
 
         Raises:
             StopAsyncIteration: The server has stopped, or the block of the events was left.
             ConnectionLost: The connection ended.
-            TransportError: The server cannot tell more, or may not.
-            ProtocolError: The server sent what is not of the feedback's type.
+            TransportError: The server cannot send the rest, or this client lacks the permission.
+            ProtocolError: The feedback is not of its type.
         """
         try:
             event = await self._stream.__anext__()
-        except anyio.ClosedResourceError:  # as for whoever waits here while the block is left
+        except anyio.ClosedResourceError:  # the block was left; a task that waits here ends, too
             raise StopAsyncIteration from None
         if isinstance(event, ActionError):
             raise event
@@ -77,7 +105,7 @@ _Sink: TypeAlias = MemoryObjectSendStream[GoalInfo | GoalFeedback[FeedbackT] | A
 async def events_of(
     endpoint: Endpoint, codec: Codec[FeedbackT], *, feedback: bool
 ) -> AsyncGenerator[Events[FeedbackT], None]:
-    """All that happens at the endpoint, from every goal that it knows now on.
+    """Follow all goals of the endpoint, beginning with those that it knows now.
 
     Raises:
         TransportError: The server cannot be asked: see `Endpoint.status`.
@@ -88,12 +116,14 @@ async def events_of(
         ](BUFFER)
         with receive:
             async with Background() as tasks:
-                observer = _Observer(endpoint, codec, send, tasks if feedback else None)
-                tasks.start_soon(observer.run, statuses)
+                merger = _Merger(endpoint, codec, send, tasks if feedback else None)
+                tasks.start_soon(merger.run, statuses)
                 yield Events(receive, statuses)
 
 
-class _Observer(Generic[FeedbackT]):
+class _Merger(Generic[FeedbackT]):
+    """The tasks that merge statuses and feedback: see the theory of operation above."""
+
     def __init__(
         self,
         endpoint: Endpoint,
@@ -105,12 +135,11 @@ class _Observer(Generic[FeedbackT]):
         self._codec = codec
         self._sink = sink
         self._tasks = tasks
-        # The goals that are followed, each with what waits for its feedback; None if there is no
-        # more feedback, and the end is still to be told: it is not to be followed again.
+        # The ends that wait for the feedback of their goal; None once that feedback has ended.
         self._late: dict[GoalID, list[GoalInfo] | None] = {}
 
     async def run(self, statuses: StatusStream) -> None:
-        """Tell every change, until there are no more."""
+        """Send every status change, until the server stops."""
         known = statuses.known
         async with self._sink:
             try:
@@ -142,7 +171,7 @@ class _Observer(Generic[FeedbackT]):
                         feedback = self._codec.decode(item.payload)
                         await sink.send(GoalFeedback(goal_id, item.number, feedback))
             except UnknownGoal:
-                pass  # it has ended and been forgotten in the meantime
+                pass  # it ended and was forgotten in the meantime
             except ActionError as exc:
                 await sink.send(exc)
             late = self._late[goal_id]

@@ -1,6 +1,6 @@
-"""What clients and servers say to one another about goals, apart from their payloads.
+"""The values that clients and servers exchange about goals, apart from the payloads.
 
-Plain values: they know nothing of who sends them or how.
+They are plain values, independent of transports.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ T = TypeVar("T")
 
 
 class GoalID(bytes):
-    """The 16 bytes that name one goal for ever. The client makes them.
+    """The 16 bytes that name one goal for ever, made by the client.
 
-    All zeros name no goal: in a cancel they mean "any" (`action_msgs/srv/CancelGoal`).
+    All zeros is reserved: in a cancel it means "any goal" (`action_msgs/srv/CancelGoal`).
     """
 
     __slots__ = ()
 
     def __new__(cls, value: bytes) -> GoalID:
-        """Take 16 bytes.
+        """Make an ID from 16 bytes.
 
         Raises:
-            ValueError: It is not 16 bytes.
+            ValueError: The length is not 16 bytes.
         """
         if len(value) != 16:
             raise ValueError(f"a goal ID has 16 bytes, not {len(value)}")
@@ -38,20 +38,21 @@ class GoalID(bytes):
 
     @classmethod
     def random(cls) -> GoalID:
-        """A new ID, 16 random bytes, which no other goal has."""
+        """Return a new, unique ID of 16 random bytes."""
         return super().__new__(cls, os.urandom(16))
 
     @classmethod
     def parse(cls, text: str) -> GoalID:
-        """Read what `str()` wrote: 32 hexadecimal digits, with or without the dashes of a UUID.
+        """Make an ID from text: 32 hexadecimal digits, as `str()` returns them, or with the dashes
+        of a UUID.
 
         Raises:
-            ValueError: It is something else.
+            ValueError: The text is not such an ID.
         """
         try:
             return cls(bytes.fromhex(text.replace("-", "")))
         except ValueError:
-            raise ValueError(f"a goal ID has 32 hexadecimal digits, unlike {text!r}") from None
+            raise ValueError(f"a goal ID has 32 hexadecimal digits, not {text!r}") from None
 
     def __str__(self) -> str:
         return self.hex()
@@ -61,11 +62,11 @@ class GoalID(bytes):
 
 
 NO_GOAL = GoalID(bytes(16))
-"""The ID that names no goal; in a cancel it means that no goal is named."""
+"""The reserved ID of all zeros; in a cancel it means "any goal"."""
 
 
 class Sender(msgspec.Struct, frozen=True):
-    """The client that sends a goal, as its transport knows it."""
+    """The client that sends a goal, as its transport identifies it."""
 
     name: str = ""
     """Its name, for people to read; empty if it is unknown."""
@@ -75,7 +76,7 @@ class Sender(msgspec.Struct, frozen=True):
 
 
 UNKNOWN_SENDER = Sender()
-"""A client of which the transport knows nothing."""
+"""A client that the transport cannot identify."""
 
 
 class GoalInfo(msgspec.Struct, frozen=True):
@@ -83,32 +84,33 @@ class GoalInfo(msgspec.Struct, frozen=True):
 
     goal_id: GoalID
     stamp: int
-    """When the goal was accepted: nanoseconds since 1970. Each goal of a server has another one."""
+    """The time of the acceptance: nanoseconds since 1970, different for each goal of a server."""
     status: GoalStatus
-    """UNKNOWN says that the server has forgotten the goal."""
+    """The goal's status; UNKNOWN if the server has forgotten the goal."""
     feedback_count: int = 0
-    """How many feedback messages there have been by then; 0 also where that is not carried."""
+    """The number of feedback messages so far; 0 also if the transport does not carry it."""
     client: str = ""
-    """Who sent the goal, as its transport names clients; empty where nobody knows."""
+    """The name of the client that sent the goal, as its transport names clients; empty if it is
+    unknown."""
 
 
 class Outcome(msgspec.Struct, Generic[T], frozen=True):
-    """How a goal ended: bytes as result between endpoints, the action's type for users."""
+    """The end of a goal. The result is bytes between endpoints, the action's type for users."""
 
     status: GoalStatus
     """SUCCEEDED, CANCELED or ABORTED; UNKNOWN if the server knows no such goal."""
     result: T | None = None
-    """All of it when SUCCEEDED; what there was, or None, when CANCELED or ABORTED."""
+    """The result if SUCCEEDED; a partial result or None if CANCELED or ABORTED."""
     reason: str = ""
-    """Why it was aborted or canceled, or what may be why it is UNKNOWN, for a person to read."""
+    """The reason of the abort or the cancel, or a likely reason of UNKNOWN, as text for people."""
 
 
 UNKNOWN_OUTCOME: Outcome[Any] = Outcome(GoalStatus.UNKNOWN, reason=WHY_UNKNOWN)
-"""The answer for a goal that the server does not know, or not any more."""
+"""The answer for a goal that the server never knew or has forgotten."""
 
 
 class ActionPeers(msgspec.Struct, frozen=True):
-    """Who serves an action, and who uses it, as their transport names them."""
+    """The servers and the clients of an action, as their transport names them."""
 
     servers: tuple[str, ...] = ()
     clients: tuple[str, ...] = ()
@@ -124,27 +126,27 @@ class CancelCode(IntEnum):
 
 
 class CancelAnswer(msgspec.Struct, frozen=True):
-    """What a server says to a cancel."""
+    """The server's answer to a cancel."""
 
     return_code: CancelCode
-    """NONE also when a cancel of all, or by time, found no goal."""
+    """The answer as one number; NONE also if a cancel of all goals, or by time, found none."""
     goals_canceling: tuple[GoalInfo, ...] = ()
-    """The goals whose cancel was accepted, each with the status it had just after."""
+    """The goals whose cancel was accepted, each with its status directly afterwards."""
     reason: str = ""
-    """Why a cancel was rejected; several reasons are joined with `; `."""
+    """The reason of a rejected cancel; several reasons are joined with `; `."""
 
     @property
     def accepted(self) -> bool:
-        """True if any goal is canceling because of it."""
+        """True if the cancel was accepted for at least one goal."""
         return bool(self.goals_canceling)
 
     @classmethod
     def merged(cls, answers: Iterable[CancelAnswer]) -> CancelAnswer:
         """Return one answer for one cancel that several servers have answered.
 
-        A goal that is canceling anywhere makes it NONE; otherwise a rejection counts most, then a
-        goal that has ended, then a cancel of all that found no goal. Only if no server knows the
-        goal, it is unknown. Without any answer it is NONE, as if there were no goals.
+        The code is NONE if any goal is canceling. Otherwise it is the first of these that any
+        server answered: REJECTED, GOAL_TERMINATED, NONE, UNKNOWN_GOAL_ID. Without answers it is
+        NONE, as from a server without goals.
         """
         answers = tuple(answers)
         goals = tuple(info for answer in answers for info in answer.goals_canceling)

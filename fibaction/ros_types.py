@@ -80,9 +80,9 @@ def struct(
 ) -> type[msgspec.Struct]:
     """Make a struct for a message, with its constants as attributes of the class.
 
-    `fields` are names, types and defaults. A default is plain data, a nested struct a dict, `{}`
-    for one with its own defaults. A field whose name is a keyword of Python is an attribute with
-    `_` behind the name, and keeps its name in payloads.
+    `fields` are names, types and defaults. A default is plain data; that of a nested struct is a
+    dict, and `{}` means the nested struct's own defaults. A field whose name is a keyword of Python
+    becomes an attribute with `_` behind the name, and keeps its name in payloads.
     """
     return msgspec.defstruct(
         name,

@@ -1,8 +1,8 @@
 """The goal state machine, as one table.
 
-Every rule about which status may follow which lives here and nowhere else. This module knows
-nothing of clients, servers, tasks or time. Numbers and edges are those of ROS 2:
-`action_msgs/msg/GoalStatus`, `rcl_action/types.h` and `rcl_action/goal_state_machine.c`.
+This module alone says which status may follow which. It does not depend on clients, servers, tasks
+or time. Numbers and edges are those of ROS 2: `action_msgs/msg/GoalStatus`, `rcl_action/types.h`
+and `rcl_action/goal_state_machine.c`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from fibaction.exceptions import InvalidTransition
 
 
 class GoalStatus(IntEnum):
-    """What a goal is doing. UNKNOWN is only an answer, never stored."""
+    """The status of a goal. UNKNOWN is only an answer, never stored."""
 
     UNKNOWN = 0
     ACCEPTED = 1
@@ -28,17 +28,17 @@ class GoalStatus(IntEnum):
 
     @property
     def is_active(self) -> bool:
-        """Whether the goal still has an end before it."""
+        """True if the goal was accepted and has not ended."""
         return 1 <= self <= 3
 
     @property
     def is_terminal(self) -> bool:
-        """Whether the goal has ended."""
+        """True if the goal has ended."""
         return self >= 4
 
 
 class GoalEvent(IntEnum):
-    """What may happen to a goal. The client causes CANCEL_GOAL, the server all others."""
+    """The events that change a goal's status: clients cause CANCEL_GOAL, the server all others."""
 
     EXECUTE = 0
     CANCEL_GOAL = 1
@@ -48,7 +48,7 @@ class GoalEvent(IntEnum):
 
 
 INITIAL: Final = GoalStatus.ACCEPTED
-"""The status of a goal at the moment of its acceptance. A rejected goal has none."""
+"""The status of a goal at the moment of its acceptance. A rejected goal does not have a status."""
 
 TRANSITIONS: Final[Mapping[tuple[GoalStatus, GoalEvent], GoalStatus]] = MappingProxyType(
     {
@@ -62,11 +62,11 @@ TRANSITIONS: Final[Mapping[tuple[GoalStatus, GoalEvent], GoalStatus]] = MappingP
         (GoalStatus.CANCELING, GoalEvent.ABORT): GoalStatus.ABORTED,
     }
 )
-"""Every legal edge; what is not here is not legal."""
+"""Every legal edge; all others are illegal."""
 
 
 def transition(status: GoalStatus, event: GoalEvent) -> GoalStatus:
-    """The status that follows `status` when `event` happens.
+    """Return the status that follows `status` when `event` happens.
 
     Raises:
         InvalidTransition: The table has no such edge.

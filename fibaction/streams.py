@@ -28,7 +28,7 @@ class FeedbackItem(msgspec.Struct, frozen=True, gc=False):
 
 
 class _Closing(ABC):
-    """A stream to close: by hand, or at the end of a `with` block. Closing never waits."""
+    """A stream that is closed by `close()` or at the end of a `with` block, without waiting."""
 
     __slots__ = ()
 
@@ -54,7 +54,7 @@ to, or the end."""
 
 
 class GoalStream(_Closing):
-    """One goal, followed: a sequence of updates, of which the last is the outcome.
+    """The updates of one goal that is followed; the last of them is its outcome.
 
         async for update in stream:
             match update:
@@ -74,17 +74,17 @@ class GoalStream(_Closing):
     latest: bool
     """True if a slow reader gets the newest feedback only: the server's policy."""
     cursor: int
-    """The number of the feedback that was taken last, or skipped; 0 before the first."""
+    """The number of the last feedback that was taken or skipped; 0 before the first."""
     reads: bool
-    """True while feedback and status changes are delivered. After `close()`, or if no feedback was
-    asked for, only the outcome is."""
+    """True while feedback and status changes are delivered. After `close()`, or if the goal was
+    sent with `feedback=False`, only the outcome is."""
     news: Notifier
-    """Notified whenever there may be something to take, and when the goal has ended."""
+    """The notifier of new updates, also notified when the goal has ended."""
 
     @property
     @abstractmethod
     def status(self) -> GoalStatus:
-        """The status that was last heard of."""
+        """The newest status that this stream knows."""
 
     @property
     @abstractmethod
@@ -93,21 +93,21 @@ class GoalStream(_Closing):
 
     @abstractmethod
     def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
-        """Return what comes next, as far as it is there: one status change, or at most `limit`
-        feedback messages. Empty if there is nothing now.
+        """Return the next updates that have arrived: one status change, or at most `limit` feedback
+        messages; empty if none has arrived.
 
         When nothing else is left and the goal has ended, return its `Outcome`, each time.
 
         Raises:
-            ConnectionLost: The connection ended, and more was to come.
-            TransportError: The server cannot tell the rest, or may not: for instance, a result is
-                larger than this client takes.
-            ProtocolError: The message of the server cannot be read.
+            ConnectionLost: The connection ended before the goal did.
+            TransportError: The rest cannot be received, for example because the result is larger
+                than this client's limit.
+            ProtocolError: The server's message is invalid.
         """
 
     @abstractmethod
     def known_outcome(self) -> Outcome[bytes] | None:
-        """Return the outcome of the goal, if it is known, whether or not its feedback was read.
+        """Return the outcome of the goal, whether or not its feedback was read; None if unknown.
 
         Raises:
             ConnectionLost: The connection ended before the goal did.
@@ -123,7 +123,7 @@ class GoalStream(_Closing):
         return _Updates(self)
 
     async def receive(self) -> FeedbackItem | None:
-        """Return the next feedback; None when no more is delivered.
+        """Wait for the next feedback, and return it; None when no more is delivered.
 
         Raises:
             ConnectionLost, TransportError, ProtocolError: As for `take`.
@@ -141,7 +141,7 @@ class GoalStream(_Closing):
     async def outcome(self) -> Outcome[bytes]:
         """Wait for the end of the goal, whether or not its feedback is read.
 
-        It is answered also after the server has forgotten the result, or the stream was closed.
+        A stream keeps its outcome after the server has forgotten the goal, and after `close()`.
 
         Raises:
             ConnectionLost, TransportError, ProtocolError: As for `known_outcome`.
@@ -151,29 +151,29 @@ class GoalStream(_Closing):
         return outcome
 
     def seek(self, cursor: int) -> None:
-        """Continue behind the feedback of that number, as far as it is still there.
+        """Continue behind the feedback of that number, as far as it is still remembered.
 
-        A stream that cannot be positioned stays where it is.
+        Does nothing for a stream that cannot be positioned.
         """
 
     @abstractmethod
     def hold(self, wanted: bool) -> None:
-        """Make the executor wait for this stream when it is read slowly, or no longer.
+        """Set whether the executor waits for this stream when it is read slowly.
 
-        Has an effect only for the goal's own client, and only where the server's policy is to lose
-        no feedback.
+        Has an effect only for the client that sent the goal, and only if the server's policy is
+        `feedback="every"`.
         """
 
     @abstractmethod
     def fail(self, error: ActionError) -> None:
         """End the stream here: from now on, reading and waiting raise an error like this one.
 
-        A goal whose outcome is known keeps it.
+        An outcome that is known is still returned.
         """
 
 
 class _Updates(AsyncIterator[GoalUpdate]):
-    """An iteration over a stream. No generator: one that is left early has to be closed."""
+    """An iteration over a stream. It is not a generator, which would have to be closed."""
 
     def __init__(self, stream: GoalStream) -> None:
         self._stream = stream
@@ -192,7 +192,7 @@ class StatusStream(_Closing):
     """The statuses of all goals of a server: first every goal it knows, then each change."""
 
     known: int = 0
-    """The number of goals that the server knew when the stream began: so many come first."""
+    """The number of goals that the server knew when the stream began, which come first."""
 
     @property
     @abstractmethod
@@ -201,21 +201,21 @@ class StatusStream(_Closing):
 
     @abstractmethod
     async def receive(self) -> GoalInfo | None:
-        """Return the next goal or change, UNKNOWN for a goal forgotten; None when the server stops.
+        """Wait for the next goal or change, and return it; None when the server has stopped.
+
+        The status UNKNOWN says that the server has forgotten the goal.
 
         Raises:
             ConnectionLost: The connection ended.
-            TransportError: The server does not tell the rest, or this client may not know it.
+            TransportError: The rest cannot be received, or this client lacks the permission.
         """
 
     @abstractmethod
     def fail(self, error: ActionError) -> None:
-        """End the stream here: what has arrived can be read, and then an error like this one is
-        raised.
-        """
+        """End the stream here: after what has arrived, an error like this one is raised."""
 
     async def listed(self) -> list[GoalInfo]:
-        """Return the goals that there were when the stream began: its first items.
+        """Return the goals that the server knew when the stream began: its first items.
 
         Raises:
             ConnectionLost, TransportError: As for `receive`.

@@ -1,5 +1,6 @@
-"""For tests of what is built on fibaction: an executor without a transport, a client without a
-robot. What runs here is the real server and the real client; only what lies between is left out.
+"""Helpers for tests: run an executor without a transport, or a client without a robot.
+
+They use the real server and the real client; only the transport is left out.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from fibaction.server.executor import Executor, GoalHandle
 
 
 class Trial(msgspec.Struct, Generic[FeedbackT, ResultT], frozen=True):
-    """What came of one goal."""
+    """The outcome and the feedback of one goal that `run_executor` ran."""
 
     outcome: Outcome[ResultT]
     feedback: list[FeedbackT]
-    """All of it, in order."""
+    """All feedback of the goal, in order."""
 
 
 async def run_executor(
@@ -36,19 +37,19 @@ async def run_executor(
     interrupt_on_cancel: bool = True,
     timeout: float = 5.0,
 ) -> Trial[FeedbackT, ResultT]:
-    """Run an executor with a goal, and give its feedback and its outcome.
+    """Run an executor with a goal, and return its feedback and its outcome.
 
     With `cancel_after`, the goal is canceled when that many feedback messages have been yielded,
-    exactly at that `yield`; 0 cancels before the executor starts, so that it never does.
+    exactly at that `yield`; 0 cancels the goal before the executor starts, which then never runs.
 
     Raises:
         TimeoutError: The executor did not end within `timeout` seconds.
-        ProtocolError: It gave feedback or a result that is not of its type; the text names the
-            field. A server does not look, and its clients are told so.
-        GoalRejected: The goal is not of the goal's type.
+        ProtocolError: It yielded feedback or a result that is not of its type; the text names the
+            field. A server does not check this; its clients raise this error.
+        GoalRejected: The goal is not of its type.
     """
     feedback: list[FeedbackT] = []
-    # A window of one makes the executor wait at each `yield` until the feedback was read.
+    # A window of one makes the executor wait at each `yield` until the feedback has been read.
     server = ActionServer(
         action,
         executor,
@@ -75,16 +76,16 @@ async def run_executor(
 
 
 Step: TypeAlias = FeedbackT | ResultT | Exception | anyio.Event
-"""What a script can say: feedback or the result to yield, an exception to raise (a `GoalRejected`
-that comes first rejects the goal), an event to wait for."""
+"""One step of a script: feedback or the result to yield, an exception to raise (a `GoalRejected` as
+the first step rejects the goal), or an event to wait for."""
 
 
 class ScriptedServer(ActionServer[GoalT, FeedbackT, ResultT]):
     """A server that plays scripts, for tests of clients.
 
-    The first goal gets the first script, the second the second, and the last script serves all that
-    follow. A script is a sequence of steps: see `Step`. Waiting for an event that nobody sets is
-    how a goal is held, until it is canceled.
+    The first goal gets the first script, the second goal the second; the last script is played for
+    all further goals. A script is a sequence of steps: see `Step`. For example, an event that is
+    never set keeps a goal running until it is canceled.
     """
 
     def __init__(
@@ -92,13 +93,13 @@ class ScriptedServer(ActionServer[GoalT, FeedbackT, ResultT]):
         action: Action[GoalT, FeedbackT, ResultT],
         *scripts: Sequence[Step[FeedbackT, ResultT]],
     ) -> None:
-        """Take the scripts.
+        """Set up a server with scripts; nothing runs yet.
 
         Raises:
-            ValueError: There is none.
+            ValueError: The scripts are missing.
         """
         if not scripts:
-            raise ValueError("a scripted server needs a script")
+            raise ValueError("a ScriptedServer needs at least one script")
         super().__init__(action, self._play, on_goal=self._choose)
         self.received: list[GoalT] = []
         """The goals that were sent, rejected ones included, in order."""
@@ -113,7 +114,7 @@ class ScriptedServer(ActionServer[GoalT, FeedbackT, ResultT]):
         self._chosen.append((goal, script))
 
     async def _play(self, handle: GoalHandle[GoalT]) -> AsyncGenerator[FeedbackT | ResultT, None]:
-        # The request is the very object that was decided on: executors need not start in order.
+        # By identity, since executors need not start in the order in which goals were accepted.
         place = next(i for i, (goal, _) in enumerate(self._chosen) if goal is handle.request)
         for step in self._chosen.pop(place)[1]:
             if isinstance(step, anyio.Event):

@@ -246,7 +246,7 @@ async def test_nothing_is_lost_if_the_wait_is_canceled(read: Read, late: bool) -
 
 @each_way_to_read
 @pytest.mark.asyncio
-async def test_a_lost_connection_is_told_to_who_reads_after_what_came_before(read: Read) -> None:
+async def test_a_lost_connection_is_told_to_a_reader_after_what_came_before(read: Read) -> None:
     stream = OneEnd(None, ONE, ConnectionLost("gone"))
     with anyio.fail_after(5):
         assert await read(stream) == ONE
@@ -280,7 +280,7 @@ async def test_an_outcome_is_waited_for_through_other_news_and_without_reading()
 
 
 @pytest.mark.asyncio
-async def test_a_lost_connection_is_told_to_who_waits_for_the_outcome() -> None:
+async def test_a_lost_connection_is_told_to_a_wait_for_the_outcome() -> None:
     stream = OneEnd()
 
     async def wait() -> None:
@@ -311,7 +311,7 @@ async def test_a_goal_is_offered_by_sending_it_unless_an_endpoint_knows_better(
 
 
 @pytest.mark.asyncio
-async def test_who_sends_a_goal_is_no_affair_of_an_endpoint_that_does_not_ask() -> None:
+async def test_the_sender_of_a_goal_is_not_told_to_an_endpoint_that_does_not_ask() -> None:
     endpoint = OneGoal(OneEnd())
     offered = endpoint.offer_goal(KNOWN, b"goal", sender=Sender("the arm"))
     assert not isinstance(offered, GoalStream)
@@ -331,7 +331,7 @@ class Nowhere(Connection):
 
 
 @pytest.mark.asyncio
-async def test_a_connection_need_not_know_who_else_there_is() -> None:
+async def test_a_connection_need_not_know_its_peers() -> None:
     assert await Nowhere().peers("fibonacci") == ActionPeers((), ())
 
 

@@ -123,7 +123,7 @@ def test_a_name_follows_the_rule_of_ros(name: str) -> None:
         "a\n",
     ],
 )
-def test_another_name_is_refused(name: str) -> None:
+def test_another_name_is_rejected(name: str) -> None:
     with pytest.raises(ValueError, match="an action's name is like `arm/pick_up`") as caught:
         Action(name, goal=int, feedback=int, result=str)
     assert repr(name) in str(caught.value)
@@ -158,21 +158,21 @@ def test_an_action_has_no_type_name_unless_told() -> None:
         "é/action/Fibonacci",
     ],
 )
-def test_another_type_name_is_refused(type_name: str) -> None:
+def test_another_type_name_is_rejected(type_name: str) -> None:
     with pytest.raises(ValueError, match="a type name is like") as caught:
         Action("a", goal=int, feedback=int, result=str, type_name=type_name)
     assert repr(type_name) in str(caught.value)
 
 
 @pytest.mark.parametrize("wrong", [None, 0, b"", b"a/action/B", ()])
-def test_a_name_that_is_no_text_is_refused(wrong: Any) -> None:
+def test_a_name_that_is_no_text_is_rejected(wrong: Any) -> None:
     with pytest.raises(TypeError) as caught:
         Action(wrong, goal=int, feedback=int, result=str)
-    assert str(caught.value) == f"an action's name is like `arm/pick_up`, and not {wrong!r}"
+    assert str(caught.value) == f"an action's name is like `arm/pick_up`, not {wrong!r}"
     with pytest.raises(TypeError) as caught:
         Action("a", goal=int, feedback=int, result=str, type_name=wrong)
     assert str(caught.value) == (
-        f"a type name is like `example_interfaces/action/Fibonacci`, and not {wrong!r}"
+        f"a type name is like `example_interfaces/action/Fibonacci`, not {wrong!r}"
     )
 
 
@@ -263,7 +263,7 @@ def test_a_value_that_type_checkers_let_pass_is_held(message_type: Any, value: A
 
 
 @pytest.mark.parametrize("message_type", [list[int] | tuple[int, ...], Pose | DataPose], ids=shown)
-def test_a_type_that_cannot_be_decoded_is_refused(message_type: Any) -> None:
+def test_a_type_that_cannot_be_decoded_is_rejected(message_type: Any) -> None:
     with pytest.raises(TypeError):
         Codec(message_type)
     with pytest.raises(TypeError):
@@ -280,7 +280,7 @@ def test_a_type_that_cannot_be_decoded_is_refused(message_type: Any) -> None:
     ],
     ids=shown,
 )
-def test_a_value_that_msgpack_cannot_express_is_refused(
+def test_a_value_that_msgpack_cannot_express_is_rejected(
     value: object, error: type[Exception]
 ) -> None:
     with pytest.raises(error):
@@ -317,7 +317,7 @@ def test_a_value_that_msgpack_cannot_express_is_refused(
     ],
     ids=shown,
 )
-def test_feedback_and_result_that_cannot_be_told_apart_are_refused(
+def test_feedback_and_result_that_cannot_be_told_apart_are_rejected(
     feedback: Any, result: Any
 ) -> None:
     with pytest.raises(TypeError, match=r"action 'a': .* could be either"):
@@ -377,7 +377,7 @@ def test_the_goal_may_be_of_the_same_type_as_the_result() -> None:
     ],
     ids=shown,
 )
-def test_a_value_of_another_type_is_refused_and_the_field_is_named(
+def test_a_value_of_another_type_is_rejected_and_the_field_is_named(
     message_type: Any, plain: Any, text: str
 ) -> None:
     with pytest.raises(ProtocolError) as caught:
@@ -674,8 +674,8 @@ def test_without_a_package_that_makes_types_there_are_none(install: Install) -> 
     with pytest.raises(TransportError) as caught:
         from_ros()
     assert str(caught.value) == (
-        "no package that makes message types from ROS 2 is installed, so"
-        " 'arduinobot_msgs/action/Fibonacci' cannot be had"
+        "cannot make message types from 'arduinobot_msgs/action/Fibonacci': install a package with"
+        " an entry point 'ros2' in the group 'fibaction.interfaces', such as fibaction itself"
     )
 
 
@@ -685,7 +685,7 @@ def test_without_a_package_that_makes_types_there_are_none(install: Install) -> 
         (
             "raise ImportError('for another Python')",
             (
-                "message types cannot be made from 'arduinobot_msgs/action/Fibonacci', because"
+                "cannot make message types from 'arduinobot_msgs/action/Fibonacci':"
                 " interfaces_0:make cannot be imported: for another Python"
             ),
         ),

@@ -16,12 +16,14 @@ from fibaction import (
     ClientConnection,
     GoalAborted,
     GoalHandle,
+    GoalID,
     ServerNotFound,
     TransportError,
     connect,
     serve,
 )
-from fibaction.abc import Connection
+from fibaction.abc import Connection, ForwardingEndpoint, GoalStream
+from fibaction.goals import UNKNOWN_SENDER, Sender
 from fibaction_transports.inprocess import InProcessTransport
 from tests.executors import Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -40,7 +42,9 @@ async def test_with_an_action_it_gives_a_client_and_without_one_a_connection() -
             assert connection.endpoint(FIBONACCI).info == FIBONACCI.info
 
 
-async def test_who_serves_and_who_uses_an_action_is_what_the_transport_knows() -> None:
+async def test_the_servers_and_the_clients_of_an_action_are_those_that_the_transport_knows() -> (
+    None
+):
     class Told(InProcessTransport):
         """A transport that knows."""
 
@@ -96,7 +100,7 @@ async def test_what_is_no_action_is_told_in_one_sentence(given: Any) -> None:
     with pytest.raises(TypeError) as caught:
         connect("inproc://connection", given)
     assert str(caught.value) == (
-        f"connect() takes an address, and then an Action or nothing, and not {given!r}"
+        f"connect() takes an address and, optionally, an Action; {given!r} is not an Action"
     )
 
 
@@ -154,7 +158,7 @@ async def test_clients_are_answered_before_the_address_is_closed() -> None:
             goal = await client.send_goal(Goal(1))
         with pytest.raises(GoalAborted, match="server stopped"):
             await goal.result()
-        with pytest.raises(ServerNotFound, match="nobody serves the action 'fibonacci'"):
+        with pytest.raises(ServerNotFound, match="the action 'fibonacci' is not served"):
             await client.send_goal(Goal(1))
 
 
@@ -165,7 +169,7 @@ async def test_an_address_that_cannot_be_used_stops_what_was_started() -> None:
             raise AssertionError("the block must not run")
     assert server.is_new
     async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://a"):
-        with pytest.raises(TransportError, match="is served at inproc://a already"):
+        with pytest.raises(TransportError, match="is already served at inproc://a"):
             async with serve(server, "inproc://a"):
                 raise AssertionError("the block must not run")
     assert repr(server) == "<ActionServer 'fibonacci' stopped goals=0>"
@@ -203,8 +207,8 @@ async def test_what_is_no_server_is_told_in_one_sentence(
         async with serve(given, where):
             raise AssertionError("the block must not run")
     assert str(caught.value) == (
-        f"serve() takes servers, such as ActionServer(action, executor), and then where to serve"
-        f" them, and {shown} is no server"
+        f"serve() takes servers, such as ActionServer(action, executor), and then addresses;"
+        f" {shown} is not a server"
     )
     assert SERVER.is_new
 
@@ -216,14 +220,14 @@ async def test_serving_at_what_is_not_an_address_is_told_in_one_sentence() -> No
             raise AssertionError("the block must not run")
 
 
-async def test_serving_without_an_address_is_refused_with_what_to_do_instead() -> None:
+async def test_serving_without_an_address_is_rejected_with_what_to_do_instead() -> None:
     with pytest.raises(TypeError) as caught:
         async with serve(SERVER):
             raise AssertionError("the block must not run")
     assert str(caught.value) == (
-        "serve() needs an address, or nobody could reach the server: a URL such as"
-        " tcp://127.0.0.1:7400, or a transport; without one, enter the server itself, and give it"
-        " to an ActionClient"
+        "serve() needs at least one address: a URL such as tcp://127.0.0.1:7400, or a transport; to"
+        " use a server without an address, enter it with `async with`, and give it to an"
+        " ActionClient"
     )
     assert SERVER.is_new
 
@@ -232,3 +236,35 @@ async def test_servers_may_come_from_anything_that_can_be_iterated_over() -> Non
     servers = (ActionServer(action, fibonacci) for action in (FIBONACCI, OTHER))
     async with serve(servers, "inproc://a") as (url,), connect(url) as connection:
         assert await connection.actions() == [FIBONACCI.info, OTHER.info]
+
+
+class Audited(ForwardingEndpoint):
+    """A wrapper that notes who sends goals."""
+
+    def __init__(self, inner: ActionServer[Goal, Feedback, Result]) -> None:
+        super().__init__(inner)
+        self.senders: list[Sender] = []
+
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+    ) -> GoalStream:
+        self.senders.append(sender)
+        return await super().send_goal(goal_id, goal, feedback=feedback, sender=sender)
+
+
+async def test_a_server_that_is_wrapped_is_started_served_and_stopped() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    wrapper = Audited(server)
+    async with serve(wrapper, "tcp://127.0.0.1:0") as (url,), connect(url, FIBONACCI) as client:
+        assert server.is_running
+        assert await client.call(Goal(2)) == Result([0, 1, 1])
+        (info,) = await client.goals()
+    (sender,) = wrapper.senders
+    assert info.client == sender.name != ""
+    assert sender.owner != b""
+    assert not server.is_running

@@ -230,7 +230,7 @@ async def test_a_rejected_goal_raises_from_both_ways_of_sending_it() -> None:
                 raise AssertionError("the block must not run")
 
 
-async def test_a_goal_that_nobody_awaits_is_warned_about() -> None:
+async def test_a_goal_that_is_not_awaited_is_warned_about() -> None:
     async with ScriptedServer(FIBONACCI, [Result([])]) as server:
         with pytest.warns(RuntimeWarning, match="was never awaited"):
             client_of(server).send_goal(Goal(1))
@@ -241,11 +241,11 @@ async def test_a_goal_that_nobody_awaits_is_warned_about() -> None:
 async def test_what_is_no_goal_id_goes_nowhere(wrong: Any) -> None:
     broken = Broken(BrokenStream())
     client = client_of(broken)
-    with pytest.raises(TypeError, match="a goal is named by a GoalID"):
+    with pytest.raises(TypeError, match="goal_id is a GoalID"):
         client.send_goal(Goal(1), goal_id=wrong)
-    with pytest.raises(TypeError, match="a goal is named by a GoalID"):
+    with pytest.raises(TypeError, match="goal_id is a GoalID"):
         await client.attach(wrong)
-    with pytest.raises(TypeError, match="a goal is named by a GoalID"):
+    with pytest.raises(TypeError, match="goal_id is a GoalID"):
         await client.cancel_goals(wrong)
     assert (broken.follows, broken.cancels) == ([], [])
 
@@ -344,14 +344,14 @@ async def test_feedback_and_result_that_are_not_of_their_type_are_the_servers_er
         await goal.outcome()
 
 
-async def test_a_result_that_nobody_knows_any_more_is_an_unknown_goal() -> None:
+async def test_a_result_that_is_not_known_any_more_is_an_unknown_goal() -> None:
     goal = await client_of(Broken(BrokenStream(unknown=True))).send_goal(Goal(1))
     assert (await goal.outcome()).status is GoalStatus.UNKNOWN
     with pytest.raises(UnknownGoal):
         await goal.result()
 
 
-async def test_a_lost_connection_is_told_to_whoever_waits_and_leaving_does_not_hide_it(
+async def test_a_lost_connection_is_told_to_each_wait_and_leaving_does_not_hide_it(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     stream = BrokenStream()
@@ -363,7 +363,7 @@ async def test_a_lost_connection_is_told_to_whoever_waits_and_leaving_does_not_h
     assert "was left, but could not be canceled: the line is dead" in caplog.text
 
 
-async def test_leaving_a_goal_that_refuses_or_is_unknown_does_not_raise(
+async def test_leaving_a_goal_whose_cancel_is_rejected_or_that_is_unknown_does_not_raise(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     def refuse(goal: GoalHandle[Goal]) -> None:
@@ -440,7 +440,9 @@ async def test_a_goal_that_is_dropped_closes_its_feedback() -> None:
 
 async def test_waiting_for_a_server_has_an_end() -> None:
     client = client_of(Broken(BrokenStream()))
-    with pytest.raises(ServerNotFound, match=r"nobody served the action 'fibonacci' within 0\.001"):
+    with pytest.raises(
+        ServerNotFound, match=r"the action 'fibonacci' was not served within 0\.001"
+    ):
         await client.wait_for_server(timeout=0.001)
     with anyio.move_on_after(0.001) as patience:
         await client.wait_for_server()

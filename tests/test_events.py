@@ -271,7 +271,7 @@ async def test_feedback_of_another_type_is_raised_where_the_events_are_read() ->
                     await until(events)
 
 
-async def test_events_whose_block_is_left_end_for_who_waits_and_for_who_comes_later() -> None:
+async def test_events_whose_block_is_left_end_for_a_reader_that_waits_and_for_a_later_one() -> None:
     async with ActionServer(FIBONACCI, fibonacci) as server:
         client = ActionClient(server, FIBONACCI)
         seen: list[list[Event]] = []

@@ -530,7 +530,7 @@ def test_a_client_says_in_one_line_that_nobody_listens(tmp_path: Path) -> None:
         ("fibonacci_client.py --order ten", 2, "argument --order: invalid int32 value: 'ten'"),
         ("fibonacci_client.py --order 2147483648", 2, "argument --order: invalid int32 value"),
         ("fibonacci_client.py --cancel-after=-1", 2, "argument --cancel-after: invalid count"),
-        ("fibonacci_client.py --url inproc://nobody", 6, "nobody serves the action 'fibonacci'"),
+        ("fibonacci_client.py --url inproc://nobody", 6, "the action 'fibonacci' is not served"),
     ],
 )
 def test_an_error_is_one_line_and_an_exit_code(

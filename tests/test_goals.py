@@ -48,7 +48,7 @@ def test_a_goal_id_is_read_from_a_uuid(value: uuid.UUID) -> None:
 
 @pytest.mark.parametrize("text", ["", "00", "g" * 32, "0" * 31, "0" * 34, "é" * 32])
 def test_other_text_is_no_goal_id(text: str) -> None:
-    with pytest.raises(ValueError, match="a goal ID has 32 hexadecimal digits, unlike") as caught:
+    with pytest.raises(ValueError, match="a goal ID has 32 hexadecimal digits, not") as caught:
         GoalID.parse(text)
     assert repr(text) in str(caught.value)
 
@@ -110,13 +110,13 @@ def test_a_goal_has_had_no_feedback_and_its_client_is_not_known_unless_told() ->
     assert info.client == ""
 
 
-def test_no_goal_is_canceling_and_nobody_gave_a_reason_unless_told() -> None:
+def test_no_goal_is_canceling_and_no_reason_is_given_unless_told() -> None:
     answer = CancelAnswer(CancelCode.NONE)
     assert answer.goals_canceling == ()
     assert answer.reason == ""
 
 
-def test_nobody_serves_or_uses_an_action_unless_told() -> None:
+def test_an_action_has_no_servers_and_no_clients_unless_told() -> None:
     peers = ActionPeers()
     assert peers.servers == ()
     assert peers.clients == ()

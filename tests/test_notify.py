@@ -9,7 +9,7 @@ from fibaction._notify import Notifier
 
 
 @pytest.mark.asyncio
-async def test_waking_wakes_all_who_wait_and_nobody_who_comes_later() -> None:
+async def test_notifying_wakes_all_that_wait_and_none_that_comes_later() -> None:
     waking = Notifier()
     woken: list[int] = []
 
@@ -55,7 +55,7 @@ async def test_the_wait_of_one_that_is_canceled_leaves_the_others_waiting() -> N
     assert woken == [2]
 
 
-def test_the_listener_is_called_at_the_next_wake_only_whether_or_not_somebody_waits() -> None:
+def test_the_listener_is_called_at_the_next_wake_only_whether_or_not_a_task_waits() -> None:
     waking = Notifier()
     calls: list[str] = []
     waking.notify()
@@ -72,7 +72,7 @@ def test_the_listener_is_called_at_the_next_wake_only_whether_or_not_somebody_wa
 
 
 @pytest.mark.asyncio
-async def test_the_listener_and_those_who_wait_all_hear_of_the_same_wake() -> None:
+async def test_the_listener_and_the_waiting_tasks_all_hear_of_the_same_wake() -> None:
     waking = Notifier()
     heard: list[str] = []
     waking.on_next = lambda: heard.append("the listener")

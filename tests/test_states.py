@@ -53,7 +53,7 @@ def test_canceled_is_reached_only_through_canceling() -> None:
     assert before == [GoalStatus.CANCELING]
 
 
-def test_nobody_can_change_the_table() -> None:
+def test_the_table_cannot_be_changed() -> None:
     table = cast("dict[tuple[GoalStatus, GoalEvent], GoalStatus]", TRANSITIONS)
     with pytest.raises(TypeError):
         table[GoalStatus.UNKNOWN, GoalEvent.EXECUTE] = GoalStatus.EXECUTING

@@ -150,5 +150,5 @@ async def test_a_script_that_waits_for_an_event_holds_the_goal() -> None:
 
 
 async def test_a_scripted_server_needs_a_script() -> None:
-    with pytest.raises(ValueError, match="needs a script"):
+    with pytest.raises(ValueError, match="needs at least one script"):
         ScriptedServer(FIBONACCI)

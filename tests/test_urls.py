@@ -82,7 +82,7 @@ def test_an_entry_point_of_another_group_is_no_transport(install: Install) -> No
         transport_for("pigeon://loft")
 
 
-def test_an_unknown_scheme_is_refused_and_the_known_ones_are_told(install: Install) -> None:
+def test_an_unknown_scheme_is_rejected_and_the_known_ones_are_told(install: Install) -> None:
     install(EntryPoints([entry("pigeon", HERE), entry("crow", HERE), entry("crow", HERE)]))
     with pytest.raises(TransportError) as caught:
         transport_for("raven://tower")
@@ -91,7 +91,7 @@ def test_an_unknown_scheme_is_refused_and_the_known_ones_are_told(install: Insta
     )
 
 
-def test_an_unknown_scheme_is_refused_also_if_there_is_no_transport_at_all(
+def test_an_unknown_scheme_is_rejected_also_if_there_is_no_transport_at_all(
     install: Install,
 ) -> None:
     install(EntryPoints())
@@ -213,7 +213,7 @@ def test_a_url_is_shown_without_anything_secret(url: str, shown: str) -> None:
     assert without_settings(url) == shown
 
 
-def test_what_is_no_url_is_refused_without_telling_its_secrets() -> None:
+def test_a_text_that_is_not_a_url_is_rejected_without_telling_its_secrets() -> None:
     with pytest.raises(TransportError) as caught:
         transport_for("robot:7400?token=secret")
     assert str(caught.value) == "'robot:7400' is not a URL: write it like tcp://127.0.0.1:7400"

@@ -12,9 +12,11 @@ UNITS = {
     "fibaction/_public.py": ["tests/test_init.py"],
     "fibaction/streams.py": ["tests/test_abc.py"],
     "fibaction/cli": ["tests/cli"],
-    "fibaction/server": ["tests/server", "tests/contract"],
+    "fibaction/server": ["tests/server"],
     "fibaction/server/registry.py": ["tests/server/test_registry.py"],  # a rule without I/O
     "fibaction/wire": ["tests/wire"],
+    "fibaction/wire/tls_files.py": ["tests/transports/tcp"],
+    "fibaction/wire/transport.py": ["tests/transports/tcp"],
     "fibaction/wire/messages.py": ["tests/wire/test_messages.py"],  # a rule without I/O
     "transports/fibaction_transports/tcp": ["tests/transports/tcp"],
 }

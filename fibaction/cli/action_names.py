@@ -35,14 +35,14 @@ async def find_action(connection: Connection, name: str) -> ActionInfo:
 def no_action(name: str, actions: Iterable[ActionInfo]) -> Failure:
     """Return the error for an action that is not served, with the most similar name."""
     known = sorted(shown(info.name) for info in actions)
-    text = f"nobody serves the action {shown(name)}"
+    text = f"the action {shown(name)} is not served"
     if near := nearest(shown(name), known):
         text += f"; did you mean {near}?"
     elif known:
         some = known[:MOST_SUGGESTED]
         text += f"; there is {', '.join(some)}{', ...' if len(known) > len(some) else ''}"
     else:
-        text += ", nor any other"
+        text += ", nor is any other"
     return Failure(text, ExitCode.UNREACHABLE)
 
 

@@ -1,7 +1,7 @@
 """The action server: `ActionServer`, and its parts.
 
-`server` has the settings, the life and the methods that clients call; `admission` decides on goals
-and cancels; `runs` starts and ends executors; `registry` holds every goal and its rules.
+`server` has the settings, start and stop, and the methods that clients call; `admission` decides on
+goals and cancels; `runs` starts and ends executors; `registry` holds every goal and its rules.
 """
 
 from fibaction.server.executor import Executor, GoalHandle

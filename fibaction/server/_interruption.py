@@ -5,23 +5,24 @@ Theory of operation
 
 anyio and trio cancel by level: once a scope is canceled, every `await` in it raises. An executor
 that catches the cancellation to clean up could then await nothing. So here a cancellation is an
-edge: the first `await` raises, and the clean-up that follows may await as it likes, until it is
+edge: the first `await` raises, and the clean-up that follows may await without limits, until it is
 killed.
 
-Two parts do it together. `CancelOnce` has two scopes. The outer one belongs to the task: canceling
-it delivers the cancellation. The inner one, `rest`, can shield what runs in it from the outer one.
-It shields from the beginning, since a task of the pool is used for one goal after another;
-`interrupt()` takes the shield away and cancels the outer scope, and `kill()` cancels `rest` itself,
-which no shield stops.
+Two parts do this together. `CancelOnce` has two scopes. The outer one belongs to the task:
+canceling it delivers the cancellation. The inner one, `rest`, can shield its content from the outer
+one. It shields from the beginning, since a task of the pool is used for one goal after another;
+`interrupt()` removes the shield and cancels the outer scope, and `kill()` cancels `rest` itself,
+which its own shield does not prevent.
 
 `Steps` drives the executor's coroutine step by step, in place of the task. So it sees the
-cancellation arrive (`throw`, or trio's `outcome.Error` in `send`), and when the coroutine next
-waits, that is its clean-up: the shield goes up again. It also measures for how long the coroutine
-has run without waiting (`slice_end`), since executors that never wait must give others their turn.
+cancellation arrive (`throw`, or trio's `outcome.Error` in `send`). If the coroutine waits after
+that, it is in its clean-up, and the shield is set again. `Steps` also sets the time by which the
+coroutine should have waited (`slice_end`), since executors that never wait must let other tasks
+run.
 
 Inside a task group of the executor's own, the backend's rule holds: the group is canceled with all
-that is in it, and clean-up there needs a shield of its own. On trio, a nursery that is open around
-clean-up keeps the cancellation to itself.
+its tasks, and clean-up there needs a shield of its own. On trio, a nursery that is open around
+clean-up absorbs the cancellation.
 """
 
 from __future__ import annotations
@@ -38,12 +39,12 @@ from anyio import CancelScope, TaskHandle, current_effective_deadline, get_cance
 T = TypeVar("T")
 
 SLICE = 0.005
-"""Seconds that a task may go on without awaiting before others get their turn: short for a person
-and for a heartbeat, long beside a turn of the event loop (some 10 microseconds)."""
+"""Seconds that a task may run without awaiting before other tasks run: short for people and for
+heartbeats, long compared with a turn of the event loop (some 10 microseconds)."""
 
 
 class CancelOnce:
-    """The scopes around an executor: to cancel it once, and to kill it later."""
+    """The two scopes around an executor, which cancel it once, and kill it later."""
 
     __slots__ = ("_task", "is_spent", "on_wait", "rest")
 
@@ -51,13 +52,14 @@ class CancelOnce:
         self._task: TaskHandle[None] | CancelScope | None = None
         self.rest = CancelScope(shield=True)
         self.is_spent = False
-        """True if nothing else can run in it."""
+        """True if the scopes are canceled, so that no other job can run in them."""
         self.on_wait = on_wait
-        """Called when the coroutine inside begins to wait."""
+        """The function that is called when the coroutine inside begins to wait."""
 
     def run_by(self, task: TaskHandle[None] | CancelScope) -> None:
-        """Name the task, or the outer scope, in which `rest` is entered. It may have been entered
-        already: an eager task begins before its handle is known.
+        """Set the task, or the outer scope, in which `rest` is entered.
+
+        `rest` may have been entered already, since an eager task begins before its handle is known.
         """
         self._task = task
         if not self.rest.shield:
@@ -77,7 +79,7 @@ class CancelOnce:
 
 
 class Steps(Generator[Any, Any, T], Generic[T]):
-    """A coroutine, awaited step by step: see the theory of operation above."""
+    """A coroutine that is awaited step by step: see the theory of operation above."""
 
     __slots__ = (
         "_arrived",
@@ -93,7 +95,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         self, coroutine: Coroutine[Any, Any, T], scopes: CancelOnce, context: Context
     ) -> None:
         self.pending = False
-        """True if a cancellation is on its way and has not arrived."""
+        """True if a cancellation was sent and has not arrived."""
         self._coroutine = coroutine
         self._scopes = scopes
         self._context = context
@@ -115,9 +117,9 @@ class Steps(Generator[Any, Any, T], Generic[T]):
 
     def send(self, value: Any) -> Any:
         if value is not None:
-            # trio resumes a task with an `outcome.Error`, and raises what is in it further inside.
+            # trio resumes a task with an `outcome.Error`, and raises its exception further inside.
             self._by_outcome = True
-            self._look_at(getattr(value, "error", None))
+            self._note_arrival(getattr(value, "error", None))
         self.slice_end = perf_counter() + SLICE
         try:
             return self._suspend(self._context.run(self._coroutine.send, value))
@@ -132,20 +134,21 @@ class Steps(Generator[Any, Any, T], Generic[T]):
     ) -> Any:
         # With one argument it is the exception itself; the other two are deprecated.
         assert isinstance(typ, BaseException)
-        self._look_at(typ)
+        self._note_arrival(typ)
         self.slice_end = perf_counter() + SLICE
-        # A bare cancellation, as of the task itself: a scope inside would take anyio's for its own.
+        # A new cancellation, as of the task itself: a scope inside would absorb anyio's as its own.
         error = type(typ)() if self._arrived else typ
         try:
             return self._suspend(self._context.run(self._coroutine.throw, error))
         finally:
-            # It holds the frames that it comes through, and they this one, since Python 3.12.
+            # The exception references the frames it passes, and those this one, since Python 3.12.
             del typ, error
 
     def close(self) -> None:
         self._coroutine.close()
 
-    def _look_at(self, error: BaseException | None) -> None:
+    def _note_arrival(self, error: BaseException | None) -> None:
+        """Note that the cancellation has arrived, if the error is one."""
         if self.pending and isinstance(error, get_cancelled_exc_class()):
             self.pending = False
             self._arrived = True
@@ -160,7 +163,8 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         return waiting_for
 
     def _is_unwinding(self) -> bool:
-        """Return whether a nursery waits which the cancellation passes on its way out, in all
-        likelihood. It must see that the cancellation comes from outside, or it would keep it.
+        """Return whether the coroutine most likely waits in a nursery that the cancellation passes.
+
+        Such a nursery must see that the cancellation comes from outside, or it would absorb it.
         """
         return current_effective_deadline() == -math.inf and not self._scopes.rest.cancel_called

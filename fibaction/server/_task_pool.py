@@ -1,11 +1,11 @@
 """`TaskPool`: tasks that run executors, each one after another.
 
-Creating a task costs more than running a short goal, so idle tasks are reused: with the pool, a
-server runs short goals 1.6 times as fast as with a task for each
+Creating a task costs more than running a short goal, so idle tasks are reused. With the pool, a
+server runs short goals 1.6 times as fast as with a new task for each goal
 (`python -m tests.benchmarks.parts`).
 
-The pool knows nothing of goals: a job is a coroutine function that is given the `CancelOnce` it
-runs in.
+The pool does not depend on goals: a job is a coroutine function that takes the `CancelOnce` it runs
+in.
 """
 
 from __future__ import annotations
@@ -22,40 +22,44 @@ from fibaction._notify import Notifier
 from fibaction.server._interruption import SLICE, CancelOnce
 
 MOST_IDLE = 16
-"""Idle tasks that are kept at most, some kilobytes each."""
+"""The most idle tasks that are kept, some kilobytes each."""
 
 
 Job: TypeAlias = Callable[[CancelOnce], Coroutine[Any, Any, None]]
-"""Something to do, in scopes that may have been another job's. It begins in the same turn of the
-event loop as others that do not wait, so it must not depend on the task it runs in."""
+"""A coroutine function that is run in scopes which earlier jobs may have used. Jobs that do not
+wait run in the same turn of the event loop and in the same task, so a job must not depend on its
+task."""
 
 
 class TaskPool:
-    """Tasks for jobs, each in a task that does nothing else meanwhile."""
+    """A pool of tasks; each runs one job at a time."""
 
     def __init__(self, tasks: TaskGroup, name: str) -> None:
         self._tasks = tasks
         self._name = name
         self._jobs: deque[Job] = deque()
         self._idle: list[Notifier] = []
-        self._is_coming = False  # a task is on its way to the next job
-        self._on_wait = self._call  # made once, and not for each scopes
+        self._is_coming = False  # a task was woken or started for the next job
+        self._on_wait = self._call  # one bound method for all scopes
         self._closed = False
 
     def add(self, job: Job) -> None:
-        """Do the job, beginning in the next turn of the event loop."""
+        """Run a job, beginning in the next turn of the event loop."""
         self._jobs.append(job)
         self._call()
 
     def close(self) -> None:
-        """End the idle tasks: there will be no more jobs."""
+        """End the idle tasks, after the last job was added."""
         self._closed = True
         idle, self._idle = self._idle, []
         for news in idle:
             news.notify()
 
     def _call(self) -> None:
-        """Send a task to the next job: the last one has begun to wait, or has ended."""
+        """Wake or start a task for the next job, if there is a job without a task.
+
+        Called when a job was added, when a running job begins to wait, and when a task ends.
+        """
         if self._jobs and not self._is_coming:
             self._is_coming = True
             if self._idle:

@@ -1,21 +1,21 @@
-"""Decisions on goals and cancels: `Admission` asks the callbacks, and has the answers carried out.
+"""Decisions on goals and cancels: `Admission` calls the callbacks, and carries out their answers.
 
 Theory of operation
 -------------------
 
 A goal that is sent goes through `offer`. The registry says whether it is new, the same goal sent
-again, or another goal of the same ID. A new one is decoded, `on_goal` is asked, and it is accepted
-or rejected; if the call is canceled before that, it is withdrawn. Only an async `on_goal` has to be
-waited for, so `offer` gives the goal's stream itself where it can, and a coroutine where it cannot:
-the server half of a transport needs no task for most goals, and serves short goals over TCP 1.4
-times as fast (`python -m tests.benchmarks.parts`).
+again, or another goal with the same ID. A new goal is decoded, `on_goal` is called, and the goal is
+accepted or rejected; if the call is canceled before that, the goal is withdrawn. Only an async
+`on_goal` has to be waited for. So `offer` returns the goal's stream itself if it can, and otherwise
+a coroutine: the server half of a transport then starts no task for most goals, and serves short
+goals over TCP 1.4 times as fast (`python -m tests.benchmarks.parts`).
 
 A goal that is sent again while it is being decided waits for the decision, and so does a cancel
-that names it. They wait for that goal alone: `_decisions` has a notifier for each undecided goal
-that is waited for.
+with its ID. They wait for that goal alone: `_decisions` has one notifier per undecided goal, made
+by the first task that waits.
 
-A cancel goes through `cancel`. The registry says which goals it means; `on_cancel` is asked for
-each, side by side, because one that takes long must not keep the others going.
+A cancel goes through `cancel`. The registry says which goals it means; `on_cancel` is called for
+each of them, concurrently, because one slow answer must not delay the cancels of other goals.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Offer(NamedTuple):
 
 
 class Admission(Generic[GoalT, FeedbackT, ResultT]):
-    """The way of a goal from its arrival to its start, and of a cancel to the goals it means."""
+    """The decisions on a server's goals, from arrival to start, and on its cancels."""
 
     def __init__(
         self,
@@ -76,7 +76,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._is_closed = False
 
     def close(self) -> None:
-        """Reject all goals from now on, and those that are being decided."""
+        """Reject all goals from now on, and all that are still undecided."""
         self._is_closed = True
         self._callbacks.stop()
 
@@ -148,12 +148,12 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         return GoalRejected(reason, goal_id=goal_id)
 
     def _withdraw(self, goal_id: GoalID) -> None:
-        """Forget a goal whose decision was canceled: if it is sent again, it is decided anew."""
+        """Forget a goal whose decision was canceled; a retry is decided anew."""
         self._registry.withdraw(goal_id)
         self._tell_decision(goal_id)
 
     async def _decided(self, goal_id: GoalID) -> None:
-        """Wait until the goal is not, or no longer, being decided."""
+        """Wait until the goal is decided; return at once if it is not undecided."""
         while self._registry.is_undecided(goal_id):
             await self._decisions.setdefault(goal_id, Notifier()).wait()
 

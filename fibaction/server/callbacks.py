@@ -1,6 +1,22 @@
-"""Asks a user's callback, and makes sure that there is an answer: whatever it does, yes or no.
+"""`Callbacks`: calls users' callbacks so that each call ends as an acceptance or a rejection.
 
-It knows nothing of goals; what yes and no mean is its caller's affair.
+Theory of operation
+-------------------
+
+A callback accepts by returning None, and rejects by raising the rejection that belongs to it,
+`GoalRejected` or `CancelRejected`. It may be sync or async. Every other outcome becomes a
+rejection: another exception, a returned value, or a server that stops while the callback is
+awaited.
+
+`ask` returns None for a sync callback that accepts, so its caller needs no task; for an async one
+it returns a coroutine to await. Each awaited callback runs in a cancel scope of its own, which
+`stop` cancels.
+
+A cancellation that comes out of a callback needs care. If the caller's own task or scope is
+canceled, it must be passed on. Otherwise the callback awaited a task or future that was canceled
+elsewhere, and this is an error of the callback like any other.
+
+This module does not depend on goals; its caller carries out the answers.
 """
 
 from __future__ import annotations
@@ -17,23 +33,25 @@ from fibaction.exceptions import CancelRejected, GoalRejected, text_of
 
 T = TypeVar("T")
 Callback: TypeAlias = Callable[[T], Awaitable[None] | None]
-"""Sync or async; returns None to agree, raises the refusal to refuse."""
+"""A sync or async function that returns None to accept, and raises a rejection to reject."""
+
+_Rejection: TypeAlias = type[GoalRejected] | type[CancelRejected]
 
 SERVER_STOPPING = "the server is stopping"
-CANCELED_ELSEWHERE = "what it waits for was canceled by somebody else"
+CANCELED_ELSEWHERE = "it awaited a task or future that was canceled elsewhere"
 
 logger = logging.getLogger("fibaction.server")
 
 
 class Callbacks:
-    """Asks callbacks on behalf of one server, until that stops."""
+    """The callbacks of one server, which are called until it stops."""
 
     def __init__(self, action: str) -> None:
         self._action = action
         self._waiting: set[CancelScope] = set()
 
     def stop(self) -> None:
-        """Wait for no callback any longer: those that are under way count as a refusal."""
+        """Cancel all callbacks that are awaited now; each counts as a rejection."""
         for scope in tuple(self._waiting):
             scope.cancel()
 
@@ -42,72 +60,66 @@ class Callbacks:
         name: str,
         callback: Callback[T],
         argument: T,
-        refusal: type[GoalRejected] | type[CancelRejected],
+        rejection: _Rejection,
     ) -> Coroutine[Any, Any, None] | None:
-        """Call the callback of that name, and return None if it agrees; if it has to be waited for,
-        a coroutine that does.
+        """Call the callback of that name; return None if it accepts, or a coroutine that waits for
+        its answer.
 
         Raises:
-            GoalRejected, CancelRejected: Whichever is `refusal`, here or by the coroutine: the
-                callback raised it, or failed, or returned something, or the server stopped
-                meanwhile.
+            GoalRejected, CancelRejected: The type is that of `rejection`, here or in the coroutine:
+                the callback raised it, failed, or returned a value, or the server is stopping.
         """
-        with self._refusing(name, refusal):
+        with self._failures_as(rejection, name):
             answer: object = _called(callback, argument)
             if isinstance(answer, Awaitable):
-                # From now on, and not only when the coroutine begins, `stop` is to reach it.
+                # Added here, so that `stop` reaches it even before the coroutine begins.
                 scope = CancelScope()
                 self._waiting.add(scope)
-                return self._wait(scope, name, answer, refusal)
-            _check(name, answer, refusal)
+                return self._wait(scope, name, answer, rejection)
+            _check(name, answer, rejection)
         return None
 
     async def _wait(
-        self,
-        scope: CancelScope,
-        name: str,
-        awaitable: Awaitable[object],
-        refusal: type[GoalRejected] | type[CancelRejected],
+        self, scope: CancelScope, name: str, awaitable: Awaitable[object], rejection: _Rejection
     ) -> None:
         try:
-            with self._refusing(name, refusal):
-                if scope.cancel_called:  # before anybody has waited
+            with self._failures_as(rejection, name):
+                if scope.cancel_called:  # stopped before this coroutine began
                     if isinstance(awaitable, Coroutine):
                         awaitable.close()
-                    raise refusal(SERVER_STOPPING)
+                    raise rejection(SERVER_STOPPING)
                 with scope:
-                    _check(name, await _awaited(awaitable), refusal)
+                    _check(name, await _awaited(awaitable), rejection)
                 if scope.cancelled_caught:
-                    raise refusal(SERVER_STOPPING)
+                    raise rejection(SERVER_STOPPING)
         finally:
             self._waiting.discard(scope)
 
     @contextmanager
-    def _refusing(
-        self, name: str, refusal: type[GoalRejected] | type[CancelRejected]
-    ) -> Generator[None, None, None]:
+    def _failures_as(self, rejection: _Rejection, name: str) -> Generator[None, None, None]:
+        """Raise the rejection, and log the failure, if the block raises another exception."""
         try:
             yield
-        except refusal:
+        except rejection:
             raise
         except Exception as exc:
             reason = f"{name} failed: {text_of(exc)}"
             logger.error("action %r: %s", self._action, reason, exc_info=exc)
-            raise refusal(reason) from exc
+            raise rejection(reason) from exc
 
 
-def _check(name: str, answer: object, refusal: type[GoalRejected] | type[CancelRejected]) -> None:
+def _check(name: str, answer: object, rejection: _Rejection) -> None:
     if answer is not None:
         raise TypeError(
-            f"{name} returned {answer!r}: return None to agree,"
-            f" raise {refusal.__name__}(reason) to refuse"
+            f"{name} returned {answer!r}: return None to accept,"
+            f" raise {rejection.__name__}(reason) to reject"
         )
 
 
 def _called(callback: Callback[T], argument: T) -> Awaitable[None] | None:
     try:
         return callback(argument)
-    except get_cancelled_exc_class() as exc:  # nothing has been awaited, so it is of its own making
+    except get_cancelled_exc_class() as exc:  # nothing was awaited, so it is not the caller's
         raise RuntimeError(CANCELED_ELSEWHERE) from exc
 
 
@@ -121,11 +133,11 @@ async def _awaited(awaitable: Awaitable[object]) -> object:
 
 
 def _is_canceled() -> bool:
-    """Whether somebody has canceled this task itself, which of the backends only asyncio can do."""
+    """Return whether this task itself was canceled, outside of scopes, as only asyncio can do."""
     import asyncio  # noqa: TID251  # anyio does not tell
 
     try:
         task = asyncio.current_task()
-    except RuntimeError:  # there is no loop of asyncio's: it is trio, and not as a guest
+    except RuntimeError:  # not asyncio's loop: it is trio, and not as a guest
         return False
     return task is not None and task.cancelling() > 0

@@ -1,6 +1,6 @@
-"""Which goals a cancel means, and the answer to it: the rules of `action_msgs/srv/CancelGoal`.
+"""The goals that a cancel means, and the answer to it: the rules of `action_msgs/srv/CancelGoal`.
 
-Sans-I/O: it asks no callbacks and interrupts no executors.
+Sans-I/O: it calls no callbacks and interrupts no executors.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from fibaction.states import GoalEvent, GoalStatus, transition
 
 
 class Cancellation:
-    """One request to cancel, on a snapshot of the goals it is about.
+    """One request to cancel, with a snapshot of the goals it means.
 
-    The caller goes through `candidates`, and calls `accept` or `reject` for each, in any order and
-    at any time; then `answer()` is the answer for the client.
+    The caller calls `accept` or `reject` for each of `candidates`, in any order and at any time;
+    then `answer()` returns the answer for the client.
     """
 
     def __init__(self, candidates: tuple[GoalRecord, ...], otherwise: CancelCode) -> None:
         self.candidates = candidates
-        """The goals that were active; one that is CANCELING has accepted already."""
+        """The goals that were active when the cancel arrived, CANCELING ones included."""
         self._otherwise = otherwise
         self._canceling: dict[GoalID, GoalInfo] = {}
         self._reasons: list[str] = []
 
     def accept(self, goal: GoalRecord) -> bool:
-        """Move the goal to CANCELING. Return False, and do nothing, if it has ended meanwhile."""
+        """Move the goal to CANCELING, and return True; return False if it has ended meanwhile."""
         if not goal.status.is_active:
             return False
         if goal.status is not GoalStatus.CANCELING:
@@ -37,7 +37,7 @@ class Cancellation:
         return True
 
     def reject(self, reason: str) -> None:
-        """Note why a goal is not canceled."""
+        """Note the reason for which a goal is not canceled."""
         self._reasons.append(reason)
 
     def answer(self) -> CancelAnswer:
@@ -65,9 +65,9 @@ def cancellation_of(
 ) -> Cancellation:
     """Return the cancellation of the goals that an ID and a stamp mean.
 
-    With neither it is about all goals; with a stamp, about those accepted at or before it; with an
-    ID, about that goal; with both, about that goal and those accepted at or before the stamp. An ID
-    or a stamp of zeros counts as none.
+    Without both it means all goals; with a stamp, those accepted at or before it; with an ID, that
+    goal; with both, that goal and those accepted at or before the stamp. An ID of zeros, or a stamp
+    of 0, counts as absent.
     """
     if goal_id == NO_GOAL:
         goal_id = None
@@ -77,6 +77,6 @@ def cancellation_of(
             return Cancellation((), CancelCode.UNKNOWN_GOAL_ID)
         candidates = (goal,) if goal.status.is_active else ()
         return Cancellation(candidates, CancelCode.GOAL_TERMINATED)
-    latest = stamp or math.inf  # an ID alone has been dealt with
+    latest = stamp or math.inf  # an ID alone was handled above
     chosen = (goal for goal in active if goal.stamp <= latest or goal.goal_id == goal_id)
     return Cancellation(tuple(chosen), CancelCode.NONE)

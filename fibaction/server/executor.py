@@ -5,24 +5,23 @@ Theory of operation
 
 An `Execution` iterates over the user's generator. A value of the feedback's type is encoded and
 appended to the goal's log; a value of the result's type is kept as the result, and must be the last
-one. After each feedback there is a cancellation point, unless nothing calls for one: the pause is
-skipped when no cancellation is pending, the log has room, and the executor has not yet used up its
-slice of time. That is what makes thousands of goals without an `await` cheap.
+one. Each feedback is a cancellation point, but the pause that makes it one is skipped if no
+cancellation is pending, the log has room, and the executor has not yet used up its slice of time.
+This makes goals that never wait cheap.
 
 A cancellation that arrives in the pause is thrown into the generator at its `yield`, so the
 executor sees it there as it would at any `await`. `_interruption` makes it arrive once.
 
-How the generator leaves off becomes an `Ending`:
+The end of the generator becomes an `Ending`:
 
 - it returned after a result: RESULT;
-- the cancellation came out of it, or it raised `GoalCanceled`: CANCELED, with a partial result if
-  there is one;
+- it raised the cancellation, or `GoalCanceled`: CANCELED, with the partial result, if any;
 - it raised `GoalAborted`: FAILED, with the reason and the partial result;
-- it raised anything else, or broke a rule of executors (`_Misuse`): FAILED, with the error as the
-  reason, and a traceback in the log `fibaction.server`.
+- it raised another exception, or broke a rule of executors (`_Misuse`): FAILED, with the error as
+  the reason, and a traceback in the log `fibaction.server`.
 
-Which status that is for the goal is not decided here: this module knows no rules on statuses, no
-clients and no other goals.
+The registry turns an ending into a status of the goal. This module does not depend on the rules for
+statuses, on clients or on other goals.
 """
 
 from __future__ import annotations
@@ -53,13 +52,12 @@ logger = logging.getLogger("fibaction.server")
 class GoalHandle(Generic[GoalT]):
     """One goal, as its executor sees it."""
 
-    __slots__ = ("_goal", "_stop_reason", "request")
+    __slots__ = ("_goal", "request")
 
     def __init__(self, goal: GoalRecord, request: GoalT) -> None:
         self.request = request
         """The goal that the client sent."""
         self._goal = goal
-        self._stop_reason = ""
 
     @property
     def goal_id(self) -> GoalID:
@@ -79,7 +77,7 @@ class GoalHandle(Generic[GoalT]):
     @property
     def cancel_requested(self) -> bool:
         """True if the goal is to stop: its cancel was accepted, or the server ends it."""
-        return self._goal.status is GoalStatus.CANCELING or bool(self._stop_reason)
+        return self._goal.status is GoalStatus.CANCELING or bool(self._goal.stop_reason)
 
     def __repr__(self) -> str:
         return f"<GoalHandle {self.goal_id} {self.status.name}>"
@@ -125,13 +123,8 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._scopes: CancelOnce | None = None
         self._steps: Steps[Ending]
 
-    @property
-    def stop_reason(self) -> str:
-        """Why the server ends the goal; empty if it does not."""
-        return self.handle._stop_reason
-
     def run(self, scopes: CancelOnce) -> Awaitable[Ending]:
-        """Run the executor to its end, and return how it left off. To be called once."""
+        """Run the executor to its end, and return its ending. To be called once."""
         self._scopes = scopes
         self._steps = Steps(self._run(), scopes, self._context)
         if self._is_interrupted:
@@ -139,21 +132,16 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         return self._steps
 
     def interrupt(self) -> None:
-        """Raise the backend's cancellation inside the generator, once, where it is or next awaits
-        or yields. What it awaits after that is its clean-up, and is left in peace.
+        """Raise the backend's cancellation in the generator, once, at its current or next `await`
+        or `yield`. Each `await` after that is clean-up, and is not canceled.
         """
         if not self._is_interrupted:
             self._is_interrupted = True
             if self._scopes is not None:
                 self._steps.interrupt()
 
-    def stop(self, reason: str) -> None:
-        """Interrupt the executor because the server ends the goal, for that reason."""
-        self.handle._stop_reason = reason
-        self.interrupt()
-
     def kill(self) -> None:
-        """End the clean-up, too: from now on, every `await` is canceled."""
+        """Cancel every `await` from now on, those of the clean-up included."""
         if self._scopes is not None:
             self._scopes.kill()
 
@@ -168,7 +156,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             return self._ended_by(exc)
         finally:
             self._scopes = None
-            del self._steps  # it and this object hold each other
+            del self._steps  # it and this object reference each other
         if self._result is None:
             return self._failed(_Misuse("it ended without yielding a result"))
         return Ending(EndKind.RESULT, self._result)
@@ -207,7 +195,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             except StopAsyncIteration:
                 return
             except BaseException:
-                del step  # it may hold what it has raised, and that holds this frame
+                del step  # it may reference the exception, which references this frame
                 raise
             if self._result is not None:
                 raise _Misuse(f"it yielded {_a(item)} after its result")
@@ -217,13 +205,13 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
                     try:
                         await self._pause()
                     except get_cancelled_exc_class() as exc:
-                        # Caught where this module waits, raised where the generator does: it may
-                        # be this goal's cancel, or a timeout that the generator has set around
-                        # its own `yield`.
+                        # The cancellation arrives in this module, but belongs at the generator's
+                        # `yield`: it may be this goal's cancel, or a timeout that the generator
+                        # has set around that `yield`.
                         step = items.athrow(exc)
                         continue
             elif result.holds(item):
-                # The only yield that is no cancellation point: the goal is done.
+                # The result is not a cancellation point, since the goal is done.
                 self._result = result.encode(item)
             else:
                 raise _Misuse(f"it yielded {_a(item)}, which is neither feedback nor a result")
@@ -239,7 +227,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         if exc.result is None:
             return Ending(kind, self._result, exc.reason)
         if not result.holds(exc.result):
-            # Mostly the error of another goal, which the executor has sent and did not catch.
+            # Usually the error of another goal that the executor sent, and did not catch.
             left_out = f"its result is left out: {_a(exc.result)} is not of the result's type"
             reason = f"{exc.reason} ({left_out})" if exc.reason else left_out
             self._log_failure(f"{type(exc).__name__}: {reason}", exc)

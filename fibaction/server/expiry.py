@@ -1,7 +1,7 @@
-"""How long things about goals are kept: for a fixed time each, and a limited number of them.
+"""`ExpiringMap`: entries about goals, kept for a fixed time and up to a limited number.
 
-Sans-I/O: the time is an argument. An answer is exact to the moment, whether or not memory has been
-freed by then: `get` looks at the time, and `expire` frees.
+Sans-I/O: the time is an argument. Expiry is exact, whether or not the memory has been freed: `get`
+compares the time, and `expire` frees.
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ class ExpiringMap(Generic[T]):
     """A bounded mapping whose entries expire after a fixed time."""
 
     def __init__(self, seconds: float, limit: int) -> None:
-        """Keep each entry for `seconds` (0 not at all, `math.inf` for ever), and at most `limit`
-        entries: the oldest give way.
+        """Make an empty map.
+
+        Each entry is kept for `seconds` (0 not at all, `math.inf` for ever), and at most `limit`
+        entries are kept: the oldest are removed.
         """
         self._seconds = seconds
         self._limit = limit
@@ -31,7 +33,7 @@ class ExpiringMap(Generic[T]):
         return (value for _, value in self._entries.values())
 
     def put(self, goal_id: GoalID, value: T, now: float) -> None:
-        """Add an entry, whose time begins now. Call `expire` afterwards: it may be one too many."""
+        """Add an entry, whose time begins now. Call `expire` afterwards to keep the limit."""
         self._entries.pop(goal_id, None)  # an old entry would keep its place in the order
         self._entries[goal_id] = (now + self._seconds, value)
 
@@ -40,7 +42,7 @@ class ExpiringMap(Generic[T]):
         self._entries.pop(goal_id, None)
 
     def get(self, goal_id: GoalID, now: float) -> T | None:
-        """Return the value; None if there is none, or its time is over."""
+        """Return the value; None if it is missing, or has expired."""
         entry = self._entries.get(goal_id)
         return None if entry is None or entry[0] <= now else entry[1]
 
@@ -54,5 +56,5 @@ class ExpiringMap(Generic[T]):
     @property
     def next_expiry(self) -> float:
         """The time at which the next entry expires; `math.inf` if none does."""
-        # All are kept equally long, so the oldest is the first to go.
+        # All are kept for the same time, so the oldest expires first.
         return next(iter(self._entries.values()))[0] if self._entries else math.inf

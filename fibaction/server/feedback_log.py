@@ -5,24 +5,24 @@ Theory of operation
 
 A goal has one `FeedbackLog`. It numbers the feedback (1, 2, 3 and so on), remembers the last
 `window` messages once for all followers, and knows the statuses that the goal has had and its
-outcome. Each follower has a `FeedbackCursor`: the number of the message that it took last, and how
-many of the statuses it was told. So a follower that does not read costs no memory, and when the log
+outcome. Each follower has a `FeedbackCursor`: the number of the message that it took last, and the
+number of statuses that it has taken. So a follower that does not read costs no memory. If the log
 has pushed out a message that a cursor has yet to take, the cursor counts it as dropped.
 
 Nothing is copied to followers. `append`, `tell_status` and `finish` notify the cursors, and each
-reader then calls `take`, which gives what comes next: first the statuses that it was not told, then
-feedback, and when no feedback is left and the goal has ended, the outcome.
+reader then calls `take`. It returns the statuses first, then feedback, and when no feedback is left
+and the goal has ended, the outcome.
 
-Back-pressure: only a cursor that *holds* makes the executor wait, and only the stream of the
-client that sent the goal may hold. The log is full when the slowest holding cursor is a window
-behind; that position is computed when a cursor moves (`make_room`) and not at each feedback, which
-makes feedback 1.2 times as fast (`python -m tests.benchmarks.parts`). A cursor that was not read
-for the stall timeout stalls: it holds no longer, until it has caught up.
+Back-pressure: only a cursor that *holds* makes the executor wait, and only the stream of the client
+that sent the goal may hold. The log is full when the slowest holding cursor is a window behind.
+That position is computed when a cursor moves (`make_room`) and not at each feedback, which makes
+feedback 1.2 times as fast (`python -m tests.benchmarks.parts`). A cursor that has not been read for
+the stall timeout is stalled: it does not hold until it has caught up.
 
-A log refers strongly to the cursors that read feedback, and weakly to those that only wait for the
-end. A goal whose feedback nobody reads any more keeps no cursor alive.
+A log references the cursors that read feedback, and has weak references to those that only wait for
+the end. So a stream that was closed, and is otherwise unused, is freed before its goal ends.
 
-This module knows no executors and no rules on statuses.
+This module does not depend on executors, nor on the rules for statuses.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class FeedbackLog:
         self.goal = goal
         self.latest = latest
         """True if a slow reader gets the newest feedback only."""
-        # Tuples, because most of them have one item or none, and a list is twice as large.
+        # Tuples, because most have one item or none, and a list is twice as large.
         self.statuses: tuple[GoalStatus, ...] = ()
         """The statuses that the goal has had since its acceptance."""
         self._window = window
@@ -92,14 +92,14 @@ class FeedbackLog:
     def append(self, payload: bytes) -> None:
         """Add feedback. In a full log it pushes out the oldest."""
         number = self.goal.feedback_count = self.goal.feedback_count + 1
-        if self._items is _NOTHING:  # a deque is a tenth of what a goal without feedback takes
+        if self._items is _NOTHING:  # a deque is a tenth of the memory of a goal without feedback
             self._items = deque(maxlen=self._window)
         self._items.append(FeedbackItem(number, payload))
         for cursor in self._readers:
             cursor.news.notify()
 
     def tell_status(self) -> None:
-        """Tell the followers the goal's status, which has changed."""
+        """Record the goal's new status, and notify the followers."""
         self.statuses += (self.goal.status,)
         for cursor in self._readers:
             cursor.news.notify()
@@ -112,8 +112,7 @@ class FeedbackLog:
     async def wait_for_room(self, seconds: float) -> None:
         """Wait until the log is no longer full, for at most that long.
 
-        A cursor that was not read by then no longer makes the executor wait, until it has caught
-        up.
+        A cursor that was not read by then stops making the executor wait, until it has caught up.
         """
         if self._room is None:
             self._room = Notifier()
@@ -136,7 +135,7 @@ class FeedbackLog:
     def follow(
         self, *, feedback: bool = True, hold: bool = False, after: int | None = None
     ) -> FeedbackCursor:
-        """Return a new cursor: at the end of the log, or behind the feedback of number `after`."""
+        """Return a new cursor, at the end of the log or behind the feedback of number `after`."""
         start = self.count if after is None else min(max(after, 0), self.count)
         cursor = FeedbackCursor(self, start, feedback=feedback, hold=hold and not self.latest)
         if feedback:
@@ -147,7 +146,7 @@ class FeedbackLog:
         return cursor
 
     def leave(self, cursor: FeedbackCursor) -> None:
-        """Let the cursor wait for the end only."""
+        """Deliver only the outcome to the cursor from now on."""
         if cursor in self._readers:
             self._readers = tuple(one for one in self._readers if one is not cursor)
             self._remember(cursor)
@@ -159,19 +158,19 @@ class FeedbackLog:
             self._others = (*alive, ref(cursor))
 
     def make_room(self) -> None:
-        """Compute anew at which feedback the log is full, since a cursor has moved or left."""
+        """Recompute the number at which the log is full, since a cursor has moved or left."""
         starts = [cursor.cursor for cursor in self._readers if cursor.holding]
         self._full_at = min(starts) + self._window if starts else math.inf
         if self._room is not None:
             self._room.notify()
 
     def has_after(self, cursor: int) -> bool:
-        """Return whether there still is feedback behind that number."""
+        """Return whether any feedback behind that number is remembered."""
         return cursor < self.count and bool(self._items)
 
     def after(self, cursor: int, limit: int) -> list[FeedbackItem]:
-        """Return the feedback behind that number that is still there, at most `limit` messages; if
-        only the latest is wanted, the last.
+        """Return the remembered feedback behind that number, at most `limit` messages; with the
+        policy `latest`, only the last message.
         """
         if limit < 1 or not self.has_after(cursor):
             return []
@@ -253,7 +252,7 @@ class FeedbackCursor(GoalStream):
         return (outcome,)
 
     def _skip_rest(self) -> None:
-        """Count what was not read as dropped, if it was ever wanted."""
+        """Count unread feedback as dropped, unless the stream was opened without feedback."""
         if self._follows:
             self._dropped += self._log.count - self.cursor
             self.cursor = self._log.count

@@ -1,4 +1,4 @@
-"""An accepted goal as the server keeps it, and how its executor left off. Plain values."""
+"""The record of an accepted goal, and the ending of its executor, as plain values."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from fibaction.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.states import INITIAL, GoalStatus
 
 DIGEST_SIZE = 16
-"""Bytes of a digest: enough that two goals of one ID never share one by chance."""
+"""Bytes of a digest: enough that two payloads never have the same digest by chance."""
 
 
 def digest_of(payload: bytes) -> bytes:
-    """Return what tells a goal that is sent again from another goal of the same ID.
+    """Return a digest of a goal, which tells a retry from another goal with the same ID.
 
-    It is the same in every process, so it can be written down, and it keeps no payload alive.
+    It is the same in every process, so it can be stored, and it does not keep the payload alive.
     """
     return blake2b(payload, digest_size=DIGEST_SIZE).digest()
 
@@ -34,6 +34,7 @@ class GoalRecord:
         "sender",
         "stamp",
         "status",
+        "stop_reason",
     )
 
     def __init__(self, goal_id: GoalID, digest: bytes, stamp: int, sender: Sender) -> None:
@@ -42,23 +43,25 @@ class GoalRecord:
         self.stamp = stamp
         """Time of the acceptance: nanoseconds since 1970, different for each goal."""
         self.sender = sender
-        """The client that sent it, which owns it."""
+        """The client that sent the goal, and owns it."""
         self.status: GoalStatus = INITIAL
         self.outcome: Outcome[bytes] | None = None
         self.ended_at = 0
         """Time of the end: nanoseconds since 1970; 0 while the goal is active."""
         self.feedback_count = 0
+        self.stop_reason = ""
+        """Why the server ends the goal by itself; empty while it does not."""
 
     @property
     def info(self) -> GoalInfo:
-        """The goal as a line of the status list."""
+        """The goal as an entry of the status list."""
         return GoalInfo(
             self.goal_id, self.stamp, self.status, self.feedback_count, self.sender.name
         )
 
 
 class EndKind(Enum):
-    """The way in which an executor left off."""
+    """The way in which an executor ended."""
 
     RESULT = "result"
     CANCELED = "canceled"
@@ -66,7 +69,7 @@ class EndKind(Enum):
 
 
 class Ending(msgspec.Struct, frozen=True):
-    """All that an executor leaves behind. The status before decides which outcome that is."""
+    """The end of an executor. The registry turns it into the goal's outcome."""
 
     kind: EndKind
     result: bytes | None = None

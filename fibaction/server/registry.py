@@ -1,28 +1,28 @@
-"""`GoalRegistry`: every goal that a server knows, and what may happen to each.
+"""`GoalRegistry`: every goal that a server knows, and the rules for each.
 
 Theory of operation
 -------------------
 
-The registry is the sans-I/O half of a server. A shell calls a method for each thing that happens,
-passes the time as `now=` and acts on the answer. The registry never waits, reads no clock, logs
-nothing, and knows neither executors nor transports nor the content of a payload.
+The registry is the sans-I/O half of a server. `Admission` and `Runs` call a method for each event,
+pass the time as `now=`, and act on the answer. The registry does not wait, does not read a clock,
+does not log, and does not depend on executors, transports or the content of a payload.
 
 A goal that was sent is in one of four places:
 
-- *undecided*: `admit` has let it in, and `accept`, `reject` or `withdraw` must follow. Sending it
-  again meanwhile gets `Verdict.WAIT`.
+- *undecided*: `admit` has returned `Verdict.DECIDE`, and `accept`, `reject` or `withdraw` must
+  follow. Sending the goal again meanwhile gets `Verdict.WAIT`.
 - *rejected*: only its digest and the reason are kept, for the result timeout, so that a retry gets
   the same answer.
 - *active*: ACCEPTED, EXECUTING or CANCELING. Sending it again gets `Verdict.REPEAT`.
-- *ended*: it has its outcome, and is kept for the result timeout from its end. After that its ID is
-  unknown, and free.
+- *ended*: it has its outcome, and is kept for the result timeout from its end. Sending it again
+  gets `Verdict.REPEAT`. After the timeout its ID is unknown, and can be used again.
 
-A goal is named by the ID that its client made, and told from another goal of the same ID by the
-digest of its payload. The same ID with the same digest is a retry, and runs once; with another
-digest it is a clash, and is rejected.
+The ID of a goal is made by its client. The digest of the payload tells a retry from another goal
+with the same ID: the same ID with the same digest is a retry, and runs once; with another digest it
+is a clash, and is rejected.
 
-Ending a goal has steps, so that a store can keep the outcome before anyone is told: `outcome_for`
-computes the outcome and changes nothing; `finish` makes it the goal's.
+A goal ends in two steps, so that a store can keep the outcome before it is told to clients:
+`outcome_for` computes the outcome and changes nothing; `finish` makes it the goal's.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ class Verdict(Enum):
     """The next step for a goal that was sent."""
 
     DECIDE = "decide"
-    """It is new: decide, then call `accept`, `reject` or `withdraw`."""
+    """Decide on a new goal, then call `accept`, `reject` or `withdraw`."""
     WAIT = "wait"
-    """The same goal is being decided: ask again when that is done."""
+    """Call `admit` again when the decision on the same goal has been made."""
     REPEAT = "repeat"
-    """The same goal was accepted before: give the same answer again."""
+    """Give the same answer again, since the same goal was accepted before."""
 
 
 class _Rejection(msgspec.Struct, frozen=True):
-    """A goal that was rejected."""
+    """The record of a rejected goal."""
 
     digest: bytes
     reason: str
@@ -63,10 +63,11 @@ class GoalRegistry:
     """Every goal of one action server, from its acceptance until it is forgotten."""
 
     def __init__(self, *, result_timeout: float = 10.0, max_results: int = 1000) -> None:
-        """Start with no goals.
+        """Make an empty registry.
 
-        `result_timeout` is how many seconds an ended goal is remembered, from its end; 0 not at
-        all, `math.inf` for ever. `max_results` is how many at most: the oldest give way.
+        `result_timeout` is the time that an ended goal is remembered, in seconds from its end; 0
+        not at all, `math.inf` for ever. `max_results` is the number of ended goals that are
+        remembered at most; the oldest are forgotten.
         """
         self._undecided: dict[GoalID, bytes] = {}
         self._active: dict[GoalID, GoalRecord] = {}
@@ -77,12 +78,13 @@ class GoalRegistry:
     # Accepting
 
     def admit(self, goal_id: GoalID, payload: bytes, *, now: float) -> Verdict:
-        """Return what to do with a goal that was sent.
+        """Return the next step for a goal that was sent.
 
         The same ID with the same payload is a client's retry, and runs once.
 
         Raises:
-            GoalRejected: The ID names another goal, or no goal, or this goal was rejected before.
+            GoalRejected: The ID is that of another goal, or all zeros, or this goal was rejected
+                before.
         """
         digest = digest_of(payload)
         if goal_id in self._undecided:
@@ -95,7 +97,7 @@ class GoalRegistry:
             reason = rejection.reason if rejection.digest == digest else ID_IN_USE
             raise GoalRejected(reason, goal_id=goal_id)
         elif goal_id == NO_GOAL:
-            raise GoalRejected("a goal ID of zeros names no goal", goal_id=goal_id)
+            raise GoalRejected("its ID is all zeros, which is reserved", goal_id=goal_id)
         else:
             self._undecided[goal_id] = known = digest
             verdict = Verdict.DECIDE
@@ -104,10 +106,11 @@ class GoalRegistry:
         return verdict
 
     def accept(self, goal_id: GoalID, *, stamp: int, sender: Sender) -> GoalRecord:
-        """Accept a goal that `admit` left to decide.
+        """Accept an undecided goal, and return its record.
 
-        `stamp` is the wall clock's time in nanoseconds; the goal's own stamp is later than that of
-        every goal before, so that "accepted at or before" never depends on the clock's steps.
+        `stamp` is the wall clock's time in nanoseconds. The goal's own stamp is always later than
+        that of every earlier goal, so that "accepted at or before" holds even if the clock is set
+        back.
         """
         self._last_stamp = max(stamp, self._last_stamp + 1)
         goal = GoalRecord(goal_id, self._undecided.pop(goal_id), self._last_stamp, sender)
@@ -116,17 +119,17 @@ class GoalRegistry:
         return goal
 
     def reject(self, goal_id: GoalID, reason: str, *, now: float) -> None:
-        """Reject a goal that `admit` left to decide; a retry will get the same answer."""
+        """Reject an undecided goal; a retry gets the same answer."""
         rejection = _Rejection(self._undecided.pop(goal_id), reason)
         self._rejected.put(goal_id, rejection, now)
         self._rejected.expire(now)
 
     def withdraw(self, goal_id: GoalID) -> None:
-        """Forget a goal that `admit` left to decide; a retry of it will be new."""
+        """Forget an undecided goal; a retry is decided anew."""
         del self._undecided[goal_id]
 
     def is_undecided(self, goal_id: GoalID) -> bool:
-        """Return whether `admit` left the goal to decide, and it is not decided yet."""
+        """Return whether the goal was admitted, and is not decided yet."""
         return goal_id in self._undecided
 
     # Running
@@ -140,7 +143,7 @@ class GoalRegistry:
         goal.status = transition(goal.status, GoalEvent.EXECUTE)
 
     def outcome_for(self, goal: GoalRecord, ending: Ending) -> Outcome[bytes]:
-        """Return the outcome of a goal whose executor left off; nothing changes yet.
+        """Return the outcome of a goal whose executor has ended, without changing the goal.
 
         An end by cancellation is CANCELED for a goal whose cancel was accepted, else ABORTED.
 
@@ -155,10 +158,9 @@ class GoalRegistry:
         return Outcome(transition(goal.status, event), ending.result, ending.reason)
 
     def finish(self, goal: GoalRecord, outcome: Outcome[bytes], *, now: float, stamp: int) -> None:
-        """End a goal with the outcome that `outcome_for` gave, which is kept from now on.
+        """End a goal with the outcome that `outcome_for` returned, which is kept from now on.
 
-        `stamp` is the wall clock's time in nanoseconds. Call `expire` afterwards: one more outcome
-        may be one too many.
+        `stamp` is the wall clock's time in nanoseconds. Call `expire` afterwards to keep the limit.
         """
         goal.status = outcome.status
         goal.outcome = outcome
@@ -175,7 +177,7 @@ class GoalRegistry:
             find=lambda known: self.find(known, now=now),
         )
 
-    # Knowing
+    # Queries
 
     def find(self, goal_id: GoalID, *, now: float) -> GoalRecord | None:
         """Return the goal of that ID; None if it was never accepted or has been forgotten."""
@@ -189,11 +191,11 @@ class GoalRegistry:
         return ended + [goal.info for goal in self._active.values()]
 
     def expire(self, now: float) -> list[GoalID]:
-        """Forget what is too old or too many, and return which goals that were."""
+        """Forget goals that are too old or too many, and return the IDs of those that had ended."""
         self._rejected.expire(now)
         return self._ended.expire(now)
 
     @property
     def next_expiry(self) -> float:
-        """The time at which `expire` will forget a goal; `math.inf` if there is none to forget."""
+        """The time at which `expire` will forget an ended goal; `math.inf` if none has ended."""
         return self._ended.next_expiry

@@ -1,8 +1,29 @@
-"""The goals that run: `Runs` starts their executors, ends them, and lets clients follow them.
+"""The active goals: `Runs` starts their executors, ends them, and has the streams to follow them.
 
-It is where the end of a goal is made of three steps, one after another and nowhere else: the
-outcome is fixed, kept and told. A store that keeps goals where they outlive the process stands at
-the second step.
+Theory of operation
+-------------------
+
+Each active goal has a `Run`: its record in the registry, its `FeedbackLog` and its `Execution`.
+`start` makes the run and adds it to the task pool, in which `_run` awaits the executor.
+
+The end of a goal has three steps, in `_finish` and nowhere else. `_fix_outcome` decides the
+outcome, which never changes afterwards. `_keep_outcome` makes it the goal's, and moves the goal
+from the active to the ended ones. `_tell_outcome` notifies followers. All three run without a wait
+between them, so no part of the program sees a goal that is half ended. A store that keeps goals
+beyond the life of the process belongs into the second step: an outcome is kept before it is told.
+
+An executor may end by itself, or because of a cancel (`cancel`), or because the server stops
+(`stop`). A cancel and a stop interrupt it once; only the reason differs, which `_fix_outcome` takes
+from the execution. Executors that are not done within the timeout of `stop` are killed: their goals
+are finished first, and the run's `outcome` then keeps `_run` from finishing them again.
+
+A goal that has ended is followed from its log, as long as the log exists. A log is kept by its
+followers (`_unread` has weak references), and, if the statuses are followed, for RECENT_TIME
+(`_recent`): such a follower learns of a goal by its status, and then asks for its feedback. Without
+a log, an ended goal is followed without its feedback.
+
+One task, `_forget_expired`, frees what has expired. It sleeps until the next expiry, and while
+nothing can expire, until a goal ends.
 """
 
 from __future__ import annotations
@@ -33,21 +54,21 @@ from fibaction.server.status_broadcast import StatusBroadcast, StatusSubscriptio
 from fibaction.states import GoalStatus
 
 EXPIRY_STEP = 0.1
-"""Seconds between two looks for expired results at least. An answer is exact to the moment all the
-same; this only limits how often memory is freed."""
+"""The least seconds between two clean-ups of expired goals. It only limits how often memory is
+freed, since the registry compares times exactly."""
 
 RECENT_TIME, RECENT_GOALS = 1.0, 1000
-"""Seconds that the feedback of a goal outlives it, and of how many goals at most, while the
-statuses are followed: a follower that learns of a goal asks for its feedback, and by then the goal
-may be over."""
+"""Seconds that the feedback of a goal is kept after its end, and the number of such goals at most,
+while the statuses are followed: a follower that learns of a goal asks for its feedback, and the
+goal may have ended by then."""
 
-CANCELED_UNASKED = "the executor ended as canceled, but no cancel was asked for"
+CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
 
 logger = logging.getLogger("fibaction.server")
 
 
 class Run(Generic[GoalT, FeedbackT, ResultT]):
-    """An active goal: its record, its executor and its followers."""
+    """An active goal: its record, its log with the followers, and its executor."""
 
     __slots__ = ("execution", "goal", "log", "outcome")
 
@@ -58,11 +79,11 @@ class Run(Generic[GoalT, FeedbackT, ResultT]):
         self.log = log
         self.execution = execution
         self.outcome: Outcome[bytes] | None = None
-        """The outcome once it is fixed. The goal has it, and followers see it, when it is kept."""
+        """The outcome once it is fixed; the goal's record has it once it is kept."""
 
 
 class Runs(Generic[GoalT, FeedbackT, ResultT]):
-    """All goals of one server that run, and what can still be followed of those that ran."""
+    """All active goals of one server, and the logs of those that have ended recently."""
 
     def __init__(
         self,
@@ -91,14 +112,14 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         return len(self._runs)
 
     def open(self, tasks: TaskGroup) -> None:
-        """Use these tasks for executors, and to forget goals in time."""
+        """Use these tasks for executors, and to forget expired goals."""
         tasks.start_soon(self._forget_expired, name=f"expiry of {self._action.name}")
         self._pool = TaskPool(tasks, f"goal of {self._action.name}")
 
     # Start
 
     def start(self, goal: GoalRecord, request: GoalT) -> FeedbackLog:
-        """Run the executor of a goal that was accepted, and return the log to follow it by."""
+        """Run the executor of an accepted goal, and return the goal's log."""
         log = FeedbackLog(goal, window=self._window, latest=self._latest)
         handle = GoalHandle(goal, request)
         execution = Execution(self._action, self._executor, handle, log, self._stall_timeout)
@@ -115,7 +136,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
                 self._execute(run)
                 ending = await run.execution.run(scopes)
         except BaseException as exc:
-            # Python itself is to end: KeyboardInterrupt, SystemExit.
+            # KeyboardInterrupt or SystemExit, which end the program.
             self._finish(run, Ending(EndKind.FAILED, reason=type(exc).__name__))
             raise
         if run.outcome is None:  # else it was killed
@@ -132,18 +153,19 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         return self._runs[goal.goal_id].execution.handle
 
     def cancel(self, goal: GoalRecord, *, interrupt: bool) -> None:
-        """Tell that a goal is CANCELING, and interrupt its executor if `interrupt` says so."""
+        """Tell followers that a goal is CANCELING, and interrupt its executor if `interrupt`."""
         run = self._runs[goal.goal_id]
         self._tell_status(run)
         if interrupt:
             run.execution.interrupt()
 
     async def stop(self, reason: str, timeout: float) -> None:
-        """End all goals for that reason: interrupt the executors, and kill those that are not done
-        with their clean-up within `timeout` seconds.
+        """Interrupt all executors for that reason, and wait until they have ended; kill those whose
+        clean-up has not ended within `timeout` seconds.
         """
         for run in self._runs.values():
-            run.execution.stop(reason)
+            run.goal.stop_reason = reason
+            run.execution.interrupt()
         try:
             with anyio.move_on_after(timeout, shield=True):
                 while self._runs:
@@ -169,12 +191,12 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._tell_outcome(run)
 
     def _fix_outcome(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
-        """Decide the outcome, which never changes from now on."""
+        """Decide the outcome, which never changes afterwards."""
         goal = run.goal
         if goal.status is GoalStatus.ACCEPTED:
-            self._execute(run)  # the table has no way from ACCEPTED to an end
+            self._execute(run)  # the table has no edge from ACCEPTED to an end
         if ending.kind is EndKind.CANCELED and goal.status is GoalStatus.EXECUTING:
-            reason = run.execution.stop_reason or ending.reason or CANCELED_UNASKED
+            reason = goal.stop_reason or ending.reason or CANCELED_UNASKED
             ending = Ending(EndKind.CANCELED, ending.result, reason)
         run.outcome = self._registry.outcome_for(goal, ending)
 
@@ -201,10 +223,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def follow(
         self, goal_id: GoalID, *, feedback: bool = True, own: bool, after: int | None
     ) -> FeedbackCursor:
-        """Return a stream of a goal that runs or is remembered: see `Endpoint.feedback`.
+        """Return a stream of a goal that is active or remembered: see `Endpoint.feedback`.
 
         Raises:
-            UnknownGoal: It was never accepted, or has been forgotten.
+            UnknownGoal: The goal was never accepted, or has been forgotten.
         """
         goal = self._registry.find(goal_id, now=current_time())
         if goal is None:
@@ -232,7 +254,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             while (next_expiry := self._next_expiry()) == math.inf:
                 await self._ended.wait()
             now = current_time()
-            # The feedback of a goal that ends from now on may have to go before older results do.
+            # The feedback of a goal that ends from now on may expire before older results do.
             sooner = min(next_expiry, now + RECENT_TIME)
             await anyio.sleep_until(max(sooner, now + EXPIRY_STEP))
             self.expire(current_time())
@@ -242,7 +264,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         return min(recent, self._registry.next_expiry)
 
     def expire(self, now: float) -> None:
-        """Forget the goals and the feedback whose time is over, and tell it."""
+        """Forget goals and feedback that have expired, and tell followers of the statuses."""
         while self._recent and self._recent[0][0] <= now:
             self._recent.popleft()
         for goal_id in self._registry.expire(now):

@@ -1,8 +1,8 @@
-"""`ActionServer`: the settings, the life and the client-facing methods of an action server.
+"""`ActionServer`: the settings, start and stop, and the client-facing methods of an action server.
 
 The work is done by its parts: `Admission` decides on goals and cancels, `Runs` runs executors, and
-`GoalRegistry` has every goal and its rules. The server knows no transports: being an `Endpoint`, it
-is called by them.
+`GoalRegistry` has every goal and its rules. The server does not depend on transports: they call it
+as an `Endpoint`.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ logger = logging.getLogger("fibaction.server")
 
 
 class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
-    """One action, served: `async with` it, or hand it to `serve`.
+    """A server of one action, to be entered with `async with`, or given to `serve`.
 
-    It can be entered once. User callbacks may be sync or async; whatever they raise becomes an
-    answer to the client and a line in the log, never the end of the server.
+    It can be entered once. User callbacks may be sync or async. An exception of a callback becomes
+    an answer to the client and a line in the log, and the server goes on.
     """
 
     def __init__(
@@ -62,30 +62,34 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
         Args:
             action: The action that is served.
-            executor: An async generator function; called with a `GoalHandle` for each goal.
-            on_goal: Called with each goal that is of the right type; raises `GoalRejected` to
-                reject it. Without it, every such goal is accepted.
-            on_cancel: Called when a goal's cancel is asked for; raises `CancelRejected` to reject
-                it. Without it, every cancel is accepted.
-            interrupt_on_cancel: Whether an accepted cancel raises the backend's cancellation inside
-                the executor. If not, the executor looks at `goal.cancel_requested` by itself.
-            feedback: `every`: nothing is lost, and the executor waits at its `yield` for the goal's
-                own client. `latest`: it never waits, and a slow reader sees the newest.
-            feedback_window: How many feedback messages of a goal are remembered: so many may be
-                unread before the executor waits, or before a slow reader loses the oldest.
-            stall_timeout: Seconds that the executor waits for a client which does not read.
+            executor: An async generator function, called with a `GoalHandle` for each goal.
+            on_goal: A function that is called with each goal of the right type, and raises
+                `GoalRejected` to reject it. Without it, every such goal is accepted.
+            on_cancel: A function that is called with the `GoalHandle` of each goal to cancel, and
+                raises `CancelRejected` to reject the cancel. Without it, every cancel is accepted.
+            interrupt_on_cancel: If true, an accepted cancel raises the backend's cancellation in
+                the executor. If false, the executor has to check `goal.cancel_requested` itself.
+            feedback: With `every`, no feedback is lost, and the executor waits at its `yield` for
+                the goal's own client. With `latest`, it never waits, and a slow reader gets the
+                newest feedback.
+            feedback_window: The number of feedback messages of a goal that are remembered. So many
+                may be unread before the executor waits, or before a slow reader loses the oldest.
+            stall_timeout: Seconds that the executor waits for a client that does not read.
             result_timeout: Seconds that an outcome is kept after the goal's end; 0 not at all,
-                `math.inf` for ever. A client that already waits for it gets it in any case.
-            max_results: How many outcomes are kept at most; the oldest give way.
+                `math.inf` for ever. A client that already waits for it always gets it.
+            max_results: The number of outcomes that are kept at most; the oldest are forgotten.
             shutdown_timeout: Seconds that executors have for their clean-up when the server stops.
 
         Raises:
-            TypeError: The action has no types of its own, or the executor is not
-                callable, a coroutine function, or a generator function that is not async.
+            TypeError: The action is untyped, or the executor is not callable, is a coroutine
+                function, or is a generator function that is not async.
             ValueError: A number is out of range, or `feedback` is not a policy.
         """
         if object in action.feedback.classes:
-            raise TypeError(f"{action!r} has no types, and a server needs them; define an Action")
+            raise TypeError(
+                f"{action!r} is untyped, and a server needs types: define an Action with the types"
+                f" of goal, feedback and result"
+            )
         _check_is_executor(executor)
         if feedback not in ("every", "latest"):
             raise ValueError(f"feedback is 'every' or 'latest', not {feedback!r}")
@@ -126,16 +130,16 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
     @property
     def is_new(self) -> bool:
-        """True if the server has yet to be entered."""
+        """True if the server has not been entered yet."""
         return self._phase == "new"
 
     @property
     def is_running(self) -> bool:
-        """True if it takes goals: it was entered, and has not begun to stop."""
+        """True if the server accepts goals: it was entered, and has not begun to stop."""
         return self._phase == "running"
 
     async def __aenter__(self) -> Self:
-        """Start.
+        """Start the server.
 
         Raises:
             RuntimeError: It was started before.
@@ -154,7 +158,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Stop, as `stop()` does. An exception of the block goes on as itself."""
+        """Stop, as `stop()` does. An exception of the block is raised as itself."""
         try:
             # In a task of its own: asyncio can cancel this one itself, which no scope shields.
             with anyio.CancelScope(shield=True):
@@ -164,12 +168,14 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             await self._background.__aexit__(exc_type, exc, traceback)
 
     async def stop(self) -> None:
-        """Accept no more goals, end all that there are, and answer every client that waits.
+        """Reject new goals, end all active ones, and answer every client that waits.
 
         Executors are interrupted, and have `shutdown_timeout` seconds for their clean-up. Their
-        goals end ABORTED, `server stopped`. No scope can cut it short; if asyncio cancels the task
-        itself while it stops, that time is over at once. Stopping twice is harmless. An executor
-        that waits for it waits for itself, and is ended when that time is over.
+        goals end as ABORTED with the reason `server stopped`. Stopping twice is harmless.
+
+        Cancel scopes do not interrupt it; if asyncio cancels the task itself, the time for the
+        clean-up is over at once. An executor that awaits `stop()` waits for itself, and is killed
+        when the time is over.
         """
         if not self.is_running:
             return
@@ -189,7 +195,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         return self.action.info
 
     async def wait_for_server(self) -> None:
-        """Return as soon as this server runs."""
+        """Wait until this server runs."""
         while self.is_new:
             await self._started.wait()
         self._check_running()
@@ -214,7 +220,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
     ) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
-        """See `Endpoint.offer_goal`. Only an async `on_goal` has to be waited for."""
+        """See `Endpoint.offer_goal`; only an async `on_goal` makes it return a coroutine."""
         self._check_running()
         return self._admission.offer(Offer(goal_id, goal, feedback, sender))
 
@@ -246,9 +252,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
 
 def _check_is_executor(executor: object) -> None:
-    """Raise TypeError if a keyword was forgotten, now and not at the first goal.
+    """Raise TypeError for a function that is not an async generator function.
 
-    What only a call can show, such as what a lambda returns, is left to the goal.
+    This finds a forgotten `async` or `yield` before the first goal. The value that a lambda returns
+    is known only when it is called, so a goal checks that.
     """
     while isinstance(executor, partial):
         executor = executor.func

@@ -1,4 +1,4 @@
-"""The statuses of all goals of one server, for any number of followers."""
+"""The broadcast of the statuses of one server's goals to any number of followers."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from fibaction.goals import GoalInfo
 
 
 class StatusBroadcast:
-    """The changes of all goals' statuses, for any number of followers."""
+    """The status changes of all goals, and their followers."""
 
     def __init__(self, limit: int = 10_000) -> None:
-        """Keep at most `limit` changes for a follower that does not read."""
+        """Make a broadcast that keeps at most `limit` unread changes for each follower."""
         self._limit = limit
         self._streams: list[StatusSubscription] = []
 
     def publish(self, info: GoalInfo) -> None:
-        """Tell a change to all followers."""
+        """Send a change to all followers."""
         for stream in self._streams:
             stream.put(info)
 
     def follow(self, known: Iterable[GoalInfo]) -> StatusSubscription:
-        """Return a new stream, which begins with the goals that are known."""
+        """Return a new stream that begins with the known goals."""
         stream = StatusSubscription(known, self.leave, self._limit)
         self._streams.append(stream)
         return stream
@@ -36,7 +36,7 @@ class StatusBroadcast:
             self._streams.remove(stream)
 
     def finish(self) -> None:
-        """End every stream, once it has been read: there will be no more changes."""
+        """End every stream after its unread changes, since the server has stopped."""
         for stream in tuple(self._streams):
             stream.close()
 
@@ -45,7 +45,7 @@ class StatusBroadcast:
 
 
 class StatusSubscription(StatusStream):
-    """One follower of all statuses, of a server here or elsewhere."""
+    """One follower of all statuses, of an `ActionServer` or of a server behind a transport."""
 
     def __init__(
         self,
@@ -53,8 +53,8 @@ class StatusSubscription(StatusStream):
         leave: Callable[[StatusSubscription], None],
         limit: int = 10_000,
     ) -> None:
-        """Begin with the goals that are `known`, and keep at most `limit` changes behind them that
-        are not read. `leave` is called when the stream is closed.
+        """Make a stream that begins with the `known` goals, and keeps at most `limit` unread
+        changes behind them. `leave` is called when the stream is closed.
         """
         self._items = deque(known)
         self.known = len(self._items)
@@ -70,7 +70,7 @@ class StatusSubscription(StatusStream):
         return self._dropped
 
     def put(self, info: GoalInfo) -> None:
-        """Add a change. A stream that is not read loses the oldest."""
+        """Add a change; in a full stream it pushes out the oldest."""
         if len(self._items) >= self._limit:
             self._items.popleft()
             self._dropped += 1
@@ -78,7 +78,7 @@ class StatusSubscription(StatusStream):
         self._news.notify()
 
     def fail(self, error: ActionError) -> None:
-        """End the stream here: what has arrived can be read, and then the error is raised."""
+        """End the stream here: after what has arrived, the error is raised."""
         self._error = error
         self._leave(self)
         self._news.notify()

@@ -85,7 +85,7 @@ class Owners:
             if not before.is_of(session):
                 return False
             digest = before.digest if digest is None else digest
-            # If the client is not waited for, the earlier stream is that of another call: it goes on.
+            # If the client was not waited for, the earlier stream is another call's: it goes on.
             if self._stop_waiting(stream.goal_id) and before.stream is not stream:
                 before.stream.close()
         self._owned[stream.goal_id] = _Owned(stream, session, digest)

@@ -22,7 +22,7 @@ async def test_a_slash_in_front_of_a_name_is_optional_and_a_near_name_is_suggest
         with pytest.raises(Failure) as failure:
             await find_action(connection, "fibonaci")
 
-    assert failure.value.message == "nobody serves the action /fibonaci; did you mean /fibonacci?"
+    assert failure.value.message == "the action /fibonaci is not served; did you mean /fibonacci?"
     assert failure.value.exit_code == ExitCode.UNREACHABLE
 
 
@@ -39,17 +39,17 @@ def test_every_verb_suggests_the_near_name(here: Run, tcp: str, verb: list[str])
     code, out, err = here(*verb, "fibonaci", *rest, url=tcp)
 
     assert (code, out) == (ExitCode.UNREACHABLE, "")
-    assert err == "Error: nobody serves the action /fibonaci; did you mean /fibonacci?\n"
+    assert err == "Error: the action /fibonaci is not served; did you mean /fibonacci?\n"
 
 
 @pytest.mark.parametrize(
     ("known", "text"),
     [
-        ([], "nobody serves the action /x, nor any other"),
-        (["jump", "run"], "nobody serves the action /x; there is /jump, /run"),
+        ([], "the action /x is not served, nor is any other"),
+        (["jump", "run"], "the action /x is not served; there is /jump, /run"),
         (
             [f"jump{i:02}" for i in range(12)],
-            "nobody serves the action /x; there is "
+            "the action /x is not served; there is "
             + ", ".join(f"/jump{i:02}" for i in range(10))
             + ", ...",
         ),

@@ -188,7 +188,7 @@ async def test_what_is_named_is_waited_for_and_the_near_name_suggested(
 
     assert [info.name for info in found] == ["wait", "/weight"]
     assert capsys.readouterr().err == (
-        "nobody serves the action /weight; did you mean /wait?: waiting for /weight\n"
+        "the action /weight is not served; did you mean /wait?: waiting for /weight\n"
     )
 
 

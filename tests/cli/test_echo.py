@@ -96,7 +96,7 @@ def test_a_misspelt_action_suggests_the_near_one(here: Run, tcp: str) -> None:
     assert here("echo", "fibonaci", url=tcp) == (
         ExitCode.UNREACHABLE,
         "",
-        "Error: nobody serves the action /fibonaci; did you mean /fibonacci?\n",
+        "Error: the action /fibonaci is not served; did you mean /fibonacci?\n",
     )
 
 

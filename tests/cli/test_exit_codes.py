@@ -160,7 +160,7 @@ async def test_the_advice_for_python_code_is_replaced(nobody: str) -> None:
         (nobody, f"nobody listens at {nobody} (Connect call failed"),
         (
             "inproc://empty",
-            "nobody serves the action 'wait' at inproc://empty: start its server in",
+            "the action 'wait' is not served at inproc://empty: start its server in",
         ),
     ):
         async with connect(url, WAIT) as client:

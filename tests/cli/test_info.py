@@ -27,7 +27,7 @@ def test_a_misspelt_action_suggests_the_near_one(here: Run, tcp: str) -> None:
     assert here("info", "fibonaci", url=tcp) == (
         ExitCode.UNREACHABLE,
         "",
-        "Error: nobody serves the action /fibonaci; did you mean /fibonacci?\n",
+        "Error: the action /fibonaci is not served; did you mean /fibonacci?\n",
     )
 
 
@@ -97,5 +97,5 @@ async def test_an_action_that_has_only_clients_is_known(
 
 @pytest.mark.asyncio
 async def test_an_action_that_has_neither_is_unknown(peers: dict[str, ActionPeers]) -> None:
-    with pytest.raises(Failure, match="nobody serves the action /jump"):
+    with pytest.raises(Failure, match="the action /jump is not served"):
         await print_info("inproc://empty", "jump", show_types=False, count=False, as_json=False)

@@ -147,7 +147,7 @@ async def test_a_callback_that_returns_something_rejects_the_goal(reach: Reach) 
             await client.send_goal(Goal(3))
     assert caught.value.reason == (
         "on_goal failed: TypeError: on_goal returned True:"
-        " return None to agree, raise GoalRejected(reason) to refuse"
+        " return None to accept, raise GoalRejected(reason) to reject"
     )
 
 
@@ -340,7 +340,7 @@ async def test_a_client_that_gives_up_before_the_answer_leaves_no_goal_behind(
 
 
 @pytest.mark.promise("REACH-1")
-async def test_an_action_that_nobody_serves_is_not_found_and_can_be_waited_for(
+async def test_an_action_that_is_not_served_is_not_found_and_can_be_waited_for(
     reach: Reach,
 ) -> None:
     address = reach.address()

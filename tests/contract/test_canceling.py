@@ -257,7 +257,7 @@ async def test_a_cooperative_executor_is_not_interrupted_but_asked(reach: Reach)
 
 
 @pytest.mark.promise("CANCEL-1", "RESULT-2")
-async def test_a_goal_can_be_canceled_by_somebody_who_did_not_send_it(reach: Reach) -> None:
+async def test_a_goal_can_be_canceled_by_a_client_that_did_not_send_it(reach: Reach) -> None:
     with anyio.fail_after(conftest.PATIENCE):
         async with (
             serve(ActionServer(FIBONACCI, Held()), reach.address()) as (url,),
@@ -303,7 +303,7 @@ async def test_a_goal_that_is_still_decided_upon_is_canceled_by_its_id_once_it_i
 
 @pytest.mark.promise("CANCEL-3", "CANCEL-16")
 @pytest.mark.parametrize("asynchronous", [False, True], ids=["sync", "async"])
-async def test_a_refused_cancel_leaves_the_goal_running(reach: Reach, asynchronous: bool) -> None:
+async def test_a_rejected_cancel_leaves_the_goal_running(reach: Reach, asynchronous: bool) -> None:
     executor = Held()
 
     def refuse(goal: GoalHandle[Goal]) -> None:
@@ -334,12 +334,12 @@ async def test_a_refused_cancel_leaves_the_goal_running(reach: Reach, asynchrono
             False,
             (
                 "on_cancel failed: TypeError: on_cancel returned False:"
-                " return None to agree, raise CancelRejected(reason) to refuse"
+                " return None to accept, raise CancelRejected(reason) to reject"
             ),
         ),
     ],
 )
-async def test_a_cancel_callback_that_fails_refuses(
+async def test_a_cancel_callback_that_fails_rejects(
     reach: Reach, answer: object, reason: str
 ) -> None:
     def on_cancel(goal: GoalHandle[Goal]) -> None:
@@ -438,7 +438,7 @@ async def test_the_cancel_rules_of_ros_choose_by_id_by_time_and_all(reach: Reach
 
 
 @pytest.mark.promise("CANCEL-16", "CANCEL-17")
-async def test_cancel_all_tells_the_truth_when_some_refuse(reach: Reach) -> None:
+async def test_cancel_all_tells_the_truth_when_some_reject(reach: Reach) -> None:
     def on_cancel(goal: GoalHandle[Goal]) -> None:
         if goal.request.order % 2:
             raise CancelRejected("odd goals stay")
@@ -562,7 +562,7 @@ async def test_the_callers_own_exception_arrives_as_itself(reach: Reach) -> None
 
 
 @pytest.mark.promise("CANCEL-22")
-async def test_leaving_the_block_of_a_goal_that_refuses_is_logged(
+async def test_leaving_the_block_of_a_goal_whose_cancel_is_rejected_is_logged(
     reach: Reach, caplog: pytest.LogCaptureFixture
 ) -> None:
     def refuse(goal: GoalHandle[Goal]) -> None:

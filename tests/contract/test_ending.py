@@ -40,7 +40,7 @@ async def forever(goal: GoalHandle[Goal]) -> Items:
 
 
 @pytest.mark.promise("RESULT-2")
-async def test_a_result_can_be_fetched_by_anybody_any_number_of_times(reach: Reach) -> None:
+async def test_a_result_can_be_fetched_by_any_client_any_number_of_times(reach: Reach) -> None:
     async with reach(ActionServer(FIBONACCI, fibonacci)) as client:
         goal = await client.send_goal(Goal(2))
         assert await goal.result() == await goal.result() == Result([0, 1, 1])
@@ -74,7 +74,7 @@ async def test_a_result_is_forgotten_when_its_time_is_over(reach: Reach) -> None
 
 
 @pytest.mark.promise("RESULT-5", "RESULT-8")
-async def test_without_a_result_timeout_those_who_wait_are_answered_all_the_same(
+async def test_without_a_result_timeout_the_waiting_clients_are_answered_all_the_same(
     reach: Reach,
 ) -> None:
     go = anyio.Event()
@@ -181,7 +181,7 @@ async def next_of(statuses: StatusStream, goal_id: bytes) -> GoalStatus:
 @pytest.mark.promise(
     "GOAL-3", "GOAL-4", "STATUS-4", "STOP-1", "STOP-2", "STOP-3", "STOP-7", "STOP-8", "STOP-9"
 )
-async def test_stopping_ends_every_goal_as_aborted_and_answers_everybody(reach: Reach) -> None:
+async def test_stopping_ends_every_goal_as_aborted_and_answers_every_client(reach: Reach) -> None:
     outcomes: list[Outcome[Result]] = []
     rejected: list[str] = []
     under_way: list[int] = []

@@ -67,7 +67,7 @@ async def test_the_generator_is_always_closed(reach: Reach) -> None:
 
 
 @pytest.mark.promise("EXECUTE-3")
-async def test_an_executor_that_never_awaits_starves_nobody_and_can_be_canceled(
+async def test_an_executor_that_never_awaits_starves_no_other_and_can_be_canceled(
     reach: Reach,
 ) -> None:
     yields = 0

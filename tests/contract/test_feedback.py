@@ -113,7 +113,9 @@ async def test_a_client_that_has_caught_up_loses_nothing_again(reach: Reach) -> 
 
 
 @pytest.mark.promise("FEEDBACK-6")
-async def test_awaiting_the_result_without_reading_holds_nobody_up(reach: Reach) -> None:
+async def test_awaiting_the_result_without_reading_does_not_hold_the_executor_up(
+    reach: Reach,
+) -> None:
     executor = Counts()
     executor.finish.set()
     server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=math.inf)
@@ -164,7 +166,7 @@ async def test_reading_on_after_the_result_was_awaited_in_vain_holds_the_executo
 
 
 @pytest.mark.promise("FEEDBACK-8")
-async def test_a_goal_that_nobody_follows_any_more_is_not_held_up(reach: Reach) -> None:
+async def test_a_goal_that_is_not_followed_any_more_is_not_held_up(reach: Reach) -> None:
     executor = Counts()
     executor.finish.set()
     server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=math.inf)
@@ -194,7 +196,9 @@ async def test_latest_never_waits_and_a_slow_reader_sees_the_newest(reach: Reach
 
 
 @pytest.mark.promise("FEEDBACK-10")
-async def test_an_observer_follows_from_now_on_and_slows_nobody_down(reach: Reach) -> None:
+async def test_an_observer_follows_from_now_on_and_does_not_slow_the_goal_down(
+    reach: Reach,
+) -> None:
     pause, paused = anyio.Event(), anyio.Event()
 
     async def in_two_parts(goal: GoalHandle[Goal]) -> Items:
@@ -253,7 +257,7 @@ async def test_an_observer_may_ask_for_what_was_before(reach: Reach) -> None:
 
 
 @pytest.mark.promise("FEEDBACK-11")
-async def test_who_watches_all_goals_sees_the_feedback_of_one_that_ends_at_once(
+async def test_a_watcher_of_all_goals_sees_the_feedback_of_one_that_ends_at_once(
     reach: Reach,
 ) -> None:
     executor = Counts()

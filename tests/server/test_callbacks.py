@@ -66,7 +66,7 @@ async def test_a_sync_callback_agrees_at_once() -> None:
 
 
 @each_refusal
-async def test_a_sync_callback_refuses_at_once(refusal: Refusal) -> None:
+async def test_a_sync_callback_rejects_at_once(refusal: Refusal) -> None:
     def refuse(argument: Any) -> None:
         raise refusal("too far")
 
@@ -74,7 +74,7 @@ async def test_a_sync_callback_refuses_at_once(refusal: Refusal) -> None:
         Callbacks("arm").ask("on_goal", refuse, None, refusal)
 
 
-async def test_a_sync_callback_that_is_wrong_refuses_at_once() -> None:
+async def test_a_sync_callback_that_is_wrong_rejects_at_once() -> None:
     with pytest.raises(GoalRejected, match="on_goal returned True"):
         Callbacks("arm").ask("on_goal", lambda argument: True, None, GoalRejected)  # type: ignore[arg-type, return-value]  # it is wrong on purpose
 
@@ -91,7 +91,7 @@ class Promise:
         return self._answer
 
 
-async def test_an_async_callback_is_waited_for_by_whoever_asks() -> None:
+async def test_an_async_callback_is_waited_for_by_its_caller() -> None:
     go = anyio.Event()
     seen: list[str] = []
     answered = anyio.Event()
@@ -137,7 +137,7 @@ async def test_a_sync_callback_that_returns_an_awaitable_is_waited_for(answer: o
 
 @each_refusal
 @each_colour
-async def test_a_callback_refuses_with_its_own_error(
+async def test_a_callback_rejects_with_its_own_error(
     colour: Colour, refusal: Refusal, caplog: pytest.LogCaptureFixture
 ) -> None:
     said = refusal("too far")
@@ -153,7 +153,7 @@ async def test_a_callback_refuses_with_its_own_error(
 
 @each_refusal
 @each_colour
-async def test_a_callback_that_fails_refuses_and_leaves_its_traceback_in_the_log(
+async def test_a_callback_that_fails_rejects_and_leaves_its_traceback_in_the_log(
     colour: Colour, refusal: Refusal, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fail(argument: Any) -> None:
@@ -172,7 +172,7 @@ async def test_a_callback_that_fails_refuses_and_leaves_its_traceback_in_the_log
 
 @each_refusal
 @each_colour
-async def test_a_callback_whose_error_cannot_say_what_it_is_refuses_all_the_same(
+async def test_a_callback_whose_error_has_no_text_rejects_all_the_same(
     colour: Colour, refusal: Refusal
 ) -> None:
     def fail(argument: Any) -> None:
@@ -185,7 +185,7 @@ async def test_a_callback_whose_error_cannot_say_what_it_is_refuses_all_the_same
 
 @each_refusal
 @each_colour
-async def test_a_callback_that_awaits_what_somebody_has_canceled_refuses(
+async def test_a_callback_that_awaits_a_canceled_task_rejects(
     colour: Colour, refusal: Refusal, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fail(argument: Any) -> None:
@@ -193,13 +193,13 @@ async def test_a_callback_that_awaits_what_somebody_has_canceled_refuses(
 
     with pytest.raises(refusal) as caught:
         await ask(colour(fail), refusal)
-    text = "on_goal failed: RuntimeError: what it waits for was canceled by somebody else"
+    text = "on_goal failed: RuntimeError: it awaited a task or future that was canceled elsewhere"
     assert caught.value.reason == text
     assert text in caplog.text
 
 
 @each_colour
-async def test_the_other_refusal_is_a_failure(colour: Colour) -> None:
+async def test_the_other_rejection_is_a_failure(colour: Colour) -> None:
     def refuse(argument: Any) -> None:
         raise CancelRejected("no")
 
@@ -210,14 +210,14 @@ async def test_the_other_refusal_is_a_failure(colour: Colour) -> None:
 
 @pytest.mark.parametrize("answer", [True, False, "yes"])
 @each_colour
-async def test_a_callback_that_returns_something_refuses_and_says_what_to_do(
+async def test_a_callback_that_returns_something_rejects_and_says_what_to_do(
     colour: Colour, answer: object
 ) -> None:
     with pytest.raises(GoalRejected) as caught:
         await ask(colour(lambda argument: answer))
     assert caught.value.reason == (
-        f"on_goal failed: TypeError: on_goal returned {answer!r}: return None to agree,"
-        " raise GoalRejected(reason) to refuse"
+        f"on_goal failed: TypeError: on_goal returned {answer!r}: return None to accept,"
+        " raise GoalRejected(reason) to reject"
     )
 
 
@@ -237,7 +237,7 @@ async def test_what_ends_python_itself_is_let_through(
 
 
 @each_refusal
-async def test_stopping_refuses_what_is_still_being_asked(
+async def test_stopping_rejects_what_is_still_being_asked(
     refusal: Refusal, caplog: pytest.LogCaptureFixture
 ) -> None:
     callbacks = Callbacks("arm")
@@ -269,7 +269,7 @@ async def test_stopping_refuses_what_is_still_being_asked(
 
 @each_refusal
 @pytest.mark.parametrize("promises", [False, True], ids=["a coroutine", "an awaitable"])
-async def test_stopping_refuses_also_what_has_been_asked_and_nobody_waits_for_yet(
+async def test_stopping_rejects_also_a_question_that_is_not_awaited_yet(
     refusal: Refusal, promises: bool
 ) -> None:
     callbacks = Callbacks("arm")
@@ -321,7 +321,7 @@ async def test_a_callback_that_answers_in_spite_of_the_stop_has_answered() -> No
     assert answered.is_set()
 
 
-async def test_a_caller_who_is_canceled_is_not_told_that_the_server_stops() -> None:
+async def test_a_caller_that_is_canceled_is_not_told_that_the_server_stops() -> None:
     callbacks = Callbacks("arm")
 
     async def wait_for_ever(argument: None) -> None:
@@ -342,7 +342,7 @@ async def test_a_caller_who_is_canceled_is_not_told_that_the_server_stops() -> N
         await anyio.lowlevel.checkpoint()
 
 
-async def test_a_caller_whose_own_task_is_canceled_is_not_refused() -> None:
+async def test_a_caller_whose_own_task_is_canceled_is_not_rejected() -> None:
     callbacks = Callbacks("arm")
 
     async def wait_for_ever(argument: None) -> None:
@@ -358,7 +358,7 @@ async def test_a_caller_whose_own_task_is_canceled_is_not_refused() -> None:
 
 
 @pytest.mark.parametrize("backend", ["asyncio", "trio"])
-async def test_a_cancellation_of_somebody_elses_is_a_failure_on_each_backend(backend: str) -> None:
+async def test_a_cancellation_from_elsewhere_is_a_failure_on_each_backend(backend: str) -> None:
     async def raise_an_old_one(argument: None) -> None:
         with anyio.CancelScope() as scope:
             scope.cancel()

@@ -21,7 +21,7 @@ from fibaction.server.executor import Execution, Executor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord
 from fibaction.states import GoalEvent, transition
-from tests.executors import Items
+from tests.executors import ABORTED, Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
@@ -96,6 +96,21 @@ async def test_feedback_is_handed_over_as_it_is_yielded_and_the_result_is_the_en
     assert await bench.read() == [1, 2, 3, 5]
     (item,) = bench.log.after(0, 1)
     assert item == FeedbackItem(1, FIBONACCI.feedback.encode(Feedback([0, 1, 1])))
+
+
+@pytest.mark.parametrize(
+    ("executor", "reason", "part"), ABORTED, ids=[case[0].__name__ for case in ABORTED]
+)
+async def test_an_executor_that_goes_wrong_has_failed(
+    executor: Executor[Goal, Feedback, Result], reason: str, part: list[int] | None
+) -> None:
+    ending = await Bench(executor).run()
+    result = None if part is None else packed(part)
+    if ending.kind is EndKind.CANCELED:
+        # Whether it may say so is the server's to judge.
+        assert ending.result == result
+    else:
+        assert ending == Ending(EndKind.FAILED, result, reason)
 
 
 async def test_a_goal_can_be_canceled_without_a_part() -> None:
@@ -281,6 +296,35 @@ async def test_an_interruption_before_the_start_arrives_at_the_first_await() -> 
     assert await bench.run() == Ending(EndKind.CANCELED)
 
 
+async def test_an_interruption_is_raised_at_the_yield_of_an_executor_that_never_awaits() -> None:
+    async def cancels_itself(goal: GoalHandle[Goal]) -> Items:
+        number = 0
+        while True:
+            number += 1
+            if number == 7:
+                bench.cancel()
+            try:
+                yield Feedback([number])
+            except anyio.get_cancelled_exc_class():
+                raise GoalCanceled(result=Result([number])) from None
+
+    bench = Bench(cancels_itself)
+    assert await bench.run() == Ending(EndKind.CANCELED, packed([7]))
+
+
+async def test_a_yield_waits_while_the_log_is_full_and_can_be_interrupted_there() -> None:
+    bench = Bench(fibonacci, order=20, window=2)
+
+    async def read_a_little() -> None:
+        assert bench.log.count == 2
+        assert await bench.stream.receive() is not None
+        await anyio.wait_all_tasks_blocked()
+        assert bench.log.count == 3
+        bench.cancel()
+
+    assert await bench.run_and(read_a_little) == Ending(EndKind.CANCELED)
+
+
 async def test_a_yield_waits_no_longer_than_the_stall_timeout() -> None:
     bench = Bench(fibonacci, order=20, window=2, stall_timeout=0.001)
     assert (await bench.run()).kind is EndKind.RESULT
@@ -300,9 +344,8 @@ async def test_the_handle_tells_what_the_executor_may_know() -> None:
     bench.goal.status = GoalStatus.CANCELING
     assert handle.cancel_requested
     bench.goal.status = GoalStatus.EXECUTING
-    bench.execution.stop("the lights are out")
+    bench.goal.stop_reason = "the lights are out"
     assert handle.cancel_requested
-    assert bench.execution.stop_reason == "the lights are out"
 
 
 class Suspend:

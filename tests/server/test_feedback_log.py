@@ -138,7 +138,7 @@ def test_what_a_closed_follower_has_not_read_is_missed_if_it_wanted_any(reads: b
         assert (stream.cursor, stream.dropped) == ((3, 2) if reads else (0, 0))
 
 
-def test_who_leaves_a_goal_that_has_ended_is_not_remembered() -> None:
+def test_a_follower_that_leaves_a_goal_that_has_ended_is_not_remembered() -> None:
     log = new_log()
     stream = log.follow()
     end(log)
@@ -153,7 +153,7 @@ async def test_closing_a_follower_ends_the_wait_for_feedback() -> None:
 
 
 @pytest.mark.asyncio
-async def test_a_log_is_followed_as_long_as_somebody_reads() -> None:
+async def test_a_log_is_followed_as_long_as_a_cursor_reads() -> None:
     log = new_log()
     assert not log.is_followed
     one, other = log.follow(), log.follow()
@@ -253,7 +253,7 @@ def test_no_feedback_is_taken_before_a_status_or_after_closing() -> None:
     assert stream.cursor == 1
 
 
-def test_statuses_are_taken_also_by_one_who_wants_no_feedback_now() -> None:
+def test_statuses_are_taken_also_by_a_reader_that_wants_no_feedback_now() -> None:
     log = new_log()
     stream = log.follow()
     append(log, 1)
@@ -267,7 +267,7 @@ def test_statuses_are_taken_also_by_one_who_wants_no_feedback_now() -> None:
 
 
 @pytest.mark.parametrize("latest", [False, True])
-def test_a_goal_that_has_ended_has_no_end_for_one_who_has_feedback_left_to_take(
+def test_a_goal_that_has_ended_has_no_end_for_a_reader_with_feedback_left_to_take(
     latest: bool,
 ) -> None:
     log = new_log(latest=latest)
@@ -284,7 +284,9 @@ def test_a_goal_that_has_ended_has_no_end_for_one_who_has_feedback_left_to_take(
     assert (stream.cursor, stream.dropped) == (1, 0)
 
 
-def test_what_an_ended_goal_no_longer_has_counts_as_dropped_also_for_who_takes_nothing() -> None:
+def test_feedback_that_an_ended_goal_no_longer_has_counts_as_dropped_also_if_none_is_taken() -> (
+    None
+):
     goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
     goal.feedback_count = 3
     goal.outcome = OUTCOME
@@ -361,7 +363,9 @@ def test_a_reader_is_told_of_feedback_of_statuses_of_the_end_and_of_its_being_cl
 
 
 @pytest.mark.parametrize("reads", [True, False], ids=["closed", "without feedback"])
-def test_who_reads_no_feedback_is_told_of_the_end_and_of_nothing_else(reads: bool) -> None:
+def test_a_follower_that_reads_no_feedback_is_told_of_the_end_and_of_nothing_else(
+    reads: bool,
+) -> None:
     log = new_log()
     stream = log.follow(feedback=reads)
     if reads:
@@ -375,7 +379,7 @@ def test_who_reads_no_feedback_is_told_of_the_end_and_of_nothing_else(reads: boo
     assert stream.known_outcome() is OUTCOME
 
 
-def test_a_log_keeps_alive_who_reads_it_and_nobody_else() -> None:
+def test_a_log_keeps_its_readers_alive_and_no_other_cursor() -> None:
     log = new_log()
     reader, closed = log.follow(), log.follow()
     without = log.follow(feedback=False)
@@ -618,7 +622,7 @@ async def test_a_log_is_full_when_its_client_has_a_window_to_read() -> None:
 @pytest.mark.parametrize(
     ("hold", "latest"), [(False, False), (False, True), (True, True)], ids=repr
 )
-async def test_an_observer_never_fills_a_log_and_with_latest_nobody_does(
+async def test_an_observer_never_fills_a_log_and_with_latest_no_reader_does(
     hold: bool, latest: bool
 ) -> None:
     log = new_log(window=2, latest=latest)
@@ -670,6 +674,16 @@ async def test_the_wait_for_room_goes_on_when_an_observer_reads_or_leaves() -> N
             assert not done.is_set()
             await client.receive()
     assert done.is_set()
+
+
+@pytest.mark.asyncio
+async def test_each_feedback_waits_until_the_one_before_was_read() -> None:
+    log = new_log(window=1)
+    stream = log.follow(hold=True)
+    for number in range(1, 4):
+        append(log, 1)
+        await while_waiting(lambda: log.wait_for_room(math.inf), lambda: read_one(log, stream))
+        assert stream.cursor == number
 
 
 @pytest.mark.asyncio

@@ -120,7 +120,7 @@ def test_a_new_goal_is_to_be_decided_and_is_then_accepted() -> None:
     assert registry.statuses() == [goal.info]
 
 
-def test_the_list_of_goals_tells_who_sent_each_as_far_as_that_is_known() -> None:
+def test_the_list_of_goals_names_the_sender_of_each_as_far_as_it_is_known() -> None:
     registry = GoalRegistry()
     accepted(registry, A)
     registry.admit(B, b"x", now=0.0)
@@ -230,7 +230,9 @@ def test_a_withdrawn_goal_is_decided_anew() -> None:
 @pytest.mark.promise("ACCEPT-12")
 def test_a_goal_id_of_zeros_is_rejected() -> None:
     registry = GoalRegistry()
-    assert rejection_of(registry, NO_GOAL, b"x", now=0.0) == "a goal ID of zeros names no goal"
+    assert (
+        rejection_of(registry, NO_GOAL, b"x", now=0.0) == "its ID is all zeros, which is reserved"
+    )
     assert not registry.is_undecided(NO_GOAL)
 
 
@@ -695,7 +697,7 @@ class ProtocolMachine(RuleBasedStateMachine):
         if (rejection := self.rejection(goal_id)) is not None:
             return rejection.reason if rejection.payload == payload else IN_USE
         if not any(goal_id):
-            return "a goal ID of zeros names no goal"
+            return "its ID is all zeros, which is reserved"
         return "DECIDE"
 
     @rule(goal_id=a_goal_id, payload=a_payload)

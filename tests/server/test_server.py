@@ -19,6 +19,7 @@ from fibaction import (
     ActionInfo,
     ActionServer,
     CancelCode,
+    CancelRejected,
     GoalHandle,
     GoalID,
     GoalRejected,
@@ -79,7 +80,7 @@ class Held:
         ({"shutdown_timeout": -1}, "shutdown_timeout is 0 or more, not -1"),
     ],
 )
-def test_an_option_out_of_range_is_refused_at_once(options: Any, text: str) -> None:
+def test_an_option_out_of_range_is_rejected_at_once(options: Any, text: str) -> None:
     with pytest.raises(ValueError, match="^" + text + "$"):
         ActionServer(FIBONACCI, fibonacci, **options)
 
@@ -118,7 +119,7 @@ class WithoutAsync:
         (Returns().method, "method"),
     ],
 )
-def test_a_coroutine_function_is_refused_with_what_to_do(executor: Any, name: str) -> None:
+def test_a_coroutine_function_is_rejected_with_what_to_do(executor: Any, name: str) -> None:
     with pytest.raises(TypeError) as caught:
         ActionServer(FIBONACCI, executor)
     assert str(caught.value) == (
@@ -137,7 +138,7 @@ def test_a_coroutine_function_is_refused_with_what_to_do(executor: Any, name: st
         (WithoutAsync().method, "method"),
     ],
 )
-def test_a_generator_whose_async_was_forgotten_is_refused_with_what_to_do(
+def test_a_generator_whose_async_was_forgotten_is_rejected_with_what_to_do(
     executor: Any, name: str
 ) -> None:
     with pytest.raises(TypeError) as caught:
@@ -177,7 +178,7 @@ async def test_whatever_gives_an_async_generator_is_an_executor(executor: Any) -
 
 
 def test_an_action_without_types_cannot_be_executed() -> None:
-    with pytest.raises(TypeError, match="has no types, and a server needs them"):
+    with pytest.raises(TypeError, match="is untyped, and a server needs types"):
         ActionServer(Action.untyped(ActionInfo("x")), fibonacci)
 
 
@@ -289,7 +290,7 @@ async def test_a_server_whose_task_is_itself_canceled_again_and_again_stops_as_a
 
 
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])
-async def test_who_stops_a_server_and_is_itself_canceled_leaves_nobody_waiting(
+async def test_a_stop_of_a_server_that_is_itself_canceled_leaves_no_caller_waiting(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     executor = Tidying()
@@ -434,7 +435,7 @@ async def agree_later(goal: Goal) -> None:
 
 
 @pytest.mark.parametrize("on_goal", [None, agree], ids=["no on_goal", "a sync one"])
-async def test_a_goal_that_nobody_has_to_wait_for_is_accepted_at_once(on_goal: Any) -> None:
+async def test_a_goal_that_needs_no_wait_is_accepted_at_once(on_goal: Any) -> None:
     async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
         goal_id = GoalID.random()
         stream = at_once(server.offer_goal(goal_id, packed(2)))
@@ -484,7 +485,7 @@ async def test_a_goal_that_cannot_be_is_rejected_at_once_and_again() -> None:
         server.offer_goal(GoalID.random(), packed(1))
 
 
-async def test_a_goal_that_is_refused_after_a_while_is_rejected_by_what_was_waited_for() -> None:
+async def test_a_goal_that_is_rejected_after_a_while_is_rejected_by_what_was_waited_for() -> None:
     async def refuse(goal: Goal) -> None:
         await anyio.lowlevel.checkpoint()
         raise GoalRejected("not today")
@@ -588,7 +589,7 @@ async def test_a_goal_whose_decision_is_not_awaited_yet_is_rejected_by_the_stop(
 ARM, LEG = Sender("the arm"), Sender("the leg")
 
 
-async def test_who_has_sent_a_goal_is_told_with_each_of_its_statuses() -> None:
+async def test_the_sender_of_a_goal_is_told_with_each_of_its_statuses() -> None:
     gate = Gate()
     async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:
         with await server.status() as statuses:
@@ -606,7 +607,7 @@ async def test_who_has_sent_a_goal_is_told_with_each_of_its_statuses() -> None:
             assert statuses.known == 1
 
 
-async def test_whoever_waited_for_the_decision_and_then_decides_is_the_one_who_sent_it() -> None:
+async def test_a_caller_that_waited_for_the_decision_and_then_decides_is_the_sender() -> None:
     gate = Gate()
     async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:
         goal_id = GoalID.random()
@@ -639,7 +640,7 @@ async def test_whoever_waited_for_the_decision_and_then_decides_is_the_one_who_s
 
 
 @pytest.mark.parametrize("followed", [True, False])
-async def test_whoever_comes_after_the_end_gets_the_feedback_that_somebody_else_has_kept(
+async def test_a_follower_that_comes_after_the_end_gets_the_feedback_that_another_has_kept(
     followed: bool,
 ) -> None:
     async with ActionServer(FIBONACCI, fibonacci) as server:
@@ -676,6 +677,58 @@ async def test_a_goal_that_ends_before_its_turn_comes_to_be_canceled_is_passed_o
     assert outcomes == {GoalStatus.CANCELED, GoalStatus.SUCCEEDED}
 
 
+@pytest.mark.promise("CANCEL-21")
+async def test_a_goal_that_is_being_decided_is_canceled_by_its_id_once_it_is_accepted() -> None:
+    decide = anyio.Event()
+
+    async def on_goal(goal: Goal) -> None:
+        await decide.wait()
+
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
+        goal_id = GoalID.random()
+        answers: list[Any] = []
+
+        async def send() -> None:
+            answers.append(await server.send_goal(goal_id, packed(2)))
+
+        async def cancel() -> None:
+            answers.append(await server.cancel_goals(goal_id))
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(send)
+            await anyio.wait_all_tasks_blocked()
+            tasks.start_soon(cancel)
+            await anyio.wait_all_tasks_blocked()
+            assert answers == []
+            decide.set()
+        stream, answer = sorted(answers, key=lambda one: not isinstance(one, GoalStream))
+        assert (await stream.outcome()).status in (GoalStatus.CANCELED, GoalStatus.SUCCEEDED)
+        assert answer.return_code in (CancelCode.NONE, CancelCode.GOAL_TERMINATED)
+
+
+async def test_goals_are_canceled_side_by_side_and_rejections_are_told() -> None:
+    def on_cancel(goal: GoalHandle[Goal]) -> None:
+        if goal.request.order == 1:
+            raise CancelRejected("not this one")
+
+    executor = Held()
+    async with ActionServer(FIBONACCI, executor, on_cancel=on_cancel) as server:
+        streams = [await server.send_goal(GoalID.random(), packed(order)) for order in range(3)]
+        await executor.begun.wait()
+        answer = await server.cancel_goals()
+        assert [info.goal_id for info in answer.goals_canceling] == [
+            streams[0].goal_id,
+            streams[2].goal_id,
+        ]
+        assert answer.reason == "not this one"
+        executor.go.set()
+        assert [(await stream.outcome()).status for stream in streams] == [
+            GoalStatus.CANCELED,
+            GoalStatus.SUCCEEDED,
+            GoalStatus.CANCELED,
+        ]
+
+
 @pytest.mark.promise("CANCEL-13")
 async def test_a_goal_that_is_canceled_before_its_start_never_runs() -> None:
     executor = Held()
@@ -684,6 +737,30 @@ async def test_a_goal_that_is_canceled_before_its_start_never_runs() -> None:
         assert (await server.cancel_goals(stream.goal_id)).accepted
         assert await stream.outcome() == Outcome(GoalStatus.CANCELED)
     assert not executor.begun.is_set()
+
+
+async def test_a_goal_that_has_ended_while_its_cancel_was_decided_is_left_alone() -> None:
+    asked, decide = anyio.Event(), anyio.Event()
+
+    async def on_cancel(goal: GoalHandle[Goal]) -> None:
+        asked.set()
+        await decide.wait()
+
+    executor = Held()
+    async with ActionServer(FIBONACCI, executor, on_cancel=on_cancel) as server:
+        stream = await server.send_goal(GoalID.random(), packed(1))
+        codes = []
+
+        async def cancel() -> None:
+            codes.append((await server.cancel_goals(stream.goal_id)).return_code)
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(cancel)
+            await asked.wait()
+            executor.go.set()
+            await stream.outcome()
+            decide.set()
+    assert codes == [CancelCode.GOAL_TERMINATED]
 
 
 async def test_an_executor_that_ends_as_canceled_unasked_is_aborted() -> None:
@@ -698,7 +775,7 @@ async def test_an_executor_that_ends_as_canceled_unasked_is_aborted() -> None:
         assert await stream.outcome() == Outcome(
             GoalStatus.ABORTED,
             None,
-            "the executor ended as canceled, but no cancel was asked for",
+            "the executor ended as canceled, but no cancel was requested",
         )
 
 
@@ -739,7 +816,7 @@ async def test_an_outcome_is_kept_for_its_time_to_the_moment() -> None:
 @pytest.mark.promise("FEEDBACK-11")
 @in_virtual_time()
 @pytest.mark.parametrize("result_timeout", [3600, math.inf])
-async def test_feedback_outlives_its_goal_for_a_moment_while_somebody_watches_the_goals(
+async def test_feedback_outlives_its_goal_for_a_moment_while_the_goals_are_watched(
     result_timeout: float,
 ) -> None:
     async def feedback_of(goal_id: GoalID) -> int:

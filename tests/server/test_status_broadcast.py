@@ -139,7 +139,7 @@ async def test_a_status_stream_that_has_failed_gives_what_is_left_and_then_the_e
 
 
 @pytest.mark.asyncio
-async def test_who_waits_for_a_status_is_told_that_the_stream_has_failed() -> None:
+async def test_a_wait_for_a_status_is_told_that_the_stream_has_failed() -> None:
     stream = new_stream()
 
     async def lost() -> None:
@@ -188,7 +188,7 @@ async def test_what_is_known_has_room_beside_the_limit_and_what_gives_way_is_cou
 
 
 @pytest.mark.asyncio
-async def test_a_feed_is_true_as_long_as_somebody_follows() -> None:
+async def test_a_feed_is_true_as_long_as_it_is_followed() -> None:
     feed = StatusBroadcast()
     assert not feed
     one, other = feed.follow([]), feed.follow([])

@@ -8,15 +8,15 @@ import secrets
 import sys
 import time
 
-from tests.simulation.making import scenario_of
+from tests.simulation.generator import scenario_of
 from tests.simulation.world import Report, simulate
 
 SEEDS = 2**32
-"""How many seeds a fresh one is chosen from: few digits to type, and hardly ever the same twice."""
+"""The number of seeds that a fresh one is chosen from: short to type, and rarely the same twice."""
 
 
 def main() -> int:
-    """What `python -m tests.simulation` does; gives the exit code."""
+    """Run the command `python -m tests.simulation`, and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.simulation",
         description="Run scenarios from a fresh seed on until the time is up, or one fails.",
@@ -27,10 +27,10 @@ def main() -> int:
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--seed", type=int, help="run this scenario, and no other")
     which.add_argument("--from", type=int, dest="first", help="begin with this seed, and count on")
-    parser.add_argument("--trace", action="store_true", help="with --seed: print all that happens")
+    parser.add_argument("--trace", action="store_true", help="with --seed: print all events")
     chosen = parser.parse_args()
     if chosen.trace and chosen.seed is None:
-        parser.error("--trace shows one scenario: name it with --seed")
+        parser.error("--trace needs --seed: it prints the events of one scenario")
     if chosen.seed is not None:
         return _replay(chosen.seed, trace=chosen.trace)
     first = secrets.randbelow(SEEDS) if chosen.first is None else chosen.first
@@ -76,7 +76,7 @@ def _count(counts: dict[str, float], report: Report) -> None:
 
 
 def tell_failure(report: Report) -> None:
-    """Print what happened, what was wrong, and how to see it again."""
+    """Print the trace, the violations, and the command that runs the scenario again."""
     print("\n".join(report.trace))
     print(f"\nseed {report.scenario.seed} fails:")
     for violation in report.violations:

@@ -1,4 +1,4 @@
-"""The clients of the simulation: each connects, does the `deeds` of its plan, and leaves."""
+"""The clients of the simulation, which connect, do the `deeds` of their plans, and leave."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from fibaction._notify import Notifier
 from fibaction.abc import Transport
 from fibaction.wire.connection import RemoteConnection
 from tests.simulation.deeds import Deeds
+from tests.simulation.goal_names import GoalNames, goal_names
 from tests.simulation.invariants import Record
 from tests.simulation.loop import EPOCH
-from tests.simulation.naming import Naming, naming
 from tests.simulation.scenario import ClientPlan, Deed
 
 
@@ -27,17 +27,17 @@ class Client:
         self._transport = transport
         self._connection: ClientConnection | None = None
         self.under_way: dict[Deed, float] = {}
-        """What it is doing, and since when."""
+        """The deeds that are under way, each with the time of its start."""
         self._scopes: list[CancelScope] = []
         self._left_to_do = len(plan.deeds)
         self._changed = Notifier()
         self.may_leave = anyio.Event()
         self.is_done = False
-        """Whether all its deeds are done, or it has left."""
+        """True if all its deeds are done, or it has left."""
         self.has_left = False
 
     async def run(self) -> None:
-        """Connect, do everything, and leave when that is allowed."""
+        """Connect, do all deeds, and leave after `may_leave` is set."""
         await anyio.sleep(self.plan.starts_at)
         async with create_task_group() as tasks:
             try:
@@ -62,7 +62,7 @@ class Client:
             self.state.is_leaving = True
 
     def calls(self) -> list[int]:
-        """What its connection has under way."""
+        """Return the requests that its connection has under way."""
         if self._connection is None:
             return []
         remote = self._connection._connection
@@ -70,8 +70,8 @@ class Client:
         return list(remote._calls._calls)
 
     async def _stop_deeds(self, everything: CancelScope) -> None:
-        """Leave early, in one of three ways: what is under way is ended before the connection is,
-        or by that, or both are at once.
+        """Leave early, in one of three ways: end the deeds before the connection, or by closing the
+        connection, or both at once.
         """
         way = int(self.plan.leaves_at * 1e6) % 3
         self._record.tell(f"{self.plan.name} leaves early: {way}")
@@ -96,8 +96,8 @@ class Client:
             await anyio.sleep(deed.at)
             scope.deadline = current_time() + deed.patience
             self.under_way[deed] = current_time()
-            mine = Naming(record, name, deed)
-            naming.set(mine)
+            mine = GoalNames(record, name, deed)
+            goal_names.set(mine)
             record.tell(f"{name} begins: {deed.kind}")
             try:
                 await deeds.do(deed)

@@ -1,7 +1,7 @@
-"""What the clients of the simulation do: one method for each kind of deed.
+"""The deeds of the simulation's clients, one method for each kind.
 
-They use fibaction as its users do: `send_goal`, `call`, `attach` and the like. What they see goes
-to the record, which knows whether it is right.
+They use fibaction as its users do, with `send_goal`, `call`, `attach` and so on, and report to the
+record, which checks what they saw.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from fibaction import (
 )
 from fibaction.abc import FeedbackItem
 from tests.simulation.facts import ClientState
+from tests.simulation.goal_names import goal_names
 from tests.simulation.invariants import Record
-from tests.simulation.naming import naming
 from tests.simulation.scenario import SIMULATED, Deed, Done, Step, Work
 from tests.simulation.views import View, Watch
 
 WATCHED = 2.0
-"""Seconds for which events are watched at most, beside the deed's own delay."""
+"""Seconds for which events are followed at most, in addition to the deed's own delay."""
 LONGEST_READ = 0.5
 """Seconds that a slow reader takes over one message at most."""
 
 
 class Deeds:
-    """What one client does over its connection."""
+    """The deeds of one client over its connection."""
 
     def __init__(self, record: Record, state: ClientState, connection: ClientConnection) -> None:
         self._record = record
@@ -58,7 +58,7 @@ class Deeds:
             "twice": self._twice,
             "clash": self._clash,
             "attach": self._attach,
-            "observe": self._observe,
+            "follow": self._follow,
             "get result": self._get_result,
             "cancel by id": self._cancel_goals,
             "cancel by stamp": self._cancel_goals,
@@ -72,10 +72,10 @@ class Deeds:
         }
 
     async def do(self, deed: Deed) -> None:
-        """Do one of them.
+        """Do a deed.
 
         Raises:
-            ActionError: It came to nothing.
+            ActionError: The deed failed.
         """
         await self._kinds[deed.kind](deed)
 
@@ -84,7 +84,7 @@ class Deeds:
     def _view(self, goal: ClientGoal[Step, Done], *, start: int = 0, own: bool = True) -> View:
         view = View(self._record, self._state, goal.goal_id, goal.stamp, start=start)
         view.own = view.own and own
-        view.losses = naming.get().losses
+        view.losses = goal_names.get().losses
         view.status(goal.status)
         return view
 
@@ -96,7 +96,7 @@ class Deeds:
         pause: float = 0.0,
         most: float = math.inf,
     ) -> None:
-        """Read the feedback, at most so much of it."""
+        """Read the feedback, at most `most` messages."""
         seen = 0
         if not most:
             return
@@ -118,18 +118,20 @@ class Deeds:
         view.outcome(outcome)
 
     def _some_goal(self, deed: Deed) -> tuple[GoalID, Work]:
-        """One that was sent before, by anybody; if there is none, one that never was."""
+        """Return a goal that any client has sent; if none was sent, an ID that the server has not
+        seen.
+        """
         sent = self._record.sent
         if not sent:
             return GoalID.random(), deed.work
         goal_id, work = sent[deed.target % len(sent)]
-        naming.get().goal_id = goal_id
+        goal_names.get().goal_id = goal_id
         if (
             deed.patience < math.inf
             or self._plan.leaves_at < math.inf
             or self._plan.dies_at < math.inf
         ):
-            self._record.may_cancel(goal_id)  # a sending that is canceled, if it is to be sent
+            self._record.may_cancel(goal_id)  # if the deed sends it, the send may be canceled
         return goal_id, work
 
     # Sending
@@ -143,7 +145,7 @@ class Deeds:
         await self._see_outcome(goal, view)
 
     async def _call(self, deed: Deed) -> None:
-        mine = naming.get()
+        mine = goal_names.get()
         view = View(self._record, self._state, GoalID(bytes(15) + b"?"), None, start=0)
         pause = deed.delay if deed.delay < LONGEST_READ else 0.0
         view.attentive = not pause
@@ -154,7 +156,7 @@ class Deeds:
             view.feedback(step, None)
             return anyio.sleep(pause) if pause else None
 
-        self._record.may_cancel(None)  # whatever goes wrong in a call cancels it
+        self._record.may_cancel(None)  # any failure of a call cancels its goal
         try:
             outcome = Outcome(
                 GoalStatus.SUCCEEDED, await self._client.call(deed.work, on_feedback=on_feedback)
@@ -171,7 +173,7 @@ class Deeds:
         view.end_of_call()
 
     async def _call_quietly(self, deed: Deed) -> None:
-        mine = naming.get()
+        mine = goal_names.get()
         try:
             result = await self._client.call(deed.work)
         except (GoalAborted, GoalCanceled):
@@ -224,7 +226,7 @@ class Deeds:
 
         async with create_task_group() as tasks:
             tasks.start_soon(read)
-            # If nobody had begun to read, nobody would wait for the reader.
+            # The executor waits for the reader only after the reader has begun.
             await anyio.lowlevel.checkpoint()
             try:
                 # A view of its own, because the outcome may be known before the feedback is read.
@@ -270,7 +272,7 @@ class Deeds:
         await self._read(goal, view)
         await self._see_outcome(goal, view)
 
-    async def _observe(self, deed: Deed) -> None:
+    async def _follow(self, deed: Deed) -> None:
         goal_id, _ = self._some_goal(deed)
         after = deed.count if deed.target % 2 else None
         with await self._client.endpoint.feedback(goal_id, after=after) as stream:
@@ -310,7 +312,7 @@ class Deeds:
         answer = await self._client.cancel_goals(goal_id, before=stamp)
         self._record.cancel_answered(answer, goal_id, asked_at, stamp)
 
-    # Watching
+    # Statuses and events
 
     async def _goals(self, deed: Deed) -> None:
         watch = Watch(self._record, self._state, exact=False)

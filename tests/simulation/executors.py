@@ -1,4 +1,4 @@
-"""The executors of the simulation: each kind behaves in its own way, as its goal says."""
+"""The executors of the simulation, one for each kind of goal."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from tests.simulation.scenario import Done, Step, Work
 Items: TypeAlias = AsyncGenerator[Step | Done, None]
 
 ENDLESS = 30.0
-"""Seconds that an endless goal takes, if nobody ends it."""
+"""Seconds that an endless goal takes if it is not canceled."""
 
 
 class Job:
-    """One goal being executed, and what is known of it."""
+    """A goal that is being executed, and the record of it."""
 
     def __init__(self, goal: GoalHandle[Work], truth: Truth) -> None:
         self.goal = goal
@@ -28,19 +28,19 @@ class Job:
         self._truth = truth
 
     def step(self) -> Step:
-        """The next feedback."""
+        """Return the next feedback."""
         self._truth.count += 1
         return Step(self._truth.count, bytes(self.work.size))
 
     def done(self) -> Done:
-        """The result."""
+        """Return the result."""
         result = self.part()
-        if self._truth.outcome is None:  # or it was killed, and nobody wants it any more
+        if self._truth.outcome is None:  # else it was killed, and the result is discarded
             self._truth.result = result
         return result
 
     def part(self) -> Done:
-        """What there is of the result."""
+        """Return the partial result."""
         return Done(self.work.key, self._truth.count, bytes(self.work.size))
 
     async def rest(self) -> None:
@@ -147,7 +147,7 @@ EXECUTORS: dict[str, Callable[[Job], Items]] = {
 
 
 def executor_for(record: Record) -> Executor[Work, Step, Done]:
-    """The executor of all goals, which tells the record what it does."""
+    """Return the executor of all goals, which reports its starts to the record."""
 
     def execute(goal: GoalHandle[Work]) -> Items:
         truth = record.started(goal.goal_id, goal.stamp)
@@ -156,27 +156,27 @@ def executor_for(record: Record) -> Executor[Work, Step, Done]:
     return execute
 
 
-def agree_on_goal(work: Work) -> None:
-    """A sync `on_goal`."""
-    if work.refuse == "reject":
+def decide_goal(work: Work) -> None:
+    """Decide on a goal: a sync `on_goal`."""
+    if work.rejects == "goal":
         raise GoalRejected(ON_PURPOSE)
-    if work.refuse == "fail":
+    if work.rejects == "goal by failing":
         raise ValueError(ON_PURPOSE)
 
 
-async def agree_on_goal_later(work: Work) -> None:
-    """An async `on_goal`."""
+async def decide_goal_later(work: Work) -> None:
+    """Decide on a goal after a while: an async `on_goal`."""
     await anyio.sleep(work.decide)
-    agree_on_goal(work)
+    decide_goal(work)
 
 
-def agree_on_cancel(goal: GoalHandle[Work]) -> None:
-    """A sync `on_cancel`."""
-    if goal.request.refuse == "cancel":
+def decide_cancel(goal: GoalHandle[Work]) -> None:
+    """Decide on a cancel: a sync `on_cancel`."""
+    if goal.request.rejects == "cancel":
         raise CancelRejected(ON_PURPOSE)
 
 
-async def agree_on_cancel_later(goal: GoalHandle[Work]) -> None:
-    """An async `on_cancel`."""
+async def decide_cancel_later(goal: GoalHandle[Work]) -> None:
+    """Decide on a cancel after a while: an async `on_cancel`."""
     await anyio.sleep(goal.request.decide)
-    agree_on_cancel(goal)
+    decide_cancel(goal)

@@ -1,6 +1,6 @@
-"""What is known of a run: its goals, its servers, and its clients' connections.
+"""The facts of a run: its goals, its servers, and its clients' connections.
 
-Whether that is as it should be is said in `invariants`.
+`invariants` checks them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from fibaction.states import INITIAL
 from tests.simulation.scenario import ClientPlan, Done
 
 EPSILON = 1e-3
-"""Seconds that a message needs to be seen, once it is there: no weather is meant, only turns."""
+"""Seconds between the arrival of a message and its handling: turns of the loop, without latency."""
 
 
 class Truth:
@@ -27,9 +27,9 @@ class Truth:
         self.statuses = [INITIAL]
         self.starts = 0
         self.count = 0
-        """How much feedback the executor has yielded."""
+        """The number of feedback messages that the executor has yielded."""
         self.result: Done | None = None
-        """The result that it has yielded."""
+        """The result that the executor has yielded."""
         self.outcome: Outcome[Any] | None = None
         self.ended_at = math.inf
 
@@ -37,35 +37,35 @@ class Truth:
 class Life:
     """One server, from its start to its stop."""
 
-    def __init__(self, number: int, at: float, protocol: object) -> None:
+    def __init__(self, number: int, at: float, registry: object) -> None:
         self.number = number
         self.began_at = at
         self.stops_at = math.inf
-        self.protocol = protocol
+        self.registry = registry
         self.goals: dict[tuple[GoalID, int], Truth] = {}
         self.ended: list[Truth] = []
 
 
 class ClientState:
-    """One client's connection, as it was seen from outside."""
+    """The state of one client's connection, as seen from outside."""
 
     def __init__(self, plan: ClientPlan) -> None:
         self.plan = plan
         self.is_ready = False
         self.was_ready = False
         self.has_failed = False
-        """Whether an attempt to connect has failed, and none has succeeded since."""
+        """True if the last attempt to connect has failed."""
         self.lost_at = math.inf
         self.losses = 0
         self.absent_at = -math.inf
-        """When it was last found that there is no connection, and that nobody waits for one."""
+        """The time at which the client last gave up waiting for a connection."""
         self.is_final = False
         self.is_leaving = False
         self.goals: set[GoalID] = set()
-        """Those that it has sent."""
+        """The goals that the client has sent."""
 
     def is_absent(self, now: float) -> bool:
-        """Whether its calls may fail because there is no connection."""
+        """Return whether its calls may fail because the connection is missing."""
         if self.is_leaving or self.is_final:
             return True
         if self.is_ready:
@@ -76,5 +76,5 @@ class ClientState:
 
 
 def short(goal_id: GoalID) -> str:
-    """A goal's name in few letters."""
+    """Return a short name of a goal for the trace."""
     return f"g{int.from_bytes(goal_id[:4], 'big')}"

@@ -14,7 +14,7 @@ import msgspec
 from anyio import current_time, sleep
 
 from fibaction._notify import Notifier
-from fibaction.events import _Observer
+from fibaction.events import _Merger
 from fibaction.goals import GoalID, GoalInfo
 from fibaction.server.admission import Admission
 from fibaction.server.cancellation import Cancellation
@@ -346,11 +346,11 @@ def patience_ends_too_early(real: Any) -> Any:
     return _lose_patience
 
 
-@mistake(_Observer, "_follow", 400, 291)
+@mistake(_Merger, "_follow", 400, 291)
 def a_goal_is_watched_twice(real: Any) -> Any:
     """A watcher follows a goal again if a change of its status comes after its feedback."""
 
-    async def _follow(self: _Observer[Any], goal_id: GoalID, *args: Any) -> None:
+    async def _follow(self: _Merger[Any], goal_id: GoalID, *args: Any) -> None:
         await real(self, goal_id, *args)
         self._late.pop(goal_id, None)
 

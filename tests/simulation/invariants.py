@@ -1,8 +1,8 @@
-"""What must be true in every run.
+"""The rules that hold in every run, and the record that checks them.
 
-A `Record` is told what servers and executors do, which is the truth, and how clients fare: the
-`facts`. What does not fit is kept as a `Violation`. It never acts, and nobody waits for it. What
-clients see of goals is compared with it in `views`.
+A `Record` gets every event of servers, executors and connections (the `facts`), and adds a
+`Violation` for each that breaks a rule. It never acts on the run, and never waits. `views` compares
+with it what clients see of goals.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from tests.simulation.scenario import SIMULATED, Scenario
 INVARIANTS = {
     "once": "an accepted goal is executed at most once",
     "end": "an accepted goal ends exactly once, in the way that its executor did",
-    "answer": "everybody who waits is answered",
+    "answer": "every call is answered",
     "feedback": "feedback comes in order, as it was yielded, and no gap is silent",
-    "complete": "no feedback is dropped if nobody was late",
+    "complete": "no feedback is dropped for a reader that was never late",
     "status": "a status follows another only along the edges of the table",
     "outcome": "every client is told the outcome that the server has",
     "error": "a call fails only if there is a reason",
     "cancel": "the answer to a cancel is what happens",
-    "rest": "nothing is left at the end: no task, no connection, no goal",
+    "rest": "no task, no connection and no goal is left at the end",
     "log": "no error is logged, and no exception is lost",
 }
-"""What is claimed, by short names."""
+"""The rules, by short names."""
 
 ON_PURPOSE = "on purpose"
-"""Stands in the text of every error that a scenario wants."""
+"""The mark in the text of every error that a scenario wants."""
 
 
 class Violation(msgspec.Struct, frozen=True):
-    """Something that must not be."""
+    """A broken rule."""
 
     invariant: str
     text: str
@@ -60,7 +60,7 @@ class Violation(msgspec.Struct, frozen=True):
 
 
 def _reachable() -> dict[GoalStatus, frozenset[GoalStatus]]:
-    """For each status, those that can come after it, itself included, at whatever distance."""
+    """Return for each status all that can come after it, directly or later, itself included."""
     edges = {(before, after) for (before, _), after in TRANSITIONS.items()}
     reach = {status: {status} for status in GoalStatus}
     for _ in GoalStatus:
@@ -68,7 +68,7 @@ def _reachable() -> dict[GoalStatus, frozenset[GoalStatus]]:
             reach[before] |= reach[after]
     for status in GoalStatus:
         if status.is_terminal:
-            reach[status].add(GoalStatus.UNKNOWN)  # it is forgotten
+            reach[status].add(GoalStatus.UNKNOWN)  # for a forgotten goal
     return {status: frozenset(others) for status, others in reach.items()}
 
 
@@ -77,7 +77,7 @@ NEXT = {(before, after) for (before, _), after in TRANSITIONS.items()}
 
 
 class Record:
-    """All that is known of one run."""
+    """The facts and the violations of one run."""
 
     def __init__(self, scenario: Scenario, now: Callable[[], float]) -> None:
         self.scenario = scenario
@@ -87,30 +87,30 @@ class Record:
         self.lives: list[Life] = []
         self.clients = {plan.name: ClientState(plan) for plan in scenario.clients}
         self.sent: list[tuple[GoalID, Any]] = []
-        """Every goal that was sent, with what was sent."""
+        """Every goal that was sent, with its work."""
         self.sent_again: set[GoalID] = set()
-        """Those that were sent more than once on purpose."""
+        """The goals that were sent more than once on purpose."""
         self.clashes: set[GoalID] = set()
-        """The IDs under which another goal was sent."""
+        """The IDs with which another goal was sent."""
         self._cancels: set[GoalID | None] = set()
         self._orphaned: dict[GoalID, float] = {}
         self._outages: dict[GoalID, list[float]] = {}
         server = scenario.server
         faults = [fault.kind for fault in scenario.faults]
         self.all_ends_are_told = bool(faults) and all(kind == "restart" for kind in faults)
-        """Whether all that goes wrong is that servers stop, which tell their clients first."""
+        """True if the only faults are restarts, before which servers tell their clients."""
         self.promises_all = server.feedback == "every" and scenario.climate != "rough"
 
     def tell(self, text: str) -> None:
-        """Something has happened."""
+        """Add an event to the trace."""
         self.trace.append((self.now(), text))
 
     def may_cancel(self, goal_id: GoalID | None) -> None:
-        """Somebody may ask to cancel that goal; None is all."""
+        """Note that a client may cancel that goal; None is for all goals."""
         self._cancels.add(goal_id)
 
     def fail(self, invariant: str, text: str) -> None:
-        """Something has happened that must not."""
+        """Add a violation."""
         assert invariant in INVARIANTS
         violation = Violation(invariant, text, self.now())
         self.violations.append(violation)
@@ -118,42 +118,42 @@ class Record:
 
     # What servers do
 
-    def life_of(self, protocol: object) -> Life:
-        """The server whose protocol that is."""
-        return next(life for life in reversed(self.lives) if life.protocol is protocol)
+    def life_of(self, registry: object) -> Life:
+        """Return the server with that registry."""
+        return next(life for life in reversed(self.lives) if life.registry is registry)
 
     def truth(self, goal_id: GoalID, stamp: int | None) -> Truth | None:
-        """What is true of a goal; of the last of that ID, if `stamp` is None."""
+        """Return the facts of a goal; of the last with that ID if `stamp` is None."""
         return next(self._truths(goal_id, stamp), None)
 
     def outcomes(self, goal_id: GoalID, stamp: int | None) -> list[Outcome[Any] | None]:
-        """How the goals of that ID have ended; there are several if it was sent again later."""
+        """Return the outcomes of the goals with that ID, several if it was sent again later."""
         return [truth.outcome for truth in self._truths(goal_id, stamp)]
 
     def _truths(self, goal_id: GoalID, stamp: int | None) -> Iterator[Truth]:
-        """The goals of that ID, and of that stamp unless it is None: the last one first."""
+        """Yield the goals with that ID and stamp (None for any), the last one first."""
         for life in reversed(self.lives):
             for (known, known_stamp), truth in reversed(life.goals.items()):
                 if known == goal_id and stamp in (None, known_stamp):
                     yield truth
 
     def orphaned(self, goal_id: GoalID) -> None:
-        """A server has lost the client of a goal."""
+        """Note that a server has lost the client of a goal."""
         self._orphaned.setdefault(goal_id, self.now())
 
     def owned(self, goal_id: GoalID) -> None:
-        """A client follows its goal."""
+        """Note that a client follows its goal."""
         if (since := self._orphaned.pop(goal_id, None)) is not None:
             self._outages.setdefault(goal_id, []).append(self.now() - since)
 
     def was_orphaned_for(self, goal_id: GoalID, seconds: float) -> bool:
-        """Whether a goal was without its client for so long, at once."""
+        """Return whether a goal was without its client for so long at a time."""
         since = self._orphaned.get(goal_id, math.inf)
         outages = [*self._outages.get(goal_id, []), self.now() - since]
         return any(outage >= seconds - EPSILON for outage in outages)
 
     def accepted(self, life: Life, goal_id: GoalID, stamp: int) -> None:
-        """A server has accepted a goal."""
+        """Check that a goal was accepted at most once."""
         now = self.now()
         self.tell(f"server {life.number} accepts {short(goal_id)}")
         for known in life.goals.values():
@@ -171,7 +171,7 @@ class Record:
         return self.was_orphaned_for(truth.goal_id, self.scenario.server.grace)
 
     def changed(self, truth: Truth, status: GoalStatus) -> None:
-        """A goal has another status."""
+        """Check the change of a goal's status."""
         before = truth.statuses[-1]
         if status is before:
             return
@@ -181,7 +181,7 @@ class Record:
         truth.statuses.append(status)
 
     def started(self, goal_id: GoalID, stamp: int) -> Truth:
-        """An executor has started."""
+        """Check that an executor was started at most once."""
         truth = self.truth(goal_id, stamp)
         assert truth is not None
         truth.starts += 1
@@ -190,7 +190,7 @@ class Record:
         return truth
 
     def ended(self, truth: Truth, outcome: Outcome[bytes], count: int) -> None:
-        """A goal has ended."""
+        """Check the end of a goal."""
         name = short(truth.goal_id)
         result = None if outcome.result is None else SIMULATED.result.decode(outcome.result)
         self.tell(f"{name} ends {outcome.status.name} {outcome.reason} after {count}")
@@ -206,7 +206,7 @@ class Record:
             self.fail("feedback", f"goal {name} has yielded {truth.count}, and {count} are counted")
         asked = self._cancels & {truth.goal_id, None} or self.scenario.server.orphans == "cancel"
         if outcome.status is GoalStatus.CANCELED and not asked:
-            self.fail("cancel", f"goal {name} was canceled, and nobody has asked for it")
+            self.fail("cancel", f"goal {name} was canceled without a request")
 
     # What clients see
 
@@ -219,8 +219,9 @@ class Record:
         own: bool,
         since: float = math.inf,
     ) -> bool:
-        """Whether a client that has asked at `since` may be told that nobody knows of the goal;
-        `stamp` None is the last of that ID.
+        """Return whether the answer to a request made at `since` may be that the goal is unknown.
+
+        `stamp` None means the last goal with that ID.
         """
         now = self.now()
         if self.lives and self.lives[-1].stops_at <= now:
@@ -232,7 +233,7 @@ class Record:
             return True
         if not self._has_expired(truth, now):
             return False
-        # Of what is kept for a client there is one, and the next request for it has it.
+        # A server keeps one stream for a client, and gives it to the next request.
         is_shared = goal_id in self.sent_again
         return not own or is_shared or self.was_orphaned_for(goal_id, self.scenario.server.grace)
 
@@ -252,7 +253,7 @@ class Record:
         *,
         since: float = math.inf,
     ) -> None:
-        """A call of a client, made at `since`, has failed."""
+        """Check that the failure of a call that a client made at `since` has a reason."""
         text = f"{client.plan.name}: {what}: {type(error).__name__}: {error}"
         self.tell(text)
         if not self._is_excused(client, error, goal_id, since):
@@ -271,7 +272,7 @@ class Record:
                 or ("too much at once" in error.reason and self._is_limited)
             )
         if isinstance(error, UnknownGoal):
-            # Whoever attaches is an observer, also to a goal of its own.
+            # A client that attaches is a follower, even of a goal of its own.
             return goal_id is not None and self.is_forgotten(
                 client, goal_id, None, own=False, since=since
             )
@@ -290,7 +291,7 @@ class Record:
     def cancel_answered(
         self, answer: CancelAnswer, goal_id: GoalID | None, asked_at: float, stamp: int | None
     ) -> None:
-        """A cancel was answered."""
+        """Check the answer to a cancel."""
         for info in answer.goals_canceling:
             truth = self.truth(info.goal_id, info.stamp)
             if truth is None or GoalStatus.CANCELING not in truth.statuses:
@@ -317,7 +318,7 @@ class Record:
     # At the end
 
     def over(self) -> None:
-        """Nothing will happen any more."""
+        """Check that all goals have ended, when the run is over."""
         for life in self.lives:
             for truth in life.goals.values():
                 if truth.outcome is None:

@@ -1,8 +1,8 @@
-"""An event loop whose time is a number: it jumps to the next timer as soon as nothing else can run.
+"""An event loop in virtual time, which jumps to the next timer as soon as no task can run.
 
-Nothing here waits, and there are no threads and no sockets. Whatever runs in the loop runs the same
-way each time: tasks and cancel scopes are kept in sets by asyncio and anyio, and get hashes here
-that are not addresses of memory. It knows nothing of what runs in it.
+It never sleeps, and has no threads and no sockets. Each run of the same tasks is the same: asyncio
+and anyio keep tasks and cancel scopes in sets, so these get hashes that do not depend on memory
+addresses.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from anyio._backends import _asyncio as anyio_asyncio
 T = TypeVar("T")
 
 TURN = 2e-6
-"""Virtual seconds that one turn of the loop takes, so that what is busy for long does get older."""
+"""Virtual seconds that one turn of the loop takes, so that time passes for busy tasks, too."""
 EPOCH = 1000.0
-"""When virtual time begins: a clock that begins at 0 hides what takes 0 for "never"."""
+"""The beginning of virtual time. A clock that begins at 0 hides code that takes 0 for "never"."""
 
 
 class Deadlock(Exception):
-    """All tasks wait, and there is nothing left that could wake one."""
+    """A state in which all tasks wait, and no timer is left that could wake one."""
 
 
 class Livelock(Exception):
-    """The loop goes on and on: more turns, or more time, than a run may take."""
+    """A run of more turns, or more time, than is allowed."""
 
 
 class _Task(asyncio.Task[Any]):
-    """A task whose place in a set does not depend on where in memory it is."""
+    """A task whose place in a set does not depend on its memory address."""
 
     _numbers = itertools.count(1)
 
@@ -51,7 +51,7 @@ class _Task(asyncio.Task[Any]):
 
 
 class _Scope(anyio_asyncio.CancelScope):
-    """A cancel scope of which the same is true."""
+    """A cancel scope whose place in a set does not depend on its memory address."""
 
     __slots__ = ("_number",)
     _numbers = itertools.count(1)
@@ -65,7 +65,7 @@ class _Scope(anyio_asyncio.CancelScope):
 
 
 class _NoFiles:
-    """What the base class takes for a selector: waiting is adding to the time."""
+    """A selector for the base class, which waits by adding to the time."""
 
     def __init__(self, loop: VirtualLoop) -> None:
         self._loop = loop
@@ -79,9 +79,9 @@ class VirtualLoop(asyncio.BaseEventLoop):
     """An event loop in virtual time."""
 
     def __init__(self, *, longest: float = 1e6, most_turns: int = 5_000_000) -> None:
-        """`longest` is how many virtual seconds it may run, `most_turns` how many turns."""
+        """Make a loop that may run for `longest` virtual seconds, and for `most_turns` turns."""
         super().__init__()
-        # The base class asks for it, and for the two methods below; its other users have files.
+        # The base class needs a selector, and the last two methods of this class.
         self._selector = _NoFiles(self)
         self.now = EPOCH
         self.turns = 0
@@ -93,18 +93,18 @@ class VirtualLoop(asyncio.BaseEventLoop):
         return self.now
 
     def pass_time(self, timeout: float | None) -> None:
-        """Nothing can run for that long; None says that nothing ever can.
+        """Let the time until the next timer pass; None if no timer is set.
 
         Raises:
-            Deadlock: None, that is.
-            Livelock: It has run for too long.
+            Deadlock: No timer is set.
+            Livelock: The loop has run for too long.
         """
         if timeout is None:
             raise Deadlock("nothing can run any more:\n" + "\n".join(self.waiting()))
         self.now += timeout if timeout > TURN else TURN
         self.turns += 1
         if self.now > self._end or self.turns > self._most_turns:
-            # What is still to come is the end of it all, which takes some turns, too.
+            # The clean-up after this error takes some turns, too.
             self._end, self._most_turns = self.now + self._longest, self.turns + self._most_turns
             waiting = "\n".join(self.waiting())
             raise Livelock(f"{self.turns} turns, {self.now - EPOCH:g} virtual seconds:\n{waiting}")
@@ -113,7 +113,7 @@ class VirtualLoop(asyncio.BaseEventLoop):
         return _Task(coro, loop=self, **keywords)
 
     def waiting(self) -> list[str]:
-        """Each task, and where it waits."""
+        """Return a line for each task with the place where it waits."""
         tasks = (task for task in asyncio.all_tasks(self) if isinstance(task, _Task))
         return [
             f"  {task.get_name()}: {_place(task)}"
@@ -124,11 +124,11 @@ class VirtualLoop(asyncio.BaseEventLoop):
         assert not event_list
 
     def _write_to_self(self) -> None:
-        """Something is new, but nobody sleeps."""
+        """Do nothing, since the loop never sleeps."""
 
 
 def _place(task: asyncio.Task[Any]) -> str:
-    """The chain of coroutines that a task waits in, the innermost last."""
+    """Return the chain of coroutines that a task waits in, the innermost last."""
     places: list[str] = []
     awaiting: Any = task.get_coro()
     while awaiting is not None:
@@ -141,7 +141,7 @@ def _place(task: asyncio.Task[Any]) -> str:
 
 
 def waiting_tasks() -> list[str]:
-    """Each task of the running loop but this one, and where it waits."""
+    """Return the lines of `VirtualLoop.waiting` for all tasks but this one."""
     loop = asyncio.get_running_loop()
     assert isinstance(loop, VirtualLoop)
     me = asyncio.current_task()
@@ -151,7 +151,7 @@ def waiting_tasks() -> list[str]:
 
 @contextmanager
 def _numbered() -> Generator[None, None, None]:
-    """Count tasks and scopes from the beginning, and let anyio make scopes that are counted."""
+    """Number tasks and scopes from 1, and let anyio make numbered scopes."""
     _Task._numbers, _Scope._numbers = itertools.count(1), itertools.count(1)
     with patch.object(anyio_asyncio, "CancelScope", _Scope):
         yield
@@ -159,8 +159,9 @@ def _numbered() -> Generator[None, None, None]:
 
 @contextmanager
 def _no_collection_by_chance() -> Generator[None, None, None]:
-    """The garbage collector comes when it is called: what it frees may have something to say. It
-    looks at nothing that was there before, which makes it fast, and the same each time.
+    """Run the garbage collector only when it is called, since the finalizers of what it frees act.
+
+    It skips older objects, which makes it fast, and the same in each run.
     """
     was_enabled = gc.isenabled()
     gc.disable()
@@ -179,10 +180,10 @@ def run(
     loop: VirtualLoop | None = None,
     on_error: Callable[[dict[str, Any]], None] | None = None,
 ) -> T:
-    """Run `main` in virtual time; `on_error` is told what asyncio would only log.
+    """Run `main` in virtual time; `on_error` gets the errors that asyncio would only log.
 
     Raises:
-        Deadlock, Livelock: It does not end.
+        Deadlock, Livelock: `main` does not end.
     """
     virtual = loop or VirtualLoop()
     if on_error is not None:

@@ -1,7 +1,7 @@
-"""What the product asks of the machine, made up from a seed: the time, chance, and goal IDs.
+"""The machine as the product sees it: time, randomness and goal IDs, made from a seed.
 
-All modules of fibaction that are loaded get it, whatever they call it by, so that none can be
-forgotten. What it is for is not known here.
+They are replaced in all loaded modules of fibaction, under whatever names these import them, so
+that none can be forgotten.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from unittest.mock import patch
 
 from fibaction import GoalID
 from tests.simulation import loop as virtual
-from tests.simulation.naming import naming
+from tests.simulation.goal_names import goal_names
 
 LOOK = 5e-5
-"""Virtual seconds that it takes the product to look at the time: so a generator that never awaits
-uses up its slice, as it does in the real world."""
+"""Virtual seconds that each reading of the clock takes, so that a generator that never awaits uses
+up its slice, as on a real machine."""
 PAST = 1_700_000_000 * 10**9
-"""When virtual time began, in nanoseconds since 1970."""
+"""The beginning of virtual time, in nanoseconds since 1970."""
 
 _FUNCTION = types.BuiltinFunctionType | types.FunctionType | types.MethodType
 
 
 class _Shadow(types.ModuleType):
-    """A module, with some of its functions replaced."""
+    """A module with some of its functions replaced."""
 
     def __init__(self, module: types.ModuleType, functions: dict[str, Any]) -> None:
         super().__init__(module.__name__)
@@ -45,7 +45,7 @@ class _Shadow(types.ModuleType):
 
 @contextmanager
 def made_up(loop: virtual.VirtualLoop, seed: int) -> Generator[None, None, None]:
-    """Let all modules of the product have the time and chance of this run."""
+    """Replace time and randomness in all modules of the product, for as long as the block lasts."""
     chance = random.Random(f"product {seed}")
     numbers = itertools.count(1)
 
@@ -55,8 +55,8 @@ def made_up(loop: virtual.VirtualLoop, seed: int) -> Generator[None, None, None]
 
     def new_goal_id() -> GoalID:
         goal_id = GoalID(next(numbers).to_bytes(4, "big") + b"simulated 12")
-        if (mine := naming.get(None)) is not None:
-            mine.named(goal_id)
+        if (mine := goal_names.get(None)) is not None:
+            mine.add(goal_id)
         return goal_id
 
     replaced: dict[types.ModuleType, dict[str, Any]] = {

@@ -1,8 +1,8 @@
-"""A network in memory: connections that are opened, stand still, and break.
+"""A network in memory, whose connections can be cut and frozen.
 
-Each client has a `Line` to the server's `Host`, and a line has a weather, which its `streams` have.
-Faults are methods: `cut`, `half_close`, `freeze` and the like. All chance comes from one
-`random.Random`, all time from the virtual loop. What the bytes mean is not known here.
+Each client has a `Line` to the server's `Host`. The `Weather` of a line holds for its `streams`.
+Faults are methods: `cut`, `half_close`, `freeze` and so on. All randomness comes from one
+`random.Random`, all time from the virtual loop. The network does not interpret the bytes.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from tests.simulation.loop import VirtualLoop
 from tests.simulation.streams import Manner, SimulatedStream, Way, Weather
 
 Direction: TypeAlias = Literal["up", "down"]
-"""`up` is from the client to the server."""
+"""The direction of bytes: `up` is from the client to the server."""
 Teller: TypeAlias = Callable[[str], None]
 
 
 class _Connection:
-    """Both ends of a connection, and what lies between."""
+    """Both ends of a connection, and the two directions between them."""
 
     def __init__(self, network: Network, line: Line, number: int) -> None:
         up, down = (Way(network.loop, network.chance, line.weather) for _ in range(2))
@@ -41,8 +41,8 @@ class _Connection:
         return self.near.is_open or self.far.is_open
 
 
-class Listening:
-    """What a server accepts connections with."""
+class Listener:
+    """The listener of a server, which accepts connections."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -50,7 +50,7 @@ class Listening:
         self._news = Notifier()
 
     def offer(self, stream: SimulatedStream) -> None:
-        """Somebody has connected."""
+        """Add a connection that a client has opened."""
         self._waiting.append(stream)
         self._news.notify()
 
@@ -61,7 +61,7 @@ class Listening:
         return self._waiting.popleft()
 
     async def aclose(self) -> None:
-        """Accept no more, and close those that nobody has accepted. It takes no time."""
+        """Stop accepting, and close the connections that were not accepted, without waiting."""
         if self._host.listener is self:
             self._host.listener = None
         for stream in self._waiting:
@@ -70,54 +70,54 @@ class Listening:
 
 
 class Host:
-    """Where servers listen, one after the other."""
+    """The host on which servers listen, one after the other."""
 
     def __init__(self, network: Network) -> None:
         self._network = network
-        self.listener: Listening | None = None
+        self.listener: Listener | None = None
 
-    def listen(self) -> Listening:
+    def listen(self) -> Listener:
         """Begin to listen.
 
         Raises:
-            OSError: Somebody does.
+            OSError: The address is in use.
         """
         if self.listener is not None:
-            raise OSError("somebody listens already")
-        self.listener = Listening(self)
+            raise OSError("address already in use")
+        self.listener = Listener(self)
         return self.listener
 
     def die(self, manner: Manner) -> None:
-        """The process ends at once, and with it all connections."""
+        """End the server's process at once, and with it all connections."""
         self.listener = None
         for connection in self._network.open_connections():
             self._network.sever(connection, manner, dead="far")
 
 
 class Line:
-    """One client's way to the server."""
+    """One client's line to the server."""
 
     def __init__(self, network: Network, name: str, weather: Weather) -> None:
         self._network = network
         self.name = name
         self.weather = weather
-        self.refuses_until = 0.0
+        self.rejects_until = 0.0
         self.dies_at_once = 0
-        """How many connections are to end as soon as they are there."""
+        """The number of connections that are to end right after they are opened."""
         self._frozen_until: dict[Direction, float] = {"up": 0.0, "down": 0.0}
 
     async def dial(self) -> SimulatedStream:
         """Open a connection.
 
         Raises:
-            OSError: Nobody listens, or the line refuses.
+            OSError: The server does not listen, or the line rejects connections.
         """
         network = self._network
         await anyio.sleep(self.weather.dial)
         frozen = max(self._frozen_until.values())
         if frozen > network.loop.time():
             await (anyio.sleep_forever() if frozen == math.inf else anyio.sleep_until(frozen))
-        if network.host.listener is None or self.refuses_until > network.loop.time():
+        if network.host.listener is None or self.rejects_until > network.loop.time():
             raise ConnectionRefusedError(111, "Connection refused")
         connection = network.connect(self)
         network.host.listener.offer(connection.far)
@@ -128,20 +128,20 @@ class Line:
         return connection.near
 
     def cut(self, manner: Manner) -> None:
-        """End all connections, and lose what is under way."""
+        """End all connections, and lose the bytes that are under way."""
         for connection in self._connections():
             self._network.sever(connection, manner)
 
     def half_close(self, direction: Direction) -> None:
-        """End one direction, and let the other one be."""
+        """End one direction of all connections, and keep the other one."""
         for connection in self._connections():
             connection.ways[direction].close()
 
     def freeze(self, seconds: float, *directions: Direction, new_too: bool = True) -> None:
-        """Let nothing arrive for so long; `new_too` says whether that is so for new connections.
+        """Delay all bytes for so long, with `new_too` also those of new connections.
 
-        If it is not, a client may be back on a new connection while the bytes of the old one, or
-        its end, are still to come.
+        Without `new_too`, a client may be back on a new connection before the bytes of the old
+        one, or its end, arrive.
         """
         until = self._network.loop.time() + seconds
         for connection in self._connections():
@@ -152,14 +152,14 @@ class Line:
                 self._frozen_until[direction] = until
 
     def thawing(self, direction: Direction) -> float:
-        """Until when nothing arrives on a new connection."""
+        """Return the time before which bytes do not arrive on a new connection."""
         return self._frozen_until[direction]
 
     def die(self) -> None:
-        """The client's process ends at once."""
+        """End the client's process at once."""
         for connection in self._connections():
             self._network.sever(connection, "reset", dead="near")
-        self.refuses_until = math.inf
+        self.rejects_until = math.inf
 
     def _connections(self) -> list[_Connection]:
         return [
@@ -182,11 +182,11 @@ class Network:
         self._connections: list[_Connection] = []
 
     def line(self, name: str, weather: Weather) -> Line:
-        """A new line."""
+        """Return a new line."""
         return Line(self, name, weather)
 
     def connect(self, line: Line) -> _Connection:
-        """A new connection over that line."""
+        """Open a connection over that line."""
         self.opened += 1
         self._connections = self.open_connections()
         connection = _Connection(self, line, self.opened)
@@ -199,7 +199,7 @@ class Network:
     def sever(
         self, connection: _Connection, manner: Manner, dead: Literal["near", "far", ""] = ""
     ) -> None:
-        """End a connection; the end that is `dead` notices at once, and nobody cares."""
+        """End a connection; the end of a `dead` process breaks at once."""
         if connection.is_cut or not connection.is_open:
             return
         connection.is_cut = True
@@ -216,11 +216,11 @@ class Network:
                 way.lose()
 
     def open_connections(self) -> list[_Connection]:
-        """Those of which an end has not been closed."""
+        """Return the connections with an end that has not been closed."""
         return [connection for connection in self._connections if connection.is_open]
 
     def open_ends(self) -> list[str]:
-        """The names of all ends that nobody has closed."""
+        """Return the names of all ends that have not been closed."""
         return [
             end.name
             for connection in self._connections

@@ -1,8 +1,8 @@
-"""What is to happen in one run, as plain data.
+"""The plan of one run, as plain data.
 
-A scenario says all that is decided beforehand: how the server and each client are set up, what the
-clients do and when, and what goes wrong. It can be made smaller by leaving parts out. Nothing here
-runs anything.
+A scenario has all that is decided before the run: the settings of the server and of each client,
+the deeds of the clients with their times, and the faults. It can be made smaller by leaving parts
+out.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ from tests.simulation.network import Direction
 from tests.simulation.streams import Manner, Weather
 
 Climate: TypeAlias = Literal["calm", "gentle", "rough"]
-"""How much goes wrong. In `calm` nothing does; in `gentle` lines fail, but never for longer than
-everybody is prepared for; in `rough` anything may fail, for any time, and servers die."""
+"""The amount of faults: none in `calm`; in `gentle`, lines fail for less time than the timeouts of
+clients and server; in `rough`, any part may fail for any time, and servers die."""
 
 
 class Work(msgspec.Struct, frozen=True):
-    """A goal: it says how its executor is to behave."""
+    """A goal, which controls how its executor behaves."""
 
     key: int
     """Different for each goal."""
     kind: str = "steady"
     steps: int = 3
-    """How many feedback messages it yields, if it is let."""
+    """The number of feedback messages that it yields unless it is interrupted."""
     pause: float = 0.0
-    """Seconds between two of them."""
+    """Seconds between two feedback messages."""
     size: int = 0
-    """Bytes of each of them, and of the result."""
+    """Bytes of each feedback message, and of the result."""
     cleanup: float = 0.0
-    """Seconds that it needs after it was interrupted."""
+    """Seconds that the clean-up takes after an interruption."""
     decide: float = 0.0
     """Seconds that an async `on_goal` takes."""
-    refuse: str = ""
-    """What a callback is to do instead of agreeing: `reject`, `fail`; or `cancel`: refuse that."""
+    rejects: str = ""
+    """The rejection by a callback: `goal`, `goal by failing`, or `cancel`; empty for none."""
 
 
 class Step(msgspec.Struct, frozen=True):
@@ -62,10 +62,10 @@ KINDS = (
     "steady",  # awaits between its yields
     "busy",  # never awaits
     "bursts",  # awaits after several yields
-    "instant",  # has nothing to say but its result
-    "tidy",  # cleans up when it is interrupted, awaiting, and hands over what it has
-    "polite",  # looks at cancel_requested
-    "stubborn",  # takes no notice of being interrupted
+    "instant",  # yields only its result
+    "tidy",  # awaits in its clean-up after an interruption, and returns a partial result
+    "polite",  # checks cancel_requested
+    "stubborn",  # ignores interruptions
     "raises",  # fails half-way
     "aborts",  # gives up half-way, with what it has
     "endless",  # goes on until it is interrupted
@@ -73,7 +73,7 @@ KINDS = (
 
 
 class ServerPlan(msgspec.Struct, frozen=True):
-    """How each server of the run is set up."""
+    """The settings of each server of the run."""
 
     feedback: Literal["every", "latest"] = "every"
     feedback_window: int = 64
@@ -90,7 +90,7 @@ class ServerPlan(msgspec.Struct, frozen=True):
     authorize: Literal["open", "sync", "async"] = "open"
     queue: int = 2**20
     goals: int = 10_000
-    """How many goals one connection may follow."""
+    """The number of goals that one connection may follow."""
 
 
 class Deed(msgspec.Struct, frozen=True):
@@ -100,15 +100,15 @@ class Deed(msgspec.Struct, frozen=True):
     """Seconds after the client's start."""
     kind: str
     work: Work
-    """The goal that it sends, if it sends one."""
+    """The goal of a deed that sends one."""
     patience: float = math.inf
-    """After so many seconds whoever does it is canceled."""
+    """Seconds after which the deed is canceled."""
     delay: float = 0.0
-    """Seconds that it waits somewhere on the way, for instance between two reads."""
+    """Seconds of a wait within the deed, for example between two reads."""
     count: int = 0
-    """How much of something: of feedback to be read, for instance."""
+    """An amount, for example of feedback to be read."""
     target: int = 0
-    """Which of the goals that were sent before is meant."""
+    """The index of the goal that is meant, among those that were sent before."""
 
 
 DEEDS = (
@@ -123,7 +123,7 @@ DEEDS = (
     ("twice", 2),  # send the same goal twice
     ("clash", 1),  # send another goal under an ID that is in use
     ("attach", 3),
-    ("observe", 2),  # follow by the endpoint's stream, statuses included
+    ("follow", 2),  # follow by the endpoint's stream, statuses included
     ("get result", 2),
     ("cancel by id", 2),
     ("cancel by stamp", 1),
@@ -136,11 +136,11 @@ DEEDS = (
     ("ask", 1),  # actions() and peers()
 )
 STARTS = ("send", "call", "call quietly", "leave", "cancel", "slow", "unread", "beside", "twice")
-"""Those that send a goal of their own."""
+"""The deeds that send a goal of their own."""
 
 
 class ClientPlan(msgspec.Struct, frozen=True):
-    """One client: how it is set up, and what it does."""
+    """The settings and the deeds of one client."""
 
     name: str
     weather: Weather
@@ -151,17 +151,17 @@ class ClientPlan(msgspec.Struct, frozen=True):
     window: int = 256
     deeds: tuple[Deed, ...] = ()
     leaves_at: float = math.inf
-    """When it leaves its block, whatever is still under way, in seconds after its start."""
+    """Seconds from its start until it leaves its block, even with deeds under way."""
     dies_at: float = math.inf
-    """When its process ends, without a word."""
+    """Seconds from its start until its process ends without closing its connection."""
 
 
 class Fault(msgspec.Struct, frozen=True):
-    """Something that goes wrong."""
+    """A fault of the network, or of the server's process."""
 
     at: float
     kind: Literal[
-        "cut", "half-close", "freeze", "stale", "refuse", "die at once", "restart", "crash"
+        "cut", "half-close", "freeze", "stale", "reject", "die at once", "restart", "crash"
     ]
     client: int = 0
     manner: Manner = "reset"
@@ -178,11 +178,11 @@ class Scenario(msgspec.Struct, frozen=True):
     clients: tuple[ClientPlan, ...]
     faults: tuple[Fault, ...] = ()
     server_at: float = 0.0
-    """When the first server starts."""
+    """Seconds until the first server starts."""
     calls_back: bool = False
-    """Whether connections are those of asyncio's transports, or streams that tasks wait for."""
+    """True if connections are asyncio transports, false if they are streams that tasks await."""
 
     @property
     def has_restarts(self) -> bool:
-        """Whether there is more than one server, one after the other."""
+        """True if the run has several servers, one after the other."""
         return any(fault.kind in ("restart", "crash") for fault in self.faults)

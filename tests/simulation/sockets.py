@@ -1,8 +1,8 @@
 """The ends of a simulated connection as asyncio has them: a transport that calls a protocol.
 
-It is for `ProtocolLine`, which TCP and Unix sockets have on asyncio, and does what a transport over
-a socket does: it hands over what arrives, keeps what the line does not take yet, and says when that
-is too much and when it is gone. What the bytes mean is not known here.
+It is for `ProtocolLine`, which TCP and Unix sockets use on asyncio, and behaves like a transport
+over a socket: it passes on the bytes that arrive, buffers those that the line cannot take yet, and
+pauses and resumes writing. It does not interpret the bytes.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Socket(asyncio.Transport):
                 self.close()
 
     def _lose(self, error: Exception | None) -> None:
-        """The protocol is told, once, in a turn of its own."""
+        """Tell the protocol once, in a turn of its own, that the connection is lost."""
         if not self._is_lost:
             self._is_lost = True
             self._stream.close_now()
@@ -122,7 +122,7 @@ class Socket(asyncio.Transport):
 
 
 def line_over(stream: SimulatedStream, max_frame: int, peer: str = "") -> _asyncio.ProtocolLine:
-    """One end of a connection, as the transports for TCP and Unix sockets have it."""
+    """Return one end of a connection, as the transports for TCP and Unix sockets have it."""
     line = _asyncio.ProtocolLine(max_frame, memoryview(bytearray(CHUNK)), peer)
     Socket(stream, line)
     return line

@@ -1,7 +1,7 @@
-"""The two ends of a connection in memory: bytes that take time, come in pieces, and get lost.
+"""The two ends of a connection in memory: bytes that take time, arrive in pieces, and get lost.
 
-All chance comes from one `random.Random`, all time from the virtual loop. Which connections there
-are, and what the bytes mean, is not known here.
+All randomness comes from one `random.Random`, all time from the virtual loop. The streams do not
+interpret the bytes.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from fibaction._notify import Notifier
 from tests.simulation.loop import VirtualLoop
 
 Manner: TypeAlias = Literal["reset", "end", "silence"]
-"""How a connection ends: both ends get an error, or the end of the stream, or never hear of it."""
+"""The end of a connection: both ends get an error, or the end of the stream, or no notice."""
 
 
 class Weather(msgspec.Struct, frozen=True):
-    """What a line is like."""
+    """The properties of a line."""
 
     latency: float = 0.001
-    """Seconds that each piece takes at least."""
+    """The least seconds that each piece takes."""
     jitter: float = 0.0
-    """Seconds that it may take longer, but never overtaking what was sent before."""
+    """The most seconds that a piece takes longer; pieces never overtake each other."""
     pieces: int = 1
-    """In how many pieces at most what is sent at once arrives."""
+    """The most pieces in which the bytes of one `send` arrive."""
     buffer: int = 2**16
-    """Bytes that may be under way in one direction, before whoever sends waits."""
+    """Bytes that may be under way in one direction before the sender waits."""
     dial: float = 0.002
-    """Seconds until a connection is there."""
+    """Seconds until a connection is open."""
 
 
 def _do_nothing() -> None:
@@ -57,19 +57,19 @@ class Way:
         self._size = 0
         self.thaws_at = 0.0
         self.is_closed = False
-        """Whether its sender sends no more."""
+        """True if its sender has closed it."""
         self.has_ended = False
-        """Whether the end of the stream has arrived."""
+        """True if the end of the stream has arrived."""
         self.is_broken = False
-        """Whether its reader gets an error."""
+        """True if its reader gets an error."""
         self.is_lost = False
-        """Whether what is sent is lost on the way, and nobody knows."""
+        """True if bytes are lost on the way without notice."""
         self.arrived = Notifier()
         self.room = Notifier()
         self.on_arrival: Callable[[], None] = _do_nothing
-        """Called when there may be something to read: see `sockets`."""
+        """The callback for bytes that may have arrived: see `sockets`."""
         self.on_room: Callable[[], None] = _do_nothing
-        """Called when there may be room to write."""
+        """The callback for room to write."""
 
     def _tell_reader(self) -> None:
         self.arrived.notify()
@@ -128,7 +128,7 @@ class Way:
         self._set_timer()
 
     def freeze(self, until: float) -> None:
-        """Nothing arrives before that; `math.inf` is never."""
+        """Delay all bytes until that time; `math.inf` is for ever."""
         self.thaws_at = until
         if self._timer is not None:
             self._timer.cancel()
@@ -136,7 +136,7 @@ class Way:
         self._set_timer()
 
     def lose(self) -> None:
-        """Lose what is under way, from a byte on that chance chooses, and all that follows."""
+        """Lose the bytes under way, from a random byte on, and all that follow."""
         self.is_lost = True
         under_way = sum(len(piece or b"") for _, piece in self._flight)
         keep = self._chance.randint(0, under_way)
@@ -161,11 +161,11 @@ class Way:
 
     @property
     def has_bytes(self) -> bool:
-        """Whether something has arrived, and was not taken."""
+        """True if bytes have arrived and were not taken."""
         return bool(self._inbox)
 
     def end_with(self, manner: Manner) -> None:
-        """Whoever reads here will find out in this way, behind what is still under way."""
+        """End the way behind the bytes that are under way, in this manner."""
         if manner == "end":
             self._launch(None)
         elif manner == "reset":
@@ -223,7 +223,7 @@ class SimulatedStream(ByteStream):
         await anyio.lowlevel.checkpoint()
 
     def close_now(self) -> None:
-        """Close it. What comes from now on comes to nobody, and its sender does not wait for it."""
+        """Close the stream. Bytes that arrive afterwards are lost, without blocking the sender."""
         if self.is_open:
             self.is_open = False
             self._outgoing.close()
@@ -234,7 +234,7 @@ class SimulatedStream(ByteStream):
 
     @property
     def ways(self) -> tuple[Way, Way]:
-        """What comes, and what goes."""
+        """The incoming and the outgoing way."""
         return self._incoming, self._outgoing
 
     def _check(self) -> None:

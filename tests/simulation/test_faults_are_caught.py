@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.simulation.faults import MISTAKES, Mistake
-from tests.simulation.making import scenario_of
+from tests.simulation.generator import scenario_of
 from tests.simulation.world import simulate
 
 SEARCHED = 150

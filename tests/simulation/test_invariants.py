@@ -5,8 +5,8 @@ from __future__ import annotations
 from fibaction import CancelAnswer, CancelCode, GoalID, GoalInfo, GoalStatus, Outcome
 from fibaction.server.registry import GoalRegistry
 from tests.simulation.facts import Life
+from tests.simulation.generator import scenario_of
 from tests.simulation.invariants import Record
-from tests.simulation.making import scenario_of
 from tests.simulation.scenario import Done, Step
 from tests.simulation.views import View, Watch
 
@@ -19,8 +19,8 @@ class Known:
     def __init__(self, seed: int = 0) -> None:
         self.now = 10.0
         self.record = Record(scenario_of(seed), lambda: self.now)
-        self.protocol = GoalRegistry()
-        self.life = Life(1, 0.0, self.protocol)
+        self.registry = GoalRegistry()
+        self.life = Life(1, 0.0, self.registry)
         self.record.lives.append(self.life)
         self.client = self.record.clients["client-0"]
         self.client.goals.add(GOAL)

@@ -153,7 +153,7 @@ def test_who_closes_is_seen_to_have_closed() -> None:
 
 def test_a_line_may_refuse() -> None:
     async def main(network: Network, line: Line, near: Any, far: Any) -> None:
-        line.refuses_until = anyio.current_time() + 1
+        line.rejects_until = anyio.current_time() + 1
         with pytest.raises(ConnectionRefusedError):
             await line.dial()
 

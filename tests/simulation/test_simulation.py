@@ -14,8 +14,8 @@ import pytest
 
 from tests.simulation import __main__ as command
 from tests.simulation.executors import EXECUTORS
+from tests.simulation.generator import scenario_of
 from tests.simulation.invariants import Violation
-from tests.simulation.making import scenario_of
 from tests.simulation.scenario import (
     DEEDS,
     KINDS,
@@ -74,7 +74,7 @@ def test_a_seed_is_the_same_run_each_time() -> None:
 def test_a_seed_is_the_same_run_in_every_process() -> None:
     program = (
         "from tests.simulation.world import simulate\n"
-        "from tests.simulation.making import scenario_of\n"
+        "from tests.simulation.generator import scenario_of\n"
         "print(*(simulate(scenario_of(seed)).digest for seed in range(20, 60)))"
     )
 

@@ -1,4 +1,4 @@
-"""The wire's two halves over the simulated network, put together as they are for TCP."""
+"""The transport of the simulation: the wire's two halves over the simulated network."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from fibaction.wire.framing import MAX_FRAME
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.wire_server import WireServer, open_server
 from fibaction_transports.tcp._asyncio import ProtocolLine
-from tests.simulation.network import Line, Listening, Network
+from tests.simulation.network import Line, Listener, Network
 from tests.simulation.sockets import line_over
 from tests.simulation.streams import SimulatedStream
 
 
 class SimulatedTransport(Transport):
-    """The wire's two halves over the simulated network, put together as TCP does it."""
+    """The wire's two halves over the simulated network, combined as for TCP."""
 
     def __init__(
         self,
@@ -32,8 +32,10 @@ class SimulatedTransport(Transport):
         *,
         calls_back: bool = False,
     ) -> None:
-        """A client has a line and keeps its connection, a server has terms. `calls_back` says that
-        no tasks read and write, but the loop calls, as it does for TCP without TLS.
+        """Make a transport: with a line and settings for a client, or with settings for a server.
+
+        With `calls_back`, the loop calls a protocol, as for TCP without TLS; otherwise tasks read
+        and write.
         """
         self._calls_back = calls_back
         self._network = network
@@ -43,7 +45,7 @@ class SimulatedTransport(Transport):
 
     @classmethod
     def from_url(cls, url: str, **settings: Any) -> SimulatedTransport:
-        raise NotImplementedError  # a simulated network has no addresses
+        raise NotImplementedError  # a simulated network does not have addresses
 
     @asynccontextmanager
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
@@ -58,7 +60,7 @@ class SimulatedTransport(Transport):
             finally:
                 await listener.aclose()
 
-    async def _accept(self, listener: Listening, connections: WireServer) -> None:
+    async def _accept(self, listener: Listener, connections: WireServer) -> None:
         while True:
             stream = await listener.accept()
             connections.start(self._line_over(stream, ""))
@@ -81,5 +83,5 @@ class SimulatedTransport(Transport):
         try:
             stream = await self._line.dial()
         except OSError as exc:
-            raise ServerNotFound(f"nobody listens: {exc}") from exc
+            raise ServerNotFound(f"the server does not listen: {exc}") from exc
         return self._line_over(stream, stream.peer)

@@ -1,4 +1,4 @@
-"""What clients see of goals, compared with what is true of them."""
+"""The goals as clients see them, compared with the facts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class View:
         *,
         start: int,
     ) -> None:
-        """`stamp` None is the goal of that ID that was accepted last."""
+        """Make a view; `stamp` None means the last accepted goal with that ID."""
         self._record = record
         self.client = client
         self.goal_id = goal_id
@@ -32,21 +32,23 @@ class View:
         self._status = INITIAL
         self.own = goal_id in client.goals
         self.losses = client.losses
-        """How often the client had lost its connection, when it sent the goal."""
+        """The number of connections that the client had lost before it sent the goal."""
         self._began_at = record.now()
         self.attentive = False
-        """Whether it reads all there is, as soon as it comes."""
+        """True if it reads all feedback as soon as it arrives."""
 
     @property
     def name(self) -> str:
-        """The goal, in few letters."""
+        """The short name of the goal."""
         return short(self.goal_id)
 
     def _fail(self, invariant: str, text: str) -> None:
         self._record.fail(invariant, f"{self.client.plan.name}, goal {short(self.goal_id)}: {text}")
 
     def feedback(self, step: Step, dropped: int | None, number: int | None = None) -> None:
-        """It has read that feedback; `dropped` is what it is told to have missed by now."""
+        """Check a feedback message that was read; `dropped` is the number that it claims to have
+        missed.
+        """
         count = step.count
         if number is not None and number != count:
             self._fail("feedback", f"number {number} is what was yielded as {count}")
@@ -66,7 +68,7 @@ class View:
             self._fail("feedback", f"{count} was never yielded")
 
     def end_of_feedback(self, dropped: int) -> None:
-        """There is no more feedback."""
+        """Check the counts at the end of the feedback."""
         truth = self._record.truth(self.goal_id, self.stamp)
         if truth is None or truth.outcome is None:
             if self._status is not GoalStatus.UNKNOWN:
@@ -75,7 +77,7 @@ class View:
         told = self._start + self._seen + dropped
         stops = truth.life.stops_at <= self._record.now()
         if self._status is GoalStatus.UNKNOWN:
-            return  # its end is not known here
+            return  # the client does not know the goal's end
         if told != truth.count and self.goal_id not in self._record.sent_again:
             self._fail(
                 "feedback",
@@ -86,23 +88,23 @@ class View:
             self._fail("complete", f"{dropped} were dropped of {truth.count}")
 
     def end_of_call(self) -> None:
-        """A call is over, which does not say what was dropped."""
+        """Check the end of a `call`, which does not report dropped feedback."""
         truth = self._record.truth(self.goal_id, self.stamp)
         if truth is not None and self.attentive and self._may_claim_all(truth):
             self.end_of_feedback(0)
 
     def _may_claim_all(self, truth: Truth) -> bool:
-        # What was under way when a line broke is sent again from what the server remembers.
+        # Messages that were lost with a connection are sent again, if the server remembers them.
         is_remembered = truth.count <= self._record.scenario.server.feedback_window
         was_kept = self.losses == self.client.losses and self.client.is_ready
         is_alone = self.goal_id not in self._record.sent_again
-        # An executor that is interrupted as it waits for the reader, and goes on, pushes one out.
+        # An executor that is interrupted while it waits for a reader, and goes on, pushes one out.
         was_left_alone = GoalStatus.CANCELING not in truth.statuses
         undisturbed = is_alone and was_left_alone and (was_kept or is_remembered)
         return self._record.promises_all and undisturbed
 
     def status(self, status: GoalStatus) -> None:
-        """That is the status now."""
+        """Check that the new status may follow the last one."""
         if status not in REACHABLE[self._status] and not (
             status is GoalStatus.UNKNOWN and self._is_forgotten()
         ):
@@ -110,7 +112,7 @@ class View:
         self._status = status
 
     def outcome(self, outcome: Outcome[Done]) -> None:
-        """It was told how the goal has ended."""
+        """Check the outcome that the client received."""
         self.status(outcome.status)
         truth = self._record.truth(self.goal_id, self.stamp)
         if outcome.status is GoalStatus.UNKNOWN:
@@ -129,10 +131,10 @@ class View:
 
 
 class Watch:
-    """All goals, as one client sees them in one stream of statuses."""
+    """All goals as one client sees them in one stream of statuses."""
 
     def __init__(self, record: Record, client: ClientState, *, exact: bool) -> None:
-        """`exact` says that every change must be told, because nothing can have got lost."""
+        """Make a view; with `exact`, every change must be seen, because none can be lost."""
         self._record = record
         self._client = client
         self._known: dict[tuple[GoalID, int], GoalStatus] = {}
@@ -140,7 +142,7 @@ class Watch:
         self._exact = exact
 
     def info(self, info: GoalInfo, *, is_known: bool) -> None:
-        """A goal has that status; `is_known` says that it had it when the stream began."""
+        """Check a status; `is_known` is true if the goal had it when the stream began."""
         status = info.status
         exact = self._exact and info.goal_id not in self._record.sent_again
         if status is GoalStatus.UNKNOWN:
@@ -165,7 +167,7 @@ class Watch:
             self._fail(info, f"{status.name} came after {before_or_none.name}, at once")
 
     def feedback(self, goal_id: GoalID, number: int, step: Step) -> None:
-        """Feedback of one of the goals."""
+        """Check a feedback message of one of the goals."""
         about = f"{self._client.plan.name}, goal {short(goal_id)}:"
         before = self._numbers.get(goal_id, 0)
         self._numbers[goal_id] = number

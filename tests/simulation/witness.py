@@ -1,7 +1,6 @@
-"""Tells a record what happens inside the product: what servers decide, how connections fare, what
-is logged.
+"""The source of a record's facts: the decisions of servers, the states of connections, and the log.
 
-It looks on, by methods that call the real ones: nothing is decided or done otherwise here.
+It wraps methods of the product. The wrappers call the real methods, and change nothing.
 """
 
 from __future__ import annotations
@@ -30,23 +29,23 @@ from tests.simulation.invariants import ON_PURPOSE, Record
 
 @contextmanager
 def recorded(record: Record, on_hub: Callable[[WireServer], None]) -> Generator[None, None, None]:
-    """Let the record know what servers decide, and how connections fare."""
+    """Report decisions of servers and states of connections to the record, in the block."""
     with ExitStack() as stack:
 
-        def observe(cls: type, name: str, make: Callable[[Any], Any]) -> None:
+        def wrap(cls: type, name: str, make: Callable[[Any], Any]) -> None:
             stack.enter_context(patch.object(cls, name, make(getattr(cls, name))))
 
-        observe(GoalRegistry, "accept", lambda real: _accepting(real, record))
-        observe(GoalRegistry, "execute", lambda real: _executing(real, record))
-        observe(GoalRegistry, "finish", lambda real: _finishing(real, record))
-        observe(Cancellation, "accept", lambda real: _canceling(real, record))
-        observe(RemoteConnection, "_attempt", lambda real: _attempting(real, record))
-        observe(RemoteConnection, "_begin", lambda real: _beginning(real, record))
-        observe(Reconnector, "_give_up", lambda real: _giving_up(real, record))
-        observe(Session, "run", lambda real: _session_running(real, record))
-        observe(Owners, "adopt", lambda real: _adopting(real, record))
-        observe(Owners, "own", lambda real: _owning(real, record))
-        observe(WireServer, "__init__", lambda real: _opening_hub(real, on_hub))
+        wrap(GoalRegistry, "accept", lambda real: _accepting(real, record))
+        wrap(GoalRegistry, "execute", lambda real: _executing(real, record))
+        wrap(GoalRegistry, "finish", lambda real: _finishing(real, record))
+        wrap(Cancellation, "accept", lambda real: _canceling(real, record))
+        wrap(RemoteConnection, "_attempt", lambda real: _attempting(real, record))
+        wrap(RemoteConnection, "_begin", lambda real: _beginning(real, record))
+        wrap(Reconnector, "_give_up", lambda real: _giving_up(real, record))
+        wrap(Session, "run", lambda real: _session_running(real, record))
+        wrap(Owners, "adopt", lambda real: _adopting(real, record))
+        wrap(Owners, "own", lambda real: _owning(real, record))
+        wrap(WireServer, "__init__", lambda real: _opening_hub(real, on_hub))
         yield
 
 
@@ -111,7 +110,7 @@ def _attempting(real: Any, record: Record) -> Any:
 
 
 def _is_lines_fault(error: ProtocolError, record: Record) -> bool:
-    """Whether it may come of a line that stands still, and not of what was said."""
+    """Return whether the error may be caused by a frozen line, and not by a wrong message."""
     what, scenario = str(error), record.scenario
     is_late = "has not said hello" in what
     is_much = "asks for more than it reads" in what and scenario.server.queue < 10_000
@@ -181,7 +180,7 @@ def _name_in(where: str) -> str:
 
 
 class _Log(logging.Handler):
-    """Puts what is logged into the trace."""
+    """A handler that adds log records to the trace."""
 
     def __init__(self, record: Record) -> None:
         super().__init__()
@@ -198,7 +197,7 @@ class _Log(logging.Handler):
 
 @contextmanager
 def listening(record: Record) -> Generator[None, None, None]:
-    """Hear what is logged, and what Python can only print."""
+    """Report the log, and errors that Python can only print, to the record, in the block."""
     logger = logging.getLogger("fibaction")
     handler = _Log(record)
     before = logger.level, logger.propagate
@@ -207,7 +206,7 @@ def listening(record: Record) -> Generator[None, None, None]:
     logger.propagate = False
 
     def unraisable(what: Any) -> None:
-        record.fail("log", f"nobody could be told of {what.exc_value!r} in {what.object!r}")
+        record.fail("log", f"{what.exc_value!r} was raised in {what.object!r}, and ignored")
 
     try:
         with patch.object(sys, "unraisablehook", unraisable):

@@ -1,8 +1,8 @@
 """A world for one scenario: the real server, client and wire code, in virtual time.
 
-It builds what the scenario says, lets it happen, and looks at what is left. The product is the real
-one down to its connections; what it asks of the `machine` is made up, all of it from the seed. What
-is right and wrong is not known here but in `invariants`.
+It sets up what the scenario plans, runs it, and checks what is left at the end. The product is the
+real one down to its connections; its `machine` is made from the seed. The rules are in
+`invariants`.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from fibaction.wire.wire_server import WireServer
 from tests.simulation import loop as virtual
 from tests.simulation.clients import Client
 from tests.simulation.executors import (
-    agree_on_cancel,
-    agree_on_cancel_later,
-    agree_on_goal,
-    agree_on_goal_later,
+    decide_cancel,
+    decide_cancel_later,
+    decide_goal,
+    decide_goal_later,
     executor_for,
 )
 from tests.simulation.facts import Life
@@ -42,11 +42,11 @@ from tests.simulation.transport import SimulatedTransport
 from tests.simulation.witness import listening, lost, recorded
 
 PATIENCE = 900.0
-"""Seconds that a run may take after the last fault: several times the longest timeout there is."""
+"""Seconds that a run may take after the last fault: several times the longest timeout."""
 
 
 class Report(msgspec.Struct, frozen=True):
-    """What came of a run."""
+    """The report of a run."""
 
     scenario: Scenario
     violations: list[Violation]
@@ -56,20 +56,20 @@ class Report(msgspec.Struct, frozen=True):
     cuts: int
     restarts: int
     seconds: float
-    """Virtual ones."""
+    """Virtual seconds of the run."""
 
     @property
     def digest(self) -> str:
-        """The trace in short: two runs that have the same were the same."""
+        """The digest of the trace, equal for equal runs."""
         return hashlib.sha256("\n".join(self.trace).encode()).hexdigest()
 
 
 class _Hopeless(Exception):
-    """Somebody has waited for too long, and nothing will come of it."""
+    """A wait of the run that took too long."""
 
 
 class World:
-    """One scenario, happening."""
+    """The run of one scenario."""
 
     def __init__(self, scenario: Scenario, loop: virtual.VirtualLoop) -> None:
         self.scenario = scenario
@@ -86,7 +86,7 @@ class World:
             for number, (plan, line) in enumerate(zip(scenario.clients, self._lines, strict=True))
         ]
         self._lives = 0
-        """How many servers have not stopped, those included that are dead to the world."""
+        """The number of servers that have not stopped, those included that have crashed."""
         self._tasks: TaskGroup
 
     def _client_transport(self, line: Line, number: int) -> SimulatedTransport:
@@ -101,15 +101,15 @@ class World:
         return SimulatedTransport(self.network, line, keeping, calls_back=calls_back)
 
     def on_hub(self, opened: WireServer) -> None:
-        """A server has opened its hub."""
+        """Keep the wire server that an action server has opened."""
         self.hub = opened
 
     # The servers
 
     def _new_server(self) -> ActionServer[Work, Step, Done]:
         plan = self.scenario.server
-        on_goal = {"none": None, "sync": agree_on_goal, "async": agree_on_goal_later}
-        on_cancel = {"none": None, "sync": agree_on_cancel, "async": agree_on_cancel_later}
+        on_goal = {"none": None, "sync": decide_goal, "async": decide_goal_later}
+        on_cancel = {"none": None, "sync": decide_cancel, "async": decide_cancel_later}
         return ActionServer(
             SIMULATED,
             executor_for(self.record),
@@ -138,7 +138,7 @@ class World:
         return SimulatedTransport(self.network, terms=terms, calls_back=self.scenario.calls_back)
 
     async def _live(self, after: float) -> None:
-        """Be a server, from its start until it is stopped or killed."""
+        """Run a server, from its start until it is stopped or killed."""
         self._lives += 1
         await anyio.sleep(after)
         server = self._new_server()
@@ -157,12 +157,12 @@ class World:
             self.record.fail("rest", f"goals run on in a server that has stopped: {server!r}")
 
     async def _restart(self, fault: Fault) -> None:
-        """End this server, well or badly, and start another one, which knows of nothing."""
+        """Stop or crash this server, and start another one, which has no goals."""
         if not self._is_served:
             return
         self.record.lives[-1].stops_at = self.record.now()
         if fault.kind == "crash":
-            # For others the process is gone. That its tasks clean up, nobody hears.
+            # Its connections are cut first, so the clean-up of its tasks reaches no client.
             self.network.host.die(fault.manner)
             self._life_scope.cancel()
         else:
@@ -187,8 +187,8 @@ class World:
                 line.freeze(fault.seconds, *fault.directions)
             elif fault.kind == "stale":
                 line.freeze(fault.seconds, *fault.directions, new_too=False)
-            elif fault.kind == "refuse":
-                line.refuses_until = current_time() + fault.seconds
+            elif fault.kind == "reject":
+                line.rejects_until = current_time() + fault.seconds
                 line.cut(fault.manner)
             else:
                 line.dies_at_once = 2
@@ -217,7 +217,7 @@ class World:
     # The whole
 
     async def run(self) -> None:
-        """Let everything happen, and look at what is left."""
+        """Run the scenario, and check what is left at the end."""
         async with create_task_group() as self._tasks:
             self._tasks.start_soon(self._live, self.scenario.server_at)
             for client, line in zip(self._clients, self._lines, strict=True):
@@ -249,8 +249,8 @@ class World:
         give_up_at = current_time() + PATIENCE
         while not self._is_quiet():
             if current_time() >= give_up_at:
-                self._nobody_answers()
-            # What would go on for long is canceled, so that this ends some time.
+                self._give_up()
+            # Long goals are canceled, so that the run ends.
             if self._is_served and self._server is not None:
                 self.record.may_cancel(None)
                 await self._server.cancel_goals()
@@ -260,19 +260,19 @@ class World:
         is_idle = self._server is not None and self._is_served and not self._server._runs
         return is_idle and all(client.is_done for client in self._clients)
 
-    def _nobody_answers(self) -> None:
+    def _give_up(self) -> None:
         for client in self._clients:
             for deed, since in client.under_way.items():
                 at = since - virtual.EPOCH
                 text = f"{client.plan.name} still waits for {deed.kind!r}, begun at {at:.6f}"
                 self.record.fail("answer", text)
-        raise _Hopeless("\n".join(["somebody still waits:", *virtual.waiting_tasks()]))
+        raise _Hopeless("\n".join(["tasks still wait:", *virtual.waiting_tasks()]))
 
     async def _until_nothing_is_left(self) -> None:
-        """Nobody wants anything any more, so after a while nothing is kept for anybody."""
+        """Wait until nothing is kept for clients, which are all done."""
         give_up_at = current_time() + 4 * 60
         while left := self._left_by_goals():
-            gc.collect()  # a goal that nobody reads any more is let go of with its reader
+            gc.collect()  # a goal is released when its reader is collected
             if current_time() >= give_up_at:
                 self.record.fail("rest", f"left when all is done: {left}")
                 return
@@ -291,7 +291,7 @@ class World:
         return left
 
     async def _end(self) -> None:
-        """Everybody goes, the clients first or the server first."""
+        """Let the clients and the server leave, in an order that depends on the seed."""
         if self.scenario.seed % 2:
             await self._stop_server()
         for client in self._clients:
@@ -315,7 +315,7 @@ class World:
 
 
 def simulate(scenario: Scenario) -> Report:
-    """Run a scenario, and say what came of it."""
+    """Run a scenario, and return its report."""
     loop = virtual.VirtualLoop(longest=20_000, most_turns=1_000_000)
     world = World(scenario, loop)
     record = world.record

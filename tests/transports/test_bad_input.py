@@ -191,13 +191,13 @@ async def test_a_truncated_frame_is_told_from_a_connection_that_was_closed() -> 
 
 
 @pytest.mark.parametrize("data", [b"", b"\x00", framed(HELLO)[:-1]], ids=["none", "one", "most"])
-async def test_who_begins_to_say_hello_and_does_not_is_not_waited_for(data: bytes) -> None:
+async def test_a_peer_that_does_not_finish_its_hello_is_not_waited_for(data: bytes) -> None:
     async with scene(limits=Limits(handshake=0.05)) as here, raw(here.url) as peer:
         await peer.stream.send(data)
         await here.ends(peer, "it has not said hello within 0.05 s", Why.LIMIT)
 
 
-async def test_who_falls_silent_after_the_hello_is_not_waited_for() -> None:
+async def test_a_peer_that_falls_silent_after_the_hello_is_not_waited_for() -> None:
     async with scene() as here, raw(here.url) as peer:
         await peer.say(encode(Hello(VERSION, 0.01)))
         # The server looks once per its own heartbeat, which is 1 s.

@@ -29,8 +29,8 @@ pytestmark = pytest.mark.asyncio
 @pytest.mark.parametrize(
     "url", ["inproc://", "inproc://a/b", "inproc://ä", "inproc://a b", "inproc://a#b"]
 )
-async def test_a_url_with_no_good_name_is_refused(url: str) -> None:
-    with pytest.raises(TransportError, match="an in-process URL is like inproc://robot, unlike"):
+async def test_a_url_with_no_good_name_is_rejected(url: str) -> None:
+    with pytest.raises(TransportError, match="an in-process URL is like inproc://robot, not"):
         InProcessTransport.from_url(url)
 
 
@@ -39,11 +39,11 @@ async def test_it_has_no_settings() -> None:
         InProcessTransport.from_url("inproc://a", token="x")
 
 
-async def test_settings_in_its_url_are_refused_and_not_shown() -> None:
+async def test_settings_in_its_url_are_rejected_and_not_shown() -> None:
     with pytest.raises(TransportError) as caught:
         InProcessTransport.from_url("inproc://a?token=secret")
     assert str(caught.value) == (
-        "inproc://a has settings behind ?, and there are none: leave them out"
+        "inproc://a does not take settings: leave out the ? and what follows it"
     )
 
 
@@ -65,22 +65,22 @@ async def test_the_url_of_a_transport_without_a_name_leads_to_it() -> None:
 
 async def test_one_action_cannot_be_served_twice_at_one_place() -> None:
     async with ActionServer(FIBONACCI, fibonacci) as server:
-        with pytest.raises(TransportError, match="'fibonacci' is served at inproc://x already"):
+        with pytest.raises(TransportError, match="'fibonacci' is already served at inproc://x"):
             async with InProcessTransport("x").serve(server, server):
                 raise AssertionError("the block must not run")
         async with InProcessTransport("x").serve(server):
-            with pytest.raises(TransportError, match="'fibonacci' is served at inproc://x already"):
+            with pytest.raises(TransportError, match="'fibonacci' is already served at inproc://x"):
                 async with InProcessTransport("x").serve(server):
                     raise AssertionError("the block must not run")
 
 
-async def test_nobody_there_is_said_with_what_to_do() -> None:
+async def test_a_server_that_is_not_there_is_named_with_what_to_do() -> None:
     async with connect("inproc://empty", FIBONACCI) as client, connect("inproc://empty") as other:
         with pytest.raises(ServerNotFound) as caught:
             await client.send_goal(Goal(1))
         assert str(caught.value) == (
-            "nobody serves the action 'fibonacci' at inproc://empty: start its server in this"
-            " process, or wait for one with wait_for_server()"
+            "the action 'fibonacci' is not served at inproc://empty: start its server in this"
+            " process, or wait for it with wait_for_server()"
         )
         assert await other.actions() == []
 
@@ -114,7 +114,7 @@ async def test_a_client_waits_for_its_own_action_only() -> None:
 
 
 @pytest.mark.parametrize("stops", ["before", "meanwhile"])
-async def test_who_waits_for_a_server_is_not_put_off_by_one_that_has_stopped(
+async def test_a_wait_for_a_server_is_not_ended_by_one_that_has_stopped(
     stops: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     place, found, stopped = InProcessTransport(), anyio.Event(), anyio.Event()
@@ -158,7 +158,7 @@ async def test_an_endpoint_hands_everything_on() -> None:
             assert first.goal_id == stream.goal_id
 
 
-async def test_a_place_that_nobody_uses_is_forgotten() -> None:
+async def test_a_place_that_is_not_used_any_more_is_forgotten() -> None:
     InProcessTransport("passing")
     gc.collect()
     assert "inproc://passing" not in inprocess._places

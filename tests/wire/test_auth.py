@@ -24,7 +24,7 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
 
 
 @pytest.mark.parametrize("token", ["", "sesame"])
-def test_without_tokens_everybody_may_come_in_and_has_no_name(token: str) -> None:
+def test_without_tokens_every_client_is_admitted_and_has_no_name(token: str) -> None:
     assert AccessPolicy().admit(ADDRESS, token) == Peer(ADDRESS, "")
 
 
@@ -34,7 +34,7 @@ def test_a_good_token_lets_its_owner_in(token: str, name: str) -> None:
 
 
 @given(strategies.text() | strategies.sampled_from(["", "Sesame", "sesam", "sesame ", "ali"]))
-def test_any_other_token_lets_nobody_in(token: str) -> None:
+def test_any_other_token_admits_no_client(token: str) -> None:
     assert (AccessPolicy(TOKENS).admit(ADDRESS, token) is None) == (token not in TOKENS)
 
 
@@ -55,21 +55,21 @@ def test_every_token_is_compared_so_that_time_tells_nothing(
 
 
 @pytest.mark.parametrize("tokens", [{}, {"": "ali"}, {"sesame": "ali", "": "bob"}])
-def test_tokens_that_would_let_nobody_or_everybody_in_are_refused(
+def test_tokens_that_would_admit_no_client_or_every_client_are_rejected(
     tokens: Mapping[str, str],
 ) -> None:
     with pytest.raises(ValueError, match="at least one, and none empty"):
         AccessPolicy(tokens)
 
 
-def test_a_token_that_no_client_could_send_is_refused_and_not_shown() -> None:
+def test_a_token_that_no_client_could_send_is_rejected_and_not_shown() -> None:
     with pytest.raises(ValueError, match=r"^token is not valid text$") as caught:
         AccessPolicy({"sesame": "ali", "secret \udcff": "bob"})
     assert "secret" not in str(caught.value)
     assert caught.value.__suppress_context__
 
 
-def test_a_token_may_belong_to_somebody_without_a_name() -> None:
+def test_a_token_may_belong_to_a_client_without_a_name() -> None:
     assert AccessPolicy({"sesame": ""}).admit(ADDRESS, "sesame") == Peer(ADDRESS)
 
 
@@ -108,7 +108,7 @@ async def may_only_observe_says_another(peer: Peer, action: str, verb: Permissio
         (Peer(ADDRESS, "bob"), "fibonacci", Permission.OBSERVE, False),
     ],
 )
-async def test_a_rule_is_told_who_wants_what_of_which_action(
+async def test_a_rule_is_told_the_client_the_permission_and_the_action(
     authorize: Authorize, peer: Peer, action: str, verb: Permission, allowed: bool
 ) -> None:
     with anyio.fail_after(5):
@@ -140,7 +140,7 @@ async def test_the_error_of_a_rule_allows_nothing() -> None:
         await AccessPolicy(authorize=broken).permits(ALI, "fibonacci", Permission.SEND)
 
 
-def test_only_where_nobody_is_asked_everybody_may_do_everything() -> None:
+def test_only_without_a_rule_every_client_may_do_everything() -> None:
     assert AccessPolicy().is_open
     assert AccessPolicy({"secret": "ann"}).is_open  # for those who are in
     assert not AccessPolicy(authorize=lambda *_: True).is_open

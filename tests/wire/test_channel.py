@@ -203,7 +203,7 @@ async def test_a_peer_that_closes_within_a_message_is_told_apart(length: int) ->
 
 
 @broken
-async def test_a_line_that_breaks_is_a_lost_connection_for_who_sends(error: Exception) -> None:
+async def test_a_line_that_breaks_is_a_lost_connection_for_the_sender(error: Exception) -> None:
     stream = FakeStream()
     stream.error = error
     with pytest.raises(ConnectionLost, match=r"^the connection to 10\.0\.0\.1:7400 broke$") as lost:
@@ -212,7 +212,7 @@ async def test_a_line_that_breaks_is_a_lost_connection_for_who_sends(error: Exce
 
 
 @broken
-async def test_a_line_that_breaks_is_a_lost_connection_for_who_receives(error: Exception) -> None:
+async def test_a_line_that_breaks_is_a_lost_connection_for_the_receiver(error: Exception) -> None:
     stream = FakeStream()
     stream.error = error
     with pytest.raises(ConnectionLost, match=r"^the connection to 10\.0\.0\.1:7400 broke$") as lost:
@@ -310,7 +310,7 @@ async def test_closing_what_is_broken_raises_nothing(error: Exception) -> None:
 
 
 @in_virtual_time()
-async def test_closing_waits_for_nobody_longer_than_a_second() -> None:
+async def test_closing_waits_no_longer_than_a_second() -> None:
     stream = FakeStream()
     stream.wait = anyio.sleep_forever
     start = anyio.current_time()
@@ -318,7 +318,7 @@ async def test_closing_waits_for_nobody_longer_than_a_second() -> None:
     assert anyio.current_time() - start == 1
 
 
-async def test_a_channel_is_closed_also_by_who_is_being_canceled() -> None:
+async def test_a_channel_is_closed_also_by_a_task_that_is_being_canceled() -> None:
     stream = FakeStream()
     with anyio.fail_after(5), anyio.CancelScope() as scope:
         scope.cancel()
@@ -402,7 +402,7 @@ async def test_a_write_that_fails_ends_the_run() -> None:
     assert isinstance(running.error, ConnectionLost)
 
 
-async def test_a_line_of_somebody_elses_need_not_know_of_progress() -> None:
+async def test_a_foreign_line_need_not_know_of_progress() -> None:
     class Still(Line):
         peer = "nobody"
 

@@ -126,7 +126,7 @@ def end(call_id: int, place: int = 0) -> Ended:
 # The handshake
 
 
-async def test_the_first_message_says_who_the_client_is_on_each_connection() -> None:
+async def test_the_first_message_names_the_client_on_each_connection() -> None:
     network = Network()
     settings = ClientSettings(heartbeat=LONG, token="s3cret", max_frame=1234)
     assert "s3cret" not in repr(settings)

@@ -107,7 +107,7 @@ def test_the_memory_of_a_large_frame_is_given_back() -> None:
     strategies.lists(strategies.binary(max_size=LIMIT), max_size=3),
     strategies.integers(LIMIT + 1, 2**32 - 1),
 )
-def test_a_frame_over_the_limit_is_refused_with_its_header(frames: list[bytes], size: int) -> None:
+def test_a_frame_over_the_limit_is_rejected_with_its_header(frames: list[bytes], size: int) -> None:
     reader = FrameReader(LIMIT)
     assert reader.feed(framed(frames)) == frames
     assert reader.feed(header(size)[:-1]) == []
@@ -136,7 +136,7 @@ def test_bytes_of_another_protocol_are_recognized(data: bytes, name: str) -> Non
         FrameReader().feed(data)
 
 
-def test_a_frame_over_the_limit_is_refused_wherever_it_comes() -> None:
+def test_a_frame_over_the_limit_is_rejected_wherever_it_comes() -> None:
     with pytest.raises(ProtocolError):
         FrameReader(LIMIT).feed(framed([b"", bytes(LIMIT), bytes(LIMIT + 1)]))
 

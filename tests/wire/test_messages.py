@@ -149,7 +149,7 @@ def test_statuses_and_goal_ids_are_sent_as_plain_numbers_and_bytes() -> None:
     ]
 
 
-def test_a_message_of_anything_else_is_refused() -> None:
+def test_a_message_of_anything_else_is_rejected() -> None:
     with pytest.raises(TypeError, match=r"^a message cannot contain a complex$"):
         encode(Rejected(1, 1j))  # type: ignore[arg-type]  # that is what is refused
 
@@ -519,7 +519,7 @@ def test_half_a_message_and_two_messages_are_none(
             decode(data + data)
 
 
-def test_text_that_is_no_utf_8_is_refused() -> None:
+def test_text_that_is_no_utf_8_is_rejected() -> None:
     with pytest.raises(ProtocolError, match="utf-8"):
         decode_from_client(b"\x92\x01\xa1\xff")
     with pytest.raises(ProtocolError, match="utf-8"):

@@ -11,7 +11,7 @@ from fibaction.wire.settings import Limits
 NAMES = Limits.__struct_fields__
 
 
-def test_the_limits_that_nobody_set_let_a_usual_client_work() -> None:
+def test_the_default_limits_let_a_usual_client_work() -> None:
     limits = Limits()
     assert limits.frame == MAX_FRAME
     assert limits.queue <= limits.frame <= limits.memory
@@ -30,7 +30,7 @@ def test_any_number_above_zero_is_a_limit(name: str, value: int) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("value", [0, -1, math.inf, -math.inf, math.nan])
-def test_a_limit_that_limits_nothing_or_everything_is_refused(name: str, value: float) -> None:
+def test_a_limit_that_limits_nothing_or_everything_is_rejected(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"^the limit of {name} is finite and more than 0, not "):
         Limits(**{name: value})  # type: ignore[arg-type]  # a float where some take an int
 

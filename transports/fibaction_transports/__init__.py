@@ -1,1 +1,1 @@
-"""The transports that come with fibaction, one module each; `fibaction` finds them by URL."""
+"""The transports that come with fibaction, one module or package each, found by URL."""

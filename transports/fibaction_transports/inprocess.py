@@ -1,7 +1,7 @@
 """`inproc://name`: clients and servers in one process, on one event loop.
 
-A client gets the server itself, looked up by name at each call, so nothing is copied or queued on
-the way, and a server may come after its clients.
+A client calls the server itself, which is looked up by name at each call. So nothing is copied or
+queued on the way, and a server may be started after its clients.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class _Place:
             return self.endpoints[action]
         except KeyError:
             raise ServerNotFound(
-                f"nobody serves the action {action!r} at {self.url}: start its server in this"
-                f" process, or wait for one with wait_for_server()"
+                f"the action {action!r} is not served at {self.url}: start its server in this"
+                f" process, or wait for it with wait_for_server()"
             ) from None
 
 
@@ -47,29 +47,31 @@ _places: WeakValueDictionary[str, _Place] = WeakValueDictionary()
 
 
 class InProcessTransport(Transport):
-    """Reaches servers in the same process. Without a name, only those that are given this object,
-    or its URL, can meet here: a place for one test.
+    """The transport between clients and servers in one process.
+
+    Without a name it makes a unique URL, for example for one test; clients and servers then need
+    this object, or that URL.
     """
 
     def __init__(self, name: str | None = None) -> None:
         url = f"inproc://{name or uuid.uuid4().hex}"
         if not _URL.fullmatch(url):
-            raise InvalidURL(f"an in-process URL is like inproc://robot, unlike {url!r}")
+            raise InvalidURL(f"an in-process URL is like inproc://robot, not {url!r}")
         self._place = _places.setdefault(url, _Place(url))
 
     @classmethod
     def from_url(cls, url: str, **settings: Any) -> InProcessTransport:
-        """Make it from `inproc://name`, where the name is of letters, digits and `_.-`.
+        """Make a transport from `inproc://name`, where the name has letters, digits and `_.-`.
 
-        It has no settings.
+        It does not take settings.
 
         Raises:
-            TransportError: The URL is another one.
-            TypeError: There are settings.
+            InvalidURL: The URL is invalid.
+            TypeError: Settings were given.
         """
         where, has_settings, _ = url.partition("?")
-        if has_settings:  # not shown: people take them along from another URL, with the token
-            raise InvalidURL(f"{where} has settings behind ?, and there are none: leave them out")
+        if has_settings:  # they are not shown: copied from another URL, they may have a token
+            raise InvalidURL(f"{where} does not take settings: leave out the ? and what follows it")
         check_settings(cls.__name__, settings, ())
         return cls(url.removeprefix("inproc://") or "/")
 
@@ -81,7 +83,7 @@ class InProcessTransport(Transport):
         for endpoint in endpoints:
             name = endpoint.info.name
             if name in place.endpoints or name in served:
-                raise TransportError(f"the action {name!r} is served at {place.url} already")
+                raise TransportError(f"the action {name!r} is already served at {place.url}")
             served[name] = endpoint
         place.endpoints.update(served)
         place.changed.notify()
@@ -93,7 +95,7 @@ class InProcessTransport(Transport):
 
     @asynccontextmanager
     async def connect(self) -> AsyncGenerator[Connection, None]:
-        """See `Transport.connect`. It never fails: servers may come later."""
+        """See `Transport.connect`. It never fails, since servers may be started later."""
         connection = _InProcessConnection(self._place)
         try:
             yield connection
@@ -102,7 +104,7 @@ class InProcessTransport(Transport):
 
 
 class _InProcessConnection(Connection):
-    """An open connection, which ends what was followed over it when it is closed."""
+    """An open connection, which ends its streams when it is closed."""
 
     def __init__(self, place: _Place) -> None:
         self.place = place
@@ -121,12 +123,12 @@ class _InProcessConnection(Connection):
             raise ConnectionLost(str(self._closed))
 
     def opened(self, stream: StreamT) -> StreamT:
-        """Return the stream, which is to end with the connection."""
+        """Add a stream that is to end with the connection, and return it."""
         self._streams.add(stream)
         return stream
 
     def close(self) -> None:
-        """End all that is followed over this connection."""
+        """End all streams of this connection."""
         self._closed = ConnectionLost(f"the connection to {self.place.url} was closed here")
         for stream in tuple(self._streams):
             stream.fail(self._closed)
@@ -172,7 +174,7 @@ class _NamedEndpoint(Endpoint):
         while True:
             served = place.endpoints.get(name)
             if served is not None:
-                with suppress(ServerNotFound):  # it has stopped, and another one may come
+                with suppress(ServerNotFound):  # it has stopped, and another one may be started
                     return await served.wait_for_server()
             if place.endpoints.get(name) is served:
                 await place.changed.wait()

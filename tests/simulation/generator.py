@@ -1,4 +1,4 @@
-"""Makes a scenario from an integer: the same seed gives the same one."""
+"""The generator of scenarios: the same seed gives the same scenario."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from tests.simulation.scenario import (
 from tests.simulation.streams import Manner, Weather
 
 
-class _Maker:
-    """Makes one scenario; each method is asked once, in a fixed order."""
+class _Generator:
+    """The generator of one scenario, whose methods are called once each, in a fixed order."""
 
     def __init__(self, seed: int) -> None:
         self.seed = seed
@@ -140,7 +140,7 @@ class _Maker:
             size=size,
             cleanup=chance.choice([0.0, 0.01, 0.5]),
             decide=chance.choice([0.0, 0.001, 0.1]),
-            refuse=chance.choices(["", "reject", "fail", "cancel"], [16, 1, 1, 2])[0],
+            rejects=chance.choices(["", "goal", "goal by failing", "cancel"], [16, 1, 1, 2])[0],
         )
 
     def _faults(self, clients: tuple[ClientPlan, ...]) -> tuple[Fault, ...]:
@@ -154,13 +154,13 @@ class _Maker:
         client = self.chance.randrange(len(clients))
         at = self.chance.uniform(0, self.span * 1.2)
         if self.chance.random() < 0.6:
-            # While something is under way: chance alone would hit little.
+            # During a deed, since a random time would rarely hit one.
             deed = self.chance.choice(clients[client].deeds)
             lasts = min(deed.work.steps * deed.work.pause, self.span) + 0.05
             at = clients[client].starts_at + deed.at + self.chance.uniform(0, lasts)
         chance, rough = self.chance, self._rough()
-        kinds: list[Literal["cut", "half-close", "freeze", "stale", "refuse", "die at once"]]
-        kinds = ["cut", "cut", "cut", "half-close", "freeze", "freeze", "stale", "refuse"]
+        kinds: list[Literal["cut", "half-close", "freeze", "stale", "reject", "die at once"]]
+        kinds = ["cut", "cut", "cut", "half-close", "freeze", "freeze", "stale", "reject"]
         kinds.append("die at once")
         manners: list[Manner] = ["reset", "reset", "end", "silence"]
         directions: list[tuple[Direction, ...]] = [("up",), ("down",), ("up", "down")]
@@ -183,5 +183,5 @@ class _Maker:
 
 
 def scenario_of(seed: int) -> Scenario:
-    """The scenario of a seed."""
-    return _Maker(seed).scenario()
+    """Return the scenario of a seed."""
+    return _Generator(seed).scenario()

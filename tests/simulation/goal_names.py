@@ -1,4 +1,6 @@
-"""Who sends which goal: goal IDs are made up deep inside the product, which knows of no deeds."""
+"""The goals of each deed. The product makes goal IDs, and a context variable relates them to the
+running deed.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,8 @@ from tests.simulation.invariants import Record
 from tests.simulation.scenario import Deed
 
 
-class Naming:
-    """Whose goals are being named, so that it is known who has sent which."""
+class GoalNames:
+    """The IDs of the goals that one deed sends."""
 
     def __init__(self, record: Record, client: str, deed: Deed) -> None:
         self._record = record
@@ -21,8 +23,8 @@ class Naming:
         self.goal_id: GoalID | None = None
         """The goal that the deed is about."""
 
-    def named(self, goal_id: GoalID) -> None:
-        """A goal got that ID, and is about to be sent."""
+    def add(self, goal_id: GoalID) -> None:
+        """Record the ID of a goal that is about to be sent."""
         self.goal_id = goal_id
         self._client.goals.add(goal_id)
         self._record.sent.append((goal_id, self._deed.work))
@@ -30,5 +32,5 @@ class Naming:
             self._record.may_cancel(goal_id)
 
 
-naming: ContextVar[Naming] = ContextVar("naming")
-"""What the running deed names."""
+goal_names: ContextVar[GoalNames] = ContextVar("goal_names")
+"""The goals of the running deed."""
