@@ -85,7 +85,7 @@ class ClientSettings(msgspec.Struct, frozen=True):
     token: str = ""
     """Access token sent to the server; empty if none."""
     reconnect: bool = True
-    """Whether a lost connection is opened again, and open calls go on."""
+    """Open a lost connection again, and go on with open calls."""
     reconnect_timeout: float = 30.0
     """Seconds that calls wait for a lost connection to come back."""
     window: int = 256
