@@ -102,6 +102,8 @@ from tests.wire.memory import LONG, Peer, Running, logged, settled
 
 pytestmark = pytest.mark.anyio
 
+EXECUTING = GoalStatus.EXECUTING
+
 
 # The credit that a client gives
 
@@ -691,7 +693,7 @@ async def test_credit_for_statuses_is_given_in_batches_of_half_a_window(
 ) -> None:
     async with reached(settings=with_window(window)) as (connection, server):
         statuses, call_id = await watched(connection, server)
-        await server.say(*(GoalChanged(call_id, A, n, 2, 0) for n in range(window)))
+        await server.say(*(GoalChanged(call_id, A, n, EXECUTING, 0) for n in range(window)))
         for count in range(1, window + 1):
             assert (await statuses.receive()).stamp == count - 1
             assert await credit_of(server, call_id) == [batch] * (count % batch == 0)
@@ -720,7 +722,7 @@ async def test_no_credit_is_given_after_the_end_nor_after_the_stream_was_closed(
             goal.hold(False)
             assert await server.hear_all() == [Close(call_id)]
         statuses, call_id = await watched(connection, server)
-        await server.say(*(GoalChanged(call_id, A, number, 2, 0) for number in range(4)))
+        await server.say(*(GoalChanged(call_id, A, number, EXECUTING, 0) for number in range(4)))
         await server.say(Finished(call_id))
         await settled()
         assert [(await statuses.receive()).stamp for _ in range(4)] == [0, 1, 2, 3]
@@ -750,7 +752,7 @@ async def test_feedback_out_of_order_or_beyond_the_credit_is_the_servers_error(
 async def test_statuses_beyond_the_credit_are_the_servers_error() -> None:
     async with reached() as (connection, server):
         statuses, call_id = await watched(connection, server)
-        await server.say(*(GoalChanged(call_id, A, n, 2, 0) for n in range(WINDOW + 1)))
+        await server.say(*(GoalChanged(call_id, A, n, EXECUTING, 0) for n in range(WINDOW + 1)))
         await settled()
         for _ in range(WINDOW):
             await statuses.receive()
