@@ -208,7 +208,7 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
         sending: Coroutine[Any, Any, ClientGoal[FeedbackT, ResultT]],
         blocks: set[SendingGoal[FeedbackT, ResultT]],
     ) -> None:
-        """`blocks` has the goals of one client whose block is open."""
+        """Prepare to send a goal; `blocks` are the open blocks of its client."""
         self._endpoint = endpoint
         self._goal_id = goal_id
         self._blocks = blocks

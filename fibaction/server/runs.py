@@ -13,9 +13,9 @@ between them, so no part of the program sees a goal that is half ended. A store 
 beyond the life of the process belongs into the second step: an outcome is kept before it is told.
 
 An executor may end by itself, or because of a cancel (`cancel`), or because the server stops
-(`stop`). A cancel and a stop interrupt it once; only the reason differs, which `_fix_outcome` takes
-from the execution. Executors that are not done within the timeout of `stop` are killed: their goals
-are finished first, and the run's `outcome` then keeps `_run` from finishing them again.
+(`stop`). A cancel and a stop interrupt it once. They differ in the reason, which `_fix_outcome`
+takes from the goal's record. Executors that are not done within the timeout of `stop` are killed:
+their goals are finished first, and the run's `outcome` then keeps `_run` from finishing them again.
 
 A goal that has ended is followed from its log, as long as the log exists. A log is kept by its
 followers (`_unread` has weak references), and, if the statuses are followed, for RECENT_TIME

@@ -1,4 +1,4 @@
-"""The limit: fibaction's bytes over anyio's sockets, and nothing that decides, dispatches or waits.
+"""The limit: fibaction's bytes over anyio's sockets, without decisions, dispatch or waits.
 
 There is a port for goals, where each frame is answered with two, and one for feedback, where a
 number is answered with as many frames.
@@ -32,7 +32,7 @@ CHUNK = 2**16
 NUMBER = 4
 """Bytes of the number of feedback messages that are wanted."""
 CALL = 100_000
-"""The ID of a call, and a goal's stamp: as long on the line as they are after many goals."""
+"""The ID of a call, and a goal's stamp, as many bytes long as they are after many goals."""
 STAMP = 1_800_000_000_000_000_000
 
 

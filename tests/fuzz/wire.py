@@ -1,4 +1,4 @@
-"""A fuzz target: what a server does with the bytes of somebody who means no good.
+"""A fuzz target: the bytes that a hostile client sends to a server.
 
     make fuzz            # for two minutes; or: python -m tests.fuzz.wire -max_total_time=3600
 
@@ -39,7 +39,7 @@ TERMS = ServerSettings(
 
 
 class Given(Channel):
-    """A channel on which the given bytes arrive, in pieces, and what is sent is thrown away."""
+    """A channel on which the given bytes arrive in pieces, and sent bytes are discarded."""
 
     peer = "the fuzzer"
 
@@ -49,7 +49,7 @@ class Given(Channel):
 
     async def send(self, frames: Sequence[bytes]) -> None:
         for frame in frames:
-            decode_from_server(frame)  # what a server says is always a message
+            decode_from_server(frame)  # a server always sends valid messages
 
     async def receive(self) -> list[bytes]:
         await anyio.lowlevel.checkpoint()
@@ -63,7 +63,7 @@ class Given(Channel):
 
 
 def pieces(data: bytes) -> Iterator[bytes]:
-    """A hello, or none, and then the data in pieces of a size that the data tells."""
+    """Return an optional hello, and the data in pieces, with a size taken from the data."""
     if not data:
         return
     size, data = data[0] or 1, data[1:]

@@ -1,7 +1,7 @@
-"""How the tests with ROS 2 run: in a ROS domain of their own, and never hung or left out unseen.
+"""The environment of the tests with ROS 2: a domain of their own, no hidden hang or skip.
 
-They run where ROS 2 and the interfaces of the tests are installed, as `make test-ros` does it. They
-are not even collected elsewhere. With FIBACTION_ROS=required that is an error, and so is a skip.
+They run where ROS 2 and the interfaces of the tests are installed, as by `make test-ros`. Elsewhere
+they are not collected. With FIBACTION_ROS=required, that is an error, and so is a skip.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ MISSING = [name for name in NEEDED if find_spec(name) is None]
 REQUIRED = os.environ.get("FIBACTION_ROS") == "required"
 
 DOMAINS = 102
-"""IDs 0 to 101 are those whose UDP ports are below the ones that Linux hands out by itself."""
+"""The number of domain IDs whose UDP ports are below those that Linux assigns by itself."""
 
 ENDING = 30
-"""Seconds after which a process is taken for hung that has run all tests and does not end."""
+"""Seconds after all tests within which the process must end."""
 
 collect_ignore_glob = ["*"] if MISSING else []
 
@@ -31,8 +31,8 @@ collect_ignore_glob = ["*"] if MISSING else []
 def claim_domain(first: int) -> tuple[int, socket.socket]:
     """Take the first free ROS domain of this machine, looking from `first` on.
 
-    It is taken as long as the socket is open. The kernel closes that however the process ends, and
-    its name is no file, so nothing stays behind.
+    It is taken as long as the socket is open. The kernel closes the socket in any case, and its
+    name is not a file, so nothing stays behind.
     """
     for step in range(DOMAINS):
         domain = (first + step) % DOMAINS
@@ -48,11 +48,11 @@ def claim_domain(first: int) -> tuple[int, socket.socket]:
 
 if MISSING:
     if REQUIRED:
-        raise pytest.UsageError(f"FIBACTION_ROS=required, but there is no {', no '.join(MISSING)}")
+        raise pytest.UsageError(f"FIBACTION_ROS=required, but not found: {', '.join(MISSING)}")
 else:
-    # Before any test module is imported, as ROS reads some of it only once. What the shell says is
-    # for robots: tests are not to meet those, nor other runs. The process ID changes the domain
-    # from run to run, so what a killed run has left behind is not met either.
+    # Before any test module is imported, as ROS reads some of it only once. The shell's settings
+    # may be those of a robot, which tests must not reach, nor other runs. The process ID changes
+    # the domain from run to run, because a killed run may leave something behind.
     DOMAIN, _CLAIM = claim_domain(os.getpid())
     atexit.register(_CLAIM.close)  # not all runs are configured to their end
     os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
@@ -60,7 +60,7 @@ else:
     for name in ("ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"):
         os.environ.pop(name, None)
     if "PYTEST_XDIST_WORKER" in os.environ:
-        # This process is measured, and those that it starts are not: some of them are killed.
+        # This process is measured. Those that it starts are not, because some of them are killed.
         os.environ.pop("COVERAGE_PROCESS_START", None)
     # Lines of ROS's log that tests can look at: no colors, no time.
     os.environ["RCUTILS_COLORIZED_OUTPUT"] = "0"
@@ -74,17 +74,18 @@ def ros_log_files(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Give a test that says how long it may take so much time.
+    """Give a test with a timeout of its own as much time.
 
-    Of others, what hangs in Python fails by a signal, as everywhere. What hangs in C, where no
-    signal is handled, is shown and ended a little later, by the Makefile's `faulthandler_timeout`.
+    Another test that hangs in Python fails by a signal, as everywhere. A test that hangs in C,
+    where no signal is handled, is ended a little later by the Makefile's `faulthandler_timeout`,
+    which prints the stacks.
     """
     if item.get_closest_marker("timeout") is not None:
         faulthandler.cancel_dump_traceback_later()
 
 
 def pytest_unconfigure() -> None:
-    """Do not wait for ever for a thread that does not stop."""
+    """End the process even if a thread does not stop."""
     if not MISSING:
         faulthandler.dump_traceback_later(ENDING, exit=True)
 

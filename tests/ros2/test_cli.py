@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 COMMAND = Path(sys.executable).with_name("fibaction")
 URL = "ros2://?discovery_timeout=20"
 PATIENCE = 60.0
-"""Seconds for a whole command: many times what it takes, as nodes may find each other late."""
+"""Seconds for a whole command: many times more than usual, as discovery may be late."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -44,7 +44,7 @@ def server() -> Generator[None, None, None]:
 
 
 def fibaction(*arguments: str, code: int) -> list[str]:
-    """What the command prints; it must end with that exit code."""
+    """Run the command, check its exit code, and return the lines that it prints."""
     done = subprocess.run(
         [COMMAND, "-u", URL, *arguments], capture_output=True, text=True, timeout=PATIENCE
     )

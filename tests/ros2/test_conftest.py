@@ -1,4 +1,4 @@
-"""What the tests with ROS 2 have in common: their domain, and that none is left out unseen."""
+"""The environment of the tests with ROS 2: their domain, and skips that are failures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_fails_as_expected():
 
 
 def run(folder: Path, *, required: bool, conftest: str | None = None) -> tuple[int, str]:
-    """Run the tests of a folder with our conftest, and give the exit code and the output."""
+    """Run the tests of a folder with this conftest, and return the exit code and the output."""
     (folder / "conftest.py").write_text(conftest or CONFTEST.read_text())
     (folder / "pytest.ini").touch()  # ours has paths that are not there
     ended = subprocess.run(
@@ -108,4 +108,4 @@ def test_without_ros_nothing_is_collected_and_that_is_an_error_where_it_is_requi
 
     assert "it is imported" not in said
     assert code == (pytest.ExitCode.USAGE_ERROR if required else pytest.ExitCode.NO_TESTS_COLLECTED)
-    assert ("there is no no_such_package" in said) is required
+    assert ("not found: no_such_package" in said) is required

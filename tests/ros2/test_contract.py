@@ -76,7 +76,7 @@ EXCLUSIONS: dict[str, str] = {
 
 
 def address() -> str:
-    """A namespace where nobody serves anything."""
+    """Return a URL with a namespace of its own."""
     return f"ros2://?namespace=/t{uuid.uuid4().hex}"
 
 
@@ -88,7 +88,7 @@ WAYS = {
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thousand goals take some 6 s, and several times that on a busy machine."""
+    """Allow for a thousand goals, which take some 6 s, and several times that on a busy machine."""
     monkeypatch.setattr(contract, "PATIENCE", 45.0)
 
 

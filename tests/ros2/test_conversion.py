@@ -124,7 +124,7 @@ NUMBERS = {
     **{f"uint{n}": strategies.integers(0, 2**n - 1) for n in BITS},
     "octet": strategies.integers(0, 2**8 - 1),
     "boolean": strategies.booleans(),
-    # Without the greatest, which ROS refuses where it looks.
+    # Without the greatest, which ROS rejects where it checks.
     "float": strategies.floats(width=32, allow_nan=False).filter(lambda x: abs(x) != GREATEST),
     "double": strategies.floats(allow_nan=False),
 }

@@ -1,4 +1,4 @@
-"""The documentation where ROS 2 is: the examples that need it, and the reference of `ros2://`."""
+"""The parts of the documentation that need ROS 2: examples, and the reference of `ros2://`."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_the_settings_on_the_page_have_the_defaults_of_the_code() -> None:
 
 @pytest.fixture(scope="module")
 def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the programs, each put together from its parts on the page."""
+    """Make a folder with the programs, each put together from its parts on the page."""
     parts: dict[str, list[str]] = {}
     for block in docs.blocks_of(PROGRAMS.read_text(encoding="utf-8")):
         if marked := _PART.search(block.before):
@@ -88,7 +88,7 @@ def start(program: Path, namespace: str, *arguments: str) -> subprocess.Popen[st
 
 @pytest.fixture(scope="module")
 def stories(programs: Path) -> Mapping[tuple[str, str, str], list[str]]:
-    """What each client prints about each goal, by the makers of server and client."""
+    """Return the lines that each client prints of each goal, by the makers of server and client."""
     servers = {maker: f"/{maker}_{uuid.uuid4().hex[:8]}" for maker in MAKERS}
     with ExitStack() as stack:
         serving = [
@@ -122,7 +122,7 @@ every_pair = pytest.mark.parametrize(("server", "client"), list(product(MAKERS, 
 
 
 @every_pair
-def test_a_goal_succeeds_whoever_serves_and_whoever_asks(
+def test_a_goal_succeeds_between_every_pair_of_server_and_client(
     stories: Mapping[tuple[str, str, str], list[str]], server: str, client: str
 ) -> None:
     *feedback, last = stories[server, client, SUCCEEDS]
@@ -134,7 +134,7 @@ def test_a_goal_succeeds_whoever_serves_and_whoever_asks(
 
 
 @every_pair
-def test_a_goal_is_canceled_whoever_serves_and_whoever_asks(
+def test_a_goal_is_canceled_between_every_pair_of_server_and_client(
     stories: Mapping[tuple[str, str, str], list[str]], server: str, client: str
 ) -> None:
     *_, last = stories[server, client, IS_CANCELED]
@@ -144,7 +144,7 @@ def test_a_goal_is_canceled_whoever_serves_and_whoever_asks(
 
 
 @every_pair
-def test_a_goal_is_rejected_whoever_serves_and_whoever_asks(
+def test_a_goal_is_rejected_between_every_pair_of_server_and_client(
     stories: Mapping[tuple[str, str, str], list[str]], server: str, client: str
 ) -> None:
     assert stories[server, client, IS_REJECTED] == ["REJECTED"]

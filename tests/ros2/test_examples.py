@@ -48,7 +48,7 @@ def serving(period: float) -> Iterator[tuple[subprocess.Popen[str], str]]:
 def test_a_goal_succeeds_and_another_is_rejected_and_the_server_says_why() -> None:
     with serving(QUICK) as (server, url):
         clients = [start_client(url, "--order", order) for order in ("4", "47")]
-        (code, out, err), (refused, told, complaint) = map(ended, clients)
+        (code, out, err), (rejected, told, complaint) = map(ended, clients)
         server.send_signal(SIGTERM)
         _, log = server.communicate(timeout=PATIENCE)
 
@@ -65,7 +65,7 @@ def test_a_goal_succeeds_and_another_is_rejected_and_the_server_says_why() -> No
     ]
     assert f"goal {goal_id} SUCCEEDED" in log
 
-    assert (refused, complaint) == (4, "")
+    assert (rejected, complaint) == (4, "")
     assert told.splitlines() == [
         "goal      order 47",
         f"rejected  {NO_REASON}",
@@ -119,7 +119,7 @@ def test_a_client_ends_when_the_server_is_killed() -> None:
     assert err.splitlines()[-1] == "error: the server of 'fibonacci' has gone away"
 
 
-def test_a_client_says_in_one_line_that_nobody_serves() -> None:
+def test_a_client_without_a_server_says_so_in_one_line() -> None:
     name = f"n{uuid.uuid4().hex}"
     client = start_client(f"ros2://?namespace=/{name}", patience=0.1)
     code, out, err = ended(client)

@@ -68,3 +68,6 @@ def test_a_stream_that_is_closed_or_does_not_read_keeps_nothing(reads: bool) -> 
     stream.add_feedback(b"y")
     assert stream.take() == ()
     assert stream.status is GoalStatus.EXECUTING
+    stream.end(Outcome(GoalStatus.SUCCEEDED))
+    assert stream.take() == (Outcome(GoalStatus.SUCCEEDED),)
+    assert stream.cursor == stream.dropped == 0

@@ -1,4 +1,4 @@
-"""Nobody waits by looking again and again: what is idle costs next to nothing."""
+"""Idle servers and clients use next to no processor time, because nothing polls quickly."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.anyio
 
 SECONDS = 2.5
 MOST = 0.1
-"""Of a core. It is to be below 0.02, and is some 0.005; but a machine of tests may be slow."""
+"""Limit, as a share of a core. The aim is 0.02, and it is some 0.005; tests may run slowly."""
 SETTLING = 0.5
 """Seconds after which discovery is over."""
 WAYS = {
@@ -30,7 +30,7 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
-async def test_what_is_idle_uses_next_to_no_processor_time() -> None:
+async def test_idle_programs_use_next_to_no_processor_time() -> None:
     async with AsyncExitStack() as stack:
         peers = {
             name: await stack.enter_async_context(peer("ours", *way, "asyncio"))

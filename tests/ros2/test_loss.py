@@ -1,4 +1,4 @@
-"""A server goes away, in whatever way: nobody waits for it for ever."""
+"""A server goes away, in several ways: no wait for it lasts for ever."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from tests.ros2.stock.waiting import eventually
 pytestmark = pytest.mark.anyio
 
 LEASE = 3
-"""Seconds after which Fast DDS takes a process for dead, if it was told so; else it takes 20."""
+"""Seconds after which Fast DDS takes a process for dead, by `PROFILE`; the default is 20."""
 PROFILE = f"""\
 <?xml version="1.0" encoding="UTF-8" ?>
 <profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
@@ -44,7 +44,7 @@ PROFILE = f"""\
 </profiles>
 """
 SOON, LEASE_OF_OURS = 3.0, 8.0
-"""Seconds that are generous for what takes 0.3 and for what takes 2.5."""
+"""Seconds that are several times the usual 0.3 and 2.5."""
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ async def waiting_for(
 
 
 async def lost_after(act: Callable[[], object], goal: ClientGoal[Feedback, Result]) -> float:
-    """The seconds from the act until all who wait for the goal are told that it is lost."""
+    """Return the seconds from the act until every wait for the goal has ended with its loss."""
 
     async def read() -> None:
         with pytest.raises(ConnectionLost, match="has gone away"):

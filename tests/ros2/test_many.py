@@ -1,4 +1,4 @@
-"""Much at once between two processes, fibaction at both ends: nothing is lost."""
+"""Bursts of feedback between two processes of fibaction: nothing is lost."""
 
 from __future__ import annotations
 

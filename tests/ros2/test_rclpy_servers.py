@@ -301,14 +301,14 @@ async def test_a_server_that_is_there_is_found_at_once(client: Client) -> None:
 
 
 async def test_a_server_that_is_not_there_is_not_found() -> None:
-    async with connect("ros2://another", action("nobody"), discovery_timeout=0.3) as nobody:
+    async with connect("ros2://another", action("missing"), discovery_timeout=0.3) as missing:
         start = perf_counter()
-        with pytest.raises(ServerNotFound, match="nobody"):
-            await nobody.wait_for_server(0.3)
+        with pytest.raises(ServerNotFound, match="missing"):
+            await missing.wait_for_server(0.3)
         assert 0.3 <= perf_counter() - start < 1.5
 
-        with pytest.raises(ServerNotFound, match="no server of the action 'nobody' in ROS"):
-            await nobody.send_goal(Goal(1))
+        with pytest.raises(ServerNotFound, match="no server of the action 'missing' in ROS"):
+            await missing.send_goal(Goal(1))
 
 
 @pytest.mark.promise("REACH-3")

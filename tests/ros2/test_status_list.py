@@ -1,4 +1,4 @@
-"""The status list: as bytes, as a server publishes it, and as a client makes changes of it."""
+"""The status list: as bytes, as a server publishes it, and as a client finds changes in it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ONE, TWO = GoalID(b"1" * 16), GoalID(b"2" * 16)
 
 
 def message_of(goals: list[GoalInfo]) -> Any:
-    """The same list by rclpy's own means."""
+    """Return the same list as a message of rclpy."""
     message = messages.GoalStatusArray()
     for info in goals:
         line = messages.GoalStatus(status=int(info.status))
@@ -153,7 +153,7 @@ async def test_a_change_is_published_in_the_next_turn_of_the_loop() -> None:
     assert published == [[1], [2]]
 
 
-# What a client makes of it
+# Changes that a client finds
 
 
 def test_the_first_list_is_what_there_is_and_later_ones_are_changes() -> None:
@@ -186,6 +186,6 @@ def test_statuses_that_were_not_seen_are_filled_in_so_that_every_change_is_legal
         assert all(step in legal for step in pairwise(way))
 
 
-def test_a_status_that_there_is_not_is_refused() -> None:
+def test_an_invalid_status_is_a_protocol_error() -> None:
     with pytest.raises(ProtocolError, match="invalid status list: 77"):
         info_of((bytes(16), 0, 0, 77))

@@ -1,4 +1,4 @@
-"""Programs that use ROS 2 end as programs do: by Ctrl-C or SIGTERM, and nothing is left."""
+"""Programs that use ROS 2 end by Ctrl-C or SIGTERM, and leave nothing behind."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ END = 10.0
 INTERRUPTED = 128 + SIGINT
 ABORTED = r"\[WARN\] \[\w+\]: stopped: goal \w+ ABORTED: server stopped\n"
 CUT_SHORT = r"Failed to publish log message to rosout: publisher's context is invalid, at \S+\n"
-"""What rcl says of a line of the log that is under way when rclpy's own handler of signals shuts
-ROS down: no check before the line can come in between."""
+"""rcl's error for a line of the log that is written while rclpy's own handler of signals shuts ROS
+down. No check before the line can prevent it."""
 KILLED = r"goal \w+ of action '\w+' did not stop in time \(5 s\), and is killed\n"
 TORN = r"\S+: RuntimeWarning: coroutine '\S+' was never awaited\n(  .*\n|RuntimeWarning: .*\n)+"
 """On trio, Ctrl-C raises KeyboardInterrupt wherever the program is: also where a goal has ended and
-nobody knows it yet, or a coroutine has been made and no task has it
+no task knows it yet, or a coroutine has been made and not yet started
 (https://trio.readthedocs.io/en/stable/reference-lowlevel.html)."""
 DEATHS = re.compile("terminate called|core dumped|Fatal|Segmentation")
-"""What C++ and Python say when they end badly."""
+"""Words of C++ and Python in a crash."""
 
 
 @pytest.fixture(params=["asyncio", "trio"])
@@ -41,7 +41,7 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
 
 
 async def ends(process: Peer, number: signal.Signals, code: int, backend: str = "asyncio") -> None:
-    """It ends by a signal, and complains of nothing: `ours` catches KeyboardInterrupt."""
+    """Check that it ends by a signal without errors: `ours` catches KeyboardInterrupt."""
     process.signal(number)
     assert await process.ended(END) == code, process.complaints()
     excused = f"{ABORTED}|{CUT_SHORT}"

@@ -68,6 +68,7 @@ from tests.wire.ends import (
     ANN,
     ANY,
     BOB,
+    EXECUTING,
     GOAL,
     GOAL_ID,
     SUCCEEDED,
@@ -511,6 +512,15 @@ async def test_a_client_that_is_late_is_not_lost() -> None:
         assert await lost_after(client, alive(client, 3.5)) == 100
         # Silence counts from the last message, which was said two seconds before.
         assert 4 < 2 + await lost_after(client) <= 5.5
+
+
+@in_virtual_time()
+async def test_a_client_that_never_reads_is_lost_too() -> None:
+    async with serving(held(), heartbeat=2) as served:
+        client = served.connect()
+        client.channel.stop_reading()
+        await client.say(Hello(VERSION, LONG))
+        assert 4 * 2 < await lost_after(client, alive(client)) <= 4 * 2 + 2 + 1
 
 
 @in_virtual_time()

@@ -1,7 +1,7 @@
 """A stock client of rclpy, and raw services and topics beside it.
 
-All that is done with rclpy is done in the thread that spins: rclpy 9.1.2 may lose an answer that
-comes while another thread is still sending.
+Only the thread that spins calls rclpy: rclpy 9.1.2 may lose an answer that arrives while another
+thread is still sending.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Client:
             assert client.wait_for_service(timeout_sec=PATIENCE)
         return await client.call_async(request)
 
-    # What it can be told to do
+    # Commands
 
     async def ready(self, action: str) -> bool:
         return bool(self._action_client(action).server_is_ready())
@@ -144,7 +144,7 @@ class Client:
         return self._statuses[action]
 
     async def watch_anew(self, action: str) -> None:
-        """From now on, `statuses` are those that a subscription gets which is made now."""
+        """Let `statuses` begin anew, with a new subscription."""
         self._statuses[action] = []
         self.watch_statuses(action)
 
@@ -164,14 +164,14 @@ class Client:
         return [name for name, _ in self.node.get_topic_names_and_types()]
 
     async def profiles(self, topic: str) -> list[list[str]]:
-        """How publishers offer a topic."""
+        """Return the quality of service of a topic's publishers."""
         found = self.node.get_publishers_info_by_topic(topic)
         return [
             [one.qos_profile.reliability.name, one.qos_profile.durability.name] for one in found
         ]
 
     async def send_other_type(self, action: str) -> bool:
-        """Send a goal of another type under the same name; whether a server is there for it."""
+        """Send a goal of another type under the same name; return whether it has a server."""
         client = ActionClient(self.node, OtherFibonacci, action)
         self._clients[object()] = client
         client.send_goal_async(OtherFibonacci.Goal(order=3))
@@ -199,7 +199,7 @@ def main() -> None:
 
         executor.create_task(obey(getattr(client, order.pop("do"))(**order), done, answers))
         done.wait(PATIENCE)
-        say(answers[0] if answers else {"error": f"nothing came of {order}"})
+        say(answers[0] if answers else {"error": f"no answer to {order}"})
     leave(spinner, client.node)
 
 

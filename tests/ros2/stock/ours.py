@@ -1,4 +1,4 @@
-"""What is served by fibaction here, in the process of the tests or in one of its own.
+"""Servers and clients of fibaction, in the process of the tests or in one of their own.
 
 `python -m tests.ros2.stock.ours WAY ACTION BACKEND`, where a way is one of the functions below.
 """
@@ -82,12 +82,6 @@ class Behaviour:
         elif order == orders.RELEASES:
             self.released.notify()
             yield Result([])
-        elif order == orders.OVERFLOWS:
-            yield Result([2**31])
-        elif order == orders.FEEDBACK_OVERFLOWS:
-            for number in (1, 2**31, 3):
-                yield Feedback([number])
-            yield Result([])
 
     def server(self, name: str, **settings: Any) -> ActionServer[Goal, Feedback, Result]:
         return ActionServer(
@@ -96,7 +90,7 @@ class Behaviour:
 
 
 async def until_told(work: Awaitable[None]) -> None:
-    """Do it until standard input ends, or there is a SIGTERM. A Ctrl-C ends it by itself."""
+    """Work until standard input ends, or there is a SIGTERM. A Ctrl-C ends it by itself."""
     async with anyio.create_task_group() as tasks:
 
         async def end_with(wait: Callable[[], Awaitable[object]]) -> None:
@@ -122,7 +116,7 @@ async def serve_it(name: str) -> None:
 
 
 async def serve_at_a_node(name: str) -> None:
-    """Serve it at a node of the user's, whose rclpy handles signals in its own way."""
+    """Serve it at a node of the user, where rclpy's own handlers of signals are installed."""
     rclpy.init()
     node = rclpy.create_node("users_node")
     executor = SingleThreadedExecutor()
@@ -175,7 +169,7 @@ async def abandon(name: str) -> None:
 
 
 ABANDONED: list[object] = []
-"""What is still there when Python ends."""
+"""Objects that are still there when Python ends."""
 WAYS = {one.__name__: one for one in (serve_it, serve_at_a_node, wait, look_for)}
 BY_THEMSELVES = {one.__name__: one for one in (leave_with_an_error, abandon)}
 

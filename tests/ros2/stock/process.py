@@ -1,4 +1,4 @@
-"""Other processes, which do as they are told: a line of JSON each way."""
+"""Other processes, which take commands and answer them: a line of JSON each way."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from anyio.streams.buffered import BufferedByteReceiveStream
 
 ROOT = Path(__file__).parents[3]
 PATIENCE = 20.0
-"""Seconds for an answer: several times what the slowest takes on a busy machine."""
+"""Seconds for an answer: several times those of the slowest answer on a busy machine."""
 END_PATIENCE = 3.0
-"""Seconds for the end: rclpy may not stop, and is killed then."""
+"""Seconds for the end. rclpy may not stop; then the process is killed."""
 LONGEST_LINE = 10_000_000
 TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -36,15 +36,15 @@ class Peer:
         self._stderr = stderr
 
     async def line(self, patience: float = PATIENCE) -> Any:
-        """What it says next."""
+        """Return the next line that it prints."""
         try:
             with anyio.fail_after(patience):
                 return json.loads(await self._lines.receive_until(b"\n", LONGEST_LINE))
         except (anyio.IncompleteRead, anyio.EndOfStream, TimeoutError) as exc:
-            raise AssertionError(f"it says nothing, but complains: {self.complaints()}") from exc
+            raise AssertionError(f"it printed nothing; its errors: {self.complaints()}") from exc
 
     async def ask(self, do: str, **arguments: Any) -> Any:
-        """Tell it to do something, and give what it says to that."""
+        """Send it a command, and return its answer."""
         assert self.process.stdin is not None
         await self.process.stdin.send(json.dumps({"do": do, **arguments}).encode() + b"\n")
         answer = await self.line()
@@ -55,18 +55,18 @@ class Peer:
         self.process.send_signal(number)
 
     async def ended(self, patience: float = PATIENCE) -> int:
-        """Its exit code."""
+        """Wait for its end, and return its exit code."""
         with anyio.fail_after(patience):
             return await self.process.wait()
 
     def complaints(self) -> str:
-        """What it has written to standard error so far."""
+        """Return its standard error so far."""
         self._stderr.seek(0)
         return self._stderr.read().decode(errors="replace")
 
     @property
     def cpu_seconds(self) -> float:
-        """How long it has computed, with all its threads."""
+        """Its processor time, with all its threads."""
         fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / TICKS
 
@@ -77,7 +77,7 @@ class Peer:
 
 @asynccontextmanager
 async def peer(module: str, *arguments: str, **environment: str) -> AsyncGenerator[Peer, None]:
-    """Run a module, of this package if no other is named, that says a line when it is ready."""
+    """Run a module, by default of this package, that prints a line when it is ready."""
     name = module if "." in module else f"{__package__}.{module}"
     with TemporaryFile() as stderr:
         process = await anyio.open_process(

@@ -1,4 +1,4 @@
-"""The other side of `process`: says things, and is told what to do."""
+"""The other side of `process`: prints answers, and takes commands."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def say(value: Any) -> None:
 
 
 def told() -> Iterator[dict[str, Any]]:
-    """What is to be done, until standard input ends."""
+    """Yield the commands, until standard input ends."""
     for line in sys.stdin:
         yield json.loads(line)
 
@@ -51,7 +51,7 @@ def spin(executor: Any) -> None:
 
 
 def leave(spinner: Thread, node: Any) -> None:
-    """Leave the graph, so that nobody takes the node for alive, and end: rclpy may not stop."""
+    """Leave the graph, so that the node does not seem alive, and end: rclpy may not stop."""
     rclpy.shutdown()
     spinner.join(LAST_WAIT)
     node.destroy_node()

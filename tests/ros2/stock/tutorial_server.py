@@ -1,6 +1,6 @@
-"""The server of ROS 2's tutorial, as it stands there, but for how long it sleeps.
+"""The server of ROS 2's tutorial, with shorter sleeps.
 
-It blocks while it executes, and refuses to cancel, because it says nothing about cancels.
+It blocks while it executes, and rejects cancels, because it has no callback for them.
 """
 
 from __future__ import annotations

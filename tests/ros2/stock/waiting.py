@@ -1,4 +1,4 @@
-"""Waiting for what another process does, where nothing but looking again tells."""
+"""Waiting for another process, where there is nothing to wait for but a second look."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PAUSE = 0.05
 async def eventually(
     look: Callable[[], Awaitable[T]], good: Callable[[T], object], patience: float = PATIENCE
 ) -> T:
-    """Look until it is good, and give what was seen."""
+    """Look until the result is good, and return it."""
     deadline = anyio.current_time() + patience
     while not good(seen := await look()):
         assert anyio.current_time() < deadline, f"it stays like this: {seen}"

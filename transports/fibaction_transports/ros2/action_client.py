@@ -296,10 +296,10 @@ class RosActionClient:
     async def _fail_gone(self) -> None:
         """End the goals of servers that have gone, although others have taken their place."""
         self._forget_gone()
-        left = {stream for stream in self._followed if self._has_gone(stream.servers)}
+        left = [stream for stream in self._followed if self._has_gone(stream.servers)]
         if left:
             await anyio.sleep(LAST_WORDS)
-            self._followed.fail_if(left.__contains__, self._gone())
+            self._followed.fail(self._gone(), left)
 
     def _forget_gone(self) -> None:
         """Forget the status list of a server that has gone. The server that serves now may never

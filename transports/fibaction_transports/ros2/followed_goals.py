@@ -2,13 +2,14 @@
 
 Each stream asks for its goal's result as soon as the goal is accepted; the server answers when the
 goal has ended. A request or an answer may be lost, and then the status list is the first to tell
-that the goal has ended: `LATE` seconds after that, the result is requested again, and again.
+that the goal has ended: `LATE` seconds after that, the result is requested again. Each further
+request follows after a longer pause, so that requests do not pile up at a busy server.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from anyio import current_time
@@ -99,19 +100,14 @@ class FollowedGoals:
                 del self._overdue[goal_id]
                 for stream in self.of(goal_id):
                     logger.info("%s: requesting the result of goal %s again", self._action, goal_id)
-                    self._overdue[goal_id] = now + LATE
                     self.request_result(stream)
+                    self._overdue[goal_id] = now + LATE * len(stream.requests)
 
-    def fail(self, error: ConnectionLost) -> None:
-        """End all streams with an error."""
-        self.fail_if(lambda stream: True, error)
-
-    def fail_if(self, condition: Callable[[RosGoalStream], bool], error: ConnectionLost) -> None:
-        """End the streams that meet the condition with an error."""
-        for stream in self:
-            if condition(stream):
-                stream.fail(error)
-                self.remove(stream)
+    def fail(self, error: ConnectionLost, streams: Iterable[RosGoalStream] | None = None) -> None:
+        """End these streams with an error, by default all of them."""
+        for stream in self if streams is None else streams:
+            stream.fail(error)
+            self.remove(stream)
 
     def _take_result(self, item: Any) -> None:
         number, response = item
