@@ -103,8 +103,6 @@ from tests.wire.memory import LONG, Peer, Running, logged, settled
 
 pytestmark = pytest.mark.anyio
 
-EXECUTING = GoalStatus.EXECUTING
-
 
 # The credit that a client gives
 
