@@ -10,7 +10,8 @@ an action from an `.action` file of ROS 2, and `fibaction.abc` is for authors of
 from fibaction._api import ClientConnection, connect, serve
 from fibaction.abc import Endpoint, Transport
 from fibaction.action import Action, ActionInfo
-from fibaction.client import ActionClient, ClientGoal, SendingGoal
+from fibaction.client import ActionClient
+from fibaction.client_goal import ClientGoal, SendingGoal
 from fibaction.events import Events, GoalFeedback
 from fibaction.exceptions import (
     ActionError,

@@ -8,6 +8,7 @@ from __future__ import annotations
 from fibaction.action import ActionInfo
 from fibaction.goals import GoalID
 from fibaction.states import GoalStatus
+from fibaction.wire.codec import FromClient, FromServer
 from fibaction.wire.messages import (
     Actions,
     AskPeers,
@@ -23,8 +24,6 @@ from fibaction.wire.messages import (
     Finished,
     Follow,
     Following,
-    FromClient,
-    FromServer,
     GoalChanged,
     Goodbye,
     Hello,

@@ -16,7 +16,7 @@ from anyio.abc import ByteStream
 
 from fibaction._notify import Notifier
 from fibaction.exceptions import ActionError, ConnectionLost
-from fibaction.wire.framing import FrameReader, framed
+from fibaction.wire.frames import FrameReader, framed
 
 CHUNK = 2**16
 """Bytes read or written at once: large, so that the cost of a call does not count, and small enough

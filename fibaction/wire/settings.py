@@ -16,7 +16,7 @@ from typing import Any, Literal, TypedDict
 import msgspec
 
 from fibaction.wire.auth import AccessPolicy, Authorize, check_token
-from fibaction.wire.framing import MAX_FRAME
+from fibaction.wire.frames import MAX_FRAME
 
 HEARTBEAT = 1.0
 """Seconds between heartbeats, both ways, if nothing else is set."""

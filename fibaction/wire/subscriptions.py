@@ -13,8 +13,9 @@ from fibaction.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.exceptions import ActionError
 from fibaction.goals import Outcome
 from fibaction.states import GoalStatus
+from fibaction.wire.codec import encode
 from fibaction.wire.errors import failed, failure_of, fitting, sendable
-from fibaction.wire.messages import Ended, Feedback, Following, StatusChanged, encode
+from fibaction.wire.messages import Ended, Feedback, Following, StatusChanged
 
 MOST_CREDIT = 2**31
 """The most credit that is counted: enough for every client."""

@@ -16,7 +16,8 @@ from anyio.abc import SocketAttribute, SocketStream
 from fibaction import GoalStatus
 from fibaction.goals import GoalID
 from fibaction.wire import messages
-from fibaction.wire.framing import MAX_FRAME, FrameReader, header
+from fibaction.wire.codec import decode_from_server, encode
+from fibaction.wire.frames import MAX_FRAME, FrameReader, header
 from tests.benchmarks.contender import (
     AT_ONCE,
     PACED,
@@ -37,7 +38,7 @@ STAMP = 1_800_000_000_000_000_000
 
 
 def framed(message: object) -> bytes:
-    frame = messages.encode(message)
+    frame = encode(message)
     return header(len(frame)) + frame
 
 
@@ -158,7 +159,7 @@ class OverSockets(Contender):
 
 
 def decoded(frame: bytes) -> Feedback:
-    message = messages.decode_from_server(frame)
+    message = decode_from_server(frame)
     assert isinstance(message, messages.Feedback)
     return ACTION.feedback.decode(message.payload)
 

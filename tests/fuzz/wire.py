@@ -22,9 +22,10 @@ from fibaction import ActionServer
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
 from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.channel import Channel
-from fibaction.wire.framing import FrameReader, header
+from fibaction.wire.codec import decode_from_client, decode_from_server, encode
+from fibaction.wire.frames import FrameReader, header
 from fibaction.wire.link import Link
-from fibaction.wire.messages import VERSION, Hello, decode_from_client, decode_from_server, encode
+from fibaction.wire.messages import VERSION, Hello
 from fibaction.wire.ownership import Owners
 from fibaction.wire.session import Session
 from fibaction.wire.settings import Limits, ServerSettings

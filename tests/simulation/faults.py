@@ -26,9 +26,10 @@ from fibaction.server.status_broadcast import StatusBroadcast
 from fibaction.states import GoalStatus
 from fibaction.wire.calls import Credits
 from fibaction.wire.channel import StreamChannel
+from fibaction.wire.codec import decode_from_client
 from fibaction.wire.connection import RemoteConnection
 from fibaction.wire.link import PING, Link
-from fibaction.wire.messages import CancelAnswered, Ended, Follow, Received, decode_from_client
+from fibaction.wire.messages import CancelAnswered, Ended, Follow, Received
 from fibaction.wire.ownership import Owners
 from fibaction.wire.reconnect import Reconnector
 from fibaction.wire.remote_goal import RemoteGoal

@@ -29,7 +29,8 @@ from fibaction.server import ActionServer
 from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.channel import StreamChannel
-from fibaction.wire.framing import MAX_FRAME, header
+from fibaction.wire.codec import encode
+from fibaction.wire.frames import MAX_FRAME, header
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
     VERSION,
@@ -56,7 +57,6 @@ from fibaction.wire.messages import (
     SendGoal,
     StatusChanged,
     Why,
-    encode,
 )
 from fibaction.wire.settings import ClientSettings, Limits
 from fibaction.wire.subscriptions import PIECE

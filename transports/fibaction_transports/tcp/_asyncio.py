@@ -23,7 +23,7 @@ from anyio.abc import Listener, SocketAttribute, TaskGroup
 from fibaction._notify import Notifier
 from fibaction.exceptions import ConnectionLost
 from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames
-from fibaction.wire.framing import FrameReader, framed
+from fibaction.wire.frames import FrameReader, framed
 
 NEXT_ADDRESS = 0.25
 """Seconds after which a host is tried at its next address, too: as RFC 8305 recommends."""
