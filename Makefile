@@ -1,20 +1,20 @@
-# `make demo` shows it, `make test` checks it. Both make a virtual environment of their own, with uv
-# where that is installed, and do only what is left to do.
+# `make demo` shows it, `make test` checks it. Both make a virtual environment, with uv if it is
+# installed, and skip the steps that are up to date.
 
 PYTHON ?= python3
-# How much `make bench` does: with less it is quicker, and says less.
+# The amount of work of `make bench`: less is faster, and less exact.
 SCALE ?= 1
 VENV := .venv
 BIN := $(VENV)/bin
 
-# mutmut brings much along that the tests have to do without.
+# mutmut has an environment of its own, since the tests must pass without its dependencies.
 MUTANTS_VENV := .venv-mutants
 
 # ROS 2 has a virtual environment of its own: its wheels start each Python of theirs twice.
 ROS_VENV := .venv-ros
 ROS_BIN := $(ROS_VENV)/bin
 INTERFACES := examples/ros2/arduinobot_msgs tests/ros2/fibaction_test_msgs
-# It is this environment that is tested, and not a ROS that the shell has been told of.
+# The tests use this environment, and not a ROS that was sourced in the shell.
 no_other_ros = env -u AMENT_PREFIX_PATH -u PYTHONPATH -u RMW_IMPLEMENTATION
 
 ifneq ($(shell command -v uv 2>/dev/null),)
@@ -25,23 +25,23 @@ new_venv = $(PYTHON) -m venv $(1) && $(1)/bin/python -m pip install --quiet "pip
 install = $(1)/bin/python -m pip install --quiet
 endif
 
-# The tests start hundreds of processes, and each would compile everything anew.
+# The tests start hundreds of processes, and each would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test format lint types imports unit docs docs-serve bench simulate soak fuzz mutants test-ros test-wheel test-pythons test-lowest ros clean
 
-help:  ## Say what there is
+help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
 
-demo: $(VENV)/.installed  ## Watch a Fibonacci goal: feedback, a cancel half-way, a result
+demo: $(VENV)/.installed  ## Run a Fibonacci goal: feedback, a cancel half-way, a result
 	@$(BIN)/python examples/fibonacci_demo.py
 
-test: lint types imports unit docs  ## The whole check, with ROS 2 where it can be had
+test: lint types imports unit docs  ## Run all checks, with ROS 2 if it is available
 	@why=$$($(PYTHON) examples/ros2/build_interfaces.py --platform); if [ -z "$$why" ]; \
 	    then $(MAKE) --no-print-directory test-ros; else echo "test-ros is left out: $$why"; fi
 
-format: $(VENV)/.tools  ## Lay out the code, and mend what can be mended
+format: $(VENV)/.tools  ## Format the code, and fix what ruff can fix
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
@@ -62,7 +62,7 @@ unit: $(VENV)/.tools
 docs: $(VENV)/.docs  ## Build the documentation into site/
 	$(BIN)/python docs/build.py
 
-docs-serve: $(VENV)/.docs  ## Show the documentation while it is written
+docs-serve: $(VENV)/.docs  ## Serve the documentation, rebuilt at each change
 	$(BIN)/python -m tests.promises
 	$(BIN)/zensical serve
 
@@ -72,20 +72,20 @@ bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparis
 	    { apt-get download -qq nats-server 2>/dev/null && dpkg -x nats-server_*.deb nats; } || true
 	$(no_other_ros) $(BIN)/python -m tests.benchmarks all --scale $(SCALE)
 
-simulate: $(VENV)/.tools  ## Ten minutes of random scenarios in virtual time: does anything go wrong?
+simulate: $(VENV)/.tools  ## Run random scenarios in virtual time for ten minutes
 	$(BIN)/python -m tests.simulation --seconds 600
 
-soak: $(VENV)/.tools  ## Fifty connections for ten minutes: does anything grow?
+soak: $(VENV)/.tools  ## Run fifty connections for ten minutes, and check that nothing grows
 	$(BIN)/python -m tests.soak
 
-fuzz: $(VENV)/.fuzz  ## Two minutes of bytes that mean no good
+fuzz: $(VENV)/.fuzz  ## Send random bytes to a server for two minutes
 	$(BIN)/python -m tests.fuzz.wire -max_total_time=120
 
-mutants: $(MUTANTS_VENV)/.installed  ## Put small faults into the rules: do the tests notice each one?
+mutants: $(MUTANTS_VENV)/.installed  ## Put small faults into the rules, and check that the tests find each
 	$(MUTANTS_VENV)/bin/python -m tests.mutants
 
-# The wheel is made of the sdist, as others make it; and of the checkout, to compare.
-test-wheel: $(VENV)/.release  ## Look into the sdist and the wheel, and run the tests against the wheel
+# The wheel is made from the sdist, as packagers do; and from the checkout, to compare.
+test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the tests against the wheel
 	rm -rf dist build/checkout build/consumer build/wheel
 	$(BIN)/python -m build --quiet --outdir dist .
 	$(BIN)/python -m build --quiet --outdir build/checkout --wheel .
@@ -98,15 +98,15 @@ test-wheel: $(VENV)/.release  ## Look into the sdist and the wheel, and run the 
 	cd build && $(no_other_ros) wheel/bin/python -m pytest -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
 	    -o cache_dir=build/.pytest_cache ../tests
 
-# Of those that pyproject.toml names, the ones that `make test` is not run with.
+# The versions in pyproject.toml that `make test` does not use.
 PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'),3.11 3.12 3.13)
-# What another Python or library may do otherwise: property tests need few examples to show that, and
-# how coverage is looked at matters in .venv only.
+# Property tests need few examples to find differences between versions of Python and of libraries,
+# and coverage is measured in .venv only.
 test_elsewhere = FIBACTION_EXAMPLES=20 $(no_other_ros) $(1)/bin/python -m pytest -q -n auto --dist worksteal \
     -o cache_dir=$(1)/.pytest_cache $(ELSEWHERE)
 ELSEWHERE := tests --ignore=tests/test_own_coverage.py
 
-test-pythons:  ## Run the tests with each other Python that is there
+test-pythons:  ## Run the tests with each other version of Python that is installed
 	@for version in $(PYTHONS); do \
 	    if ! python=$$(tests/find_python.sh $$version); \
 	    then echo "Python $$version is left out: it is not here"; \
@@ -116,11 +116,11 @@ test-pythons:  ## Run the tests with each other Python that is there
 test-python%: build/python%/.installed
 	$(call test_elsewhere,build/python$*)
 
-test-lowest: build/lowest/.installed  ## Run the tests with the lowest versions of libraries allowed
+test-lowest: build/lowest/.installed  ## Run the tests with the lowest versions of libraries that are allowed
 	$(call test_elsewhere,build/lowest)
 
-# `timeout` is for a process that does not even end by what the tests have against hanging. The tests
-# spend half of their time waiting for other processes, so two of them run at once.
+# `timeout` ends a process that hangs despite the timeouts of the tests. The tests wait for other
+# processes half of the time, so two of them run at once.
 test-ros: $(ROS_VENV)/.interfaces  ## Test the ROS 2 transport with ROS 2, from wheels
 	rm -f .coverage-ros .coverage-ros.*
 	FIBACTION_ROS=required COVERAGE_PROCESS_START=tests/ros2/coverage.toml COVERAGE_FILE=.coverage-ros \
@@ -133,7 +133,7 @@ test-ros: $(ROS_VENV)/.interfaces  ## Test the ROS 2 transport with ROS 2, from 
 
 ros: $(ROS_VENV)/.interfaces  ## Make .venv-ros: ROS 2 from wheels, and the interfaces used here
 
-clean:  ## Remove all that was made
+clean:  ## Remove all generated files
 	rm -rf $(VENV) $(MUTANTS_VENV) $(ROS_VENV) .cache build dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -r {} +
 
@@ -199,7 +199,7 @@ $(ROS_VENV)/.installed: $(ROS_VENV)/.made pyproject.toml
 	    { cmp -s .found .wheels || mv .found .wheels; }
 	@touch $@
 
-# Which wheels there are. It changes only if they do, and then interfaces are built again.
+# The list of wheels. It changes only if they do, and then interfaces are built again.
 $(ROS_VENV)/.wheels: $(ROS_VENV)/.installed
 	@:
 

@@ -7,26 +7,77 @@ result; a client may cancel at any time. This package exports all names that pro
 an action from an `.action` file of ROS 2, and `fibaction.abc` is for authors of transports.
 """
 
-TYPE_CHECKING = False  # type checkers know the name; an import of `typing` would cost time
+from fibaction._api import ClientConnection, connect, serve
+from fibaction.abc import Endpoint, Transport
+from fibaction.action import Action, ActionInfo
+from fibaction.client import ActionClient
+from fibaction.client_goal import ClientGoal, SendingGoal
+from fibaction.events import Events, GoalFeedback
+from fibaction.exceptions import (
+    ActionError,
+    AuthenticationFailed,
+    CancelRejected,
+    ConnectionLost,
+    GoalAborted,
+    GoalCanceled,
+    GoalRejected,
+    InvalidMessage,
+    InvalidTransition,
+    InvalidURL,
+    LimitReached,
+    ProtocolError,
+    ServerFailed,
+    ServerNotFound,
+    TransportError,
+    UnknownGoal,
+)
+from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
+from fibaction.server import ActionServer, Executor, GoalHandle
+from fibaction.states import GoalEvent, GoalStatus
+from fibaction.wire.auth import Peer, Permission
+from fibaction.wire.settings import Limits
 
-if TYPE_CHECKING:
-    from fibaction._public import *  # noqa: F403 - all that is public
-    from fibaction._public import __all__ as __all__
-else:
-    # The names are imported at the first use of one of them. The command line is imported through
-    # this module, and handles Ctrl-C before it imports more.
-
-    def __getattr__(name: str) -> object:
-        if name == "__all__" or not name.startswith("_"):
-            from fibaction import _public
-
-            globals().update({one: getattr(_public, one) for one in _public.__all__})
-            globals()["__all__"] = _public.__all__
-            if name in globals():
-                return globals()[name]
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-    def __dir__() -> list[str]:
-        from fibaction import _public
-
-        return sorted({*globals(), *_public.__all__})
+__all__ = [
+    "Action",
+    "ActionClient",
+    "ActionError",
+    "ActionInfo",
+    "ActionPeers",
+    "ActionServer",
+    "AuthenticationFailed",
+    "CancelAnswer",
+    "CancelCode",
+    "CancelRejected",
+    "ClientConnection",
+    "ClientGoal",
+    "ConnectionLost",
+    "Endpoint",
+    "Events",
+    "Executor",
+    "GoalAborted",
+    "GoalCanceled",
+    "GoalEvent",
+    "GoalFeedback",
+    "GoalHandle",
+    "GoalID",
+    "GoalInfo",
+    "GoalRejected",
+    "GoalStatus",
+    "InvalidMessage",
+    "InvalidTransition",
+    "InvalidURL",
+    "LimitReached",
+    "Limits",
+    "Outcome",
+    "Peer",
+    "Permission",
+    "ProtocolError",
+    "SendingGoal",
+    "ServerFailed",
+    "ServerNotFound",
+    "Transport",
+    "TransportError",
+    "UnknownGoal",
+    "connect",
+    "serve",
+]

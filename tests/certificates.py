@@ -1,4 +1,4 @@
-"""Certificates for tests of TLS, of an authority that nobody else trusts; made once per run."""
+"""Certificates for tests of TLS, from an authority of their own, made once per run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import trustme
 
 HOST = "127.0.0.1"
-"""The host that `pems()` is for."""
+"""The default host of `pems`."""
 
 
 class Pems(NamedTuple):
@@ -26,7 +26,7 @@ class Pems(NamedTuple):
 
 @cache
 def pems(host: str = HOST) -> Pems:
-    """Files of an authority and of a certificate that it has given to `host`.
+    """Make files of an authority, and of a certificate that it has issued to `host`.
 
     Each host has an authority of its own.
     """

@@ -1,4 +1,4 @@
-"""What all tests have: how hypothesis runs, and a log that each test leaves as it was."""
+"""The settings of all tests: hypothesis, Ctrl-C, and a check that tests leave the log unchanged."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ settings.register_profile(
 settings.load_profile("fibaction")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # Shells hand that on to what they start in the background; what the tests start would ignore a
+    # Background processes inherit this from shells; programs that tests start would ignore a
     # Ctrl-C, too.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _levels() -> dict[str, int]:
-    """What is left out of the log, and where."""
+    """Return the level of each logger, and the level that is disabled for all."""
     loggers = {"": logging.getLogger(), **logging.root.manager.loggerDict}
     levels = {name: log.level for name, log in loggers.items() if isinstance(log, logging.Logger)}
     return {"all": logging.root.manager.disable, **levels}
@@ -38,9 +38,9 @@ def _levels() -> dict[str, int]:
 
 @pytest.fixture(autouse=True)
 def log_is_left_as_it_was() -> Iterator[None]:
-    """A test that silences the log silences those behind it, which may look for a line of it."""
+    """Check that a test leaves the log levels unchanged, since later tests may look for a line."""
     before = _levels()
     yield
     after = _levels()
     changed = {name: after.get(name) for name, level in before.items() if after.get(name) != level}
-    assert changed == {}  # what is imported for the first time may come with a logger of its own
+    assert changed == {}  # modules imported for the first time may add loggers

@@ -1,4 +1,4 @@
-"""Executors that go wrong, each in its own way, and what is to become of their goals."""
+"""Executors that fail, each in its own way, with the expected ends of their goals."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ async def raises_twice_in_a_task_group(goal: GoalHandle[Goal]) -> Items:
 
 
 class Mute(Exception):
-    """An error that goes wrong itself when it is to be shown."""
+    """An error whose `str()` fails."""
 
     def __str__(self) -> str:
         raise LookupError("no words")

@@ -1,4 +1,4 @@
-"""Every message of the protocol as the bytes that it is sent as, in the order of their tags.
+"""Every message of the protocol with its bytes, in the order of the tags.
 
 The format is pinned by this table: `tests/wire/test_messages.py` checks the code against it.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 from fibaction.action import ActionInfo
 from fibaction.goals import GoalID
 from fibaction.states import GoalStatus
+from fibaction.wire.codec import FromClient, FromServer
 from fibaction.wire.messages import (
     Actions,
     AskPeers,
@@ -23,8 +24,6 @@ from fibaction.wire.messages import (
     Finished,
     Follow,
     Following,
-    FromClient,
-    FromServer,
     GoalChanged,
     Goodbye,
     Hello,
@@ -44,7 +43,7 @@ from fibaction.wire.messages import (
 GOAL_ID = GoalID(bytes(range(16)))
 STAMP = 1_700_000_000_000_000_000
 GOAL = bytes.fromhex("81a56f726465720a")
-"""`{"order": 10}` in msgpack, as any payload is."""
+"""`{"order": 10}` in msgpack, like all payloads."""
 FEEDBACK = bytes.fromhex("81b07061727469616c5f73657175656e636593000101")
 """`{"partial_sequence": [0, 1, 1]}`."""
 RESULT = bytes.fromhex("81a873657175656e63659400010102")

@@ -2,7 +2,7 @@
 
     python -m tests.lowest > lowest.txt
 
-Of what fibaction and its tests name themselves; what those need is the newest that fits.
+Only direct requirements of fibaction and its tests; theirs are the newest that fit.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ PROJECT = Path(__file__).resolve().parent.parent / "pyproject.toml"
 
 
 def constraints(project: Path = PROJECT) -> list[str]:
-    """One line per library, sorted.
+    """Return one line per library, sorted.
 
     Raises:
         ValueError: A requirement has no lower bound.
@@ -32,7 +32,7 @@ def constraints(project: Path = PROJECT) -> list[str]:
 
 
 def lowest(requirement: str) -> str:
-    """The constraint for one requirement."""
+    """Return the constraint for one requirement."""
     found = re.fullmatch(r"([\w.-]+)(?:\[[\w,]+\])?>=([\w.]+)", requirement)
     if found is None:
         raise ValueError(f"no lower bound, or more than that: {requirement}")

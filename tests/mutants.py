@@ -1,4 +1,4 @@
-"""Would the tests notice? A module gets one small fault at a time, and its tests have to fail.
+"""Mutation tests: a module gets one small fault at a time, and its tests must fail.
 
     python -m tests.mutants [--list] [--where NAME] [MODULE...]
 
@@ -48,13 +48,13 @@ except ModuleNotFoundError as exc:
     sys.exit(f"{exc.name} is not installed: `make mutants` makes .venv-mutants, which has it")
 
 LOADED = [anyio.pytest_plugin, hypothesis.stateful, pytest_asyncio, trio]
-"""What tests need is loaded once, here, and not anew in each of some hundred processes."""
+"""The modules that tests need, imported once instead of in each of some hundred processes."""
 ROOT = Path(__file__).resolve().parent.parent
 EXPLAINED = Path(__file__).with_suffix(".toml")
 MODULES = ["states", "server/registry", "wire/messages"]
-"""What is looked into unless other modules are named: the rules, which everything else rests on."""
+"""The modules that are tested by default: the rules that all other modules depend on."""
 OF_FIELDS = {"wire/messages"}
-"""Where the types of fields are more than a note for the reader: what comes is checked by them."""
+"""The modules in which the types of fields are checked at run time."""
 
 LIMITED = {
     **dict.fromkeys(["ID", "Stamp", "Status", "Count", "FrameSize"], "int"),
@@ -72,7 +72,7 @@ NOTICED = {1, 2}  # what pytest ends with if a test fails, or if a test file can
 settings.register_profile(
     "mutants",
     # The same examples each time, so that it is not chance which mutants survive, and none is made
-    # smaller: nobody will read it.
+    # smaller, since it will not be read.
     derandomize=True,
     database=None,
     phases=[Phase.explicit, Phase.generate],
@@ -83,13 +83,13 @@ settings.register_profile(
 
 
 class Fault(NamedTuple):
-    """What is wrong with a mutant, as people see it."""
+    """A fault of a mutant, as shown to people."""
 
     where: str
-    """The function or class that has it; empty if none has."""
+    """The function or class with the fault; empty for the module itself."""
     before: str
     after: str
-    """The lines that differ."""
+    """The lines that differ, without and with the fault."""
 
     def __str__(self) -> str:
         return f"in {self.where or 'the module'}:\n  - {self.before}\n  + {self.after}"
@@ -102,20 +102,20 @@ class Mutant(NamedTuple):
     code: str
 
 
-# What is made of a node, beyond what mutmut makes of it
+# Mutations of a node, in addition to those of mutmut
 
 
 def without_a_statement(node: libcst.CSTNode) -> Iterator[libcst.CSTNode]:
-    """A call, a `del`, or an assignment to what has a value already may be left out."""
+    """Leave out a call, a `del`, or an assignment to a target that already has a value."""
     said = node.value if isinstance(node, libcst.Expr) else node
     if isinstance(said, libcst.Assign) and isinstance(said.targets[0].target, libcst.Name):
-        return  # what follows would fail without it
+        return  # the code that follows would fail without it
     if isinstance(said, libcst.Call | libcst.Del | libcst.Assign | libcst.AugAssign):
         yield libcst.Pass()
 
 
 def with_the_other_branch(node: libcst.CSTNode) -> Iterator[libcst.CSTNode]:
-    """A condition may be the opposite of what it should be; mutmut knows those with an operator."""
+    """Negate a condition without an operator; mutmut negates those with one."""
     if isinstance(node, libcst.If) and isinstance(
         node.test, libcst.Name | libcst.Attribute | libcst.Call
     ):
@@ -123,7 +123,7 @@ def with_the_other_branch(node: libcst.CSTNode) -> Iterator[libcst.CSTNode]:
 
 
 def without_an_entry(node: libcst.CSTNode) -> Iterator[libcst.CSTNode]:
-    """A table may lack a line, and a clause an error."""
+    """Leave out an entry of a table, or an error of an `except` clause."""
     if isinstance(node, libcst.Dict | libcst.Set | libcst.List | libcst.Tuple):
         for place in range(len(node.elements)):
             others = (*node.elements[:place], *node.elements[place + 1 :])
@@ -131,14 +131,14 @@ def without_an_entry(node: libcst.CSTNode) -> Iterator[libcst.CSTNode]:
 
 
 def with_half_a_union(node: libcst.CSTNode) -> Iterator[libcst.CSTNode]:
-    """One of two types may be missing."""
+    """Leave out one of two types."""
     if isinstance(node, libcst.BinaryOperation) and isinstance(node.operator, libcst.BitOr):
         yield node.left
         yield node.right
 
 
 def without_limits(node: libcst.CSTNode) -> Iterator[libcst.CSTNode]:
-    """A type may say less than it should."""
+    """Remove the limits of a type."""
     if isinstance(node, libcst.Name) and node.value in LIMITED:
         yield libcst.Name(LIMITED[node.value])
 
@@ -160,7 +160,7 @@ OPERATORS_ON_TYPES: list[tuple[type, Operator]] = [
 def faults(
     node: libcst.CSTNode, where: tuple[str, ...] = (), *, fields: bool, in_type: bool = False
 ) -> Iterator[tuple[tuple[str, ...], libcst.CSTNode, libcst.CSTNode]]:
-    """Where, what, and what to put instead; `fields` says whether the types of fields count."""
+    """Yield places, nodes and their mutations; `fields` includes the types of fields."""
     if isinstance(node, libcst.Annotation):
         if not fields:
             return
@@ -180,7 +180,7 @@ def faults(
 
 
 def mutants(name: str, where: str) -> Iterator[Mutant]:
-    """The mutants of a module, or of what is called so in it, each once."""
+    """Return the mutants of a module, or of a name in it, each once."""
     source = source_of(name).read_text()
     module = libcst.parse_module(source)
     seen = {source}
@@ -201,7 +201,7 @@ def is_python(code: str) -> bool:
 
 
 def differences(source: str, code: str) -> tuple[str, str]:
-    """The lines that are in only one of the two."""
+    """Return the lines that are in only one of the two."""
     lines = list(difflib.ndiff(source.splitlines(), code.splitlines()))
     before = " ".join(line[2:].strip() for line in lines if line.startswith("- "))
     after = " ".join(line[2:].strip() for line in lines if line.startswith("+ "))
@@ -212,7 +212,7 @@ def differences(source: str, code: str) -> tuple[str, str]:
 
 
 class Instead(importlib.abc.InspectLoader, importlib.abc.MetaPathFinder):
-    """Has a module's code ready for whoever imports it."""
+    """A finder that imports a module from given code."""
 
     def __init__(self, name: str, code: str) -> None:
         self.name = name
@@ -232,7 +232,7 @@ def source_of(name: str) -> Path:
 
 
 def run_tests(name: str, code: str) -> tuple[int, str]:
-    """What pytest ends with if the module has that code, and what it prints.
+    """Return the exit code of pytest with that code of the module, and its output.
 
     The number is negative if a signal ended it.
     """
@@ -268,7 +268,7 @@ def run_tests_here(name: str, code: str) -> int:
 
 
 def survives(name: str, fault: Fault, code: str) -> bool:
-    """Whether no test notices the fault."""
+    """Return whether no test fails with the fault."""
     result, printed = run_tests(name, code)
     if result > 0 and result not in NOTICED:
         sys.exit(f"{printed}\npytest ended with {result}, for the mutant of {name} {fault}")
@@ -276,7 +276,7 @@ def survives(name: str, fault: Fault, code: str) -> bool:
 
 
 def check_that_it_works(name: str) -> None:
-    """The tests pass as things are, and notice a module that is no good at all."""
+    """Check that the tests pass without a fault, and fail with a module that cannot be imported."""
     code, printed = run_tests(name, source_of(name).read_text())
     if code:
         sys.exit(f"{printed}\nthe tests of {name} fail as they are")
@@ -289,7 +289,7 @@ def check_that_it_works(name: str) -> None:
 
 
 def explained(name: str) -> dict[Fault, str]:
-    """Why a mutant may survive."""
+    """Return the explained survivors of a module."""
     return {
         Fault(entry["where"], before, after): entry["why"]
         for entry in tomllib.loads(EXPLAINED.read_text()).get(name, [])
@@ -298,7 +298,7 @@ def explained(name: str) -> dict[Fault, str]:
 
 
 def look_into(name: str, where: str) -> int:
-    """Try the mutants of a module; how many things are not as they should be."""
+    """Try the mutants of a module, and return the number of problems."""
     gc.freeze()  # what is here is here to stay: pytest collects garbage at each end
     check_that_it_works(name)
     began = time.monotonic()
@@ -327,7 +327,7 @@ def look_into(name: str, where: str) -> int:
 
 
 def module(name: str) -> str:
-    """A module that has tests of its own.
+    """Return the name of a module that has tests of its own.
 
     Raises:
         argparse.ArgumentTypeError: There is no such module, or no such tests.
@@ -339,7 +339,7 @@ def module(name: str) -> str:
 
 
 def main() -> int:
-    """Look into the modules that are named, or into those that matter most."""
+    """Test the given modules, or those in `MODULES`."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.mutants",
         description="Would the tests notice a small fault in a module? Each is tried in turn.",

@@ -16,11 +16,11 @@ class Block(NamedTuple):
     code: str
     line: int
     before: str
-    """What stands between the block before it, or the page's start, and this one."""
+    """The text between this block and the one before it, or the start of the page."""
 
 
 def blocks_of(page: str) -> list[Block]:
-    """The fenced blocks of a page, in order."""
+    """Return the fenced blocks of a page, in order."""
     blocks: list[Block] = []
     end = 0
     for match in FENCED.finditer(page):

@@ -12,7 +12,7 @@ PATIENCE = 30.0
 
 
 class Finished(NamedTuple):
-    """What came of a command."""
+    """The exit code and the output of a command."""
 
     code: int
     out: str
@@ -30,7 +30,7 @@ class Finished(NamedTuple):
 
 
 def ended(process: subprocess.Popen[str], input: str | None = None) -> Finished:
-    """Wait for the end of a process, and kill it if that does not come."""
+    """Wait for the end of a process, and kill it after a timeout."""
     with process:
         try:
             out, err = process.communicate(input, timeout=PATIENCE)
@@ -40,8 +40,8 @@ def ended(process: subprocess.Popen[str], input: str | None = None) -> Finished:
 
 
 def lines_until(pattern: str, process: subprocess.Popen[str], *, errors: bool = False) -> list[str]:
-    """What a process prints, up to the first line in which the pattern is found; with `errors`,
-    what it prints as such.
+    """Return the output of a process, up to the first line in which the pattern is found; with
+    `errors`, its error output.
     """
     stream = process.stderr if errors else process.stdout
     assert stream is not None

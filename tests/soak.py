@@ -28,7 +28,7 @@ from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 CONNECTIONS = 50
 GROWTH = 1.1
-"""What memory may grow by: the allocator's holes, which are not ours."""
+"""The factor by which memory may grow because of the allocator's fragmentation."""
 
 
 async def work(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:

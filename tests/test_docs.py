@@ -38,8 +38,8 @@ from fibaction import CancelCode, GoalStatus, connect, serve
 from fibaction.states import TRANSITIONS
 from fibaction.testing import ScriptedServer
 from fibaction.urls import GROUP
-from fibaction.wire import messages
-from fibaction.wire.framing import MAX_FRAME
+from fibaction.wire import codec, messages
+from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.settings import ClientSettings, ServerSettings, WireKeywords
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.golden import GOLDEN
@@ -277,7 +277,7 @@ def test_a_page_without_the_marks_is_refused() -> None:
 # The protocol
 
 MESSAGES = sorted(
-    {*get_args(messages.FromClient), *get_args(messages.FromServer)},
+    {*get_args(codec.FromClient), *get_args(codec.FromServer)},
     key=lambda kind: kind.__struct_config__.tag,
 )
 

@@ -77,7 +77,7 @@ def project(tmp_path: Path) -> Path:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text)
     for module in (own_coverage, units):
-        shutil.copy(module.__file__, tmp_path / "tests")
+        shutil.copy(str(module.__file__), tmp_path / "tests")
     return tmp_path
 
 

@@ -11,33 +11,6 @@ ROOT = Path(__file__).resolve().parent.parent
 SOURCES = ("fibaction", "transports")
 QUESTION_WORDS = ("what", "whether", "who", "whose", "how", "where", "when", "why")
 
-TO_BE_REWRITTEN = {
-    "fibaction/_api.py",
-    "fibaction/action.py",
-    "fibaction/client.py",
-    "fibaction/events.py",
-    "fibaction/goals.py",
-    "fibaction/server/callbacks.py",
-    "fibaction/server/executor.py",
-    "fibaction/server/expiry.py",
-    "fibaction/states.py",
-    "fibaction/testing.py",
-    "fibaction/wire/calls.py",
-    "fibaction/wire/channel.py",
-    "fibaction/wire/connection.py",
-    "fibaction/wire/link.py",
-    "fibaction/wire/ownership.py",
-    "fibaction/wire/requests.py",
-    "fibaction/wire/session.py",
-    "fibaction/wire/settings.py",
-    "fibaction/wire/subscriptions.py",
-    "transports/fibaction_transports/inprocess.py",
-    "transports/fibaction_transports/tcp/_asyncio.py",
-}
-"""Modules some of whose docstrings still begin with a question word. This list only shrinks."""
-TO_BE_RENAMED = {"framing", "streams"}
-"""Names of modules that break the rules below. This list only shrinks."""
-
 
 def modules() -> Iterator[Path]:
     for source in SOURCES:
@@ -59,15 +32,14 @@ def questions(module: Path) -> list[str]:
 
 def test_no_docstring_begins_with_a_question_word() -> None:
     found = {str(module.relative_to(ROOT)): questions(module) for module in modules()}
-    wrong = {name: texts for name, texts in found.items() if texts and name not in TO_BE_REWRITTEN}
-    assert wrong == {}
+    assert {name: texts for name, texts in found.items() if texts} == {}
 
 
 def test_no_two_modules_have_the_same_name() -> None:
     names = Counter(module.stem.strip("_") for module in modules() if module.stem != "__init__")
-    assert {name for name, count in names.items() if count > 1} <= TO_BE_RENAMED
+    assert {name for name, count in names.items() if count > 1} == set()
 
 
 def test_no_module_is_named_by_a_gerund() -> None:
     gerunds = {module.stem.strip("_") for module in modules() if module.stem.endswith("ing")}
-    assert gerunds - {"testing"} <= TO_BE_RENAMED
+    assert gerunds == {"testing"}

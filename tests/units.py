@@ -9,9 +9,10 @@ from pathlib import Path
 SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/transports"}
 ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
 UNITS = {
-    "fibaction/_public.py": ["tests/test_init.py"],
+    "fibaction/client_goal.py": ["tests/test_client.py"],
     "fibaction/streams.py": ["tests/test_abc.py"],
     "fibaction/cli": ["tests/cli"],
+    "transports/fibaction_transports/_command.py": ["tests/cli"],
     "fibaction/server": ["tests/server"],
     "fibaction/server/registry.py": ["tests/server/test_registry.py"],  # a rule without I/O
     "fibaction/wire": ["tests/wire"],

@@ -1,4 +1,4 @@
-"""Time that goes on as soon as all tasks wait: hours pass at once."""
+"""Virtual time for tests on trio, which jumps ahead as soon as all tasks wait."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ from trio.testing import MockClock
 
 
 def in_virtual_time() -> pytest.MarkDecorator:
-    """Run a test on trio, whose clock jumps to the next thing to do."""
+    """Run a test on trio, whose clock jumps to the next timer."""
     clock = MockClock(autojump_threshold=0)
     return pytest.mark.parametrize("anyio_backend", [("trio", {"clock": clock})], ids=["virtual"])

@@ -1,10 +1,10 @@
-"""What a page has its reader type into terminals, typed into real shells.
+"""Walks through the commands of a page, in real shells.
 
 A block of shell commands is marked with the terminal that it is for. Commands follow a `$`; the
 lines below a command are what it prints, and `...` stands for any lines. Files that the page has
 its reader write are marked, too. All terminals of a page share one folder.
 
-This module knows the marks and the shells, and not which pages there are.
+This module has the marks and the shells; its callers have the pages.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from typing import NamedTuple
 from tests.pages import Block, blocks_of
 
 PATIENCE = 60.0
-"""Seconds without the line that is waited for: many times what the slowest command takes."""
+"""The timeout for an expected line, in seconds: many times as long as any command takes."""
 ENDING = 10.0
-"""Seconds that programs get to end when they are told to."""
+"""Seconds that programs have for their end after a signal."""
 ROOT = Path(__file__).resolve().parent.parent
 CLONE = "~/fibaction"
-"""Where pages suppose the repository to be."""
+"""The folder of the repository in pages."""
 DEFAULT_PORT = "7400"
-"""The port that pages name, and that another program of this machine may use."""
+"""The port in pages, which another program of this machine may use."""
 
 _TERMINAL = re.compile(
     r"<!-- terminal: (?P<name>\w+)(?P<on>, runs on)?(?P<ros>, where ROS 2 is)? -->\n\Z"
@@ -52,24 +52,24 @@ _CHANGING = {
 
 
 class Step(NamedTuple):
-    """A command, or Ctrl-C, and what is printed after it."""
+    """A command, or Ctrl-C, and the output after it."""
 
     command: str
     expected: list[str]
 
 
 def terminal_of(block: Block) -> re.Match[str] | None:
-    """The mark that says which terminal a block is for."""
+    """Return the mark that names the terminal of a block."""
     return _TERMINAL.search(block.before)
 
 
 def file_of(block: Block) -> re.Match[str] | None:
-    """The mark that says which file a block is."""
+    """Return the mark that names the file of a block."""
     return _FILE.search(block.before)
 
 
 def steps_of(code: str) -> list[Step]:
-    """The commands of a block, each with its output.
+    """Return the commands of a block, each with its output.
 
     Raises:
         ValueError: The block begins with output.
@@ -86,7 +86,7 @@ def steps_of(code: str) -> list[Step]:
 
 
 def walk(page: str, folder: Path, *, ros: bool = False) -> list[str]:
-    """Do in a folder what a page says, and say where the page is wrong.
+    """Run the commands of a page in a folder, and return the differences to the page.
 
     With `ros`, that is the commands that need ROS 2; else it is all others.
     """
@@ -118,7 +118,7 @@ def walk(page: str, folder: Path, *, ros: bool = False) -> list[str]:
 
 
 def install(project: Path) -> None:
-    """Put beside a `pyproject.toml` what `pip install -e .` would put into the environment."""
+    """Write the files beside a `pyproject.toml` that `pip install -e .` would install."""
     described = tomllib.loads(project.read_text(encoding="utf-8"))["project"]
     name, version = described["name"].replace("-", "_"), described["version"]
     folder = project.parent / f"{name}-{version}.dist-info"
@@ -133,7 +133,7 @@ def install(project: Path) -> None:
 
 
 def free_port() -> str:
-    """A port at which nobody listens, with as many digits as the one it stands for."""
+    """Return a free port with as many digits as the one that it replaces."""
     while True:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
@@ -173,7 +173,7 @@ class Terminal:
             self._lines.put(line.rstrip("\n"))
 
     def does(self, step: Step, runs_on: bool, where: str) -> list[str]:
-        """Do a step; gives what is wrong with it, if anything is."""
+        """Run a step; return the difference to the expected output, if any."""
         if step.command == "^C":
             self._signal(signal.SIGINT)
         else:
@@ -185,12 +185,12 @@ class Terminal:
         return [f"{where}: `{step.command}` prints\n{text}\nand the page says\n{said}\n"]
 
     def _first(self, count: int) -> Iterator[str]:
-        """So many lines."""
+        """Return so many lines of output."""
         for _ in range(count):
             yield self._next()
 
     def _until_end(self) -> list[str]:
-        """All lines until the command has ended."""
+        """Return all lines until the command has ended."""
         lines = list(iter(self._next, _END))
         # In front of the end stands a line break: it ends a last line that had none.
         return lines if lines[-1] else lines[:-1]
@@ -202,7 +202,7 @@ class Terminal:
             raise TimeoutError("nothing more is printed") from None
 
     def close(self) -> None:
-        """End the shell, and all that runs in it."""
+        """End the shell, and all programs in it."""
         self._signal(signal.SIGTERM)
         self._reading.join(ENDING)  # there is more to read until the last of them has ended
         self._signal(signal.SIGKILL)
@@ -216,7 +216,7 @@ class Terminal:
 
 
 def _environment(outside: Mapping[str, str], folder: Path, port: str) -> dict[str, str]:
-    """This process's, with the programs that are installed beside this Python."""
+    """Return the environment of a shell, with the programs that are beside this Python."""
     inside = {name: value for name, value in outside.items() if not name.startswith("FIBACTION_")}
     inside["PATH"] = os.pathsep.join((str(Path(sys.executable).parent), outside["PATH"]))
     inside["FIBACTION_URL"] = f"tcp://127.0.0.1:{port}"  # the usual one, but for the port

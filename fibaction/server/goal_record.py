@@ -50,7 +50,7 @@ class GoalRecord:
         """Time of the end: nanoseconds since 1970; 0 while the goal is active."""
         self.feedback_count = 0
         self.stop_reason = ""
-        """Why the server ends the goal by itself; empty while it does not."""
+        """The reason for which the server ends the goal by itself; empty if it does not."""
 
     @property
     def info(self) -> GoalInfo:

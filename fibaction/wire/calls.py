@@ -14,8 +14,9 @@ from typing import Any, TypeAlias
 from fibaction._notify import Notifier
 from fibaction.exceptions import ActionError, ProtocolError
 from fibaction.goals import GoalID
+from fibaction.wire.codec import FromClient
 from fibaction.wire.errors import copied, error_of
-from fibaction.wire.messages import Close, Credit, Failed, FromClient
+from fibaction.wire.messages import Close, Credit, Failed
 
 Post: TypeAlias = Callable[[FromClient], None]
 """Sends a small message if there is a connection; without one it is not needed."""

@@ -1,8 +1,8 @@
-"""`Channel`: a connection that moves frames, and all that a transport of bytes has to supply.
+"""`Line`: a connection that moves frames, which every transport over the wire protocol supplies.
 
-A transport over a stream of bytes wraps it in a `StreamChannel`; one that has frames of its own,
-such as WebSocket, implements `Channel`. A `Line` is what a channel is to the rest of `wire`; who
-can do without tasks that read and write implements that.
+A transport over a stream of bytes wraps it in a `StreamChannel`. One that has frames of its own,
+such as WebSocket, implements `Channel`, whose two directions have a task each. One that needs no
+tasks, because it is called with what arrives, implements `Line` itself.
 """
 
 from __future__ import annotations
@@ -16,48 +16,52 @@ from anyio.abc import ByteStream
 
 from fibaction._notify import Notifier
 from fibaction.exceptions import ActionError, ConnectionLost
-from fibaction.wire.framing import FrameReader, framed
+from fibaction.wire.frames import FrameReader, framed
 
 CHUNK = 2**16
-"""Bytes read or written at once: large enough that the cost of a call does not count, and small
-enough that a slow line moves one within any sensible limit."""
+"""Bytes read or written at once: large, so that the cost of a call does not count, and small enough
+for a slow line to move one within a heartbeat."""
 
 
 OnFrames: TypeAlias = Callable[[list[bytes]], None]
-"""Takes the frames that have arrived; an empty list if only a piece of one has."""
+"""Takes the frames that have arrived; an empty list if only a piece of one has arrived."""
 NextFrames: TypeAlias = Callable[[], list[bytes]]
-"""Gives the frames to send next, if any. Being asked again says that those before are written."""
+"""Returns the frames to send next, if any. The next call says that those before are written."""
 
 
 class Line(ABC):
     """A connection that moves frames both ways, in order and whole, while it runs."""
 
     peer: str
-    """Who is at the other end, for a person to read: `127.0.0.1:51234`."""
+    """The address of the peer, for errors and logs, for example `127.0.0.1:51234`."""
 
     @property
     def progress(self) -> int:
-        """Grows with each piece of a message that the other end has taken: so a large message on a
-        slow line can be told from a peer that does not read.
+        """A number that grows with each piece of a message that the peer has taken.
+
+        It tells a large message on a slow line from a peer that does not read.
         """
         return 0
 
     @abstractmethod
     def wake_writer(self, *, at_once: bool = False) -> None:
-        """There is something to fetch. Most often there soon is more, and all of it goes into one
-        write; `at_once` says that there is not, and that whoever stirs has other things to do that
-        can be done while the other end has it. Who cannot write at once need not.
+        """Schedule a write.
+
+        Writes are normally coalesced until the next loop turn; `at_once` asks for an immediate
+        write, as an optimisation that an implementation may ignore.
         """
 
     @abstractmethod
     async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
-        """Hand over what arrives, and send what there is to fetch: at first, after each `stir()`,
-        and after each write, until there is none. Runs once, and does not return.
+        """Call `on_frames` with what arrives, and send what `next_frames` returns.
+
+        `next_frames` is called at first, after each `wake_writer()`, and after each write, until it
+        returns none. Runs once, and does not return.
 
         Raises:
-            ActionError: What `hear` raised.
+            ActionError: `on_frames` has raised it.
             ConnectionLost: The connection has ended.
-            ProtocolError: What came is no frame.
+            ProtocolError: The peer has sent something that is not a frame.
         """
 
     @abstractmethod
@@ -70,17 +74,17 @@ class Line(ABC):
 
     @abstractmethod
     async def aclose(self) -> None:
-        """Close the connection, at once if it cannot be done in good order."""
+        """Close the connection, at once if it cannot be closed in good order."""
 
 
 class Channel(Line):
-    """A line whose two directions are waited for, each by a task."""
+    """A line whose two directions have a task each."""
 
     _wanted: Notifier | None = None
 
     @abstractmethod
     async def send(self, frames: Sequence[bytes]) -> None:
-        """Send frames, as few writes as possible.
+        """Send frames, in as few writes as possible.
 
         Raises:
             ConnectionLost: The connection has ended.
@@ -88,11 +92,11 @@ class Channel(Line):
 
     @abstractmethod
     async def receive(self) -> list[bytes]:
-        """Wait until something arrives, and give the frames that are whole by then, if any.
+        """Wait until something arrives, and return the frames that are complete by then, if any.
 
         Raises:
             ConnectionLost: The connection has ended.
-            ProtocolError: What came is no frame.
+            ProtocolError: The peer has sent something that is not a frame.
         """
 
     def wake_writer(self, *, at_once: bool = False) -> None:
@@ -165,7 +169,7 @@ class StreamChannel(Channel):
         return self._reader.feed(data)
 
     async def aclose(self) -> None:
-        # A peer that does not take part in closing, or a line that is dead, must not be waited for.
+        # Do not wait for a peer that does not take part in closing, or for a dead line.
         try:
             with anyio.move_on_after(1, shield=True):
                 await self._stream.aclose()

@@ -44,6 +44,7 @@ from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import ActionError, ProtocolError, ServerNotFound
 from fibaction.goals import ActionPeers
 from fibaction.wire.channel import Line
+from fibaction.wire.codec import FromServer, decode_from_server, encode
 from fibaction.wire.errors import error_of_goodbye
 from fibaction.wire.link import Link, naming
 from fibaction.wire.messages import (
@@ -51,7 +52,6 @@ from fibaction.wire.messages import (
     Actions,
     AskPeers,
     Ended,
-    FromServer,
     Goodbye,
     Hello,
     ListActions,
@@ -60,8 +60,6 @@ from fibaction.wire.messages import (
     Received,
     Welcome,
     Why,
-    decode_from_server,
-    encode,
 )
 from fibaction.wire.open_calls import OpenCalls
 from fibaction.wire.reconnect import Reconnector

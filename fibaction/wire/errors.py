@@ -33,7 +33,8 @@ from fibaction.exceptions import (
     UnknownGoal,
 )
 from fibaction.goals import GoalID
-from fibaction.wire.messages import Failed, Goodbye, Rejected, Why, encode
+from fibaction.wire.codec import encode
+from fibaction.wire.messages import Failed, Goodbye, Rejected, Why
 
 logger = logging.getLogger("fibaction.wire")
 

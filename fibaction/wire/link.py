@@ -39,8 +39,9 @@ from anyio import CancelScope, create_task_group, move_on_after, sleep
 from fibaction._notify import Notifier
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
 from fibaction.wire.channel import Line
+from fibaction.wire.codec import encode
 from fibaction.wire.heartbeat import Heartbeat
-from fibaction.wire.messages import Ping, encode
+from fibaction.wire.messages import Ping
 
 HIGH_WATER = 2**20
 """Bytes in the queue above which `send` waits: some milliseconds of any line."""

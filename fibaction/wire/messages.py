@@ -1,4 +1,4 @@
-"""Messages of the wire protocol, and their encoding.
+"""Messages of the wire protocol.
 
 Each message is a msgpack array that begins with the tag of its type; `docs/protocol.md` lists all
 messages. New fields are added at the end, with a default, and a peer that does not know them
@@ -14,10 +14,8 @@ from typing import Annotated, TypeAlias, final
 import msgspec
 
 from fibaction.action import ActionInfo
-from fibaction.exceptions import ProtocolError
-from fibaction.goals import GoalID
 from fibaction.states import GoalStatus
-from fibaction.wire.framing import MAX_FRAME
+from fibaction.wire.frames import MAX_FRAME
 
 VERSION = 1
 """Version of the protocol. A peer of another version is rejected."""
@@ -331,75 +329,3 @@ class Peers(_Message, tag=45):
     id: ID
     clients: list[str]
     """Name of each client, as in the server's log."""
-
-
-FromClient: TypeAlias = (
-    Hello
-    | SendGoal
-    | Follow
-    | CancelGoals
-    | WatchStatus
-    | AwaitServer
-    | ListActions
-    | Credit
-    | Close
-    | Received
-    | AskPeers
-    | Ping
-    | Goodbye
-)
-FromServer: TypeAlias = (
-    Welcome
-    | Following
-    | Rejected
-    | Failed
-    | Feedback
-    | StatusChanged
-    | Ended
-    | CancelAnswered
-    | GoalChanged
-    | Done
-    | Finished
-    | Actions
-    | Watching
-    | Peers
-    | Ping
-    | Goodbye
-)
-
-
-def _plain(value: object) -> bytes:
-    if isinstance(value, GoalID):
-        return bytes(value)
-    raise TypeError(f"a message cannot contain a {type(value).__name__}")
-
-
-encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
-"""Encode a message as bytes."""
-
-_from_client: msgspec.msgpack.Decoder[FromClient] = msgspec.msgpack.Decoder(FromClient)
-_from_server: msgspec.msgpack.Decoder[FromServer] = msgspec.msgpack.Decoder(FromServer)
-
-
-def decode_from_client(frame: bytes) -> FromClient:
-    """Decode a message that a client sent.
-
-    Raises:
-        ProtocolError: The frame is not a valid message of a client.
-    """
-    try:
-        return _from_client.decode(frame)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
-        raise ProtocolError(f"invalid client message: {exc}") from exc
-
-
-def decode_from_server(frame: bytes) -> FromServer:
-    """Decode a message that a server sent.
-
-    Raises:
-        ProtocolError: The frame is not a valid message of a server.
-    """
-    try:
-        return _from_server.decode(frame)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
-        raise ProtocolError(f"invalid server message: {exc}") from exc

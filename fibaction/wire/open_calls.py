@@ -12,9 +12,10 @@ from fibaction.exceptions import ActionError, InvalidMessage
 from fibaction.goals import GoalID
 from fibaction.wire.calls import Call, PendingRequest
 from fibaction.wire.channel import CHUNK
-from fibaction.wire.framing import MAX_FRAME
+from fibaction.wire.codec import FromClient, encode
+from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.link import Link
-from fibaction.wire.messages import Follow, FromClient, SendGoal, encode
+from fibaction.wire.messages import Follow, SendGoal
 from fibaction.wire.remote_goal import RemoteGoal
 from fibaction.wire.remote_statuses import RemoteStatuses
 

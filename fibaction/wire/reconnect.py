@@ -62,7 +62,7 @@ class Reconnector:
         self._last_error: ActionError  # of the attempt before this one
         self._changed = Notifier()
         self.is_open = False
-        """Whether the server has let this client in, and the connection has not ended."""
+        """True if the server has let this client in, and the connection has not ended."""
         self.changes = 0
         """Count of connections that were opened or given up: see `changed`."""
 

@@ -15,6 +15,7 @@ from fibaction.exceptions import ProtocolError
 from fibaction.goals import UNKNOWN_OUTCOME, GoalID, Outcome
 from fibaction.states import GoalStatus
 from fibaction.wire.calls import Call, Credits, Post, unfitting
+from fibaction.wire.codec import FromClient
 from fibaction.wire.errors import error_of
 from fibaction.wire.messages import (
     Close,
@@ -23,7 +24,6 @@ from fibaction.wire.messages import (
     Feedback,
     Follow,
     Following,
-    FromClient,
     Received,
     Rejected,
     SendGoal,

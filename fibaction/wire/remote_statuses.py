@@ -8,16 +8,9 @@ from typing import Any
 from fibaction.abc import StatusStream
 from fibaction.goals import GoalID, GoalInfo
 from fibaction.wire.calls import Call, Credits, Post, unfitting
+from fibaction.wire.codec import FromClient
 from fibaction.wire.errors import error_of
-from fibaction.wire.messages import (
-    Close,
-    Failed,
-    Finished,
-    FromClient,
-    GoalChanged,
-    Watching,
-    WatchStatus,
-)
+from fibaction.wire.messages import Close, Failed, Finished, GoalChanged, Watching, WatchStatus
 
 
 class RemoteStatuses(Call, StatusStream):

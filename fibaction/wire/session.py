@@ -51,6 +51,7 @@ from fibaction.exceptions import (
     LimitReached,
     ProtocolError,
 )
+from fibaction.wire.codec import FromClient, decode_from_client, encode
 from fibaction.wire.errors import failed, failure_of, fitting, goodbye_of
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
@@ -59,7 +60,6 @@ from fibaction.wire.messages import (
     Credit,
     Failed,
     Follow,
-    FromClient,
     Goodbye,
     Hello,
     Ping,
@@ -68,8 +68,6 @@ from fibaction.wire.messages import (
     SendGoal,
     Welcome,
     Why,
-    decode_from_client,
-    encode,
 )
 from fibaction.wire.ownership import Owners
 from fibaction.wire.requests import Answer, Request, RequestHandlers

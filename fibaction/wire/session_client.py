@@ -9,8 +9,9 @@ from fibaction.exceptions import AuthenticationFailed, ProtocolError, ServerNotF
 from fibaction.goals import UNKNOWN_SENDER, Sender
 from fibaction.server.goal_record import digest_of
 from fibaction.wire.auth import Peer, Permission
-from fibaction.wire.framing import MAX_FRAME
-from fibaction.wire.messages import VERSION, FromClient, Hello
+from fibaction.wire.codec import FromClient
+from fibaction.wire.frames import MAX_FRAME
+from fibaction.wire.messages import VERSION, Hello
 from fibaction.wire.settings import ServerSettings
 
 

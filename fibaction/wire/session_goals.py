@@ -198,7 +198,7 @@ class SessionGoals:
         while self._ready and size < CHUNK:
             subscription = next(iter(self._ready))
             del self._ready[subscription]
-            more = subscription.take()
+            more = subscription.next_frames()
             if more and not subscription.told:
                 self._ready[subscription] = None  # behind the others
             frames += more

@@ -16,7 +16,7 @@ from typing import Any, Literal, TypedDict
 import msgspec
 
 from fibaction.wire.auth import AccessPolicy, Authorize, check_token
-from fibaction.wire.framing import MAX_FRAME
+from fibaction.wire.frames import MAX_FRAME
 
 HEARTBEAT = 1.0
 """Seconds between heartbeats, both ways, if nothing else is set."""
@@ -85,7 +85,7 @@ class ClientSettings(msgspec.Struct, frozen=True):
     token: str = ""
     """Access token sent to the server; empty if none."""
     reconnect: bool = True
-    """Whether a lost connection is opened again, and open calls go on."""
+    """Open a lost connection again, and go on with open calls."""
     reconnect_timeout: float = 30.0
     """Seconds that calls wait for a lost connection to come back."""
     window: int = 256

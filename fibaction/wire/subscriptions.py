@@ -1,6 +1,6 @@
-"""What one client has asked for and is being told: how much it wants, and what there is to tell.
+"""Subscriptions: the credit of each request of a client, and the frames that it is sent for it.
 
-It knows nothing of connections: whoever has one is told that there is something, and fetches it.
+They do not know connections: the owner is told that a subscription is ready, and fetches frames.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ from fibaction.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.exceptions import ActionError
 from fibaction.goals import Outcome
 from fibaction.states import GoalStatus
+from fibaction.wire.codec import encode
 from fibaction.wire.errors import failed, failure_of, fitting, sendable
-from fibaction.wire.messages import Ended, Feedback, Following, StatusChanged, encode
+from fibaction.wire.messages import Ended, Feedback, Following, StatusChanged
 
 MOST_CREDIT = 2**31
-"""Enough for every client, and small enough for every number."""
+"""The most credit that is counted: enough for every client."""
 PIECE = 64
 """Feedback messages of one goal that are sent before the next goal has its turn."""
 
@@ -25,7 +26,7 @@ logger = logging.getLogger("fibaction.wire")
 
 
 class Subscription:
-    """One request, and how much more the client wants of it."""
+    """One request, and its credit: the number of messages that the client still accepts."""
 
     __slots__ = ("closed", "credit", "request")
 
@@ -33,14 +34,14 @@ class Subscription:
         self.request = request
         self.credit = credit or 0
         self.closed = credit is None
-        """Whether nothing is wanted but the end."""
+        """True if the client wants the end only."""
 
     def add(self, count: int) -> None:
-        """The client wants so much more."""
+        """Add credit."""
         self.credit = min(self.credit + count, MOST_CREDIT)
 
     def close(self) -> None:
-        """The client wants no more, but the end."""
+        """Send the end only, from now on."""
         self.closed = True
 
 
@@ -65,19 +66,19 @@ class RequestSubscription(Subscription):
         self._more.notify()
 
     def stop_with(self, stop: Callable[[], None]) -> None:
-        """From now on, this is what to do when the client wants no more."""
+        """Call `stop` when the client closes the request."""
         self._stop = stop
         if self.closed:
             stop()
 
     async def wait(self) -> None:
-        """Wait until the client wants more, or no more at all."""
+        """Wait until there is credit, or the client has closed the request."""
         while self.credit <= 0 and not self.closed:
             await self._more.wait()
 
 
 class GoalSubscription(Subscription):
-    """One goal that the client follows: no task, but `take` whenever `ready` was called."""
+    """One goal that the client follows; calls `ready` when `next_frames` has something to send."""
 
     __slots__ = (
         "_max_frame",
@@ -101,19 +102,19 @@ class GoalSubscription(Subscription):
         self.stream: GoalStream | None = None
         self.endpoint: Endpoint | None = None
         self.own = False
-        """Whether the client has sent this goal, and it is kept for it until it has the end."""
+        """True if the client has sent this goal, which is kept for it until it has the end."""
         self.told = False
-        """Whether it has been told the end, or that there is none."""
+        """True if the client was told the end, or an error in place of it."""
         self.is_wanted = True
-        """Whether the client has yet to say that it has heard, or does not wait for, the end."""
+        """True if the client has not said yet that it has the end, or does not wait for it."""
         self._ready = ready
         self._max_frame = max_frame
         self._opening = b""
 
     def begin(self, endpoint: Endpoint, stream: GoalStream, *, own: bool) -> None:
-        """Follow the goal by this stream."""
+        """Begin to follow the goal by a stream."""
         self.endpoint, self.stream, self.own = endpoint, stream, own
-        # Now, because the statuses that the stream will give begin with this one.
+        # Encoded now, because the statuses of the stream begin with this one.
         following = Following(
             self.request, stream.stamp, stream.status, stream.latest, stream.cursor
         )
@@ -134,16 +135,16 @@ class GoalSubscription(Subscription):
 
     @property
     def is_observed(self) -> bool:
-        """Whether it follows a goal of somebody else's."""
+        """True if another client has sent the goal."""
         return self.stream is not None and not self.own
 
     @property
     def has_end_to_tell(self) -> bool:
-        """Whether the goal has ended, and the client has not been told."""
+        """True if the goal has ended, and the client was not told."""
         return not self.told and self.stream is not None and self.stream.status.is_terminal
 
     def leave(self) -> None:
-        """There is nothing more to tell."""
+        """Stop: there is nothing more to tell."""
         self.told = True
         if self.stream is not None:
             self.stream.news.on_next = None
@@ -152,10 +153,10 @@ class GoalSubscription(Subscription):
         if self.stream is not None and not self.told:
             self._ready(self)
 
-    def take(self) -> list[bytes]:
-        """What there is to send, as far as the client wants it; nothing if there is nothing now."""
+    def next_frames(self) -> list[bytes]:
+        """Return the frames to send next, as far as there is credit; empty if there are none."""
         try:
-            return self._take()
+            return self._next_frames()
         except Exception as exc:
             if not isinstance(exc, ActionError):
                 # A bug of the endpoint. It concerns this client only.
@@ -168,7 +169,7 @@ class GoalSubscription(Subscription):
         self.leave()
         self.own = False  # there is no end to keep
 
-    def _take(self) -> list[bytes]:
+    def _next_frames(self) -> list[bytes]:
         stream, request = self.stream, self.request
         assert stream is not None
         stream.news.on_next = self._tell
@@ -189,12 +190,12 @@ class GoalSubscription(Subscription):
         return frames
 
     def _fitting(self, frames: list[bytes]) -> list[bytes]:
-        """Those that the client takes. It sees from the numbers that some are missing."""
+        """Return the frames that fit; the client sees from the numbers that some are missing."""
         logger.warning(
             "feedback of a goal is left out: its client takes messages of %d bytes at most",
             self._max_frame,
         )
-        self._tell()  # there may be more behind
+        self._tell()  # there may be more after these
         return [frame for frame in frames if len(frame) <= self._max_frame]
 
     def _end(self, stream: GoalStream, end: Outcome[bytes]) -> list[bytes]:

@@ -14,8 +14,9 @@ from fibaction._tasks import Background
 from fibaction.abc import Endpoint
 from fibaction.exceptions import AuthenticationFailed, LimitReached, ProtocolError
 from fibaction.wire.channel import Line
+from fibaction.wire.codec import encode
 from fibaction.wire.link import Link, naming
-from fibaction.wire.messages import Goodbye, Why, encode
+from fibaction.wire.messages import Goodbye, Why
 from fibaction.wire.ownership import Owners
 from fibaction.wire.session import Session
 from fibaction.wire.settings import ServerSettings

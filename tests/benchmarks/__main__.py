@@ -23,7 +23,7 @@ SUBJECTS = {"inprocess": inprocess.measure, "tcp": tcp.measure, "ros2": ros2.mea
 
 
 def scale(text: str) -> float:
-    """A number that is more than 0: with none, nothing would be measured."""
+    """Return a number above 0, as otherwise nothing would be measured."""
     number = float(text)
     if not 0 < number < math.inf:
         raise argparse.ArgumentTypeError(f"{text} is not a number above 0")

@@ -26,7 +26,7 @@ def say(value: object) -> None:
 
 
 async def goals(contender: Contender, times: int) -> list[float]:
-    """How many were done, and the seconds that they took; so for all of these."""
+    """Return the number that were done, and the seconds that they took, as all orders do."""
     start = perf_counter()
     await contender.goals(times)
     return [times, perf_counter() - start]
@@ -63,7 +63,7 @@ ORDERS: dict[str, Callable[[Contender, int], Awaitable[Any]]] = {
 
 
 NAMES = sorted(path.stem.removeprefix("over_") for path in Path(__file__).parent.glob("over_*.py"))
-"""Of the contenders."""
+"""The names of the contenders."""
 
 
 async def server(module: Any) -> None:
@@ -87,7 +87,7 @@ if __name__ == "__main__":
     parser.add_argument("address", nargs="?", default="", help="for a client: what a server gave")
     arguments = parser.parse_args()
     if arguments.name not in NAMES:
-        parser.error(f"there is no contender {arguments.name!r}; there is {', '.join(NAMES)}")
+        parser.error(f"unknown contender {arguments.name!r}; the contenders are {', '.join(NAMES)}")
     module = import_module(f"tests.benchmarks.over_{arguments.name}")
     if arguments.end == "server":
         anyio.run(server, module)

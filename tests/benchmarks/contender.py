@@ -1,7 +1,8 @@
-"""`Contender`: one way to have goals done.
+"""`Contender`: one way to run goals.
 
-Each has a module of its own, `over_*`, with `serve`, which gives an address, and `connect`, which
-takes that and gives a `Contender`. What a goal asks for is in its number; see below.
+Each has a module of its own, `over_*`, with `serve`, whose block gets an address, and `connect`,
+which takes that address and whose block gets a `Contender`. The number of a goal says what its
+executor does; see below.
 """
 
 from __future__ import annotations
@@ -11,45 +12,45 @@ from time import monotonic_ns, perf_counter
 from typing import NamedTuple
 
 AT_ONCE = 500
-"""So many goals are a batch."""
+"""The number of goals in a batch."""
 
 PENDING = -1
-"""The number of a goal that ends when it is canceled. One of 0 or more is that of its feedback
-messages, sent as quickly as can be."""
+"""The number of a goal that ends when it is canceled. A number of 0 or more is the number of
+feedback messages, which are sent as fast as possible."""
 PACED = 1_000_000_000
-"""A goal of a number from here on has so many feedback messages more than this. There is a pause
-before each, and it holds the time when it was made."""
+"""The least number of a paced goal. The difference to it is the number of feedback messages; each
+comes after a pause, and has the time of its making."""
 PAUSE = 0.001
-"""Seconds: long enough for the message before to be read."""
+"""Seconds before a paced message, long enough for the last one to be read."""
 
 
 class GoalTimes(NamedTuple):
     """Seconds from the moment that a goal was sent."""
 
     accepted: float | None
-    """None where there is no such answer."""
+    """The seconds until the acceptance; None for contenders without such an answer."""
     ended: float
 
 
 class Contender(ABC):
     @abstractmethod
     async def goals(self, times: int) -> None:
-        """Goals without feedback, one after another."""
+        """Run goals without feedback, one after another."""
 
     @abstractmethod
     async def batches(self, times: int) -> int:
-        """Batches of goals without feedback, one batch after another; gives how many of the goals
-        were done.
+        """Run batches of goals without feedback, one batch after another; return the number of
+        goals that were done.
         """
 
     @abstractmethod
     async def feedback(self, times: int) -> int:
-        """One goal with so many feedback messages, all of them read and decoded; gives how many of
-        them arrived.
+        """Run one goal with so many feedback messages, and read and decode them all; return the
+        number that arrived.
         """
 
     async def goal_times(self, times: int) -> list[GoalTimes]:
-        """Goals as in `goals`, each of them timed."""
+        """Run goals as `goals` does, and return the times of each."""
         taken: list[GoalTimes] = []
         for _ in range(times):
             start = perf_counter()
@@ -59,19 +60,19 @@ class Contender(ABC):
 
     @abstractmethod
     async def feedback_times(self, times: int) -> list[float]:
-        """Seconds from the making of each paced feedback message until it is decoded here."""
+        """Return the seconds from the making of each paced feedback message to its decoding."""
 
     async def hold(self, times: int) -> None:
-        """Leave so many goals pending, beside those that are."""
+        """Send so many more pending goals."""
         raise NotImplementedError
 
 
 def stamped() -> list[int]:
-    """The time, as numbers of a feedback message: all processes of a machine have one clock."""
+    """Return the time as numbers of a feedback message, by the clock that all processes share."""
     return list(divmod(monotonic_ns(), 10**9))
 
 
 def seconds_since(stamp: list[int]) -> float:
-    """How long ago a message was made."""
+    """Return the seconds since a message was made."""
     seconds, nanoseconds = stamp
     return (monotonic_ns() - nanoseconds) / 1e9 - seconds

@@ -1,7 +1,4 @@
-"""Bars and ranges as SVG pictures, on white, so that they can be read on dark pages, too.
-
-It knows nothing of what is drawn.
-"""
+"""Bars and ranges as SVG pictures, on white, so that they can be read on dark pages, too."""
 
 from __future__ import annotations
 
@@ -12,29 +9,29 @@ from typing import Generic, NamedTuple, TypeVar
 
 WIDTH = 760
 MARGIN, LABELS, NUMBERS = 24, 236, 192
-"""Left of the labels; where bars begin; what is left free behind the longest bar."""
+"""The left edge of the labels, that of the bars, and the room behind the longest bar."""
 LONGEST = WIDTH - LABELS - NUMBERS
 TITLE, SUBTITLE, PANEL, ROW, BAR, FOOT = 44, 20, 34, 26, 16, 34
-"""Heights of what stands below one another."""
+"""The heights of the parts that stand below one another."""
 FAR, BEYOND = 8, 1.4
-"""A bar that is so many times the next one is cut off, at so many times the next one."""
+"""The ratio to the next longest bar from which a bar is cut off, and the one to which it is cut."""
 OURS, OTHERS, INK, PALE = "#1f56b3", "#93a0ad", "#1d2733", "#5b6672"
 
 
 class Bar(NamedTuple):
     label: str
     value: float
-    """Its length; 0 is no bar, only the text."""
+    """The length; 0 draws only the text."""
     text: str
     is_ours: bool
     spread: tuple[float, float] | None = None
-    """The lowest and the highest that were seen."""
+    """The lowest and the highest value."""
 
 
 class Range(NamedTuple):
     label: str
     points: Sequence[float]
-    """In order. The first is a dot, the others are strokes behind it."""
+    """The values in order; the first is drawn as a dot, the others as strokes behind it."""
     text: str
     is_ours: bool
 
@@ -52,7 +49,7 @@ class Panel(NamedTuple, Generic[Row]):
 def bars(
     title: str, subtitle: str, panels: Sequence[Panel[Bar]], *, one_scale: bool = False
 ) -> str:
-    """Bars that begin at zero. Each panel has its own scale, or all have `one_scale`."""
+    """Draw bars that begin at zero, with a scale for each panel, or `one_scale` for all."""
     of_all = _top([row for panel in panels for row in panel.rows])
     drawn = [
         (
@@ -65,7 +62,7 @@ def bars(
 
 
 def ranges(title: str, subtitle: str, panels: Sequence[Panel[Range]], unit: str) -> str:
-    """Ranges on one logarithmic scale, with a line at each power of ten."""
+    """Draw ranges on one logarithmic scale, with a line at each power of ten."""
     values = [point for panel in panels for row in panel.rows for point in row.points]
     low = math.floor(math.log10(min(values)))
     high = math.ceil(math.log10(max(values)))
@@ -86,8 +83,9 @@ def ranges(title: str, subtitle: str, panels: Sequence[Panel[Range]], unit: str)
 
 
 def _top(rows: Sequence[Bar]) -> float:
-    """The value that is as long as a bar can be. A bar that is longer by far than all others is cut
-    off: beside it, nobody could tell the others apart.
+    """Return the value of the longest bar.
+
+    A bar that is much longer than all others is cut off, so that the others can be told apart.
     """
     lengths = sorted(max(row.value, *(row.spread or (0,))) for row in rows)
     if len(lengths) > 1 and lengths[-1] > FAR * lengths[-2] > 0:
@@ -96,7 +94,7 @@ def _top(rows: Sequence[Bar]) -> float:
 
 
 def _bar(row: Bar, top: float) -> Iterator[str]:
-    """One row, with its middle at 0."""
+    """Draw one row, with its middle at 0."""
     scale = LONGEST / top
     is_cut = row.value > top
     length = min(row.value * scale, LONGEST)

@@ -1,7 +1,7 @@
-"""Memory: what an active goal costs, what a kept result costs, and whether more of them cost more.
+"""Memory of an active goal and of a kept result, and the cost of a goal beside many active ones.
 
-Memory is what the operating system counts as resident of a whole process: with Python, the
-libraries, and what the memory's manager holds back.
+Memory is the resident memory of a whole process, with Python, the libraries, and the free memory
+that the allocator keeps.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ MEASURED = ("inproc", "tcp", "grpc")
 COUNTS = (10, 1000, 10_000)
 ROUNDS = 5
 GOALS_EACH = 400
-"""Goals in a round that says what one more of them costs."""
+"""Goals in a round that measures the cost of one more goal."""
 FIRST_RESULTS = 1000
 """Results that are kept before memory is measured for the first time."""
 AIM = 120
-"""Megabytes that the server's process is to stay under with 10,000 active goals."""
+"""The limit for the server's process with 10,000 active goals, in megabytes."""
 MEGA, KILO = 1e6, 1e3
 
 
 def processes(key: str, pair: Pair) -> dict[str, int]:
-    """The resident memory of both ends, in bytes."""
+    """Return the resident memory of both ends, in bytes."""
     if pair.server is None:
         return {key: pair.client.resident}
     return {f"{key}_server": pair.server.resident, f"{key}_client": pair.client.resident}
@@ -42,8 +42,9 @@ def labels() -> dict[str, str]:
 
 
 async def growth(without: dict[str, str], scale: float) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What `memory` says, and what `growth` says: both come from the same goals. A peer that does
-    not bear so many is left out from then on.
+    """Measure the reports `memory` and `growth`, both with the same goals.
+
+    A peer that fails with so many goals is left out from then on.
     """
     counts = sorted({max(10, round(count * scale)) for count in COUNTS})
     keys = [key for key in MEASURED if key not in without]
@@ -58,7 +59,7 @@ async def growth(without: dict[str, str], scale: float) -> tuple[dict[str, Any],
             for key, pair in tuple(pairs.items()):
                 try:
                     await pair.client.ask("hold", count - held)
-                    await pair.client.ask("goals", 1)  # comes behind them, so they have begun
+                    await pair.client.ask("goals", 1)  # sent after them, so they have begun
                 except RuntimeError:
                     if WAYS[key].is_ours:
                         raise
@@ -97,7 +98,7 @@ def _memory(
 
 
 async def kept(scale: float) -> dict[str, float]:
-    """Kilobytes that each result costs where all of them are kept."""
+    """Measure the kilobytes that each result costs if all are kept."""
     more = max(500, round(COUNTS[-1] * scale))
     found: dict[str, float] = {}
     for key, way in KEPT.items():
@@ -106,7 +107,7 @@ async def kept(scale: float) -> dict[str, float]:
             before = processes(key, pair)
             await pair.client.ask("goals", more)
             for name, size in processes(key, pair).items():
-                if not name.endswith("client"):  # who keeps no results
+                if not name.endswith("client"):  # a client keeps no results
                     found[name] = round((size - before[name]) / more / KILO, 2)
     return found
 

@@ -1,4 +1,4 @@
-"""In-process: what a goal and its feedback cost beside the least that anyio could do for them."""
+"""The cost of a goal and its feedback in one process, beside the least that anyio needs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def executor(
     feedback: Callable[[list[int]], Any],
     result: Callable[[int], Any],
 ) -> Callable[[GoalHandle[Any]], AsyncGenerator[Any, None]]:
-    """An executor for messages of one's own that does what the number of a goal asks for: see
+    """Return an executor for given message types that does what the number of a goal says: see
     `contender`.
     """
 
@@ -100,7 +100,7 @@ async def feedback(client: Client, scale: float) -> dict[str, float]:
         assert seen == times, "feedback was lost"
 
     async def memory_stream(times: int) -> None:
-        send, receive = anyio.create_memory_object_stream[Feedback](64)  # as many as our window
+        send, receive = anyio.create_memory_object_stream[Feedback](64)  # the feedback window
 
         async def produce() -> None:
             message = Feedback([1, 2, 3])
@@ -123,7 +123,7 @@ async def growth(client: Client, scale: float) -> dict[str, float]:
 
     async def with_active(number: int, times: int) -> float:
         active = [await client.send_goal(Goal(PENDING)) for _ in range(number)]
-        await anyio.wait_all_tasks_blocked()  # so that it is not their beginning that is measured
+        await anyio.wait_all_tasks_blocked()  # so that their start is not measured
         seconds = await seconds_each(call, times)
         await client.cancel_goals()
         for goal in active:
@@ -142,7 +142,7 @@ async def growth(client: Client, scale: float) -> dict[str, float]:
 
 
 async def memory(scale: float) -> dict[str, float]:
-    """Python objects alive after the first goals, and after a hundred times as many."""
+    """Count the Python objects alive after the first goals, and after a hundred times as many."""
     few, many = int(1000 * scale), int(100_000 * scale)
     async with ActionServer(ACTION, count, max_results=100) as server:
         client = ActionClient(server, ACTION)

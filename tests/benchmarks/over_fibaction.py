@@ -1,4 +1,4 @@
-"""fibaction over `tcp://`, or what is served in the same way, by what a user would write."""
+"""fibaction over `tcp://`, or over a transport served in the same way, as users write it."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from tests.benchmarks.contender import (
 from tests.benchmarks.inprocess import ACTION, Goal, count
 
 LIMITS = Limits(goals=20_000)
-"""One client has 10,000 pending goals here, and some more."""
+"""The limits for one client with more than 10,000 pending goals."""
 
 
 @asynccontextmanager
 async def serve(where: str = "tcp://127.0.0.1:0", **settings: Any) -> AsyncGenerator[str, None]:
-    """`settings` are the server's."""
+    """Serve; `settings` are the server's."""
     server = ActionServer(ACTION, count, stall_timeout=math.inf, **settings)
     async with fibaction.serve(server, where, limits=LIMITS) as (url,):
         yield url

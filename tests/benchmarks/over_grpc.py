@@ -25,12 +25,12 @@ from tests.benchmarks.inprocess import ACTION, Feedback, Goal, Result
 
 SERVICE, METHOD = "Count", "send_goal"
 GRACE = 1.0
-"""Seconds that calls under way have when the server stops."""
+"""Seconds that active calls have when the server stops."""
 
 
 @asynccontextmanager
 async def serve() -> AsyncGenerator[str, None]:
-    import grpc.aio  # here, because the other benchmarks run without it
+    import grpc.aio  # imported here, since the other benchmarks run without it
 
     async def send_goal(request: bytes, _context: Any) -> AsyncGenerator[bytes, None]:
         wanted = ACTION.goal.decode(request).count
@@ -89,19 +89,19 @@ class OverGrpc(Contender):
     async def feedback_times(self, times: int) -> list[float]:
         taken: list[float] = []
         async for message in self._send_goal(ACTION.goal.encode(Goal(PACED + times))):
-            if len(taken) < times:  # and the last one is the result
+            if len(taken) < times:  # the last one is the result
                 taken.append(seconds_since(ACTION.feedback.decode(message).numbers))
         return taken
 
     async def hold(self, times: int) -> None:
-        # While more than 1,000 wait for a handler, gRPC's core turns some away, and from 3,000 on
+        # While more than 1,000 wait for a handler, gRPC's core rejects some, and from 3,000 on
         # all: `grpc.server.max_pending_requests`, https://github.com/grpc/grpc/pull/34782
         for begun in range(0, times, AT_ONCE):
             self._pending += [
                 self._send_goal(ACTION.goal.encode(Goal(PENDING)))
                 for _ in range(min(AT_ONCE, times - begun))
             ]
-            # One that is sent behind them, and answered: then the server has them, too.
+            # A call that was sent after them is answered, so the server has them all.
             await self._call(0)
 
     async def _call(self, count: int) -> None:

@@ -1,4 +1,4 @@
-"""fibaction over `inproc://`: the server is where the client is."""
+"""fibaction over `inproc://`, with the server in the client's process."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.benchmarks.inprocess import ACTION, count
 
 @asynccontextmanager
 async def connect(address: str, **settings: Any) -> AsyncGenerator[Contender, None]:
-    """`settings` are the server's."""
+    """Serve; `settings` are the server's."""
     server = ActionServer(ACTION, count, stall_timeout=math.inf, **settings)
     async with (
         fibaction.serve(server, "inproc://benchmark") as (url,),

@@ -1,4 +1,4 @@
-"""As `over_inproc`, and every result is kept."""
+"""fibaction over `inproc://`, as in `over_inproc`, with every result kept."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.benchmarks import over_inproc
 from tests.benchmarks.contender import Contender
 
 KEPT: dict[str, Any] = {"result_timeout": math.inf, "max_results": 1_000_000}
-"""Of a server: more results than there are, for ever."""
+"""The settings of a server that keeps all results for ever."""
 
 
 @asynccontextmanager

@@ -33,11 +33,11 @@ PATIENCE = 30.0
 """Seconds for an answer."""
 START_TIMEOUT = 10.0
 UNPACKED = Path(__file__).parents[2] / ".venv" / "nats" / "usr" / "sbin"
-"""Where `make bench` puts the server of NATS, if there is none."""
+"""The file to which `make bench` downloads the server of NATS, if none is installed."""
 
 
 def nats_server() -> str | None:
-    """The path of the server's program."""
+    """Return the path of the server's program."""
     return shutil.which("nats-server") or shutil.which("nats-server", path=f"{UNPACKED}:/usr/sbin")
 
 
@@ -70,7 +70,7 @@ async def serve() -> AsyncGenerator[str, None]:
 
 @asynccontextmanager
 async def broker() -> AsyncGenerator[str, None]:
-    """A server of NATS at a free port of this machine, and its URL."""
+    """Run a server of NATS at a free port of this machine; the block gets its URL."""
     program = nats_server()
     assert program is not None
     with TemporaryDirectory() as folder:
@@ -83,7 +83,7 @@ async def broker() -> AsyncGenerator[str, None]:
 
 
 async def ports_file(folder: anyio.Path) -> str:
-    """The URL, from the file that the server writes when it listens: it says it in no other way."""
+    """Return the URL, from the file that the server writes when it listens."""
     with anyio.fail_after(START_TIMEOUT):
         while True:
             async for path in folder.glob("*.ports"):

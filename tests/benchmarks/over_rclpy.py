@@ -31,7 +31,7 @@ from tests.benchmarks.contender import (
 NAME = "benchmark_rclpy"
 SUCCEEDED = 4
 PATIENCE = 10.0
-"""Seconds after which goals of a batch that have no answer count as lost."""
+"""Seconds after which unanswered goals of a batch count as lost."""
 
 
 class Server(Node):  # type: ignore[misc]  # rclpy has no types here
@@ -97,7 +97,7 @@ class OverRclpy(Contender):
     def __init__(self, name: str, settings: Mapping[str, Any]) -> None:
         node = rclpy.create_node("benchmark_client")
         self._client = ActionClient(node, Fibonacci, name, **settings)
-        # One of its own is quicker than rclpy's global one, to which the node is added each time.
+        # An executor of its own is faster than rclpy's global one, which adds the node each time.
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
         self._client.wait_for_server()

@@ -1,4 +1,4 @@
-"""As `over_rclpy`, with queues that are deep enough for a batch: those of stock rclpy hold ten."""
+"""Stock rclpy, as in `over_rclpy`, with queues for a whole batch instead of the default of ten."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The limit: fibaction's bytes over anyio's sockets, and nothing that decides, dispatches or waits.
+"""The limit: fibaction's bytes over anyio's sockets, without decisions, dispatch or waits.
 
 There is a port for goals, where each frame is answered with two, and one for feedback, where a
 number is answered with as many frames.
@@ -16,7 +16,8 @@ from anyio.abc import SocketAttribute, SocketStream
 from fibaction import GoalStatus
 from fibaction.goals import GoalID
 from fibaction.wire import messages
-from fibaction.wire.framing import MAX_FRAME, FrameReader, header
+from fibaction.wire.codec import decode_from_server, encode
+from fibaction.wire.frames import MAX_FRAME, FrameReader, header
 from tests.benchmarks.contender import (
     AT_ONCE,
     PACED,
@@ -32,12 +33,12 @@ CHUNK = 2**16
 NUMBER = 4
 """Bytes of the number of feedback messages that are wanted."""
 CALL = 100_000
-"""The ID of a call, and a goal's stamp: as long on the line as they are after many goals."""
+"""The ID of a call, and a goal's stamp, as many bytes long as they are after many goals."""
 STAMP = 1_800_000_000_000_000_000
 
 
 def framed(message: object) -> bytes:
-    frame = messages.encode(message)
+    frame = encode(message)
     return header(len(frame)) + frame
 
 
@@ -158,7 +159,7 @@ class OverSockets(Contender):
 
 
 def decoded(frame: bytes) -> Feedback:
-    message = messages.decode_from_server(frame)
+    message = decode_from_server(frame)
     assert isinstance(message, messages.Feedback)
     return ACTION.feedback.decode(message.payload)
 

@@ -1,4 +1,4 @@
-"""The limit in one process: anyio's tasks and memory object streams, and nothing that decides."""
+"""The limit in one process: anyio's tasks and memory object streams, without decisions."""
 
 from __future__ import annotations
 

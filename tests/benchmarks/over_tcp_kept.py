@@ -1,4 +1,4 @@
-"""As `over_fibaction`, and every result is kept."""
+"""fibaction over `tcp://`, as in `over_fibaction`, with every result kept."""
 
 from __future__ import annotations
 

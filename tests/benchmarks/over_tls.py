@@ -1,4 +1,4 @@
-"""fibaction over `tls://`: as over TCP, and the server has a certificate that the client checks."""
+"""fibaction over `tls://`, with a certificate of the server that the client checks."""
 
 from __future__ import annotations
 

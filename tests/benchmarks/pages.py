@@ -8,17 +8,17 @@ from typing import Any
 from tests.benchmarks.program import ROOT
 
 PAGE = ROOT / "docs" / "comparisons.md"
-NOTHING = "–"  # noqa: RUF001  # a dash is what a table has where there is no number
+NOTHING = "–"  # noqa: RUF001  # the dash that tables show for a missing number
 
 
 def with_tables(page: str, reports: dict[str, dict[str, Any]]) -> str:
-    """The page, with what stands between its markers made anew.
+    """Return the page, with the parts between its markers made anew.
 
     Raises:
         ValueError: A pair of markers is missing.
     """
     parts = {name: table(report) for name, report in reports.items()}
-    # Who does not last until the end is named in the later ones only.
+    # A peer that was left out during the run is named in the later reports only.
     parts["machine"] = machine(max(reports.values(), key=lambda one: len(one["left_out"])))
     parts["losses"] = losses(reports)
     for name, text in parts.items():
@@ -32,7 +32,7 @@ def with_tables(page: str, reports: dict[str, dict[str, Any]]) -> str:
 
 
 def table(report: dict[str, Any]) -> str:
-    """What stands below the heading of a comparison: picture, numbers, and who was left out."""
+    """Return the text below the heading of a comparison: picture, numbers, and peers left out."""
     name = report["comparison"]
     title, rows, last = TABLES[name]
     parts = [f"![{title}; the table says the same](benchmarks/{name}.svg)", rows(report)]
@@ -42,7 +42,7 @@ def table(report: dict[str, Any]) -> str:
 
 
 def machine(report: dict[str, Any]) -> str:
-    """On what all of it was measured, with what, when, by which command; and what is not there."""
+    """Return the machine, the versions, the date and the command of a run, and peers left out."""
     on = report["machine"]
     rows = [
         ["Command", f"`{report['command']}`"],
@@ -60,7 +60,7 @@ def machine(report: dict[str, Any]) -> str:
 
 
 def losses(reports: dict[str, dict[str, Any]]) -> str:
-    """Every ratio in which fibaction is the slower one, or takes longer, than a peer."""
+    """Return every ratio in which fibaction is slower than a peer."""
     lines: list[str] = []
     for name, (title, _, what) in TABLES.items():
         report = reports[name]
@@ -77,7 +77,7 @@ def losses(reports: dict[str, dict[str, Any]]) -> str:
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    # Numbers stand right, so that they can be compared; what has no headings is text.
+    # Numbers are aligned to the right, to be compared; columns without a heading are text.
     lines = [head, ["---"] + ["---:" if all(head[1:]) else "---"] * (len(head) - 1), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
@@ -96,7 +96,7 @@ def _ratios(report: dict[str, Any], what: str) -> str:
 
 
 def _by_group(report: dict[str, Any]) -> Iterable[tuple[str, dict[str, Any]]]:
-    """The name of each way, as it stands in a table, and its numbers."""
+    """Yield the label of each way, as tables show it, and its numbers."""
     for values in report["ways"].values():
         yield (f"**{values['label']}**" if values["ours"] else values["label"]), values
 
@@ -209,4 +209,4 @@ TABLES: dict[str, tuple[str, Callable[[dict[str, Any]], str], str]] = {
     "growth": ("What one more goal costs beside many", _growth, ""),
     "start": ("The processor's time that a start takes", _start, ""),
 }
-"""For each comparison: what its picture shows, its table, and what its ratios are of."""
+"""For each comparison: the subject of its picture, its table, and the subject of its ratios."""

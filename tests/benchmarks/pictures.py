@@ -1,4 +1,4 @@
-"""The picture of each comparison, from its report alone."""
+"""The pictures of the comparisons, each made from its report alone."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ SPREAD = "The thin line is from the lowest round to the highest. A cut bar is fa
 
 
 def picture(report: dict[str, Any]) -> str:
-    """An SVG picture of a comparison."""
+    """Draw an SVG picture of a comparison."""
     return PICTURES[report["comparison"]](report)
 
 
 def _panels(report: dict[str, Any], row: Callable[[dict[str, Any]], Row]) -> list[Panel[Row]]:
-    """The ways of a report, those of each group in a panel."""
+    """Return the ways of a report, with a panel for each group."""
     groups: dict[str, list[Row]] = {}
     for values in report["ways"].values():
         groups.setdefault(values["group"], []).append(row(values))

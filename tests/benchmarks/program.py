@@ -1,4 +1,4 @@
-"""Other processes of the benchmarks: each says lines of JSON, and is told some."""
+"""Other processes of the benchmarks, which exchange lines of JSON with this one."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from anyio.streams.buffered import BufferedByteReceiveStream
 
 ROOT = Path(__file__).parents[2]
 PATIENCE = 120.0
-"""Seconds for an answer: no order takes nearly as long."""
+"""Seconds for an answer, many times as long as any order takes."""
 STOP_TIMEOUT = 3.0
-"""Seconds for the end: what is still there is killed."""
+"""Seconds for the end of a process, which is killed afterwards."""
 LONGEST_LINE = 2**26
 
 
@@ -36,7 +36,7 @@ class Program:
         self._stderr = stderr
 
     async def line(self) -> Any:
-        """What it says next.
+        """Return its next answer.
 
         Raises:
             RuntimeError: It has ended, or says nothing. The text is the last line of its complaint.
@@ -51,13 +51,13 @@ class Program:
             raise error from exc
 
     async def ask(self, do: str, times: int = 1) -> Any:
-        """Tell it to do something, and give what it says to that."""
+        """Send an order, and return the answer."""
         await self._stdin.send(json.dumps({"do": do, "times": times}).encode() + b"\n")
         return await self.line()
 
     @property
     def resident(self) -> int:
-        """Bytes of memory that it has."""
+        """The resident memory of the process, in bytes."""
         pages = Path(f"/proc/{self._process.pid}/statm").read_text(encoding="utf-8").split()[1]
         return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
@@ -70,7 +70,7 @@ class Program:
 async def program(
     python: str | Path, *arguments: str, environment: Mapping[str, str] | None = None
 ) -> AsyncGenerator[Program, None]:
-    """Run a program of Python, until the block ends."""
+    """Run a Python program until the block ends."""
     with TemporaryFile() as stderr:
         process = await anyio.open_process(
             [str(python), *arguments],
@@ -79,7 +79,7 @@ async def program(
             stderr=stderr,
             cwd=ROOT,
             env={**os.environ, **(environment or {})},
-            start_new_session=True,  # Ctrl-C is for the benchmark alone, which then stops them
+            start_new_session=True,  # Ctrl-C goes to the benchmark alone, which then stops them
         )
         try:
             yield Program(process, stderr)
@@ -89,7 +89,7 @@ async def program(
                 await process.stdin.aclose()
                 with anyio.move_on_after(STOP_TIMEOUT):
                     await process.wait()
-                # With all that it has started, such as a server of NATS.
+                # With its own children, such as a server of NATS.
                 with suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
                 await process.aclose()

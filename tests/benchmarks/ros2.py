@@ -14,12 +14,12 @@ import anyio
 CONTENDERS = ("fibaction", "rclpy")
 ROUNDS = 5
 ORDER = 10
-"""Of a goal with feedback: it has nine."""
+"""The order of a goal with feedback, which has nine messages."""
 MESSAGES = 2700
 PENDING = 200
 AT_ONCE = 500
 PATIENCE = 10.0
-"""Seconds after which goals that have no answer count as lost."""
+"""Seconds after which unanswered goals count as lost."""
 IDLE = 3.0
 """Seconds in which processor time is measured."""
 
@@ -43,14 +43,14 @@ async def measure(scale: float) -> dict[str, Any]:
         report[f"one more goal, with none and with {PENDING} pending"] = await growth(
             pairs, max(10, int(60 * scale))
         )
-        # Last, because rclpy is not the same after it.
+        # Last, because it changes the state of rclpy.
         report[f"goals, {AT_ONCE} at once"] = await at_once(pairs)
     return report
 
 
 @asynccontextmanager
 async def peers(contender: str) -> AsyncGenerator[Pair, None]:
-    """Takes a ROS domain of its own, too, as tests do."""
+    """Run the comparisons, in a ROS domain of their own, as tests do."""
     from tests.ros2 import conftest  # noqa: F401  # here, because others run without ROS
     from tests.ros2.stock.process import peer
 
@@ -60,7 +60,7 @@ async def peers(contender: str) -> AsyncGenerator[Pair, None]:
 
 
 async def idle(pairs: dict[str, Pair]) -> dict[str, float]:
-    """The client of rclpy spins only while it waits for a goal; the others always spin."""
+    """Measure idle processor time. The client of rclpy spins only while it waits for a goal."""
     await anyio.sleep(1)  # discovery goes on for a while
     before = {name: [peer.cpu_seconds for peer in pair.values()] for name, pair in pairs.items()}
     start = perf_counter()
@@ -104,7 +104,7 @@ async def feedback(
 
 
 async def growth(pairs: dict[str, Pair], times: int) -> dict[str, float]:
-    """Medians of goals that come in turn with none and with many pending."""
+    """Return the medians of goals, taken in turns without and with many pending goals."""
     seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in CONTENDERS}
     for _ in range(ROUNDS):
         for name, pair in pairs.items():

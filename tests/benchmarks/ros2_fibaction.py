@@ -43,7 +43,7 @@ class Client:
         self._pending: list[ClientGoal[Feedback, Result]] = []
 
     async def goals(self, times: int) -> list[float]:
-        """The seconds that each of them took, one after another."""
+        """Return the seconds that each of the goals took, one after another."""
         seconds: list[float] = []
         for _ in range(times):
             start = perf_counter()
@@ -52,7 +52,7 @@ class Client:
         return seconds
 
     async def feedback(self, times: int, order: int) -> list[float]:
-        """How much of it arrived, and the seconds that all took."""
+        """Return the number of messages that arrived, and the seconds that all took."""
         arrived = 0
         start = perf_counter()
         for _ in range(times):
@@ -63,7 +63,7 @@ class Client:
         return [arrived, perf_counter() - start]
 
     async def batch(self, times: int, patience: float) -> list[float]:
-        """How many of them succeeded, and the seconds that they took."""
+        """Return the number of goals that succeeded, and the seconds that they took."""
         done = 0
 
         async def call() -> None:
@@ -79,7 +79,7 @@ class Client:
         return [done, perf_counter() - start]
 
     async def hold(self, times: int) -> None:
-        """Leave so many goals pending."""
+        """Send so many pending goals."""
         self._pending = [await self._client.send_goal(Goal(PENDING)) for _ in range(times)]
 
     async def release(self) -> None:

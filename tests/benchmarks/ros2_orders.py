@@ -1,8 +1,8 @@
-"""What goals ask for in the benchmarks with ROS 2, by their order."""
+"""The orders of goals in the benchmarks with ROS 2, which say what executors do."""
 
 from __future__ import annotations
 
 PENDING = -1
-"""Ends when it is canceled."""
+"""The order of a goal that ends when it is canceled."""
 LONG = 10_000
-"""Above this: so many feedback messages, all the same, as quickly as can be."""
+"""The least order of a goal that sends the difference as equal messages, as fast as possible."""

@@ -60,7 +60,7 @@ class Client:
     def __init__(self) -> None:
         self.node = rclpy.create_node("benchmark_client")
         self._client = ActionClient(self.node, Fibonacci, NAME)
-        # One of its own is quicker than rclpy's global one, to which the node is added each time.
+        # An executor of its own is faster than rclpy's global one, which adds the node each time.
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._pending: list[Any] = []

@@ -1,7 +1,8 @@
-"""Rates and latencies of several ways, in rounds: each does some work, then the next, and so on.
+"""Rates and latencies of several ways, measured in turns.
 
-Machines are shared and noisy: a slow moment is to hit all of them alike. So ratios are taken within
-a round, and given as the median of all rounds with the lowest and the highest.
+Machines are shared and noisy. In each round, all ways do some work, one after another, so that a
+slow moment affects all. Ratios are those within a round: the median of all rounds, the lowest and
+the highest.
 """
 
 from __future__ import annotations
@@ -17,15 +18,15 @@ from tests.benchmarks.ways import ROS, WAYS, Pair
 
 ROUNDS = 7
 SECONDS = 0.7
-"""How long each of the ways works in a round."""
+"""Seconds that each way works in a round."""
 LATENCY_SECONDS = 1.0
 FIRST = {"batches": 1}
-"""How often something is done at first, to find out how long it takes; 20 times if not here."""
+"""The number of times that calibration begins with; 20 for other orders."""
 
 PERCENTILES = {"p50": 500, "p90": 900, "p99": 990, "p99.9": 999}
-"""In thousandths."""
+"""The percentiles, in thousandths."""
 ENOUGH = 10
-"""So many samples lie beyond a percentile that is told, except the median."""
+"""The least samples beyond a percentile that is reported, except the median."""
 
 BESIDE = [
     ("inproc", "tasks"),
@@ -37,12 +38,12 @@ BESIDE = [
     ("ros2", "rclpy"),
     ("ros2", "rclpy_deep"),
 ]
-"""Which ways are set in a ratio."""
+"""The pairs of ways whose ratios are reported."""
 
 
 async def calibrated(client: Program, order: str, seconds: float) -> tuple[int, float, float]:
-    """How often something is to be done to take about so long; and of the last trial, how much was
-    done in how many seconds.
+    """Return the number of times that take about so long, and the amount and the seconds of the
+    last trial.
     """
     times = FIRST.get(order, 20)
     while True:
@@ -53,7 +54,7 @@ async def calibrated(client: Program, order: str, seconds: float) -> tuple[int, 
 
 
 async def rates(running: Mapping[str, Pair], order: str, scale: float) -> dict[str, Any]:
-    """How many goals, or feedback messages, are done in a second."""
+    """Measure the goals, or the feedback messages, per second."""
     each = AT_ONCE if order == "batches" else 1
     ways: dict[str, dict[str, Any]] = {}
     times: dict[str, int] = {}
@@ -61,7 +62,7 @@ async def rates(running: Mapping[str, Pair], order: str, scale: float) -> dict[s
         wanted, done, taken = await calibrated(pair.client, order, SECONDS * scale)
         ways[key] = {}
         if order == "batches" and done < 1:
-            # It loses goals, and is not the same after that.
+            # It loses goals, and is in another state after that.
             ways[key] = {"answered": round(done * AT_ONCE), "of": AT_ONCE, "seconds": round(taken)}
         else:
             times[key] = wanted
@@ -86,7 +87,7 @@ async def rates(running: Mapping[str, Pair], order: str, scale: float) -> dict[s
 
 
 def _same_of_ros(times: dict[str, int]) -> None:
-    """By ROS, the more there is at once, the more is lost. So it is the same for both."""
+    """Use the same number for all ways over ROS, which loses more the more is sent at once."""
     of_ros = [key for key in times if WAYS[key].group == ROS]
     for key in of_ros:
         times[key] = min(times[one] for one in of_ros)
@@ -100,7 +101,7 @@ async def _round(
 
 
 async def goal_latencies(running: Mapping[str, Pair], scale: float) -> dict[str, Any]:
-    """Milliseconds from the sending of a goal until it is accepted, and until it has ended."""
+    """Measure the milliseconds from sending a goal to its acceptance, and to its end."""
     times = {
         key: (await calibrated(pair.client, "goals", LATENCY_SECONDS * scale))[0]
         for key, pair in running.items()
@@ -122,8 +123,8 @@ async def goal_latencies(running: Mapping[str, Pair], scale: float) -> dict[str,
 
 
 async def feedback_latencies(running: Mapping[str, Pair], scale: float) -> dict[str, Any]:
-    """Milliseconds from the making of a feedback message until the client has decoded it."""
-    # With the pause before each, there are some seven hundred in a second.
+    """Measure the milliseconds from making a feedback message to decoding it at the client."""
+    # With the pause before each, some seven hundred are sent in a second.
     times = max(20, round(700 * LATENCY_SECONDS * scale))
     for pair in running.values():
         await pair.client.ask("feedback_times", 20)
@@ -134,14 +135,14 @@ async def feedback_latencies(running: Mapping[str, Pair], scale: float) -> dict[
     ways = {
         key: {"seen": percentiles([one for each in rounds for one in each[key]])} for key in running
     }
-    # A way that has lost all messages of a round has no median there.
+    # A way that has lost all messages of a round does not have a median there.
     whole = [key for key in running if all(each[key] for each in rounds)]
     medians = [{key: median(each[key]) for key in whole} for each in rounds]
     return {"ways": ways, "ratios": ratios(medians)}
 
 
 def percentiles(seconds: list[float]) -> dict[str, float | None]:
-    """In milliseconds, by nearest rank; None for one that too few samples lie beyond."""
+    """Return percentiles in milliseconds, by nearest rank; None with too few samples beyond."""
     ordered = sorted(seconds)
     found: dict[str, float | None] = {}
     for name, thousandths in PERCENTILES.items():
@@ -152,10 +153,10 @@ def percentiles(seconds: list[float]) -> dict[str, float | None]:
 
 
 def ratios(rounds: list[dict[str, float]]) -> list[dict[str, Any]]:
-    """Of the pairs in `BESIDE` that are there: the median of the rounds, lowest and highest."""
+    """Return the ratio of each measured pair in `BESIDE`: the median, the lowest, the highest."""
     found: list[dict[str, Any]] = []
     for one, other in BESIDE:
-        # Where nothing arrived in some round, there is nothing to be set in a ratio.
+        # If nothing arrived in a round, the pair does not have a ratio.
         if one in rounds[0] and all(values.get(other) for values in rounds):
             each = sorted(values[one] / values[other] for values in rounds)
             found.append(
@@ -171,5 +172,5 @@ def ratios(rounds: list[dict[str, float]]) -> list[dict[str, Any]]:
 
 
 def _rounded(value: float) -> float:
-    """To three digits: more would be noise."""
+    """Round to three digits, since more would be noise."""
     return float(f"{value:.3g}")

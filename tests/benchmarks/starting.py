@@ -1,4 +1,4 @@
-"""What it costs to start a program: the processor's time, which a busy machine hardly changes."""
+"""The cost of starting a program, as processor time, which a busy machine hardly changes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Start(NamedTuple):
     command: tuple[str | Path, ...]
     is_ours: bool = False
     needs: str = ""
-    """The way that it is left out with."""
+    """The way that must be available for it."""
 
 
 def _of(code: str) -> tuple[str | Path, ...]:
@@ -59,7 +59,7 @@ STARTS = {
 
 
 def processor_seconds(command: tuple[str | Path, ...]) -> float:
-    """What a command takes of the processor, in all of its threads.
+    """Return the processor seconds of a command, in all of its threads.
 
     Raises:
         RuntimeError: It failed.
@@ -75,7 +75,7 @@ def processor_seconds(command: tuple[str | Path, ...]) -> float:
 
 
 def start(without: Mapping[str, str], scale: float) -> dict[str, Any]:
-    """Milliseconds of the processor's time; the first round, from a cold disk, does not count."""
+    """Measure milliseconds of processor time, without a first round from a cold disk."""
     taken: dict[str, list[float]] = {
         key: [] for key, start in STARTS.items() if start.needs not in without
     }

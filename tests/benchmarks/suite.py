@@ -23,14 +23,14 @@ RUNNING: dict[str, Callable[[Mapping[str, Pair], float], Awaitable[dict[str, Any
     "feedback": lambda running, scale: rounds.rates(running, "feedback", scale),
     "goal_latency": rounds.goal_latencies,
     "feedback_latency": rounds.feedback_latencies,
-    # Last, because rclpy is not the same after it.
+    # Last, because it changes the state of rclpy.
     "goals_at_once": lambda running, scale: rounds.rates(running, "batches", scale),
 }
 """The comparisons for which all ways run at the same time."""
 
 
 async def measure(scale: float) -> AsyncGenerator[dict[str, Any], None]:
-    """The report of each comparison."""
+    """Measure all comparisons, and return the report of each."""
     without = left_out()
     for key, reason in without.items():
         print(f"left out is {WAYS[key].label}: {reason}", flush=True)
@@ -57,7 +57,7 @@ async def measure(scale: float) -> AsyncGenerator[dict[str, Any], None]:
 
 
 async def _start_all(stack: AsyncExitStack, without: dict[str, str]) -> dict[str, Pair]:
-    """Start what can be had. A peer that does not start is left out from then on, too."""
+    """Start the ways that are available. A peer that does not start is left out, too."""
     running: dict[str, Pair] = {}
     environment = await stack.enter_async_context(ros_environment())
     for key, way in WAYS.items():
@@ -76,7 +76,7 @@ async def _start_all(stack: AsyncExitStack, without: dict[str, str]) -> dict[str
 
 
 def machine() -> dict[str, Any]:
-    """What it was measured on, and how busy that was."""
+    """Return a description of the machine, and of its load."""
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return {
         "processor": _processor(),
@@ -95,7 +95,7 @@ def _processor() -> str:
 
 
 async def run(scale: float) -> None:
-    """Measure, and write all that comes of it."""
+    """Measure, and write the reports, the pictures and the tables."""
     FOLDER.mkdir(exist_ok=True)
     start = perf_counter()
     async with aclosing(measure(scale)) as reports:
@@ -108,7 +108,7 @@ async def run(scale: float) -> None:
 
 
 def read() -> dict[str, dict[str, Any]]:
-    """The reports that are there, by name."""
+    """Return the reports that exist, by name."""
     return {
         path.stem: json.loads(path.read_text(encoding="utf-8"))
         for path in sorted(FOLDER.glob("*.json"))

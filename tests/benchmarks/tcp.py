@@ -1,4 +1,4 @@
-"""TCP: goals in another process, beside gRPC and beside the least that anyio's sockets could do."""
+"""The cost of goals over TCP, beside gRPC, and beside the least that anyio's sockets need."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ async def measure(scale: float) -> dict[str, Any]:
         async def compare(
             work: Callable[[Contender], Work], times: float, *, each: int = 1, **targets: float
         ) -> dict[str, float]:
-            """`each` is how many of what is counted are in one of the `times`."""
+            """Measure; `each` is the number of items in one of the `times`."""
             rounds = await in_turn(*map(work, contenders), times=max(1, int(times * scale)))
             columns = zip(CONTENDERS, zip(*rounds, strict=True), strict=True)
             return {

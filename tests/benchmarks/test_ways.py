@@ -74,7 +74,7 @@ async def test_a_way_does_all_that_is_measured(key: str) -> None:
 
 @pytest.mark.asyncio
 async def test_a_way_that_does_not_start_says_why() -> None:
-    with pytest.raises(RuntimeError, match="there is no contender 'nothing_of_that_name'"):
+    with pytest.raises(RuntimeError, match="unknown contender 'nothing_of_that_name'"):
         async with started(BROKEN):
             pass
 
@@ -90,7 +90,7 @@ async def test_a_peer_that_does_not_start_is_left_out_and_the_others_are_measure
         running = await suite._start_all(stack, without)
 
     assert set(running) == {"tasks"}
-    assert "there is no contender" in without["broken"]
+    assert "unknown contender" in without["broken"]
     assert capsys.readouterr().out.startswith("left out is broken peer: it did not start (")
 
 
@@ -100,6 +100,6 @@ async def test_that_fibaction_itself_does_not_start_is_an_error(
 ) -> None:
     monkeypatch.setattr(suite, "WAYS", {"broken": BROKEN._replace(is_ours=True)})
 
-    with pytest.raises(RuntimeError, match="there is no contender"):
+    with pytest.raises(RuntimeError, match="unknown contender"):
         async with AsyncExitStack() as stack:
             await suite._start_all(stack, {})

@@ -1,4 +1,4 @@
-"""Things measured in turn, so that a machine that slows down slows all of them."""
+"""Measurements in turns, so that a slow moment of the machine affects all of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from time import perf_counter
 from typing import TypeAlias
 
 Work: TypeAlias = Callable[[int], Awaitable[object]]
-"""Does something so many times."""
+"""A function that does its work so many times."""
 
 ROUNDS = 5
 
@@ -20,14 +20,14 @@ async def seconds_each(work: Work, times: int) -> float:
 
 
 async def in_turn(*works: Work, times: int) -> list[tuple[float, ...]]:
-    """The seconds that each takes for one, some rounds after one that does not count."""
+    """Return the seconds per item of each, from all rounds but the first."""
     for work in works:
         await work(times // 5 + 1)
     return [tuple([await seconds_each(work, times) for work in works]) for _ in range(ROUNDS)]
 
 
 async def beside(ours: Work, other: Work, times: int) -> dict[str, float]:
-    """Both, in turn. `ratio` is of the rates: how much of the other's speed is ours."""
+    """Measure both in turns. `ratio` is our rate divided by that of the other."""
     pairs = await in_turn(ours, other, times=times)
     return {
         "per_second": round(1 / median(pair[0] for pair in pairs)),

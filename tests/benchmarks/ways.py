@@ -1,4 +1,4 @@
-"""The ways to have goals done that are compared: which can be had here, and how they start."""
+"""The ways to run goals that are compared, their availability and their start."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ IN_ONE, BETWEEN, ROS = (
     "Between two processes, over ROS 2",
 )
 ROS_PYTHON = Path(os.environ.get("FIBACTION_ROS_PYTHON", ROOT / ".venv-ros" / "bin" / "python"))
-"""Of an environment with ROS 2, as `make ros` makes it."""
+"""The Python of an environment with ROS 2, as `make ros` makes it."""
 LOOK_TIMEOUT = 60.0
 
 
@@ -30,10 +30,10 @@ class Way(NamedTuple):
     label: str
     group: str
     module: str
-    """Of its `over_*`."""
+    """The name of its module, without `over_`."""
     is_ours: bool = True
     has_server: bool = True
-    """Whether there is a process for the server."""
+    """True if the server has a process of its own."""
 
 
 WAYS = {
@@ -54,7 +54,7 @@ KEPT = {
     "inproc": Way("fibaction, inproc", IN_ONE, "inproc_kept", has_server=False),
     "tcp": Way("fibaction, tcp", BETWEEN, "tcp_kept"),
 }
-"""Those that keep every result."""
+"""The ways with servers that keep every result."""
 
 
 class Pair(NamedTuple):
@@ -65,7 +65,7 @@ class Pair(NamedTuple):
 
 
 def left_out() -> dict[str, str]:
-    """Which of the ways cannot be had here, and why: a sentence for each."""
+    """Return the unavailable ways, each with the reason as a sentence."""
     reasons: dict[str, str] = {}
     if find_spec("grpc") is None:
         reasons["grpc"] = "grpcio is not installed; `make bench` installs it"
@@ -95,7 +95,7 @@ def _no_ros() -> str:
 
 
 def versions(without: Mapping[str, str]) -> dict[str, str]:
-    """Of what the ways are made of."""
+    """Return the versions of the libraries that the ways use."""
     found = {name: version(name) for name in ("fibaction", "anyio", "msgspec")}
     if "grpc" not in without:
         found["grpcio"] = version("grpcio")
@@ -116,7 +116,7 @@ def versions(without: Mapping[str, str]) -> dict[str, str]:
 async def started(
     way: Way, environment: Mapping[str, str] | None = None
 ) -> AsyncGenerator[Pair, None]:
-    """Both ends of a way, which run until the block ends.
+    """Run both ends of a way until the block ends.
 
     Raises:
         RuntimeError: One of them did not start.
@@ -138,7 +138,7 @@ async def started(
 
 @asynccontextmanager
 async def ros_environment() -> AsyncGenerator[dict[str, str], None]:
-    """A ROS domain of this run's own, on this machine only, and no log files in the home folder."""
+    """Set a ROS domain for this run, on this machine only, without log files in the home folder."""
     from tests.ros2.conftest import claim_domain  # here, because it looks for ROS
 
     domain, claim = claim_domain(os.getpid())

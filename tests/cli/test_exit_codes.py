@@ -31,8 +31,9 @@ from fibaction import (
 from fibaction.cli import exit_codes
 from fibaction.cli.escape import clean_lines
 from fibaction.cli.exit_codes import ExitCode, Failure, failure_of, message_of, report_errors
-from fibaction.wire.framing import framed
-from fibaction.wire.messages import Goodbye, encode
+from fibaction.wire.codec import encode
+from fibaction.wire.frames import framed
+from fibaction.wire.messages import Goodbye
 from tests.cli.conftest import Invoke
 from tests.cli.robot import WAIT
 

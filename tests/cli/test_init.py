@@ -14,6 +14,7 @@ import pytest
 import fibaction.cli
 from fibaction.cli import INTERRUPTED, app
 from fibaction.cli.exit_codes import ExitCode
+from fibaction_transports import _command
 from tests.cli.conftest import Run
 
 
@@ -36,7 +37,31 @@ def test_main_runs_the_command_line(
 
 
 def fibaction_main() -> None:
-    fibaction.cli.main()
+    _command.main()
+
+
+def test_ctrl_c_before_the_command_line_has_begun_ends_as_shells_expect(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(fibaction.cli, "main", interrupted)
+    with pytest.raises(SystemExit) as exit:
+        fibaction_main()
+
+    assert exit.value.code == INTERRUPTED == _command.INTERRUPTED
+
+
+def test_ctrl_c_while_fibaction_is_imported_exits_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    codes: list[int] = []
+    monkeypatch.setattr(os, "_exit", codes.append)
+    monkeypatch.setattr(fibaction.cli, "main", lambda: signal.raise_signal(signal.SIGINT))
+    fibaction_main()
+
+    assert codes == [INTERRUPTED]
 
 
 def test_without_the_extra_one_line_says_how_to_get_it(

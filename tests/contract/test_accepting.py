@@ -349,7 +349,7 @@ async def test_an_action_that_is_not_served_is_not_found_and_can_be_waited_for(
         async with serve(other, address) as (url,), connect(url, FIBONACCI) as client:
             with pytest.raises(ServerNotFound, match="'fibonacci'"):
                 await client.send_goal(Goal(1))
-            with pytest.raises(ServerNotFound, match=r"'fibonacci' within 0\.01 s"):
+            with pytest.raises(ServerNotFound, match=r"'fibonacci' was not served within 0\.01 s"):
                 await client.wait_for_server(timeout=0.01)
 
 

@@ -1,4 +1,4 @@
-"""A fuzz target: what a server does with the bytes of somebody who means no good.
+"""A fuzz target: the bytes that a hostile client sends to a server.
 
     make fuzz            # for two minutes; or: python -m tests.fuzz.wire -max_total_time=3600
 
@@ -22,9 +22,10 @@ from fibaction import ActionServer
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
 from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.channel import Channel
-from fibaction.wire.framing import FrameReader, header
+from fibaction.wire.codec import decode_from_client, decode_from_server, encode
+from fibaction.wire.frames import FrameReader, header
 from fibaction.wire.link import Link
-from fibaction.wire.messages import VERSION, Hello, decode_from_client, decode_from_server, encode
+from fibaction.wire.messages import VERSION, Hello
 from fibaction.wire.ownership import Owners
 from fibaction.wire.session import Session
 from fibaction.wire.settings import Limits, ServerSettings
@@ -39,7 +40,7 @@ TERMS = ServerSettings(
 
 
 class Given(Channel):
-    """A channel on which the given bytes arrive, in pieces, and what is sent is thrown away."""
+    """A channel on which the given bytes arrive in pieces, and sent bytes are discarded."""
 
     peer = "the fuzzer"
 
@@ -49,7 +50,7 @@ class Given(Channel):
 
     async def send(self, frames: Sequence[bytes]) -> None:
         for frame in frames:
-            decode_from_server(frame)  # what a server says is always a message
+            decode_from_server(frame)  # a server always sends valid messages
 
     async def receive(self) -> list[bytes]:
         await anyio.lowlevel.checkpoint()
@@ -63,7 +64,7 @@ class Given(Channel):
 
 
 def pieces(data: bytes) -> Iterator[bytes]:
-    """A hello, or none, and then the data in pieces of a size that the data tells."""
+    """Return an optional hello, and the data in pieces, with a size taken from the data."""
     if not data:
         return
     size, data = data[0] or 1, data[1:]

@@ -1,7 +1,7 @@
 """Small deliberate mistakes in the product, to show that the simulation finds such.
 
 Each is a context manager that replaces one method of one class, as a slip in its code would, and
-knows seeds of scenarios that find it. What it is to be found by is an invariant, any of them.
+has seeds of scenarios that find it. Any invariant may find it.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ from fibaction.server.status_broadcast import StatusBroadcast
 from fibaction.states import GoalStatus
 from fibaction.wire.calls import Credits
 from fibaction.wire.channel import StreamChannel
+from fibaction.wire.codec import decode_from_client
 from fibaction.wire.connection import RemoteConnection
 from fibaction.wire.link import PING, Link
-from fibaction.wire.messages import CancelAnswered, Ended, Follow, Received, decode_from_client
+from fibaction.wire.messages import CancelAnswered, Ended, Follow, Received
 from fibaction.wire.ownership import Owners
 from fibaction.wire.reconnect import Reconnector
 from fibaction.wire.remote_goal import RemoteGoal
@@ -37,20 +38,20 @@ from fibaction.wire.subscriptions import Subscription
 
 
 class Mistake(msgspec.Struct, frozen=True):
-    """One of them."""
+    """A deliberate mistake."""
 
     name: str
     meaning: str
     cls: type
     method: str
     make: Callable[[Any], Any]
-    """Given the real method, the wrong one."""
+    """The function that makes the wrong method from the real one."""
     seeds: tuple[int, ...]
-    """Scenarios that are known to find it, tried first."""
+    """The seeds of scenarios that are known to find it, tried first."""
 
     @contextmanager
     def made(self) -> Generator[None, None, None]:
-        """Make it, for as long as the block lasts."""
+        """Make the mistake for as long as the block lasts."""
         real = self.cls.__dict__[self.method]
         setattr(self.cls, self.method, self.make(real))
         try:
@@ -65,7 +66,7 @@ MISTAKES: dict[str, Mistake] = {}
 def mistake(
     cls: type, method: str, *seeds: int
 ) -> Callable[[Callable[[Any], Any]], Callable[[Any], Any]]:
-    """Decorates what makes a wrong method out of the real one; its docstring says what is wrong."""
+    """Register a function that makes the wrong method; its docstring describes the mistake."""
 
     def register(make: Callable[[Any], Any]) -> Callable[[Any], Any]:
         name = make.__name__.replace("_", " ")
@@ -77,7 +78,7 @@ def mistake(
 
 
 class _Deaf(Notifier):
-    """Something that wakes nobody."""
+    """A notifier that wakes no task."""
 
     __slots__ = ()
 
@@ -90,7 +91,7 @@ class _Deaf(Notifier):
 
 @mistake(GoalRegistry, "admit", 38, 10, 28)
 def a_goal_runs_again_when_it_is_sent_again(real: Any) -> Any:
-    """A retry is taken for a new goal."""
+    """Treat a retry as a new goal."""
 
     def admit(self: GoalRegistry, goal_id: GoalID, payload: bytes, *, now: float) -> Verdict:
         verdict: Verdict = real(self, goal_id, payload, now=now)
@@ -104,7 +105,7 @@ def a_goal_runs_again_when_it_is_sent_again(real: Any) -> Any:
 
 @mistake(Cancellation, "accept", 192, 94, 376)
 def a_cancel_races_the_end(real: Any) -> Any:
-    """A goal that has ended while its cancel was decided upon is said to be canceling."""
+    """Report a goal as canceling that has ended while its cancel was decided."""
 
     def accept(self: Cancellation, goal: GoalRecord) -> bool:
         if goal.status.is_terminal:
@@ -118,7 +119,7 @@ def a_cancel_races_the_end(real: Any) -> Any:
 
 @mistake(GoalRegistry, "outcome_for", 18, 36, 47)
 def a_cancel_beats_the_result(real: Any) -> Any:
-    """A goal that yields its result while it is canceling ends as canceled."""
+    """End a goal as canceled that yields its result while it is canceling."""
 
     def outcome_for(self: GoalRegistry, goal: GoalRecord, ending: Ending) -> Any:
         if goal.status is GoalStatus.CANCELING and ending.kind is EndKind.RESULT:
@@ -130,7 +131,7 @@ def a_cancel_beats_the_result(real: Any) -> Any:
 
 @mistake(ExpiringMap, "put", 159, 97, 190)
 def a_result_expires_too_early(real: Any) -> Any:
-    """Outcomes are kept for half the time."""
+    """Keep outcomes for half the time."""
 
     def put(self: ExpiringMap[Any], goal_id: GoalID, thing: Any, now: float) -> None:
         real(self, goal_id, thing, now - self._seconds / 2)
@@ -140,7 +141,7 @@ def a_result_expires_too_early(real: Any) -> Any:
 
 @mistake(Admission, "_tell_decision", 80, 54, 97)
 def a_decision_is_not_told(_real: Any) -> Any:
-    """What waits until a goal is decided is not woken."""
+    """Do not wake tasks that wait for the decision on a goal."""
 
     def _tell_decision(self: Admission[Any, Any, Any], goal_id: GoalID) -> None:
         pass
@@ -150,7 +151,7 @@ def a_decision_is_not_told(_real: Any) -> Any:
 
 @mistake(FeedbackLog, "append", 3, 5, 6)
 def feedback_is_numbered_twice(real: Any) -> Any:
-    """Every fifth message gets the number of the one before."""
+    """Give every fifth message the number of the one before."""
 
     def append(self: FeedbackLog, payload: bytes) -> None:
         if self.goal.feedback_count % 5 == 4:
@@ -162,7 +163,7 @@ def feedback_is_numbered_twice(real: Any) -> Any:
 
 @mistake(FeedbackLog, "finish", 8, 19)
 def the_end_wakes_only_readers(real: Any) -> Any:
-    """Those who follow a goal without its feedback are not told that it has ended."""
+    """Do not notify followers without feedback that the goal has ended."""
 
     def finish(self: FeedbackLog) -> None:
         for stream in self._readers:
@@ -173,7 +174,7 @@ def the_end_wakes_only_readers(real: Any) -> Any:
 
 @mistake(FeedbackCursor, "take", 14, 5, 26)
 def the_end_overtakes_feedback(real: Any) -> Any:
-    """A goal that has ended has no more feedback, even if that was not read."""
+    """Drop the unread feedback of a goal when it ends."""
 
     def take(self: FeedbackCursor, limit: int = 1) -> Any:
         outcome = self.known_outcome()
@@ -184,7 +185,7 @@ def the_end_overtakes_feedback(real: Any) -> Any:
 
 @mistake(StatusBroadcast, "publish", 5, 6, 8)
 def statuses_come_out_of_order(real: Any) -> Any:
-    """That a goal is executing is told after what follows it."""
+    """Send the status EXECUTING after the status that follows it."""
     late: list[GoalInfo] = []
 
     def publish(self: StatusBroadcast, info: GoalInfo) -> None:
@@ -203,7 +204,7 @@ def statuses_come_out_of_order(real: Any) -> Any:
 
 @mistake(Session, "_say", 5, 17, 8)
 def an_answer_is_dropped(real: Any) -> Any:
-    """The answer to a cancel is not sent."""
+    """Do not send the answer to a cancel."""
 
     async def _say(self: Session, answer: Any) -> None:
         if not isinstance(answer, CancelAnswered):
@@ -214,7 +215,7 @@ def an_answer_is_dropped(real: Any) -> Any:
 
 @mistake(Session, "_handle", 14, 5, 8)
 def received_is_not_heard(real: Any) -> Any:
-    """That a client has the end of a goal goes unnoticed."""
+    """Ignore that a client has received the end of a goal."""
 
     def _handle(self: Session, frame: bytes) -> None:
         if not isinstance(decode_from_client(frame), Received):
@@ -225,7 +226,7 @@ def received_is_not_heard(real: Any) -> Any:
 
 @mistake(Owners, "_wait", 49, 3, 66)
 def an_orphan_is_never_ended(real: Any) -> Any:
-    """What is kept for a client that does not come back is kept for ever."""
+    """Keep the goals of a client that does not come back for ever."""
 
     async def _wait(self: Owners, *_: Any) -> None:
         pass
@@ -235,7 +236,7 @@ def an_orphan_is_never_ended(real: Any) -> Any:
 
 @mistake(Subscription, "add", 14, 8, 30)
 def credit_counts_twice(real: Any) -> Any:
-    """A client is sent more than it has asked for."""
+    """Send a client more than its credit allows."""
 
     def add(self: Subscription, count: int) -> None:
         real(self, 2 * count)
@@ -245,7 +246,7 @@ def credit_counts_twice(real: Any) -> Any:
 
 @mistake(Notifier, "notify", 22, 28, 17)
 def a_listener_is_lost(real: Any) -> Any:
-    """Once in a while, who listens is forgotten instead of called."""
+    """Forget the callback of a notifier instead of calling it, once in a while."""
     calls = [0]
 
     def notify(self: Notifier) -> None:
@@ -262,7 +263,7 @@ def a_listener_is_lost(real: Any) -> Any:
 
 @mistake(RemoteGoal, "opening", 97, 458, 483)
 def the_resume_number_is_one_too_large(real: Any) -> Any:
-    """A goal that is followed on a new connection goes on one message too late."""
+    """Resume a goal on a new connection one message too late."""
 
     def opening(self: RemoteGoal) -> Any:
         message = real(self)
@@ -275,7 +276,7 @@ def the_resume_number_is_one_too_large(real: Any) -> Any:
 
 @mistake(RemoteGoal, "opening", 56, 17, 50)
 def the_resume_number_is_one_too_small(real: Any) -> Any:
-    """A goal that is followed on a new connection begins with what has come already."""
+    """Resume a goal on a new connection with messages that have arrived already."""
 
     def opening(self: RemoteGoal) -> Any:
         message = real(self)
@@ -288,7 +289,7 @@ def the_resume_number_is_one_too_small(real: Any) -> Any:
 
 @mistake(RemoteGoal, "on_message", 14, 8)
 def the_end_wakes_nobody(real: Any) -> Any:
-    """Whoever waits for a goal at the client is not woken by its end."""
+    """Do not wake tasks of the client that wait for the end of a goal."""
 
     def hear(self: RemoteGoal, message: Any) -> Any:
         news = self.news
@@ -304,7 +305,7 @@ def the_end_wakes_nobody(real: Any) -> Any:
 
 @mistake(Credits, "grant", 22, 14)
 def credit_is_never_granted(real: Any) -> Any:
-    """What was read makes no room for more."""
+    """Give no credit for messages that were read."""
 
     def grant(self: Credits, count: int = 1) -> None:
         pass
@@ -314,7 +315,7 @@ def credit_is_never_granted(real: Any) -> Any:
 
 @mistake(RemoteConnection, "_begin", 5, 6)
 def a_call_is_not_opened_again(real: Any) -> Any:
-    """A new connection does not ask for the last thing that was under way."""
+    """Do not resume the last request on a new connection."""
 
     def _begin(self: RemoteConnection, welcome: Any) -> None:
         if self._calls._calls:
@@ -326,7 +327,7 @@ def a_call_is_not_opened_again(real: Any) -> Any:
 
 @mistake(RemoteConnection, "_fail_calls", 2, 3)
 def giving_up_forgets_a_waiter(real: Any) -> Any:
-    """When there is no hope for a connection, one who waits is not told."""
+    """Do not fail one waiting call when a connection is given up."""
 
     def _fail_calls(self: RemoteConnection, error: Any) -> None:
         if self._calls._calls:
@@ -338,7 +339,7 @@ def giving_up_forgets_a_waiter(real: Any) -> Any:
 
 @mistake(Reconnector, "_lose_patience", 2, 4)
 def patience_ends_too_early(real: Any) -> Any:
-    """A client gives a lost connection up in half of the time that its calls are to wait."""
+    """Give up a lost connection after half of the timeout."""
 
     async def _lose_patience(self: Reconnector, patience: Any, ends: float) -> None:
         await real(self, patience, (ends + current_time()) / 2)
@@ -347,8 +348,8 @@ def patience_ends_too_early(real: Any) -> Any:
 
 
 @mistake(_Merger, "_follow", 400, 291)
-def a_goal_is_watched_twice(real: Any) -> Any:
-    """A watcher follows a goal again if a change of its status comes after its feedback."""
+def a_goal_is_followed_twice(real: Any) -> Any:
+    """Follow a goal a second time if its status changes after the end of its feedback."""
 
     async def _follow(self: _Merger[Any], goal_id: GoalID, *args: Any) -> None:
         await real(self, goal_id, *args)
@@ -362,7 +363,7 @@ def a_goal_is_watched_twice(real: Any) -> Any:
 
 @mistake(Link, "_watch", 31, 9, 17)
 def silence_is_not_noticed(real: Any) -> Any:
-    """A line on which nothing comes any more is taken for a quiet one."""
+    """Treat a silent connection as alive."""
 
     async def _watch(self: Link) -> None:
         while True:
@@ -374,7 +375,7 @@ def silence_is_not_noticed(real: Any) -> Any:
 
 @mistake(StreamChannel, "aclose", 0, 2, 1)
 def a_connection_is_left_open(real: Any) -> Any:
-    """Who is through with a connection does not close it."""
+    """Do not close a connection after its end."""
 
     async def aclose(self: StreamChannel) -> None:
         pass

@@ -130,7 +130,8 @@ def test_a_trace_is_of_one_scenario(capsys: pytest.CaptureFixture[str], monkeypa
     monkeypatch.setattr(sys, "argv", ["simulation", "--trace"])
     with pytest.raises(SystemExit):
         command.main()
-    assert capsys.readouterr().err.endswith("--trace shows one scenario: name it with --seed\n")
+    error = capsys.readouterr().err
+    assert error.endswith("--trace needs --seed: it prints the events of one scenario\n")
 
 
 def test_the_command_counts_what_it_has_run(

@@ -11,7 +11,7 @@ from fibaction._tasks import Background
 from fibaction.abc import Connection
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.connection import open_connection
-from fibaction.wire.framing import MAX_FRAME
+from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.wire_server import WireServer, open_server
 from fibaction_transports.tcp._asyncio import ProtocolLine

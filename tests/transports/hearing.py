@@ -12,8 +12,8 @@ import anyio
 from anyio.abc import SocketAttribute, SocketStream
 
 from fibaction._notify import Notifier
-from fibaction.wire.framing import FrameReader, header
-from fibaction.wire.messages import FromServer, decode_from_server
+from fibaction.wire.codec import FromServer, decode_from_server
+from fibaction.wire.frames import FrameReader, header
 
 
 class Hearing(logging.Handler):

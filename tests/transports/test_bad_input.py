@@ -25,18 +25,10 @@ from fibaction import (
     serve,
 )
 from fibaction.server.feedback_log import FeedbackCursor
-from fibaction.wire.framing import MAX_FRAME, header
+from fibaction.wire.codec import encode
+from fibaction.wire.frames import MAX_FRAME, header
 from fibaction.wire.link import Link
-from fibaction.wire.messages import (
-    VERSION,
-    Goodbye,
-    Hello,
-    Ping,
-    SendGoal,
-    Welcome,
-    Why,
-    encode,
-)
+from fibaction.wire.messages import VERSION, Goodbye, Hello, Ping, SendGoal, Welcome, Why
 from fibaction.wire.settings import Limits
 from fibaction_transports.tcp import TcpTransport
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci

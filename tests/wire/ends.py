@@ -19,8 +19,9 @@ from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.channel import Channel
+from fibaction.wire.codec import decode_from_client, decode_from_server
 from fibaction.wire.connection import open_connection
-from fibaction.wire.framing import MAX_FRAME
+from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.messages import (
     VERSION,
     Actions,
@@ -34,8 +35,6 @@ from fibaction.wire.messages import (
     Watching,
     WatchStatus,
     Welcome,
-    decode_from_client,
-    decode_from_server,
 )
 from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
 from fibaction.wire.wire_server import WireServer, open_server

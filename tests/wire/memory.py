@@ -17,7 +17,8 @@ from anyio.lowlevel import checkpoint
 from fibaction._notify import Notifier
 from fibaction.exceptions import ConnectionLost
 from fibaction.wire.channel import Channel
-from fibaction.wire.messages import Ping, encode
+from fibaction.wire.codec import encode
+from fibaction.wire.messages import Ping
 
 T = TypeVar("T")
 

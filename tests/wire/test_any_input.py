@@ -18,7 +18,8 @@ from fibaction.exceptions import ConnectionLost
 from fibaction.goals import GoalID
 from fibaction.server import ActionServer
 from fibaction.wire.channel import StreamChannel
-from fibaction.wire.framing import header
+from fibaction.wire.codec import FromClient, encode
+from fibaction.wire.frames import header
 from fibaction.wire.messages import (
     VERSION,
     AskPeers,
@@ -29,7 +30,6 @@ from fibaction.wire.messages import (
     Ended,
     Feedback,
     Follow,
-    FromClient,
     Goodbye,
     Hello,
     ListActions,
@@ -37,7 +37,6 @@ from fibaction.wire.messages import (
     Received,
     SendGoal,
     WatchStatus,
-    encode,
 )
 from fibaction.wire.settings import Limits
 from tests import fibonacci as fib

@@ -11,7 +11,7 @@ from anyio.abc import ByteStream
 from fibaction._notify import Notifier
 from fibaction.exceptions import ConnectionLost, ProtocolError
 from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames, StreamChannel
-from fibaction.wire.framing import HEADER, header
+from fibaction.wire.frames import HEADER, header
 from tests.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio

@@ -5,6 +5,7 @@ by a test.
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any, cast
 
 import anyio
@@ -348,7 +349,7 @@ async def test_each_number_of_a_failure_is_an_error_and_the_call_is_over(
 ) -> None:
     async with reached() as (connection, server):
         for name in ("actions", "cancel_goals", "status", "send_goal", "feedback"):
-            async with Running(lambda name=name: CALLS[name](connection)) as asking:
+            async with Running(partial(CALLS[name], connection)) as asking:
                 (asked,) = await server.hear_all()
                 await server.say(Failed(asked.id, why, "for a reason"))
                 with pytest.raises(ActionError) as caught:
@@ -587,6 +588,10 @@ async def test_a_goal_that_fails_gives_what_has_come_before(why: int) -> None:
             assert len(set(map(id, errors))) == 3  # each raised for itself
 
 
+def ended_as(status: GoalStatus, call_id: int) -> Ended:
+    return Ended(call_id, status, None, "", 0)
+
+
 UNFIT: dict[str, tuple[bool, Callable[[int], Any], str]] = {
     **{
         type(make(1)).__name__: (
@@ -600,7 +605,7 @@ UNFIT: dict[str, tuple[bool, Callable[[int], Any], str]] = {
     **{
         status.name: (
             True,
-            lambda call_id, status=status: Ended(call_id, status, None, "", 0),
+            partial(ended_as, status),
             f"a goal has ended as {status.name}",
         )
         for status in GoalStatus
@@ -693,7 +698,7 @@ async def test_statuses_are_watched_to_their_end() -> None:
 
 @pytest.mark.parametrize("is_early", [True, False])
 @pytest.mark.parametrize(
-    "make", [Finished, end, lambda call_id: Following(call_id, 1, 1, False, 0)]
+    "make", [Finished, end, lambda call_id: Following(call_id, 1, GoalStatus.ACCEPTED, False, 0)]
 )
 async def test_a_message_that_does_not_fit_statuses_ends_the_connection_for_good(
     make: Callable[[int], Any], is_early: bool

@@ -29,7 +29,8 @@ from fibaction.server import ActionServer
 from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.channel import StreamChannel
-from fibaction.wire.framing import MAX_FRAME, header
+from fibaction.wire.codec import encode
+from fibaction.wire.frames import MAX_FRAME, header
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
     VERSION,
@@ -56,7 +57,6 @@ from fibaction.wire.messages import (
     SendGoal,
     StatusChanged,
     Why,
-    encode,
 )
 from fibaction.wire.settings import ClientSettings, Limits
 from fibaction.wire.subscriptions import PIECE
@@ -68,6 +68,7 @@ from tests.wire.ends import (
     ANN,
     ANY,
     BOB,
+    EXECUTING,
     GOAL,
     GOAL_ID,
     SUCCEEDED,
@@ -512,6 +513,15 @@ async def test_a_client_that_is_late_is_not_lost() -> None:
 
 
 @in_virtual_time()
+async def test_a_client_that_never_reads_is_lost_too() -> None:
+    async with serving(held(), heartbeat=2) as served:
+        client = served.connect()
+        client.channel.stop_reading()
+        await client.say(Hello(VERSION, LONG))
+        assert 4 * 2 < await lost_after(client, alive(client)) <= 4 * 2 + 2 + 1
+
+
+@in_virtual_time()
 async def test_a_client_that_reads_nothing_is_lost_after_four_of_the_servers_heartbeats() -> None:
     async with serving(held(), heartbeat=2) as served:
         client = await served.greet(heartbeat=LONG)
@@ -691,7 +701,7 @@ async def test_credit_for_statuses_is_given_in_batches_of_half_a_window(
 ) -> None:
     async with reached(settings=with_window(window)) as (connection, server):
         statuses, call_id = await watched(connection, server)
-        await server.say(*(GoalChanged(call_id, A, n, 2, 0) for n in range(window)))
+        await server.say(*(GoalChanged(call_id, A, n, EXECUTING, 0) for n in range(window)))
         for count in range(1, window + 1):
             assert (await statuses.receive()).stamp == count - 1
             assert await credit_of(server, call_id) == [batch] * (count % batch == 0)
@@ -720,7 +730,7 @@ async def test_no_credit_is_given_after_the_end_nor_after_the_stream_was_closed(
             goal.hold(False)
             assert await server.hear_all() == [Close(call_id)]
         statuses, call_id = await watched(connection, server)
-        await server.say(*(GoalChanged(call_id, A, number, 2, 0) for number in range(4)))
+        await server.say(*(GoalChanged(call_id, A, number, EXECUTING, 0) for number in range(4)))
         await server.say(Finished(call_id))
         await settled()
         assert [(await statuses.receive()).stamp for _ in range(4)] == [0, 1, 2, 3]
@@ -750,7 +760,7 @@ async def test_feedback_out_of_order_or_beyond_the_credit_is_the_servers_error(
 async def test_statuses_beyond_the_credit_are_the_servers_error() -> None:
     async with reached() as (connection, server):
         statuses, call_id = await watched(connection, server)
-        await server.say(*(GoalChanged(call_id, A, n, 2, 0) for n in range(WINDOW + 1)))
+        await server.say(*(GoalChanged(call_id, A, n, EXECUTING, 0) for n in range(WINDOW + 1)))
         await settled()
         for _ in range(WINDOW):
             await statuses.receive()

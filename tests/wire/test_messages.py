@@ -16,6 +16,13 @@ from fibaction.action import ActionInfo
 from fibaction.exceptions import ProtocolError
 from fibaction.goals import GoalID
 from fibaction.states import GoalStatus
+from fibaction.wire.codec import (
+    FromClient,
+    FromServer,
+    decode_from_client,
+    decode_from_server,
+    encode,
+)
 from fibaction.wire.messages import (
     VERSION,
     Actions,
@@ -32,8 +39,6 @@ from fibaction.wire.messages import (
     Finished,
     Follow,
     Following,
-    FromClient,
-    FromServer,
     GoalChanged,
     Goodbye,
     Hello,
@@ -48,9 +53,6 @@ from fibaction.wire.messages import (
     WatchStatus,
     Welcome,
     Why,
-    decode_from_client,
-    decode_from_server,
-    encode,
 )
 from tests.golden import GOAL_ID, GOLDEN, STAMP
 

@@ -18,6 +18,7 @@ from fibaction.goals import GoalID
 from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy, Permission
+from fibaction.wire.codec import encode
 from fibaction.wire.link import HIGH_WATER, OVERFULL
 from fibaction.wire.messages import (
     VERSION,
@@ -42,7 +43,6 @@ from fibaction.wire.messages import (
     WatchStatus,
     Welcome,
     Why,
-    encode,
 )
 from fibaction.wire.settings import ClientSettings
 from tests import fibonacci as fib

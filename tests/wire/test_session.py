@@ -851,7 +851,7 @@ async def test_a_client_too_many_is_told_so_and_another_is_taken_once_there_is_r
             reason = "the server is full: it has 2 connections"
             assert await third.hear(Goodbye) == Goodbye(reason, Why.LIMIT)
             await third.hear_the_end()
-        assert texts(lines) == [(logging.WARNING, f"the third is turned away: {reason}")]
+        assert texts(lines) == [(logging.WARNING, f"the third is rejected: {reason}")]
         fourth = served.connect()
         fourth.channel.stop_reading()
         await settled()

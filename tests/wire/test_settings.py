@@ -5,7 +5,7 @@ import math
 import pytest
 from hypothesis import given, strategies
 
-from fibaction.wire.framing import MAX_FRAME
+from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.settings import Limits
 
 NAMES = Limits.__struct_fields__

@@ -18,7 +18,7 @@ from anyio.abc import SocketAttribute
 
 from fibaction.exceptions import ConnectionLost, ProtocolError
 from fibaction.wire.channel import CHUNK, Line
-from fibaction.wire.framing import framed
+from fibaction.wire.frames import framed
 from fibaction_transports.tcp import _asyncio
 from fibaction_transports.tcp._asyncio import ProtocolLine, accept, dial_tcp, dial_unix, on_asyncio
 

@@ -38,7 +38,13 @@ from fibaction import (
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.messages import Hello
 from fibaction.wire.settings import Limits
-from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport, _asyncio, _streams
+from fibaction_transports.tcp import (
+    TcpTransport,
+    TlsFiles,
+    UnixTransport,
+    _asyncio,
+    _stream_transport,
+)
 from tests.certificates import pems
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.hearing import Hearing, port_of
@@ -216,7 +222,7 @@ async def test_a_server_that_cannot_accept_for_a_while_goes_on_afterwards(
         await accept(*given)
 
     monkeypatch.setattr(_asyncio, "accept", accept_later)
-    monkeypatch.setattr(_streams, "ACCEPT_PAUSE", 0)
+    monkeypatch.setattr(_stream_transport, "ACCEPT_PAUSE", 0)
     async with serve(new_server(), "tcp://127.0.0.1:0") as (url,):
         assert await works(url)
     said = "tcp://127.0.0.1:0 cannot accept connections: [Errno 24] Too many open files"

@@ -12,8 +12,9 @@ from anyio.streams.tls import TLSListener
 
 from fibaction.exceptions import AuthenticationFailed, ConnectionLost
 from fibaction.wire.channel import StreamChannel
-from fibaction.wire.framing import framed
-from fibaction.wire.messages import Goodbye, Why, encode
+from fibaction.wire.codec import encode
+from fibaction.wire.frames import framed
+from fibaction.wire.messages import Goodbye, Why
 from fibaction_transports.tcp._anyio import peer_of
 
 LAST_WORDS = 1.0

@@ -20,7 +20,7 @@ from fibaction.wire.settings import WireKeywords
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import boolean, host_only
 from fibaction_transports.tcp import _asyncio
-from fibaction_transports.tcp._streams import StreamTransport
+from fibaction_transports.tcp._stream_transport import StreamTransport
 from fibaction_transports.tcp._tls import TlsChannel, TlsListener, telling
 
 HOST, PORT = "127.0.0.1", 7400

@@ -15,7 +15,7 @@ from fibaction.exceptions import TransportError
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.settings import WireKeywords
 from fibaction_transports.tcp import _asyncio
-from fibaction_transports.tcp._streams import StreamTransport
+from fibaction_transports.tcp._stream_transport import StreamTransport
 
 
 class UnixTransport(StreamTransport):

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import assume, given, strategies
 
 from fibaction.exceptions import ProtocolError
-from fibaction.wire import framing
-from fibaction.wire.framing import HEADER, MAX_FRAME, FrameReader, header
+from fibaction.wire.frames import _OTHERS, HEADER, MAX_FRAME, FrameReader, header
 
 FRAMES = strategies.lists(strategies.binary(max_size=300), max_size=8)
 LIMIT = 100
@@ -37,13 +36,13 @@ def test_a_header_has_room_for_the_largest_frame_of_sixteen_mebibytes() -> None:
 
 
 def test_frames_are_sent_one_behind_the_other_each_behind_its_header() -> None:
-    assert framing.framed([]) == b""
-    assert framing.framed([b"ab", b"", b"c"]) == b"\0\0\0\2ab\0\0\0\0\0\0\0\1c"
+    assert framed([]) == b""
+    assert framed([b"ab", b"", b"c"]) == b"\0\0\0\2ab\0\0\0\0\0\0\0\1c"
 
 
 @given(FRAMES)
 def test_frames_that_were_sent_come_out(frames: list[bytes]) -> None:
-    assert FrameReader().feed(framing.framed(frames)) == frames
+    assert FrameReader().feed(framed(frames)) == frames
 
 
 @given(FRAMES, strategies.lists(strategies.integers(0, 2500), max_size=20))
@@ -111,7 +110,7 @@ def test_a_frame_over_the_limit_is_rejected_with_its_header(frames: list[bytes],
     reader = FrameReader(LIMIT)
     assert reader.feed(framed(frames)) == frames
     assert reader.feed(header(size)[:-1]) == []
-    assume(not header(size).startswith(tuple(framing._OTHERS)))  # see below
+    assume(not header(size).startswith(tuple(_OTHERS)))  # see below
     with pytest.raises(ProtocolError, match=f"^frame of {size} bytes exceeds .* {LIMIT} bytes$"):
         reader.feed(header(size)[-1:])
 

@@ -1,0 +1,113 @@
+"""Messages to bytes, and bytes to messages.
+
+Sans-I/O. The messages are in `messages`; `session` and `calls` know when each may be sent.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import msgspec
+
+from fibaction.exceptions import ProtocolError
+from fibaction.goals import GoalID
+from fibaction.wire.messages import (
+    Actions,
+    AskPeers,
+    AwaitServer,
+    CancelAnswered,
+    CancelGoals,
+    Close,
+    Credit,
+    Done,
+    Ended,
+    Failed,
+    Feedback,
+    Finished,
+    Follow,
+    Following,
+    GoalChanged,
+    Goodbye,
+    Hello,
+    ListActions,
+    Peers,
+    Ping,
+    Received,
+    Rejected,
+    SendGoal,
+    StatusChanged,
+    Watching,
+    WatchStatus,
+    Welcome,
+)
+
+FromClient: TypeAlias = (
+    Hello
+    | SendGoal
+    | Follow
+    | CancelGoals
+    | WatchStatus
+    | AwaitServer
+    | ListActions
+    | Credit
+    | Close
+    | Received
+    | AskPeers
+    | Ping
+    | Goodbye
+)
+FromServer: TypeAlias = (
+    Welcome
+    | Following
+    | Rejected
+    | Failed
+    | Feedback
+    | StatusChanged
+    | Ended
+    | CancelAnswered
+    | GoalChanged
+    | Done
+    | Finished
+    | Actions
+    | Watching
+    | Peers
+    | Ping
+    | Goodbye
+)
+
+
+def _plain(value: object) -> bytes:
+    if isinstance(value, GoalID):
+        return bytes(value)
+    raise TypeError(f"a message cannot contain a {type(value).__name__}")
+
+
+encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
+"""Encode a message as bytes."""
+
+_from_client: msgspec.msgpack.Decoder[FromClient] = msgspec.msgpack.Decoder(FromClient)
+_from_server: msgspec.msgpack.Decoder[FromServer] = msgspec.msgpack.Decoder(FromServer)
+
+
+def decode_from_client(frame: bytes) -> FromClient:
+    """Decode a message that a client sent.
+
+    Raises:
+        ProtocolError: The frame is not a valid message of a client.
+    """
+    try:
+        return _from_client.decode(frame)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
+        raise ProtocolError(f"invalid client message: {exc}") from exc
+
+
+def decode_from_server(frame: bytes) -> FromServer:
+    """Decode a message that a server sent.
+
+    Raises:
+        ProtocolError: The frame is not a valid message of a server.
+    """
+    try:
+        return _from_server.decode(frame)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
+        raise ProtocolError(f"invalid server message: {exc}") from exc
