@@ -520,11 +520,11 @@ def test_a_client_says_in_one_line_that_nobody_listens(tmp_path: Path) -> None:
     ("command", "code", "error"),
     [
         ("fibonacci_server.py --url pigeon://x", 2, "no transport for pigeon:// is installed"),
-        ("fibonacci_server.py --url nowhere", 2, "'nowhere' is no URL"),
+        ("fibonacci_server.py --url nowhere", 2, "'nowhere' is not a URL"),
         ("fibonacci_server.py --period soon", 2, "argument --period: invalid seconds"),
         ("fibonacci_server.py --period=-1", 2, "argument --period: invalid seconds"),
         ("fibonacci_server.py --period nan", 2, "argument --period: invalid seconds"),
-        ("fibonacci_client.py --url tcp://robot:port", 2, "has no good port"),
+        ("fibonacci_client.py --url tcp://robot:port", 2, "invalid port"),
         ("fibonacci_client.py --url tcp://robot?speed=9", 2, "tcp://robot has no setting 'speed'"),
         ("fibonacci_client.py --url pigeon://x", 2, "no transport for pigeon:// is installed"),
         ("fibonacci_client.py --order ten", 2, "argument --order: invalid int32 value: 'ten'"),
