@@ -30,7 +30,7 @@ from typing import Any, Generic
 
 import anyio
 
-from fibaction.abc import Endpoint, GoalStream
+from fibaction.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.action import Action, Codec, FeedbackT, ResultT
 from fibaction.exceptions import ActionError, GoalAborted, GoalCanceled, UnknownGoal
 from fibaction.goals import CancelAnswer, GoalID, Outcome
@@ -68,7 +68,13 @@ class FeedbackReader(Generic[FeedbackT]):
         if not self._holding:
             self._holding = True
             self._stream.hold(True)
-        item = await self._stream.receive()
+        stream = self._stream
+        # Feedback that has arrived need not be awaited. A status is of no use here, and the outcome
+        # is given again.
+        updates = stream.take() if stream.reads else ()
+        item = updates[0] if updates else None
+        if not isinstance(item, FeedbackItem):
+            item = await stream.receive()
         if item is None:
             raise StopAsyncIteration
         return self._codec.decode(item.payload)

@@ -184,7 +184,7 @@ class _Updates(AsyncIterator[GoalUpdate]):
             raise StopAsyncIteration
         while not (updates := self._stream.take()):
             await self._stream.news.wait()
-        self._has_ended = isinstance(updates[0], Outcome)
+        self._has_ended = type(updates[0]) is Outcome  # faster than `isinstance`, and exact
         return updates[0]
 
 

@@ -32,6 +32,7 @@ import fibaction.monitor
 import fibaction.testing
 import fibaction.wire
 import fibaction.wire.channel
+import fibaction.wire.transport
 import fibaction_transports.inprocess
 import fibaction_transports.tcp
 from fibaction import CancelCode, GoalStatus, connect, serve
@@ -384,7 +385,8 @@ def resolve(dotted: str) -> object:
         (fibaction.abc, "GoalStream"),
         (fibaction.testing, "Step"),
         (fibaction._notify, "Notifier"),
-        (fibaction.wire, "WireTransport"),
+        (fibaction.wire, "Permission"),
+        (fibaction.wire.transport, "WireTransport"),
         (fibaction.wire.channel, "Channel"),
         (fibaction_transports.inprocess, "InProcessTransport"),
         (fibaction_transports.tcp, "TcpTransport"),

@@ -186,9 +186,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     # Finish
 
     def _finish(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
+        now = current_time()
         self._fix_outcome(run, ending)
-        self._keep_outcome(run)
-        self._tell_outcome(run)
+        self._keep_outcome(run, now)
+        self._tell_outcome(run, now)
 
     def _fix_outcome(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
         """Decide the outcome, which never changes afterwards."""
@@ -200,10 +201,9 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             ending = Ending(EndKind.CANCELED, ending.result, reason)
         run.outcome = self._registry.outcome_for(goal, ending)
 
-    def _keep_outcome(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+    def _keep_outcome(self, run: Run[GoalT, FeedbackT, ResultT], now: float) -> None:
         """Make the outcome the goal's, for as long as results are kept."""
         assert run.outcome is not None
-        now = current_time()
         self._registry.finish(run.goal, run.outcome, now=now, stamp=time.time_ns())
         del self._runs[run.goal.goal_id]
         if self._statuses:
@@ -211,11 +211,11 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         if self._statuses or run.log.is_followed:
             self._unread[run.goal.goal_id] = run.log
 
-    def _tell_outcome(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+    def _tell_outcome(self, run: Run[GoalT, FeedbackT, ResultT], now: float) -> None:
         """Notify the followers of the goal, and of the statuses."""
         self._tell_status(run)
         run.log.finish()
-        self.expire(current_time())
+        self.expire(now)
         self._ended.notify()
 
     # Follow

@@ -10,7 +10,7 @@ import struct
 import sys
 import tracemalloc
 import uuid
-from collections.abc import AsyncGenerator, Iterator
+from collections.abc import Iterator
 from functools import reduce
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -18,20 +18,18 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated, Any, Literal
 
-import anyio
 import msgspec
 import pytest
 from hypothesis import example, given, settings, strategies
 from msgspec import Meta
 
-from fibaction import Action, ActionServer, GoalHandle, connect, serve
+from fibaction import Action
 from fibaction.action import ActionInfo
 from fibaction.exceptions import ProtocolError, TransportError
 from fibaction_transports.ros2.arrays import LARGE, pack, unpack
 from fibaction_transports.ros2.conversion import RosAction, RosCodec, RosCodecs, message_types
 from fibaction_transports.ros2.message_types import message_kind
 from fibaction_transports.ros2.schemas import Schema
-from tests.fibonacci import FIBONACCI
 
 definition: Any = import_module("rosidl_parser.definition")
 numpy: Any = import_module("numpy")
@@ -928,14 +926,6 @@ def test_a_message_is_not_a_plain_value() -> None:
     )
 
 
-def test_the_action_of_the_examples_matches_its_ros_type() -> None:
-    found = RosAction.find(FIBONACCI.type_name).codecs(FIBONACCI.info)
-    goal = FIBONACCI.goal.type(order=3)
-    message = found.goal.to_ros(FIBONACCI.goal.encode(goal))
-    assert message.order == 3
-    assert FIBONACCI.goal.decode(found.goal.from_ros(message)) == goal
-
-
 @pytest.mark.parametrize(
     "schema",
     [
@@ -1198,29 +1188,6 @@ def test_values_of_types_from_ros_come_back_as_they_were() -> None:
 def test_the_function_that_makes_types_is_an_entry_point() -> None:
     (entry,) = entry_points(group="fibaction.interfaces", name="ros2")
     assert entry.load() is message_types
-
-
-@pytest.mark.asyncio
-async def test_an_action_from_ros_can_be_served_and_called() -> None:
-    fibonacci = Action.from_ros("arduinobot_msgs/action/Fibonacci", name="fibonacci")
-    feedback_type, result_type = fibonacci.feedback.type, fibonacci.result.type
-
-    async def execute(goal: GoalHandle[Any]) -> AsyncGenerator[Any, None]:
-        sequence = [0, 1]
-        for _ in range(1, goal.request.order):
-            sequence.append(sequence[-1] + sequence[-2])
-            yield feedback_type(partial_sequence=sequence)
-        yield result_type(sequence=sequence)
-
-    with anyio.fail_after(5):
-        async with ActionServer(fibonacci, execute) as server:
-            async with serve(server, "inproc://from-ros"):
-                async with connect("inproc://from-ros", fibonacci) as client:
-                    async with client.send_goal(fibonacci.goal.type(order=3)) as goal:
-                        seen = [item.partial_sequence async for item in goal.feedback]
-                        result = await goal.result()
-    assert seen == [[0, 1, 1], [0, 1, 1, 2]]
-    assert result == result_type(sequence=[0, 1, 1, 2])
 
 
 def test_an_action_from_ros_that_is_not_there_is_a_transport_error() -> None:

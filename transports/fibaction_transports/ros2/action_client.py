@@ -324,7 +324,3 @@ class RosActionClient:
         for statuses in self._subscriptions:
             statuses.fail(error)
         self._subscriptions.clear()
-
-    def close(self) -> None:
-        """End everything that is pending."""
-        self._fail(ConnectionLost("the connection was closed here"))

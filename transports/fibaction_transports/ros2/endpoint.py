@@ -240,9 +240,8 @@ class RosConnection(Connection):
         return short if same else name
 
     def close(self) -> None:
-        """End everything that is pending."""
-        for client in self._clients.values():
-            client.close()
+        """End everything that is pending, and everything that is tried later."""
+        self._ros.fail(ConnectionLost("the connection was closed here"))
 
 
 def _described(name: str, type_name: str) -> ActionInfo:

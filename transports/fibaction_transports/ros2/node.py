@@ -145,10 +145,15 @@ class RosNode:
         """Note that nothing more will arrive, and leave the graph."""
         if self.error is None:
             logger.info("nothing more arrives over ROS: %s", reason)
-            self.error = ConnectionLost(reason)
-            for call in self._lost:
-                call(self.error)
+            self.fail(ConnectionLost(reason))
             self._destroy()
+
+    def fail(self, error: ConnectionLost) -> None:
+        """End everything that is pending, and everything that is tried later, with an error."""
+        if self.error is None:
+            self.error = error
+            for call in self._lost:
+                call(error)
 
     def lose_later(self, reason: str) -> None:
         """Call `lose` on the event loop, from any thread."""
