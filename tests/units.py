@@ -16,6 +16,8 @@ UNITS = {
     "fibaction/server": ["tests/server"],
     "fibaction/server/registry.py": ["tests/server/test_registry.py"],  # a rule without I/O
     "fibaction/wire": ["tests/wire"],
+    "fibaction/wire/__init__.py": ["tests/wire", "tests/transports/tcp"],
+    "fibaction/wire/settings.py": ["tests/wire", "tests/transports/tcp"],
     "fibaction/wire/tls_files.py": ["tests/transports/tcp"],
     "fibaction/wire/transport.py": ["tests/transports/tcp"],
     "fibaction/wire/messages.py": ["tests/wire/test_messages.py"],  # a rule without I/O

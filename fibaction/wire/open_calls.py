@@ -37,9 +37,6 @@ class OpenCalls:
         self._goal_window = max(window, 2)
         self._window = window
 
-    def __contains__(self, call_id: object) -> bool:
-        return call_id in self._calls or call_id in self._observed
-
     # For endpoints
 
     async def ask(self, request: Callable[[int], FromClient], kind: type[Any]) -> Any:

@@ -145,9 +145,9 @@ class GoalSubscription(Subscription):
 
     def leave(self) -> None:
         """Stop: there is nothing more to tell."""
+        assert self.stream is not None
         self.told = True
-        if self.stream is not None:
-            self.stream.news.on_next = None
+        self.stream.news.on_next = None
 
     def _tell(self) -> None:
         if self.stream is not None and not self.told:

@@ -8,7 +8,6 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any, Literal
 
 import anyio
-from anyio.abc import TaskGroup
 
 from fibaction._notify import Notifier
 from fibaction.abc import Connection, Endpoint
@@ -137,16 +136,13 @@ class Client(Peer):
 class Served:
     """A real server's half, and its clients."""
 
-    def __init__(
-        self, wire: WireServer, tasks: TaskGroup, endpoints: dict[str, Endpoint], frame: int
-    ) -> None:
+    def __init__(self, wire: WireServer, endpoints: dict[str, Endpoint], frame: int) -> None:
         self.wire = wire
         self.endpoints = endpoints
-        self._tasks = tasks
         self._frame = frame
 
     def serve(self, channel: Channel) -> None:
-        self._tasks.start_soon(self.wire.serve, channel)
+        self.wire.start(channel)
 
     def connect(self, name: str = "the client") -> Client:
         """A client that has said nothing yet."""
@@ -187,7 +183,7 @@ async def serving(
         endpoints: dict[str, Endpoint] = {server.info.name: server for server in servers}
         terms = ServerSettings(heartbeat, access or AccessPolicy(), limits, then, grace)
         wire = await stack.enter_async_context(open_server(endpoints, terms))
-        yield Served(wire, wire.tasks, endpoints, limits.frame)
+        yield Served(wire, endpoints, limits.frame)
 
 
 # A real client, and a server whose messages a test makes

@@ -267,6 +267,15 @@ async def test_attempts_are_made_for_as_long_as_it_takes_and_not_too_often() -> 
             assert not asking.is_done
 
 
+async def test_a_wait_for_the_server_ends_where_too_many_requests_are_open() -> None:
+    async with reached() as (connection, server):
+        async with Running(endpoint_of(connection).wait_for_server) as waiting:
+            asked = await server.hear(AwaitServer)
+            await server.say(Failed(asked.id, Why.LIMIT, "too much at once"))
+            with pytest.raises(LimitReached, match="too much at once"):
+                await waiting.answer()
+
+
 async def test_a_wait_for_the_server_goes_on_while_the_server_is_full() -> None:
     network = Network()
     full = Goodbye("the server is full", Why.LIMIT)
@@ -551,6 +560,7 @@ async def test_a_stream_that_is_closed_gives_the_outcome_only_and_says_so_once()
             assert await numbers_of(goal) == []
             assert goal.status is GoalStatus.CANCELING
             await server.say(end(call_id, 2))
+            assert await update_of(goal) == await outcome_of(goal)
             assert (await outcome_of(goal)).result == b"result"
             assert await server.hear_all() == [Received(call_id)]
 

@@ -4,6 +4,7 @@ client's, and both together.
 
 from __future__ import annotations
 
+import asyncio  # noqa: TID251  # its clock can be put forward
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import AsyncExitStack
 from functools import partial
@@ -932,40 +933,43 @@ class Late(MemoryChannel):
 
 
 class LateNetwork(Network):
-    """A network whose next connection comes in the moment in which it is given up."""
+    """A network whose next connection comes at a certain time."""
 
-    lost: float | None = None
+    at: float | None = None
 
     async def dial(self) -> MemoryChannel:
         channel = await super().dial()
-        if self.lost is not None:
+        if self.at is not None:
             channel.__class__ = Late
-            vars(channel)["at"] = self.lost + 30
+            vars(channel)["at"] = self.at
         return channel
 
 
-@in_virtual_time()
-async def test_a_connection_that_comes_back_in_the_last_moment_is_used() -> None:
-    """Trio runs the two that are due at the same time in an order of chance."""
-    seen = set()
-    for _ in range(100):
-        network = LateNetwork()
-        async with reached(network) as (connection, server):
-            network.lost = anyio.current_time()
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])  # where both have their turn
+@pytest.mark.parametrize("is_early", [True, False])
+async def test_a_connection_that_comes_back_in_the_last_moment_is_used(
+    is_early: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network, loop, passed = LateNetwork(), asyncio.get_running_loop(), [0.0]
+    time = loop.time
+    monkeypatch.setattr(loop, "time", lambda: time() + passed[0])
+    async with reached(network) as (connection, server):
+        async with (
+            Running(endpoint_of(connection).wait_for_server) as waiting,
+            Running(connection.actions) as asking,
+        ):
+            network.at = anyio.current_time() + 30 + (-1 if is_early else 1)
             server.channel.cut()
-            async with (
-                Running(endpoint_of(connection).wait_for_server) as waiting,
-                Running(connection.actions) as asking,
-            ):
-                server, _ = await network.reached()
-                await anyio.sleep(31)
-                seen.add(asking.is_done)
-                for message in await server.hear_all():
-                    await server.say(Done(message.id))
-                await waiting.answer()
-        if len(seen) == 2:
-            break
-    assert seen == {True, False}
+            server, _ = await network.reached()
+            await settled()
+            passed[0] = (
+                60.0  # so that the connection, and the end of the wait for it, come together
+            )
+            await settled()
+            assert asking.is_done is not is_early
+            for message in await server.hear_all():
+                await server.say(Done(message.id))
+            await waiting.answer()
 
 
 @in_virtual_time()

@@ -15,13 +15,14 @@ from fibaction.exceptions import (
     ConnectionLost,
     GoalAborted,
     GoalRejected,
+    InvalidTransition,
     ProtocolError,
     ServerNotFound,
     UnknownGoal,
 )
 from fibaction.goals import CancelCode, GoalID
 from fibaction.server import ActionServer
-from fibaction.states import GoalStatus
+from fibaction.states import GoalEvent, GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
 from fibaction.wire.messages import (
@@ -572,6 +573,8 @@ async def test_a_request_that_is_allowed_is_granted() -> None:
 
 # Errors behind the session
 
+OTHER = InvalidTransition(EXECUTING, GoalEvent.EXECUTE)
+
 
 def raising(error: BaseException) -> ScriptedServer[fib.Goal, fib.Feedback, fib.Result]:
     """A server that raises that when it is asked for statuses."""
@@ -591,6 +594,7 @@ def raising(error: BaseException) -> ScriptedServer[fib.Goal, fib.Feedback, fib.
         (ServerNotFound("away \udcff"), Why.SERVER_NOT_FOUND, "away ?"),
         (ConnectionLost("the robot is away"), Why.CONNECTION_LOST, "the robot is away"),
         (ProtocolError("nonsense"), Why.PROTOCOL, "nonsense"),
+        (OTHER, Why.SERVER_FAILED, str(OTHER)),
     ],
     ids=lambda value: type(value).__name__,
 )
