@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from page_parts import table
 from states_picture import STORED
 
+from fibaction import exceptions
 from fibaction.exceptions import ActionError
 from fibaction.states import TRANSITIONS, GoalEvent
 
@@ -37,5 +38,5 @@ def _errors(error: type[ActionError], indent: str) -> Iterator[tuple[str, str]]:
         yield indent + error.__name__, text
         indent += "  "
     for child in error.__subclasses__():
-        if child.__module__ == ActionError.__module__:
+        if vars(exceptions).get(child.__name__) is child:
             yield from _errors(child, indent)

@@ -24,19 +24,11 @@ goals in progress, transports or tasks. The number of each error on the wire is 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from fibaction.goals import GoalID
-    from fibaction.states import GoalEvent, GoalStatus
-
-
-class ActionError(Exception):
-    """The root: `except ActionError` catches all that fibaction raises on purpose.
-
-    Programming errors are not included: they raise `TypeError`, `ValueError`, or, for a server that
-    is started twice, `RuntimeError`.
-    """
+from fibaction._action_error import ActionError as ActionError  # the root of this tree
+from fibaction.goals import WHY_UNKNOWN, GoalID
+from fibaction.states import InvalidTransition as InvalidTransition  # raised by the table alone
 
 
 class _GoalError(ActionError):
@@ -104,10 +96,6 @@ class CancelRejected(_GoalError):
     what = "cannot be canceled"
 
 
-WHY_UNKNOWN = "it was never accepted, its result has expired, or the server was started anew"
-"""A server that does not know a goal cannot tell which of these it was."""
-
-
 class UnknownGoal(ActionError):
     """The server does not know the goal: it was never accepted, its result has expired, or the
     server was started anew.
@@ -119,18 +107,6 @@ class UnknownGoal(ActionError):
 
     def __str__(self) -> str:
         return f"goal {self.goal_id} is unknown: {WHY_UNKNOWN}"
-
-
-class InvalidTransition(ActionError):
-    """An event that a status does not allow: a bug in fibaction, not in the code that uses it."""
-
-    def __init__(self, status: GoalStatus, event: GoalEvent) -> None:
-        super().__init__(status, event)
-        self.status = status
-        self.event = event
-
-    def __str__(self) -> str:
-        return f"a goal that is {self.status.name} cannot {self.event.name}"
 
 
 class ProtocolError(ActionError):

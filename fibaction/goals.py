@@ -12,10 +12,12 @@ from typing import Any, Generic, TypeVar
 
 import msgspec
 
-from fibaction.exceptions import WHY_UNKNOWN
 from fibaction.states import GoalStatus
 
 T = TypeVar("T")
+
+WHY_UNKNOWN = "it was never accepted, its result has expired, or the server was started anew"
+"""A server that does not know a goal cannot tell which of these it was."""
 
 
 class GoalID(bytes):

@@ -12,7 +12,7 @@ from enum import IntEnum
 from types import MappingProxyType
 from typing import Final
 
-from fibaction.exceptions import InvalidTransition
+from fibaction._action_error import ActionError
 
 
 class GoalStatus(IntEnum):
@@ -45,6 +45,18 @@ class GoalEvent(IntEnum):
     SUCCEED = 2
     ABORT = 3
     CANCELED = 4
+
+
+class InvalidTransition(ActionError):
+    """An event that a status does not allow: a bug in fibaction, not in the code that uses it."""
+
+    def __init__(self, status: GoalStatus, event: GoalEvent) -> None:
+        super().__init__(status, event)
+        self.status = status
+        self.event = event
+
+    def __str__(self) -> str:
+        return f"a goal that is {self.status.name} cannot {self.event.name}"
 
 
 INITIAL: Final = GoalStatus.ACCEPTED

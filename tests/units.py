@@ -9,6 +9,7 @@ from pathlib import Path
 SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/transports"}
 ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
 UNITS = {
+    "fibaction/_action_error.py": ["tests/test_exceptions.py"],
     "fibaction/client_goal.py": ["tests/test_client.py"],
     "fibaction/streams.py": ["tests/test_abc.py"],
     "fibaction/cli": ["tests/cli"],
