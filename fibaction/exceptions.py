@@ -186,7 +186,7 @@ def copy_of(error: ActionError) -> ActionError:
 
     An error that many tasks wait for is raised once for each: a raised one gathers tracebacks.
     """
-    copy = type(error).__new__(type(error), *error.args)
-    copy.__dict__.update(error.__dict__)
+    copy = type(error).__new__(type(error), *error.args)  # a subclass may have its own constructor
     copy.args = error.args
+    vars(copy).update(vars(error))
     return copy

@@ -25,6 +25,7 @@ from fibaction.exceptions import (
     ServerNotFound,
     TransportError,
     UnknownGoal,
+    copy_of,
     text_of,
 )
 from fibaction.goals import GoalID
@@ -162,3 +163,24 @@ def test_an_error_survives_the_way_to_another_process(error: ActionError) -> Non
     assert type(copy) is type(error)
     assert str(copy) == str(error)
     assert vars(copy) == vars(error)
+
+
+class WithItsOwnConstructor(ActionError):
+    def __init__(self, *, axis: int) -> None:
+        super().__init__(f"axis {axis} is stuck")
+        self.axis = axis
+
+
+@pytest.mark.parametrize(
+    "error",
+    [GoalRejected("busy", goal_id=GOAL_ID), UnknownGoal(GOAL_ID), WithItsOwnConstructor(axis=3)],
+    ids=lambda error: type(error).__name__,
+)
+def test_a_copy_of_an_error_says_the_same_and_has_no_traceback(error: ActionError) -> None:
+    try:
+        raise error
+    except ActionError:
+        copy = copy_of(error)
+    assert copy is not error
+    assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
+    assert copy.__traceback__ is None

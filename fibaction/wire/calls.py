@@ -12,10 +12,10 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from fibaction._notify import Notifier
-from fibaction.exceptions import ActionError, ProtocolError
+from fibaction.exceptions import ActionError, ProtocolError, copy_of
 from fibaction.goals import GoalID
 from fibaction.wire.codec import FromClient
-from fibaction.wire.errors import copied, error_of
+from fibaction.wire.errors import error_of
 from fibaction.wire.messages import Close, Credit, Failed
 
 Post: TypeAlias = Callable[[FromClient], None]
@@ -71,7 +71,7 @@ class Call(ABC):
     def raise_error(self) -> None:
         """Raise a copy of the error that the call has ended with, if it has."""
         if self.error is not None:
-            raise copied(self.error)
+            raise copy_of(self.error)
 
 
 class PendingRequest(Call):

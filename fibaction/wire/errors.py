@@ -113,14 +113,6 @@ def failure_of(exc: BaseException) -> ServerFailed:
     return ServerFailed(f"the server failed: {type(exc).__name__}")
 
 
-def copied(error: ActionError) -> ActionError:
-    """Return a copy of an error without its traceback, for each waiter to raise one of its own."""
-    copy = type(error).__new__(type(error))  # a subclass may have a constructor of its own
-    copy.args = error.args
-    vars(copy).update(vars(error))
-    return copy
-
-
 def sendable(text: str) -> str:
     """Return a text with `?` in place of what cannot be sent as Unicode."""
     return text.encode("utf-8", "replace").decode()

@@ -27,8 +27,8 @@ from fibaction.exceptions import (
     ConnectionLost,
     InvalidURL,
     ProtocolError,
+    copy_of,
 )
-from fibaction.wire.errors import copied
 from fibaction.wire.link import naming
 from fibaction.wire.settings import ClientSettings
 
@@ -73,7 +73,7 @@ class Reconnector:
             ActionError: A copy of the error of the last attempt.
         """
         if self._absent is not None:
-            raise copied(self._absent)
+            raise copy_of(self._absent)
 
     async def first_attempt(self) -> None:
         """Wait until the first attempt has succeeded or failed.

@@ -101,9 +101,8 @@ class TcpTransport(StreamTransport):
             return StreamChannel(stream, self.url, max_frame)
         async with AsyncExitStack() as on_failure:
             on_failure.push_async_callback(anyio.aclose_forcefully, stream)
-            context = self._tls
-            if isinstance(context, TlsFiles):
-                context = telling(context.client())
+            given = self._tls
+            context = telling(given.client()) if isinstance(given, TlsFiles) else given
             tls = await TLSStream.wrap(stream, hostname=self._host, ssl_context=context)
             on_failure.pop_all()
         return TlsChannel(tls, self.url, max_frame)
