@@ -8,14 +8,16 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import abc
+from fibaction import ActionClient, ActionServer, CancelCode, abc
 from fibaction._notify import Notifier
 from fibaction.abc import (
     Connection,
     Endpoint,
     FeedbackItem,
+    ForwardingEndpoint,
     GoalStream,
     GoalUpdate,
+    Startable,
     StatusStream,
     Transport,
 )
@@ -32,6 +34,7 @@ from fibaction.goals import (
     Sender,
 )
 from fibaction.states import GoalStatus
+from tests.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
 KNOWN = GoalID(bytes(range(16)))
 OTHER = GoalID(bytes(range(1, 17)))
@@ -413,3 +416,34 @@ async def test_the_goals_that_there_were_are_the_first_that_come(
 ) -> None:
     statuses = SomeGoals(known, 1, 2, 3)
     assert [info.stamp for info in await statuses.listed()] == listed
+
+
+@pytest.mark.asyncio
+async def test_a_forwarding_endpoint_passes_every_call_on() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    wrapper = ForwardingEndpoint(ForwardingEndpoint(server))
+    assert isinstance(wrapper, Startable)
+    assert wrapper.info == server.info
+    assert not wrapper.is_running
+    with anyio.fail_after(5):
+        async with wrapper:
+            assert server.is_running
+            assert wrapper.is_running
+            await wrapper.wait_for_server()
+            client = ActionClient(wrapper, FIBONACCI)
+            assert await client.call(Goal(2)) == Result([0, 1, 1])
+            (known,) = await client.goals()
+            assert (await client.attach(known.goal_id)).status is GoalStatus.SUCCEEDED
+            answer = await client.cancel_goals(known.goal_id)
+            assert answer.return_code is CancelCode.GOAL_TERMINATED
+            await wrapper.stop()
+            assert not server.is_running
+
+
+@pytest.mark.asyncio
+async def test_around_an_endpoint_without_a_life_of_its_own_there_is_nothing_to_start() -> None:
+    wrapper = ForwardingEndpoint(OneGoal(OneEnd()))
+    assert wrapper.is_running
+    async with wrapper as entered:
+        assert entered is wrapper
+        await wrapper.stop()

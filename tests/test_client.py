@@ -454,3 +454,36 @@ async def test_waiting_for_a_server_has_an_end() -> None:
 async def _never(goal: GoalHandle[Goal]) -> Any:
     raise AssertionError("nobody sends a goal here")
     yield
+
+
+async def test_leaving_a_client_cancels_the_goals_of_open_blocks_once() -> None:
+    hold = anyio.Event()
+    server = ScriptedServer(FIBONACCI, [Result([])], [hold])
+    async with server:
+        client = client_of(server)
+        async with client.send_goal(Goal(0)) as ended, client.send_goal(Goal(1)) as goal:
+            await ended.outcome()
+            await client.leave()
+            with anyio.fail_after(5):
+                assert (await goal.outcome()).status is GoalStatus.CANCELED
+        assert (await ended.outcome()).status is GoalStatus.SUCCEEDED
+
+
+async def test_leaving_a_client_cancels_a_goal_that_is_being_sent_by_its_id() -> None:
+    endpoint = Broken(BrokenStream())
+    endpoint.sending = anyio.Event()
+    endpoint.answer = CancelAnswer(CancelCode.NONE)
+    goal_id = GoalID.random()
+    client = client_of(endpoint)
+
+    async def send() -> None:
+        async with client.send_goal(Goal(1), goal_id=goal_id):
+            raise AssertionError("it is never accepted")
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(send)
+            await endpoint.sending.wait()
+            await client.leave()
+            assert endpoint.cancels == [goal_id]
+            tasks.cancel_scope.cancel()

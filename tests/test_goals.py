@@ -142,3 +142,29 @@ def test_a_cancel_is_accepted_if_a_goal_is_canceling() -> None:
     # NONE is no yes: a cancel of all that found no goal has it too.
     assert not CancelAnswer(CancelCode.NONE).accepted
     assert not CancelAnswer(CancelCode.REJECTED, reason="no").accepted
+
+
+CANCELING = GoalInfo(GoalID(bytes(range(16))), 1, GoalStatus.CANCELING)
+NO_GOALS = CancelAnswer(CancelCode.NONE)
+NOT_NOW = CancelAnswer(CancelCode.REJECTED, reason="not now")
+TOO_LATE = CancelAnswer(CancelCode.GOAL_TERMINATED)
+NOT_HERE = CancelAnswer(CancelCode.UNKNOWN_GOAL_ID)
+ONE = CancelAnswer(CancelCode.NONE, (CANCELING,))
+
+
+@pytest.mark.parametrize(
+    ("answers", "merged"),
+    [
+        ([], NO_GOALS),
+        ([NOT_HERE, NOT_HERE], NOT_HERE),
+        ([NOT_HERE, NO_GOALS], NO_GOALS),
+        ([NOT_HERE, TOO_LATE, NO_GOALS], TOO_LATE),
+        ([TOO_LATE, NOT_NOW, NOT_NOW, NO_GOALS], NOT_NOW),
+        ([ONE, NOT_NOW], CancelAnswer(CancelCode.NONE, (CANCELING,), "not now")),
+        ([ONE, NOT_HERE, ONE], CancelAnswer(CancelCode.NONE, (CANCELING, CANCELING))),
+    ],
+)
+def test_the_answers_of_several_servers_to_one_cancel_are_merged(
+    answers: list[CancelAnswer], merged: CancelAnswer
+) -> None:
+    assert CancelAnswer.merged(answers) == merged

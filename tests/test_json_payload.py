@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.msgpack import Ext
 
-from fibaction.json_payload import JsonCodec, PayloadError, to_json
+from fibaction.json_payload import JsonCodec, PayloadError, _validator_class, to_json
 from tests.cli.robot import Gripper, Pick, Pose, Sucker
 
 Aware = Annotated[datetime.datetime, msgspec.Meta(tz=True)]
@@ -26,6 +26,12 @@ class Times(msgspec.Struct):
     lasting: datetime.timedelta | None = None
     name: str = ""
     number: uuid.UUID | None = None
+
+
+@pytest.fixture(autouse=True)
+def _new_validators() -> None:
+    """Make the validators anew, so that these tests cover it whichever tests came before."""
+    _validator_class.cache_clear()
 
 
 def codec_of(kind: Any) -> JsonCodec:

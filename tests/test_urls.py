@@ -10,7 +10,7 @@ import pytest
 
 from fibaction.abc import Connection, Endpoint, Transport
 from fibaction.exceptions import TransportError
-from fibaction.urls import GROUP, transport_for, without_settings
+from fibaction.urls import GROUP, check_settings, transport_for, without_settings
 from tests.fibonacci import FIBONACCI
 
 
@@ -217,3 +217,30 @@ def test_a_text_that_is_not_a_url_is_rejected_without_telling_its_secrets() -> N
     with pytest.raises(TransportError) as caught:
         transport_for("robot:7400?token=secret")
     assert str(caught.value) == "'robot:7400' is not a URL: write it like tcp://127.0.0.1:7400"
+
+
+@pytest.mark.parametrize(
+    ("name", "known", "sentence"),
+    [
+        (
+            "hartbeat",
+            ["heartbeat", "grace"],
+            (
+                "x has no setting 'hartbeat': did you mean 'heartbeat'?"
+                " Its settings are heartbeat, grace"
+            ),
+        ),
+        (
+            "speed",
+            ["heartbeat", "grace"],
+            "x has no setting 'speed'; its settings are heartbeat, grace",
+        ),
+        ("speed", [], "x has no setting 'speed'; it has no settings"),
+    ],
+)
+def test_a_setting_that_a_transport_does_not_have_is_told_with_those_it_has(
+    name: str, known: list[str], sentence: str
+) -> None:
+    with pytest.raises(TypeError) as caught:
+        check_settings("x", [*known, name], known)
+    assert str(caught.value) == sentence

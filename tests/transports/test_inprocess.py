@@ -10,6 +10,7 @@ import pytest
 from fibaction import (
     Action,
     ActionServer,
+    ConnectionLost,
     GoalID,
     GoalStatus,
     ServerNotFound,
@@ -170,3 +171,10 @@ async def test_a_setting_by_name_is_an_error_since_there_are_none() -> None:
     assert str(caught.value) == (
         "InProcessTransport has no setting 'heartbeat'; it has no settings"
     )
+
+
+async def test_a_connection_that_was_closed_says_so() -> None:
+    async with InProcessTransport("closed").connect() as connection:
+        endpoint = connection.endpoint(FIBONACCI)
+    with pytest.raises(ConnectionLost, match="the connection to inproc://closed was closed here"):
+        await endpoint.status()
