@@ -51,7 +51,15 @@ LOADED = [anyio.pytest_plugin, hypothesis.stateful, pytest_asyncio, trio]
 """The modules that tests need, imported once instead of in each of some hundred processes."""
 ROOT = Path(__file__).resolve().parent.parent
 EXPLAINED = Path(__file__).with_suffix(".toml")
-MODULES = ["states", "server/registry", "wire/messages"]
+MODULES = [
+    "states",
+    "server/goal_record",
+    "server/expiry",
+    "server/cancellation",
+    "server/registry",
+    "wire/messages",
+    "wire/codec",
+]
 """The modules that are tested by default: the rules that all other modules depend on."""
 OF_FIELDS = {"wire/messages"}
 """The modules in which the types of fields are checked at run time."""
