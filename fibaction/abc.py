@@ -75,7 +75,9 @@ class Endpoint(ABC):
             ServerNotFound: This action is not served.
             ConnectionLost: The connection ended before the answer; the goal may have been accepted.
             AuthenticationFailed: This client lacks the permission.
-            ProtocolError: The goal is too large to be sent.
+            InvalidMessage: The goal is too large to be sent; nothing was sent.
+            ProtocolError: The server sent an invalid message, which ended the connection.
+            ServerFailed: The server has a bug.
         """
 
     def offer_goal(
@@ -111,8 +113,9 @@ class Endpoint(ABC):
 
         Raises:
             UnknownGoal: The server has no such goal.
-            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
-            TransportError: The server takes no more requests of this client for now.
+            ServerNotFound, ConnectionLost, AuthenticationFailed, ServerFailed: As for `send_goal`.
+            ProtocolError: As for `send_goal`.
+            LimitReached: The server takes no more requests of this client for now.
         """
 
     @abstractmethod
@@ -126,8 +129,7 @@ class Endpoint(ABC):
         that is still being decided is canceled by its ID as soon as it is accepted.
 
         Raises:
-            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
-            TransportError: As for `feedback`.
+            TransportError, ProtocolError: As for `feedback`.
         """
 
     @abstractmethod
@@ -135,8 +137,7 @@ class Endpoint(ABC):
         """Follow the statuses of all goals.
 
         Raises:
-            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
-            TransportError: As for `feedback`.
+            TransportError, ProtocolError: As for `feedback`.
         """
 
     @abstractmethod
@@ -144,7 +145,8 @@ class Endpoint(ABC):
         """Wait until this action is served, without a timeout.
 
         Raises:
-            TransportError: The connection ended for good, or the server does not answer.
+            TransportError, ProtocolError: The connection ended for good, or the server rejects the
+                request.
         """
 
     async def get_result(self, goal_id: GoalID) -> Outcome[bytes]:
@@ -152,9 +154,7 @@ class Endpoint(ABC):
         goal.
 
         Raises:
-            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
-            TransportError: As for `feedback` and `GoalStream.outcome`.
-            ProtocolError: As for `GoalStream.outcome`.
+            TransportError, ProtocolError: As for `feedback` and `GoalStream.outcome`.
         """
         try:
             stream = await self.feedback(goal_id)
@@ -281,6 +281,7 @@ class Connection(ABC):
 
         Raises:
             TransportError: The server cannot be asked: mostly `ServerNotFound` or `ConnectionLost`.
+            ProtocolError: The server sent an invalid message.
         """
 
     async def peers(self, action: str) -> ActionPeers:
@@ -288,7 +289,7 @@ class Connection(ABC):
 
         Raises:
             AuthenticationFailed: This client lacks the permission.
-            TransportError: As for `actions`.
+            TransportError, ProtocolError: As for `actions`.
         """
         return ActionPeers()
 

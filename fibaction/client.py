@@ -54,7 +54,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             ServerNotFound: This action is not served.
             ConnectionLost: The connection ended before the answer.
             AuthenticationFailed: This client lacks the permission.
-            ProtocolError: The goal is too large to be sent.
+            InvalidMessage: The goal is too large to be sent; nothing was sent.
+            ProtocolError: The server sent an invalid message, which ended the connection.
             TypeError, OverflowError: The goal cannot be encoded: see `Codec.encode`.
             TypeError: `goal_id` is not a `GoalID`.
         """
