@@ -162,3 +162,10 @@ class GoalWalk(RuleBasedStateMachine):
 
 TestGoalWalk = GoalWalk.TestCase
 TestGoalWalk.settings = settings(stateful_step_count=12)
+
+
+def test_an_edge_that_is_not_in_the_table_is_told_in_one_sentence() -> None:
+    with pytest.raises(InvalidTransition) as caught:
+        transition(GoalStatus.SUCCEEDED, GoalEvent.ABORT)
+    assert str(caught.value) == "a goal that is SUCCEEDED cannot ABORT"
+    assert (caught.value.status, caught.value.event) == (GoalStatus.SUCCEEDED, GoalEvent.ABORT)
