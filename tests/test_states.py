@@ -169,3 +169,4 @@ def test_an_edge_that_is_not_in_the_table_is_told_in_one_sentence() -> None:
         transition(GoalStatus.SUCCEEDED, GoalEvent.ABORT)
     assert str(caught.value) == "a goal that is SUCCEEDED cannot ABORT"
     assert (caught.value.status, caught.value.event) == (GoalStatus.SUCCEEDED, GoalEvent.ABORT)
+    assert caught.value.args == (GoalStatus.SUCCEEDED, GoalEvent.ABORT)  # or it could not be copied

@@ -30,7 +30,7 @@ from fibaction.goals import (
     Sender,
 )
 from fibaction.server.cancellation import Cancellation
-from fibaction.server.goal_record import Ending, EndKind, GoalRecord
+from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.states import GoalEvent, GoalStatus
 
@@ -84,6 +84,17 @@ def finish(
     registry.finish(goal, outcome, now=now, stamp=100)
     assert goal.ended_at == 100
     return outcome
+
+
+def test_a_new_goal_has_not_ended_and_nothing_stops_it() -> None:
+    goal = accepted(GoalRegistry(), A)
+    assert (goal.ended_at, goal.stop_reason, goal.outcome, goal.feedback_count) == (0, "", None, 0)
+
+
+def test_a_digest_is_the_same_in_every_process_and_has_sixteen_bytes() -> None:
+    # By `printf goal | b2sum -l 128`.
+    assert digest_of(b"goal").hex() == "c3d1adee19a9bf84e992ef006f4b2153"
+    assert digest_of(b"goal") != digest_of(b"goa")
 
 
 def candidates(cancellation: Cancellation) -> list[GoalID]:
