@@ -53,7 +53,7 @@ def transport_for(where: str | Transport, **settings: Any) -> Transport:
             f" or the extra of {found[0].dist.name if found[0].dist else 'its package'!r}"
             f" that brings it"
         ) from exc
-    except Exception as exc:  # whatever somebody else's module does when it is imported
+    except Exception as exc:  # the import of any other package may raise anything
         raise TransportError(
             f"the transport for {scheme}://, {found[0].value}, cannot be imported: {exc}"
         ) from exc

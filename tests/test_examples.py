@@ -509,7 +509,7 @@ def test_a_client_says_in_one_line_that_nobody_listens(tmp_path: Path) -> None:
         url = f"tcp://127.0.0.1:{not_listening.getsockname()[1]}"
         code, out, err = ended(start("fibonacci_client.py", "--url", url, cwd=tmp_path))
     assert (code, out) == (6, "goal      order 10\n")
-    assert err.startswith(f"error: nobody listens at {url} ")
+    assert err.startswith(f"error: no server listens at {url} ")
     assert len(err.splitlines()) == 1
 
 

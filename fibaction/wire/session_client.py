@@ -102,7 +102,7 @@ class SessionClient:
         except KeyError:
             known = ", ".join(map(repr, sorted(self._endpoints))) or "nothing"
             raise ServerNotFound(
-                f"nobody serves the action {action!r} here: there is {known}"
+                f"the action {action!r} is not served here: there is {known}"
             ) from None
         self.actions.add(action)
         return endpoint

@@ -129,7 +129,7 @@ def url(request: pytest.FixtureRequest, robot: Robot) -> str:
 
 @pytest.fixture
 def nobody(unused_tcp_port: int) -> str:
-    """A URL where nobody listens."""
+    """A URL where no server listens."""
     return f"tcp://127.0.0.1:{unused_tcp_port}"
 
 

@@ -102,7 +102,7 @@ def test_a_bridge_that_leads_nowhere_is_one_sentence(invoke: Invoke, nobody: str
 
     result = invoke("bridge", nobody, "unix:///tmp/never")
     assert result.exit_code == ExitCode.UNREACHABLE
-    assert result.stderr.startswith(f"Error: nobody listens at {nobody} ")
+    assert result.stderr.startswith(f"Error: no server listens at {nobody} ")
     advice = "start the server, or name the actions to wait for\n"
     assert result.stderr.endswith(advice)
 

@@ -158,7 +158,7 @@ def test_the_last_words_of_a_server_are_one_clean_line(invoke: Invoke) -> None:
 @pytest.mark.asyncio
 async def test_the_advice_for_python_code_is_replaced(nobody: str) -> None:
     for url, told in (
-        (nobody, f"nobody listens at {nobody} (Connect call failed"),
+        (nobody, f"no server listens at {nobody} (Connect call failed"),
         (
             "inproc://empty",
             "the action 'wait' is not served at inproc://empty: start its server in",

@@ -40,7 +40,7 @@ def test_a_server_that_does_not_run_is_one_sentence(
     code, out, err = here(*verb, url=nobody)
 
     assert (code, out) == (ExitCode.UNREACHABLE, "")
-    assert err.startswith(f"Error: nobody listens at {nobody}")
+    assert err.startswith(f"Error: no server listens at {nobody}")
     assert err.endswith(": start the server, or name another with --url or FIBACTION_URL\n")
     assert err.count("\n") == 1
 

@@ -541,7 +541,9 @@ async def silent(*_: object) -> None:
 
 
 async def lost(*_: object) -> None:
-    raise ServerNotFound("nobody listens: start the server, or wait for it with wait_for_server()")
+    raise ServerNotFound(
+        "no server listens: start the server, or wait for it with wait_for_server()"
+    )
 
 
 @pytest.mark.asyncio
@@ -550,7 +552,7 @@ async def lost(*_: object) -> None:
     [
         (None, "was left, and may go on.\n"),  # the goal does not end
         (silent, "was left, and may go on.\n"),
-        (lost, "It could not be canceled: nobody listens: start the server\n"),
+        (lost, "It could not be canceled: no server listens: start the server\n"),
     ],
 )
 async def test_a_goal_that_cannot_be_canceled_is_left_when_its_time_is_up(

@@ -90,7 +90,7 @@ def test_a_server_that_does_not_run_is_an_error_before_the_screen_is_taken(
     shown = terminal("top", url=nobody)
 
     assert shown.ends() == ExitCode.UNREACHABLE
-    assert f"Error: nobody listens at {nobody}" in shown.text
+    assert f"Error: no server listens at {nobody}" in shown.text
     assert b"\x1b[?1049h" not in shown.raw
 
 

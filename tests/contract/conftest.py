@@ -41,7 +41,7 @@ class Reach:
     def __init__(self, way: Way, address: Callable[[], str | Transport]) -> None:
         self._way = way
         self.address = address
-        """A new address where nobody serves anything."""
+        """A new address without a server."""
 
     @asynccontextmanager
     async def __call__(
@@ -87,7 +87,7 @@ async def through_a_gateway(
 
 
 def tcp_address() -> str:
-    """An address where nobody listens."""
+    """An address where no server listens."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"tcp://127.0.0.1:{probe.getsockname()[1]}"

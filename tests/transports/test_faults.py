@@ -438,7 +438,7 @@ async def test_a_server_that_is_killed_for_good_ends_all_calls() -> None:
                 await process.wait()
                 with pytest.raises(ConnectionLost):
                     await goals[0].result()
-                # That nobody listens any more is known, too.
+                # The end of the server is known, too.
                 with pytest.raises((ConnectionLost, ServerNotFound)):
                     await goals[1].result()
 

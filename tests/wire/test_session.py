@@ -304,7 +304,7 @@ async def test_an_action_that_is_not_served_is_told_with_those_that_are() -> Non
     async with serving(held()) as served:
         client = await served.greet()
         failed = await client.ask(SendGoal(1, "swim", A, GOAL, 1), Failed)
-        text = "nobody serves the action 'swim' here: there is 'fibonacci'"
+        text = "the action 'swim' is not served here: there is 'fibonacci'"
         assert failed == Failed(1, Why.SERVER_NOT_FOUND, text)
     async with serving() as served:
         failed = await (await served.greet()).ask(WatchStatus(1, "swim", 1), Failed)

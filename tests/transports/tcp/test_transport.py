@@ -94,7 +94,7 @@ async def test_a_url_says_where_the_server_is(
             raise AssertionError("the block must not run")
     assert dialed == [(host, port)]
     assert str(caught.value) == (
-        f"nobody listens at {told} (refused): start the server, or wait for it with"
+        f"no server listens at {told} (refused): start the server, or wait for it with"
         f" wait_for_server()"
     )
 
@@ -297,7 +297,7 @@ async def test_a_unix_socket_is_for_its_owner_only_and_is_removed_afterwards(
         assert await works(url)
         assert await works(UnixTransport(path))
     assert not path.exists()
-    with pytest.raises(ServerNotFound, match=f"nobody listens at unix://{path} "):
+    with pytest.raises(ServerNotFound, match=f"no server listens at unix://{path} "):
         async with connect(UnixTransport(path, reconnect=False)):
             raise AssertionError("the block must not run")
 

@@ -53,7 +53,7 @@ class StreamTransport(WireTransport):
             raise AuthenticationFailed(no_tls(self.url, exc)) from exc
         except OSError as exc:
             raise ServerNotFound(
-                f"nobody listens at {self.url} ({exc.strerror or exc}): start the server, or"
+                f"no server listens at {self.url} ({exc.strerror or exc}): start the server, or"
                 f" wait for it with wait_for_server()"
             ) from exc
         except UnicodeError as exc:
