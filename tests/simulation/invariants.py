@@ -21,6 +21,7 @@ from fibaction import (
     GoalID,
     GoalRejected,
     GoalStatus,
+    LimitReached,
     Outcome,
     ServerNotFound,
     UnknownGoal,
@@ -276,7 +277,9 @@ class Record:
             return goal_id is not None and self.is_forgotten(
                 client, goal_id, None, own=False, since=since
             )
-        if isinstance(error, ServerNotFound | ConnectionLost):
+        # A frozen line can hold up the Hello; the server then ends the connection with its reason.
+        is_late = isinstance(error, LimitReached) and "has not said hello" in str(error)
+        if is_late or isinstance(error, ServerNotFound | ConnectionLost):
             if "is not running" in str(error):
                 return any(life.stops_at <= now for life in self.lives)
             if self.scenario.climate == "calm":
