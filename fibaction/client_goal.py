@@ -225,7 +225,8 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
         self._goal.close()
         if self in self._blocks:  # else `ActionClient.leave` has canceled the goal
             self._blocks.discard(self)
-            await self.leave()
+            if not self._goal.status.is_terminal:
+                await self.leave()
 
     async def leave(self) -> None:
         """Cancel the goal if it has not ended, wait for the answer, and log if the goal runs on."""
