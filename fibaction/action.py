@@ -204,7 +204,7 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
 
 def _interface(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
     """Return the types of a ROS 2 action, made by the package that declares the entry point."""
-    from importlib.metadata import entry_points  # takes longer than all other imports
+    from importlib.metadata import entry_points  # slow to import, and needed here only
 
     found = tuple(entry_points(group=INTERFACES, name="ros2"))
     if not found:

@@ -35,7 +35,7 @@ def transport_for(where: str | Transport, **settings: Any) -> Transport:
     if not separator:
         shown = without_settings(where)
         raise InvalidURL(f"{shown!r} is not a URL: write it like tcp://127.0.0.1:7400")
-    from importlib.metadata import entry_points  # takes longer than all other imports
+    from importlib.metadata import entry_points  # slow to import, and needed here only
 
     found = tuple(entry_points(group=GROUP, name=scheme))
     if not found:

@@ -40,7 +40,7 @@ def test_the_list_of_public_names_is_complete() -> None:
     assert set(PUBLIC) <= set(dir(fibaction))
 
 
-def test_an_import_looks_for_no_packages_which_takes_longer_than_all_the_rest() -> None:
+def test_an_import_does_not_bring_what_looks_for_installed_packages() -> None:
     assert "importlib.metadata" not in modules_after("import fibaction")
 
 

@@ -16,7 +16,7 @@ from weakref import WeakSet, WeakValueDictionary
 from fibaction._notify import Notifier
 from fibaction.abc import Connection, Endpoint, GoalStream, StatusStream, Transport
 from fibaction.action import Action, ActionInfo
-from fibaction.exceptions import ConnectionLost, InvalidURL, ServerNotFound, TransportError
+from fibaction.exceptions import ConnectionLost, InvalidURL, ServerNotFound, TransportError, copy_of
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
 from fibaction.urls import check_settings
 
@@ -120,7 +120,7 @@ class _InProcessConnection(Connection):
     def check_is_open(self) -> None:
         """Raise ConnectionLost if the connection was closed."""
         if self._closed is not None:
-            raise ConnectionLost(str(self._closed))
+            raise copy_of(self._closed)
 
     def opened(self, stream: StreamT) -> StreamT:
         """Add a stream that is to end with the connection, and return it."""
