@@ -7,15 +7,11 @@ this command.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 
+from fibaction._text import printable as clean
+from fibaction._text import with_escapes
 
-def clean(text: str) -> str:
-    """Return the text on one line, with everything that is not printable escaped.
-
-    Cleaning a clean text again does not change it.
-    """
-    return _printable(text, _escaped)
+__all__ = ["clean", "clean_json", "clean_lines"]
 
 
 def clean_lines(text: str) -> str:
@@ -28,18 +24,4 @@ def clean_json(text: str) -> str:
 
     JSON itself requires that for the first 32 characters only.
     """
-    return _printable(text, lambda character: json.dumps(character)[1:-1])
-
-
-def _printable(text: str, escaped: Callable[[str], str]) -> str:
-    if text.isprintable():  # a fast test, and nearly always true
-        return text
-    return "".join(c if c.isprintable() else escaped(c) for c in text)
-
-
-def _escaped(character: str) -> str:
-    """Escape as YAML does between double quotes, since values are printed so."""
-    number = ord(character)
-    if number <= 0xFF:
-        return f"\\x{number:02x}"
-    return f"\\u{number:04x}" if number <= 0xFFFF else f"\\U{number:08x}"
+    return with_escapes(text, lambda character: json.dumps(character)[1:-1])

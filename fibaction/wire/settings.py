@@ -29,16 +29,24 @@ class Limits(msgspec.Struct, frozen=True):
     """Connections at the same time."""
     goals: int = 10_000
     """Goals that one connection may follow at the same time."""
+    follows: int = 100
+    """Times that one connection may follow one goal at the same time."""
     requests: int = 1000
     """Requests that one connection may wait for at the same time, beside its goals."""
     frame: int = MAX_FRAME
     """Bytes of the largest message."""
     memory: int = 64 * 2**20
     """Bytes of goals that are being decided upon, for one connection."""
+    total_memory: int = 256 * 2**20
+    """Bytes of goals that are being decided upon, and of large messages of which a part has
+    arrived, over all connections."""
     queue: int = 2**20
     """Bytes that wait to be written to one connection; answers wait while there are more."""
     handshake: float = 5.0
     """Seconds within which a client must say hello."""
+    heartbeat: float = 15.0
+    """Seconds between two messages of a client, at most; after four times that it counts as dead,
+    even if it asks for more."""
 
     def __post_init__(self) -> None:
         """Check the values.

@@ -1,0 +1,47 @@
+"""Text of a peer, made safe to log, to show and to keep.
+
+A peer may send any text: for example one that clears the screen, that looks like a line of the log,
+or that is as long as a message can be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+LENGTH = 200
+"""Characters of a peer's text that are logged or kept in an error."""
+
+
+def excerpt(text: str, length: int = LENGTH) -> str:
+    """Return the text on one line, cut to `length` characters, and printable.
+
+    The excerpt of an excerpt is the same text.
+    """
+    if len(text) > length:
+        text = text[: length - 1] + "…"
+    # Escaping makes it longer, so what was escaped is cut again.
+    clean = printable(text)
+    return clean if len(clean) <= length else clean[: length - 1] + "…"
+
+
+def printable(text: str) -> str:
+    """Return the text on one line, with everything that is not printable escaped.
+
+    Doing it again does not change the text.
+    """
+    return with_escapes(text, _escaped)
+
+
+def with_escapes(text: str, escaped: Callable[[str], str]) -> str:
+    """Return the text with each character that is not printable replaced by its escape."""
+    if text.isprintable():  # a fast test, and nearly always true
+        return text
+    return "".join(c if c.isprintable() else escaped(c) for c in text)
+
+
+def _escaped(character: str) -> str:
+    """Escape as YAML does between double quotes, since values are printed so."""
+    number = ord(character)
+    if number <= 0xFF:
+        return f"\\x{number:02x}"
+    return f"\\u{number:04x}" if number <= 0xFFFF else f"\\U{number:08x}"
