@@ -41,6 +41,7 @@ from contextlib import contextmanager
 from anyio import current_effective_deadline, get_cancelled_exc_class, sleep
 from anyio.abc import TaskGroup
 
+from fibaction._budget import ByteBudget
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint
 from fibaction.exceptions import (
@@ -88,6 +89,7 @@ class Session:
         endpoints: Mapping[str, Endpoint],
         settings: ServerSettings,
         owners: Owners,
+        memory: ByteBudget,
         clients_of: Callable[[str], list[str]],
         supersede: Callable[[bytes], None],
     ) -> None:
@@ -99,7 +101,9 @@ class Session:
         self._settings = settings
         self._supersede = supersede
         self._left = False
-        self._goals = SessionGoals(self.client, owners, settings.limits, link, self._answering)
+        self._goals = SessionGoals(
+            self.client, owners, settings.limits, memory, link, self._answering
+        )
         self._waiting: dict[int, RequestSubscription] = {}
         self._handlers = RequestHandlers(endpoints, self.client.endpoint, clients_of, self._say)
         self._tasks: TaskGroup
@@ -125,7 +129,7 @@ class Session:
 
     def end(self) -> None:
         """End the connection, whose client has a newer one: its goals go on there."""
-        self._goals.release(left=self._left)
+        self._goals.lose()
         self._link.end(ConnectionLost("its client has a newer connection"))
 
     async def _expect_hello(self) -> None:

@@ -10,6 +10,7 @@ from hmac import compare_digest
 import anyio
 from anyio.abc import TaskGroup
 
+from fibaction._budget import ByteBudget
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint
 from fibaction.exceptions import AuthenticationFailed, LimitReached, ProtocolError
@@ -35,6 +36,8 @@ class WireServer:
     ) -> None:
         self.tasks = tasks
         """The task group of the connections."""
+        self.memory = ByteBudget(settings.limits.total_memory)
+        """The bytes that all connections hold together, see `Limits.total_memory`."""
         self._endpoints = endpoints
         self._settings = settings
         self._owners = Owners(tasks, grace=settings.grace, then=settings.orphans)
@@ -64,7 +67,13 @@ class WireServer:
             return
         link = Link(line, heartbeat, limits.queue)
         session = Session(
-            link, self._endpoints, self._settings, self._owners, self._clients_of, self._supersede
+            link,
+            self._endpoints,
+            self._settings,
+            self._owners,
+            self.memory,
+            self._clients_of,
+            self._supersede,
         )
         self._sessions[session] = None
         try:
@@ -92,7 +101,7 @@ class WireServer:
                     for session in tuple(self._sessions):
                         tasks.start_soon(session.drain)
         finally:  # asyncio can cancel the task itself, which no scope shields
-            self._owners.close()
+            await self._owners.aclose()
 
 
 @asynccontextmanager
