@@ -51,8 +51,9 @@ from fibaction.exceptions import (
     LimitReached,
     ProtocolError,
 )
-from fibaction.wire.codec import FromClient, decode_from_client, encode
+from fibaction.wire.codec import decode_from_client, encode
 from fibaction.wire.errors import failed, failure_of, fitting, goodbye_of
+from fibaction.wire.frames import FIRST_FRAME
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
     VERSION,
@@ -138,11 +139,12 @@ class Session:
     # Messages that arrive
 
     def _handle(self, frame: bytes) -> None:
+        if not self.client.is_known:
+            self._welcome(frame)
+            return
         message = decode_from_client(frame)
         # Most messages pass here: for a class of msgspec's, `isinstance` takes ten times as long.
-        if not self.client.is_known:
-            self._welcome(message)
-        elif type(message) is SendGoal or type(message) is Follow:
+        if type(message) is SendGoal or type(message) is Follow:
             if self._admits(message, has_room=self._goals.has_room):
                 self._goals.begin(message)
         elif type(message) is Received:
@@ -163,8 +165,12 @@ class Session:
         elif not isinstance(message, Ping):
             self._begin(message)
 
-    def _welcome(self, message: FromClient) -> None:
-        hello = self.client.greet(message)
+    def _welcome(self, frame: bytes) -> None:
+        if len(frame) > FIRST_FRAME:  # of a line that has frames of its own
+            raise ProtocolError(
+                f"its first message has {len(frame)} bytes, and the most are {FIRST_FRAME}"
+            )
+        hello = self.client.greet(decode_from_client(frame))
         if hello.session:
             # Otherwise a request on an earlier connection could come late, and run a goal again.
             self._supersede(hello.session)

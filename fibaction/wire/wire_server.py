@@ -10,11 +10,13 @@ from hmac import compare_digest
 import anyio
 from anyio.abc import TaskGroup
 
+from fibaction._budget import ByteBudget
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint
 from fibaction.exceptions import AuthenticationFailed, LimitReached, ProtocolError
 from fibaction.wire.channel import Line
 from fibaction.wire.codec import encode
+from fibaction.wire.frames import FIRST_FRAME, FrameReader
 from fibaction.wire.link import Link, naming
 from fibaction.wire.messages import Goodbye, Why
 from fibaction.wire.ownership import Owners
@@ -35,10 +37,20 @@ class WireServer:
     ) -> None:
         self.tasks = tasks
         """The task group of the connections."""
+        self.memory = ByteBudget(settings.limits.total_memory)
+        """The bytes that all connections hold together, see `Limits.total_memory`."""
         self._endpoints = endpoints
         self._settings = settings
         self._owners = Owners(tasks, grace=settings.grace, then=settings.orphans)
         self._sessions: dict[Session, None] = {}  # in the order of their arrival
+
+    def new_reader(self) -> FrameReader:
+        """Return the reader of a new line, for a transport that makes frames of bytes.
+
+        It knows the limits of the server. The line closes it when the line itself is closed.
+        """
+        limit = self._settings.limits.frame
+        return FrameReader(limit, first=FIRST_FRAME, budget=self.memory)
 
     def start(self, line: Line) -> None:
         """Serve one client in a task of its own."""

@@ -170,7 +170,9 @@ def test_any_bytes_end_their_own_session_only(backend: str, data: bytes, cuts: l
         async with beside_a_good_client() as served:
             stream = Chunks(chopped(data, cuts))
             with anyio.fail_after(5):
-                await served.wire.serve(StreamChannel(stream, "the bad one", LIMITS.frame))
+                await served.wire.serve(
+                    StreamChannel(stream, "the bad one", served.wire.new_reader())
+                )
 
     anyio.run(check, backend=backend)
 

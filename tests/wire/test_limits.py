@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import AsyncGenerator, Callable
 from contextlib import suppress
 from itertools import pairwise
@@ -29,8 +30,8 @@ from fibaction.server import ActionServer
 from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.channel import StreamChannel
-from fibaction.wire.codec import encode
-from fibaction.wire.frames import MAX_FRAME, header
+from fibaction.wire.codec import decode_from_server, encode
+from fibaction.wire.frames import FIRST_FRAME, MAX_FRAME, UNCOUNTED, FrameReader, header
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
     VERSION,
@@ -56,6 +57,7 @@ from fibaction.wire.messages import (
     Rejected,
     SendGoal,
     StatusChanged,
+    Welcome,
     Why,
 )
 from fibaction.wire.settings import ClientSettings, Limits
@@ -80,6 +82,7 @@ from tests.wire.ends import (
     Client,
     Lines,
     Network,
+    Served,
     asked_again,
     endpoint_of,
     feedback,
@@ -680,11 +683,94 @@ async def test_a_client_in_the_middle_of_a_message_is_not_silent() -> None:
     data = header(len(hello)) + hello
     async with serving(held(), heartbeat=1, limits=Limits(handshake=1000)) as served:
         with logged() as lines:
-            served.serve(StreamChannel(TricklingStream(data), "the slow one", 1000))
+            served.serve(
+                StreamChannel(TricklingStream(data), "the slow one", served.wire.new_reader())
+            )
             await anyio.sleep(len(data) + 3.9)
             assert lines == []
             await anyio.sleep(2)
         assert lines[0].getMessage().startswith("the slow one has been silent for ")
+
+
+class FeedStream(ByteStream):
+    """Gives the bytes that a test hands over, and keeps what the server sends."""
+
+    def __init__(self) -> None:
+        self.sent = bytearray()
+        self._send, self._receive = anyio.create_memory_object_stream[bytes](math.inf)
+
+    async def give(self, *pieces: bytes) -> None:
+        for piece in pieces:
+            await self._send.send(piece)
+        await settled()
+
+    def end(self) -> None:
+        self._send.close()
+
+    async def receive(self, max_bytes: int = 65536) -> bytes:
+        return await self._receive.receive()
+
+    async def send(self, item: bytes) -> None:
+        self.sent += item
+
+    async def send_eof(self) -> None:
+        raise NotImplementedError
+
+    async def aclose(self) -> None:
+        self._receive.close()
+        self.end()
+
+    @property
+    def heard(self) -> list[Any]:
+        """The messages that the server has sent."""
+        return [decode_from_server(frame) for frame in FrameReader().feed(bytes(self.sent))]
+
+
+def fed(served: Served) -> FeedStream:
+    """A client whose bytes a test makes."""
+    stream = FeedStream()
+    served.serve(StreamChannel(stream, "the fed one", served.wire.new_reader()))
+    return stream
+
+
+async def test_before_a_client_is_known_little_is_held_of_it() -> None:
+    async with serving(held()) as served:
+        stream = fed(served)
+        await stream.give(header(FIRST_FRAME + 1))
+        (last,) = stream.heard
+        assert last.why == Why.PROTOCOL
+        assert last.reason.endswith("frame of 4097 bytes exceeds the limit of 4096 bytes")
+        client = served.connect()
+        await client.say(Hello(VERSION, LONG, "x" * FIRST_FRAME))
+        last = await client.hear(Goodbye)
+        assert last.why == Why.PROTOCOL
+        assert last.reason.endswith("bytes, and the most are 4096")
+
+
+async def test_the_parts_of_large_messages_share_a_limit_over_all_connections() -> None:
+    hello = encode(Hello(VERSION, LONG))
+    limits = Limits(total_memory=2 * UNCOUNTED)
+    async with serving(held(), limits=limits) as served:
+        one, other = fed(served), fed(served)
+        for stream in (one, other):
+            await stream.give(header(len(hello)) + hello, header(MAX_FRAME))
+        piece = bytes(UNCOUNTED)
+        await one.give(piece, piece)
+        assert served.wire.memory.used > UNCOUNTED
+        client = await served.greet()  # a small message passes
+        await client.send(1)
+        with logged() as lines:
+            await other.give(piece, piece)
+        (line,) = lines
+        assert line.levelno == logging.WARNING
+        assert line.getMessage().startswith(
+            "the fed one: the server is busy: it holds 131072 bytes"
+        )
+        assert other.heard[-1].why == Why.LIMIT
+        one.end()
+        await settled()
+        assert served.wire.memory.used == 0
+        assert kinds(one.heard) == [Welcome]
 
 
 # What a client keeps of a goal

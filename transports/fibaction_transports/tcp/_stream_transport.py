@@ -80,10 +80,9 @@ class StreamTransport(WireTransport):
     async def _accept(self, listener: Listener[Any], server: WireServer) -> None:
         plain = _asyncio.on_asyncio() and not isinstance(listener, TlsListener)
         accept = _asyncio.accept if plain else _anyio.accept
-        max_frame = self.server_settings.limits.frame
         while True:
             try:
-                await accept(listener, max_frame, server.serve, server.tasks)
+                await accept(listener, server.new_reader, server.serve, server.tasks)
             except Exception as exc:
                 # For example too many open files. The connections that are open must not suffer.
                 logger.error("%s cannot accept connections: %s", self.url, exc, exc_info=exc)
