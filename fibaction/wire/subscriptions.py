@@ -85,6 +85,7 @@ class GoalSubscription(Subscription):
         "_opening",
         "_ready",
         "endpoint",
+        "goal_id",
         "is_wanted",
         "own",
         "stream",
@@ -94,11 +95,13 @@ class GoalSubscription(Subscription):
     def __init__(
         self,
         request: int,
+        goal_id: bytes,
         credit: int | None,
         ready: Callable[[GoalSubscription], None],
         max_frame: int,
     ) -> None:
         super().__init__(request, credit)
+        self.goal_id = goal_id
         self.stream: GoalStream | None = None
         self.endpoint: Endpoint | None = None
         self.own = False
