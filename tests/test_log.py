@@ -33,19 +33,30 @@ class Mute(Exception):
         raise ValueError("it does not say")
 
 
+class Handler(logging.StreamHandler[io.StringIO]):
+    """A handler that keeps its records."""
+
+    def __init__(self) -> None:
+        super().__init__(io.StringIO())
+        self.records: list[logging.LogRecord] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.records.append(record)
+        super().emit(record)
+
+
 class Log:
     """A clean logger that writes to a text, as a program may have set it up."""
 
     def __init__(self) -> None:
-        self.stream = io.StringIO()
-        handler = logging.StreamHandler(self.stream)
+        self.handler = handler = Handler()
         handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
         self.logger = clean_logger("fibaction.test")
         self.logger.handlers[:] = [handler]
 
     @property
     def lines(self) -> list[str]:
-        return self.stream.getvalue().split("\n")[:-1]
+        return self.handler.stream.getvalue().split("\n")[:-1]
 
 
 @pytest.fixture
@@ -58,11 +69,11 @@ def log() -> Iterator[Log]:
     log.logger.handlers.clear()
 
 
-def raised(error: BaseException, cause: BaseException | None = None) -> BaseException:
+def raised(error: Exception, cause: Exception | None = None) -> Exception:
     """Return the error after it was raised."""
     try:
         raise error from cause
-    except BaseException as exc:
+    except Exception as exc:
         return exc
 
 
@@ -70,12 +81,11 @@ def raised(error: BaseException, cause: BaseException | None = None) -> BaseExce
 
 
 def test_a_clean_record_is_unchanged(log: Log) -> None:
-    seen = []
-    log.logger.handlers[0].addFilter(lambda record: seen.append((record.msg, record.args)) or True)
     log.logger.info("goal %s of %r has %d", b"1", "dock", 3)
 
     assert log.lines == ["INFO fibaction.test: goal b'1' of 'dock' has 3"]
-    assert seen == [("goal %s of %r has %d", (b"1", "dock", 3))]
+    (record,) = log.handler.records
+    assert (record.msg, record.args) == ("goal %s of %r has %d", (b"1", "dock", 3))
 
 
 @pytest.mark.parametrize("argument", [NASTY, ValueError(NASTY)], ids=["text", "error"])
@@ -133,11 +143,9 @@ def test_a_record_that_is_not_emitted_costs_nothing(log: Log) -> None:
 
 
 def test_a_record_does_not_keep_an_error_that_is_an_argument(log: Log) -> None:
-    kept: list[logging.LogRecord] = []
-    log.logger.handlers[0].addFilter(lambda record: kept.append(record) or True)
     log.logger.info("lost: %s", ConnectionError("the line"))
 
-    assert kept[0].args == ("the line",)
+    assert log.handler.records[0].args == ("the line",)
 
 
 def test_a_logger_that_is_asked_for_twice_has_one_filter() -> None:
@@ -162,12 +170,11 @@ def test_a_traceback_is_indented_and_clean(log: Log) -> None:
 
 
 def test_the_record_keeps_its_error_for_tools(log: Log) -> None:
-    kept: list[logging.LogRecord] = []
-    log.logger.handlers[0].addFilter(lambda record: kept.append(record) or True)
     log.logger.error("it failed", exc_info=(error := raised(ValueError("no"))))
 
-    assert kept[0].exc_info is not None
-    assert kept[0].exc_info[1] is error
+    kept = log.handler.records[0].exc_info
+    assert kept is not None
+    assert kept[1] is error
 
 
 def test_a_record_without_an_error_has_no_traceback(log: Log) -> None:
@@ -244,7 +251,7 @@ def test_a_hidden_context_is_not_shown() -> None:
 
 
 def test_a_long_chain_is_cut_and_ends_with_the_error_itself() -> None:
-    error: BaseException = ValueError("0")
+    error: Exception = ValueError("0")
     for number in range(1000):
         error = raised(ValueError(f"{number + 1}"), error)
     lines = traceback_text(error).split("\n")
@@ -298,7 +305,7 @@ def test_the_errors_of_a_group_are_below_it() -> None:
 
 
 def test_groups_of_any_width_and_depth_are_cut() -> None:
-    group: BaseException = ExceptionGroup("wide", [raised(ValueError("no")) for _ in range(1000)])
+    group: Exception = ExceptionGroup("wide", [raised(ValueError("no")) for _ in range(1000)])
     for _ in range(100):
         group = raised(ExceptionGroup("deep", [group, group]), group)
 
