@@ -84,11 +84,11 @@ class Codec(Generic[T]):
             return self._decoder.decode(payload)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError) as exc:
             # msgspec raises TypeError for a set of unhashable values.
-            error = self._misread(excerpt(str(exc)))
+            text = excerpt(str(exc))
         except Exception as exc:  # of the type's own, for instance in its `__post_init__`
             raise self._misread(text_of(exc)) from exc
         # Raised here, so that it does not keep msgspec's error, which may hold the whole payload.
-        raise error
+        raise self._misread(text)
 
     def _misread(self, text: str) -> ProtocolError:
         # Without the sender, the reader of the text would look for the fault in the client's code.
