@@ -33,7 +33,6 @@ When the server closes, `drain` waits until the ends of goals are told, and says
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
@@ -41,7 +40,9 @@ from contextlib import contextmanager
 from anyio import current_effective_deadline, get_cancelled_exc_class, sleep
 from anyio.abc import TaskGroup
 
+from fibaction._log import clean_logger
 from fibaction._tasks import Background
+from fibaction._text import excerpt
 from fibaction.abc import Endpoint
 from fibaction.exceptions import (
     ActionError,
@@ -77,7 +78,7 @@ from fibaction.wire.session_goals import GoalRequest, SessionGoals, too_much
 from fibaction.wire.settings import ServerSettings
 from fibaction.wire.subscriptions import RequestSubscription, Subscription
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 
 class Session:
@@ -157,9 +158,7 @@ class Session:
                 subscription.close()
         elif isinstance(message, Goodbye):
             self._left = True
-            # The reason goes into one line of the log, and has a limited length there.
-            reason = "".join(c if c.isprintable() else " " for c in message.reason[:200])
-            self._link.end(ConnectionLost(f"{self._link.peer} left: {reason}"))
+            self._link.end(ConnectionLost(f"{self._link.peer} left: {excerpt(message.reason)}"))
         elif isinstance(message, Hello):
             raise ProtocolError("it said hello twice")
         elif not isinstance(message, Ping):

@@ -466,7 +466,7 @@ def test_a_goal_in_the_answer_to_a_cancel_has_limits_too(
 def test_a_client_that_says_what_it_may_not_is_told_apart(array: list[Any]) -> None:
     with pytest.raises(ProtocolError, match=r"^invalid client message: ") as caught:
         decode_from_client(packed(*array))
-    assert isinstance(caught.value.__cause__, msgspec.MsgspecError)
+    assert caught.value.__context__ is None  # it may hold the whole frame
 
 
 @pytest.mark.parametrize(
@@ -498,7 +498,7 @@ def test_a_client_that_says_what_it_may_not_is_told_apart(array: list[Any]) -> N
 def test_a_server_that_says_what_it_may_not_is_told_apart(array: list[Any]) -> None:
     with pytest.raises(ProtocolError, match=r"^invalid server message: ") as caught:
         decode_from_server(packed(*array))
-    assert isinstance(caught.value.__cause__, msgspec.MsgspecError)
+    assert caught.value.__context__ is None  # it may hold the whole frame
 
 
 @either_decoder
