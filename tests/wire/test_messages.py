@@ -617,6 +617,15 @@ def test_deep_nesting_is_a_protocol_error(start: bytes, nested: bytes) -> None:
 
 
 @pytest.mark.parametrize(
+    ("decode", "start"),
+    [(decode_from_client, b"\x93\x16\x05"), (decode_from_server, IN_A_SCHEMA)],
+    ids=["ignored", "schema"],
+)
+def test_100_levels_of_nesting_are_read(decode: Any, start: bytes) -> None:
+    decode(start + b"\x91" * 100 + b"\xc0")
+
+
+@pytest.mark.parametrize(
     "start",
     [
         *(b"", b"\x92\x01", b"\x93\x29\x05", b"\x96\x26\x01\x04"),
