@@ -19,6 +19,8 @@ MAX_FRAME = 16 * 2**20
 FIRST_FRAME = 4096
 """Limit of the first frame of a client, in bytes: a server that does not know the client yet holds
 no more for it."""
+LEAST_FRAME = 1024
+"""Least limit of a frame, in bytes: every answer that cannot be left out fits into it."""
 UNCOUNTED = 2**16
 """Bytes of an incomplete frame that are not counted: small messages always pass."""
 

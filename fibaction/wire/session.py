@@ -14,14 +14,15 @@ do is decided by the `AccessPolicy`. Its parts:
 - `Owners` has the goals of all clients of the server, beyond the end of a connection. It is shared
   by all sessions.
 
-A session goes through these steps. `run` starts the link, and a task that ends it unless the client
-says hello in time. `_handle` gets each frame; it must not wait, so what takes time is a task, or a
-subscription with credit. Each request has an ID that the client has not used on this connection
-before, and gets its answer, or an error: `_answering` turns whatever goes wrong into one, by the
-table in `errors`. A bug of an endpoint is an error for its client, and does not end the session.
+A session goes through these steps. `run` starts the link; the `WireServer` ends the session unless
+the client says hello in time. `_handle` gets each frame; it must not wait, so what takes time is a
+task, or a subscription with credit. Each request has an ID that the client has not used on this
+connection before, and gets its answer, or an error: `_answering` turns whatever goes wrong into
+one, by the table in `errors`. A bug of an endpoint is an error for its client, and does not end the
+session.
 
 A client has a *session*: a secret that it sends with each `Hello`. A new connection of the same
-session ends the one before (`supersede`), and takes over the goals that were open on it.
+session ends the one before, and takes over the goals that were open on it.
 
 When the connection ends, for whatever reason, its goals are released to `Owners`, which keeps the
 streams of the client's own goals for a while, so that no feedback is lost if it comes back. Then
@@ -37,7 +38,7 @@ import math
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 
-from anyio import current_effective_deadline, get_cancelled_exc_class, sleep
+from anyio import current_effective_deadline, get_cancelled_exc_class
 from anyio.abc import TaskGroup
 
 from fibaction._log import clean_logger
@@ -57,6 +58,7 @@ from fibaction.wire.errors import failed, failure_of, fitting, goodbye_of
 from fibaction.wire.frames import FIRST_FRAME
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
+    LONGEST_HEARTBEAT,
     VERSION,
     Close,
     Credit,
@@ -91,16 +93,17 @@ class Session:
         settings: ServerSettings,
         owners: Owners,
         clients_of: Callable[[str], list[str]],
-        supersede: Callable[[bytes], None],
+        entered: Callable[[Session], None],
     ) -> None:
-        """Let `clients_of` return the names of all clients that use an action, and `supersede` end
-        the earlier connections of a session.
+        """Let `clients_of` return the names of all clients that use an action, and call `entered`
+        when the client is let in, which ends its earlier connection.
         """
         self.client = SessionClient(link.peer, endpoints, settings)
         self._link = link
         self._settings = settings
-        self._supersede = supersede
+        self._entered = entered
         self._left = False
+        self._is_ended = False
         self._goals = SessionGoals(self.client, owners, settings.limits, link, self._answering)
         self._waiting: dict[int, RequestSubscription] = {}
         self._handlers = RequestHandlers(endpoints, self.client.endpoint, clients_of, self._say)
@@ -111,9 +114,10 @@ class Session:
         try:
             async with Background() as self._tasks:
                 self._goals.tasks = self._tasks
-                self._tasks.start_soon(self._expect_hello)
                 error = await self._link.run(self._handle, self._goals.next_frames)
-                if isinstance(error, ProtocolError | AuthenticationFailed | LimitReached):
+                if self._is_ended or isinstance(
+                    error, ProtocolError | AuthenticationFailed | LimitReached
+                ):
                     await self._link.say_last(encode(goodbye_of(error)))
                 return error
         finally:
@@ -125,17 +129,11 @@ class Session:
         self._link.post(encode(Goodbye("the server is closing the connection")))
         await self._link.flush()
 
-    def end(self) -> None:
-        """End the connection, whose client has a newer one: its goals go on there."""
+    def end(self, error: ActionError) -> None:
+        """End the connection, and tell the client why; it may follow its goals on another one."""
+        self._is_ended = True
         self._goals.release(left=self._left)
-        self._link.end(ConnectionLost("its client has a newer connection"))
-
-    async def _expect_hello(self) -> None:
-        handshake = self._settings.limits.handshake
-        await sleep(handshake)
-        if not self.client.is_known:
-            # The line may have been held up, so the client may try again.
-            self._link.end(LimitReached(f"it has not said hello within {handshake:g} s"))
+        self._link.end(error)
 
     # Messages that arrive
 
@@ -170,12 +168,12 @@ class Session:
                 f"its first message has {len(frame)} bytes, and the most are {FIRST_FRAME}"
             )
         hello = self.client.greet(decode_from_client(frame))
-        if hello.session:
-            # Otherwise a request on an earlier connection could come late, and run a goal again.
-            self._supersede(hello.session)
-            self.client.session = hello.session
-        self._link.heartbeat.peer_interval = hello.heartbeat
-        welcome = Welcome(VERSION, self._settings.heartbeat, self._settings.limits.frame)
+        # Otherwise a request on an earlier connection could come late, and run a goal again.
+        self._entered(self)
+        limits = self._settings.limits
+        longest = min(limits.heartbeat, LONGEST_HEARTBEAT)
+        self._link.heartbeat.agree(min(hello.heartbeat, longest))
+        welcome = Welcome(VERSION, self._settings.heartbeat, limits.frame, longest)
         self._link.post(encode(welcome))
 
     def _subscription(self, request: int) -> Subscription | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 
 from fibaction._text import excerpt
@@ -11,9 +12,12 @@ from fibaction.goals import UNKNOWN_SENDER, Sender
 from fibaction.server.goal_record import digest_of
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.codec import FromClient
-from fibaction.wire.frames import MAX_FRAME
+from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
 from fibaction.wire.messages import VERSION, Hello
 from fibaction.wire.settings import ServerSettings
+
+SESSION_LENGTHS = (0, 16, 32)
+"""Lengths of the secret of a client, in bytes; 0 for none."""
 
 
 class SessionClient:
@@ -27,8 +31,8 @@ class SessionClient:
         self._settings = settings
         self._peer: Peer | None = None
         self.session = b""
-        """The secret that the client has on each of its connections; empty if none. The session
-        sets it when the earlier connections are ended."""
+        """The digest of the client's secret and of the name of its token, the same on each of its
+        connections; empty if it has no secret."""
         self.sender = UNKNOWN_SENDER
         """The client as the sender of its goals."""
         self.max_frame = MAX_FRAME
@@ -56,7 +60,7 @@ class SessionClient:
         """Take the first message of the client, and let it in.
 
         Raises:
-            ProtocolError: The message is not a `Hello`, or of another version.
+            ProtocolError: The message is not a `Hello`, of another version, or wrong in a field.
             AuthenticationFailed: Its token is not accepted.
         """
         if not isinstance(message, Hello):
@@ -64,6 +68,14 @@ class SessionClient:
         if message.version != VERSION:
             raise ProtocolError(
                 f"it speaks version {message.version} of the protocol, and this is {VERSION}"
+            )
+        if len(message.session) not in SESSION_LENGTHS:
+            raise ProtocolError(
+                f"its session has {len(message.session)} bytes, and the lengths are 0, 16 and 32"
+            )
+        if message.max_frame < LEAST_FRAME:
+            raise ProtocolError(
+                f"it accepts messages of {message.max_frame} bytes, and the least is {LEAST_FRAME}"
             )
         self._peer = self._settings.access.admit(self._address, message.token)
         if self._peer is None:
@@ -73,8 +85,11 @@ class SessionClient:
                 if message.token
                 else "the server asks for a token, and the client gave none"
             )
-        owner = digest_of(message.session) if message.session else b""
-        self.sender = Sender(self.name, owner)
+        if message.session:
+            # Another token with the same secret is another client.
+            self.session = digest_of(digest_of(self._peer.name.encode()) + message.session)
+        # A client without a secret is told from all others, and is another on each connection.
+        self.sender = Sender(self.name, self.session or os.urandom(len(digest_of(b""))))
         self.max_frame = message.max_frame
         return message
 

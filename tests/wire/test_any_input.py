@@ -45,7 +45,7 @@ from tests.wire import memory
 from tests.wire.ends import ANN, BOB, SUCCEEDED, A, B, C, Client, Served, serving
 from tests.wire.memory import LONG, Running, logged, settled
 
-LIMITS = Limits(goals=3, requests=4, memory=1000, frame=1000, queue=5000)
+LIMITS = Limits(goals=3, requests=4, memory=1000, frame=1024, queue=5000)
 BACKENDS = pytest.mark.parametrize("backend", ["asyncio", "trio"])
 
 
