@@ -30,7 +30,6 @@ number; what is to be done for each of them is done in slices, between which oth
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from hmac import compare_digest
 from typing import Literal
@@ -38,6 +37,7 @@ from typing import Literal
 from anyio import CancelScope, current_time, sleep_until
 from anyio.abc import TaskGroup
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._tasks import Slices
 from fibaction.abc import Endpoint, GoalStream, GoalUpdate
@@ -48,7 +48,7 @@ from fibaction.server.registry import ID_IN_USE
 from fibaction.states import GoalStatus
 from fibaction.wire.subscriptions import GoalSubscription, HeldGoals
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 
 class _Owned:

@@ -5,11 +5,11 @@ They do not know connections: the owner is told that a subscription is ready, an
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 
 from anyio import CancelScope
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.exceptions import ActionError
@@ -33,7 +33,7 @@ PIECE = 64
 """Feedback messages of one goal that are sent before the next goal has its turn, if they are small;
 of large ones fewer are sent, so that they have about the size of a write."""
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 
 class Subscription:
