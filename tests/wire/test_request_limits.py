@@ -155,7 +155,7 @@ async def test_goals_of_all_clients_wait_within_one_limit_of_memory(by: str) -> 
     access = AccessPolicy(authorize=deciding.authorize) if by == "authorize" else None
     limits = Limits(total_memory=2 * len(GOAL))
     async with serving(server, access=access, limits=limits) as served:
-        clients = [await served.greet(session) for session in (ANN, BOB, b"cem")]
+        clients = [await served.greet(session) for session in (ANN, BOB, b"cem" * 5 + b"!")]
         for client, goal_id in zip(clients[:2], (A, B), strict=True):
             assert await client.ask_all(send(1, goal_id, None)) == []
         text = f"too many bytes at once: the limit of all clients is {2 * len(GOAL)}"
