@@ -20,14 +20,15 @@ each of them, concurrently, because one slow answer must not delay the cancels o
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Awaitable, Coroutine
 from typing import Any, Generic, NamedTuple
 
 from anyio import create_task_group, current_time
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
+from fibaction._text import excerpt
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import CancelRejected, GoalRejected, ProtocolError
 from fibaction.goals import CancelAnswer, GoalID, Sender
@@ -40,7 +41,7 @@ from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.server.runs import Runs
 from fibaction.states import GoalStatus
 
-logger = logging.getLogger("fibaction.server")
+logger = clean_logger("fibaction.server")
 
 
 class Offer(NamedTuple):
@@ -144,7 +145,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         """Reject a goal, and return the error to raise."""
         self._registry.reject(goal_id, reason, now=current_time())
         self._tell_decision(goal_id)
-        logger.info("goal %s of action %r: rejected: %s", goal_id, self._action.name, reason)
+        name = self._action.name
+        logger.info("goal %s of action %r: rejected: %s", goal_id, name, excerpt(reason))
         return GoalRejected(reason, goal_id=goal_id)
 
     def _withdraw(self, goal_id: GoalID) -> None:

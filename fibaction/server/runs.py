@@ -28,7 +28,6 @@ nothing can expire, until a goal ends.
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from collections import deque
@@ -40,6 +39,7 @@ import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import UnknownGoal
@@ -64,7 +64,7 @@ goal may have ended by then."""
 
 CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
 
-logger = logging.getLogger("fibaction.server")
+logger = clean_logger("fibaction.server")
 
 
 class Run(Generic[GoalT, FeedbackT, ResultT]):

@@ -34,7 +34,6 @@ When the server closes, `drain` waits until the ends of goals are told, and says
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
@@ -42,7 +41,9 @@ from contextlib import contextmanager
 from anyio import current_effective_deadline, get_cancelled_exc_class
 from anyio.abc import TaskGroup
 
+from fibaction._log import clean_logger
 from fibaction._tasks import Background
+from fibaction._text import excerpt
 from fibaction.abc import Endpoint
 from fibaction.exceptions import (
     ActionError,
@@ -75,11 +76,11 @@ from fibaction.wire.messages import (
 from fibaction.wire.ownership import Owners
 from fibaction.wire.requests import Answer, Request, RequestHandlers
 from fibaction.wire.session_client import SessionClient
-from fibaction.wire.session_goals import GoalRequest, SessionGoals
+from fibaction.wire.session_goals import GoalRequest, SessionGoals, too_much
 from fibaction.wire.settings import ServerSettings
 from fibaction.wire.subscriptions import RequestSubscription, Subscription
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 
 class Session:
@@ -143,7 +144,7 @@ class Session:
         message = decode_from_client(frame)
         # Most messages pass here: for a class of msgspec's, `isinstance` takes ten times as long.
         if type(message) is SendGoal or type(message) is Follow:
-            if self._admits(message, has_room=self._goals.has_room):
+            if self._admits(message, self._goals.limit_for(message)):
                 self._goals.begin(message)
         elif type(message) is Received:
             self._goals.received(message)
@@ -155,9 +156,7 @@ class Session:
                 subscription.close()
         elif isinstance(message, Goodbye):
             self._left = True
-            # The reason goes into one line of the log, and has a limited length there.
-            reason = "".join(c if c.isprintable() else " " for c in message.reason[:200])
-            self._link.end(ConnectionLost(f"{self._link.peer} left: {reason}"))
+            self._link.end(ConnectionLost(f"{self._link.peer} left: {excerpt(message.reason)}"))
         elif isinstance(message, Hello):
             raise ProtocolError("it said hello twice")
         elif not isinstance(message, Ping):
@@ -180,26 +179,23 @@ class Session:
     def _subscription(self, request: int) -> Subscription | None:
         return self._goals.get(request) or self._waiting.get(request)
 
-    def _admits(self, message: GoalRequest | Request, *, has_room: bool) -> bool:
+    def _admits(self, message: GoalRequest | Request, limit: str) -> bool:
+        """Reject the request if a limit, told as a sentence, forbids it."""
         if self._subscription(message.id) is not None:
             raise ProtocolError(f"it used the ID {message.id} twice")
-        if not has_room:
-            limits = self._settings.limits
-            text = (
-                f"too much at once: the limits of a connection are {limits.goals} goals"
-                f" and {limits.requests} other requests"
-            )
-            answer: Rejected | Failed = Failed(message.id, Why.LIMIT, text)
+        if limit:
+            answer: Rejected | Failed = Failed(message.id, Why.LIMIT, limit)
             if isinstance(message, SendGoal):
-                answer = Rejected(message.id, text)
+                answer = Rejected(message.id, limit)
             self._link.post(encode(answer))
-        return has_room
+        return not limit
 
     # Requests beside goals
 
     def _begin(self, message: Request) -> None:
-        has_room = len(self._waiting) < self._settings.limits.requests
-        if self._admits(message, has_room=has_room):
+        limits = self._settings.limits
+        is_full = len(self._waiting) >= limits.requests
+        if self._admits(message, too_much(limits) if is_full else ""):
             subscription = RequestSubscription(message.id, getattr(message, "credit", 0))
             self._waiting[message.id] = subscription
             self._tasks.start_soon(self._answer, message, subscription)

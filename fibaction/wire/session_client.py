@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 
+from fibaction._text import excerpt
 from fibaction.abc import Endpoint
 from fibaction.exceptions import AuthenticationFailed, ProtocolError, ServerNotFound
 from fibaction.goals import UNKNOWN_SENDER, Sender
@@ -52,7 +53,7 @@ class SessionClient:
     @property
     def name(self) -> str:
         """The client's address, with the name of its token if it has one, for people to read."""
-        name = self._peer.name if self._peer is not None else ""
+        name = excerpt(self._peer.name) if self._peer is not None else ""
         return f"{name} at {self._address}" if name else self._address
 
     def greet(self, message: FromClient) -> Hello:
@@ -102,7 +103,7 @@ class SessionClient:
         assert self._peer is not None
         if not await self._settings.access.permits(self._peer, action, permission):
             raise AuthenticationFailed(
-                f"this client may not {permission.value} at the action {action!r}"
+                f"this client may not {permission.value} at the action {excerpt(action)!r}"
             )
         return self.find(action)
 
@@ -117,7 +118,7 @@ class SessionClient:
         except KeyError:
             known = ", ".join(map(repr, sorted(self._endpoints))) or "nothing"
             raise ServerNotFound(
-                f"the action {action!r} is not served here: there is {known}"
+                f"the action {excerpt(action)!r} is not served here: there is {known}"
             ) from None
         self.actions.add(action)
         return endpoint

@@ -10,6 +10,7 @@ import anyio
 from anyio.abc import TaskGroup
 
 from fibaction._budget import ByteBudget
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint
@@ -31,7 +32,7 @@ from fibaction.wire.settings import ServerSettings
 LEAVE_TIMEOUT = 1.0
 """Seconds that a closing server gives its clients to take the last messages."""
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 
 class WireServer:

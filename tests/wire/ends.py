@@ -114,6 +114,12 @@ class Client(Peer):
         await self.say(message)
         return await self.hear(kind)
 
+    async def ask_all(self, *messages: Any) -> list[Any]:
+        """All that is told until nothing moves any more, but for statuses."""
+        await self.say(*messages)
+        heard = await self.hear_all()
+        return [message for message in heard if not isinstance(message, StatusChanged)]
+
     async def send(self, request: int, goal_id: bytes = A, credit: int | None = ANY) -> Following:
         """Send a goal, and hear that it is accepted and executing."""
         following = await self.ask(send(request, goal_id, credit), Following)

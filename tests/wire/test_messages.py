@@ -466,7 +466,7 @@ def test_a_goal_in_the_answer_to_a_cancel_has_limits_too(
 def test_a_client_that_says_what_it_may_not_is_told_apart(array: list[Any]) -> None:
     with pytest.raises(ProtocolError, match=r"^invalid client message: ") as caught:
         decode_from_client(packed(*array))
-    assert isinstance(caught.value.__cause__, msgspec.MsgspecError)
+    assert caught.value.__context__ is None  # it may hold the whole frame
 
 
 @pytest.mark.parametrize(
@@ -498,7 +498,7 @@ def test_a_client_that_says_what_it_may_not_is_told_apart(array: list[Any]) -> N
 def test_a_server_that_says_what_it_may_not_is_told_apart(array: list[Any]) -> None:
     with pytest.raises(ProtocolError, match=r"^invalid server message: ") as caught:
         decode_from_server(packed(*array))
-    assert isinstance(caught.value.__cause__, msgspec.MsgspecError)
+    assert caught.value.__context__ is None  # it may hold the whole frame
 
 
 @either_decoder
@@ -626,6 +626,15 @@ def test_a_hundred_levels_are_not_too_deep(nested: Callable[[Any], Any]) -> None
     assert decode_from_server(packed(43, 7, [info])) == Actions(
         7, [ActionInfo("a", "", {"k": value}, {}, {})]
     )
+
+
+@pytest.mark.parametrize(
+    ("decode", "start"),
+    [(decode_from_client, b"\x93\x16\x05"), (decode_from_server, IN_A_SCHEMA)],
+    ids=["ignored", "schema"],
+)
+def test_100_levels_of_nesting_are_read(decode: Any, start: bytes) -> None:
+    decode(start + b"\x91" * 100 + b"\xc0")
 
 
 @pytest.mark.parametrize(

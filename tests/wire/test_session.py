@@ -172,7 +172,7 @@ async def test_a_client_that_leaves_is_not_answered_and_its_reason_is_one_line_o
             await client.hear_the_end()
         ((level, text),) = texts(lines)
         assert (level, "\n" in text) == (logging.INFO, False)
-        assert text.startswith("the client left: done WARNING")
+        assert text.startswith("the client left: done\\x0aWARNING")
 
 
 async def test_the_loss_of_a_client_is_one_line_of_the_log() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import ssl
 from abc import abstractmethod
 from collections.abc import AsyncGenerator, Sequence
@@ -13,6 +12,7 @@ import anyio
 from anyio.abc import Listener
 from anyio.streams.stapled import MultiListener
 
+from fibaction._log import clean_logger
 from fibaction._tasks import Background
 from fibaction.exceptions import (
     AuthenticationFailed,
@@ -29,7 +29,7 @@ from fibaction_transports.tcp._tls import TlsListener, no_tls
 ACCEPT_PAUSE = 0.1
 """Seconds without new connections after one could not be accepted: a lack of files passes."""
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 
 class StreamTransport(WireTransport):
