@@ -230,7 +230,7 @@ WHOLE = len(encode(Rejected(1, "no arm")))
 
 
 @pytest.mark.parametrize("error", [GoalRejected, ServerNotFound])
-@pytest.mark.parametrize("limit", [*range(LEAST_FRAME, LEAST_FRAME + 4), 1500])
+@pytest.mark.parametrize("limit", [*range(LEAST_FRAME, LEAST_FRAME + 4), 1300])
 async def test_an_error_is_cut_to_the_clients_limit_between_two_letters(
     error: Callable[[str], Exception], limit: int
 ) -> None:
