@@ -47,7 +47,8 @@ from fibaction.goals import GoalID, GoalInfo, Outcome
 from fibaction.server._interruption import CancelOnce
 from fibaction.server._task_pool import TaskPool
 from fibaction.server.executor import Execution, Executor, GoalHandle
-from fibaction.server.feedback_log import FeedbackCursor, FeedbackLog
+from fibaction.server.feedback_cursor import FeedbackCursor
+from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord
 from fibaction.server.registry import GoalRegistry
 from fibaction.server.status_broadcast import StatusBroadcast, StatusSubscription

@@ -26,7 +26,7 @@ from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
 from fibaction.server.admission import Admission, Offer
 from fibaction.server.callbacks import Callback
 from fibaction.server.executor import Executor, GoalHandle
-from fibaction.server.feedback_log import FeedbackCursor
+from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.registry import GoalRegistry
 from fibaction.server.runs import Runs
 from fibaction.server.status_broadcast import StatusSubscription

@@ -5,6 +5,7 @@ import math
 import weakref
 from collections.abc import Awaitable, Callable, Sequence
 from functools import partial
+from time import process_time
 
 import anyio
 import pytest
@@ -14,7 +15,8 @@ from hypothesis import given, strategies
 from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.exceptions import ConnectionLost
 from fibaction.goals import UNKNOWN_SENDER, GoalID, Outcome
-from fibaction.server.feedback_log import FeedbackCursor, FeedbackLog
+from fibaction.server.feedback_cursor import FeedbackCursor
+from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import GoalRecord
 from fibaction.states import GoalStatus
 
@@ -143,7 +145,7 @@ def test_a_follower_that_leaves_a_goal_that_has_ended_is_not_remembered() -> Non
     stream = log.follow()
     end(log)
     stream.close()
-    assert log._others == ()
+    assert log._others is None
 
 
 @pytest.mark.asyncio
@@ -391,6 +393,44 @@ def test_a_log_keeps_its_readers_alive_and_no_other_cursor() -> None:
     assert [stream() is not None for stream in streams] == [True, False, False]
     end(log)  # and it does not stumble over those that are gone
     assert wakes
+
+
+def test_a_log_forgets_those_that_waited_for_the_end_and_are_gone() -> None:
+    log = new_log()
+    waiting = [log.follow(feedback=False) for _ in range(10)]
+    for _ in range(1000):
+        log.follow(feedback=False)
+        log.follow().close()
+    assert log._others is not None
+    assert len(log._others) <= 40
+    wakes = [count_wakes(stream) for stream in waiting]
+    end(log)
+    assert all(wakes)
+
+
+def test_a_follower_that_leaves_as_it_is_told_does_not_keep_others_from_being_told() -> None:
+    for happens in (lambda log: append(log, 1), end):
+        log = new_log()
+        streams = [log.follow() for _ in range(3)]
+        for stream in streams[:2]:
+            stream.news.on_next = streams[1].close
+        wakes = count_wakes(streams[2])
+        happens(log)
+        assert wakes
+
+
+def test_following_reading_and_leaving_take_the_same_time_with_ten_thousand_followers() -> None:
+    log = new_log()
+    began = process_time()
+    for hold in (False, True):
+        streams = [log.follow(hold=hold) for _ in range(10_000)]
+        append(log, 1)
+        for stream in streams:
+            assert numbers_of(stream.take(9)) == [log.count]
+        for stream in streams:
+            stream.close()
+    # It takes a tenth of a second; some ten, if each of them looked at all others.
+    assert process_time() - began < 2
 
 
 # What a follower hears of the status
@@ -745,6 +785,68 @@ async def test_a_client_that_let_go_can_hold_again() -> None:
     assert not log.is_full
     stream.hold(True)
     assert log.is_full
+
+
+@pytest.mark.parametrize("hold", [True, False])
+def test_those_that_read_in_step_are_looked_at_once_for_each_feedback(
+    monkeypatch: pytest.MonkeyPatch, hold: bool
+) -> None:
+    log = new_log()
+    streams = [log.follow(hold=hold) for _ in range(100)]
+    looks: list[None] = []
+    real = FeedbackLog.make_room
+    monkeypatch.setattr(FeedbackLog, "make_room", lambda log: (looks.append(None), real(log)))
+    for number in range(1, 6):
+        append(log, 1)
+        for stream in streams:
+            assert numbers_of(stream.take()) == [number]
+    assert len(looks) == (5 if hold else 0)
+
+
+a_follower = strategies.integers(0, 3)
+
+
+@given(
+    window=strategies.integers(1, 4),
+    steps=strategies.lists(
+        strategies.tuples(strategies.sampled_from(["append", "stall"]), strategies.just(0))
+        | strategies.tuples(
+            strategies.sampled_from(["take", "close", "hold", "let go", "seek"]), a_follower
+        )
+        | strategies.tuples(strategies.sampled_from(["follow"]), a_follower),
+        max_size=60,
+    ),
+)
+def test_a_log_is_full_exactly_if_a_holding_follower_is_a_window_behind(
+    window: int, steps: list[tuple[str, int]]
+) -> None:
+    async def check() -> None:
+        log = new_log(window)
+        streams = [log.follow(hold=True), log.follow(hold=True), log.follow(), log.follow()]
+        for step, number in steps:
+            stream = streams[number]
+            match step:
+                case "append":
+                    append(log, 1)
+                case "stall":
+                    await log.wait_for_room(0)
+                case "follow":
+                    streams[number] = log.follow(hold=number != 3, after=log.count - 1)
+                case "take":
+                    stream.take(2)
+                case "close":
+                    stream.close()
+                case "seek":
+                    stream.seek(log.count - 2)
+                case _:
+                    stream.hold(step == "hold")
+            # A follower that was replaced still holds: nobody has closed it.
+            everyone.update(streams)
+            behind = [log.count - one.cursor for one in everyone if one.holding]
+            assert log.is_full is (max(behind, default=-1) >= window)
+
+    everyone: set[FeedbackCursor] = set()
+    anyio.run(check)
 
 
 def test_a_client_stalls_after_exactly_the_time_that_it_was_given() -> None:

@@ -19,7 +19,8 @@ from fibaction.goals import GoalID, GoalInfo
 from fibaction.server.admission import Admission
 from fibaction.server.cancellation import Cancellation
 from fibaction.server.expiry import ExpiringMap
-from fibaction.server.feedback_log import FeedbackCursor, FeedbackLog
+from fibaction.server.feedback_cursor import FeedbackCursor
+from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.server.status_broadcast import StatusBroadcast
