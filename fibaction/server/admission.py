@@ -95,7 +95,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         if verdict is Verdict.WAIT:
             return self._offer_again(offer)
         if verdict is Verdict.REPEAT:
-            return self._runs.follow(goal_id, feedback=offer.feedback, own=offer.feedback, after=0)
+            return self._runs.follow_again(goal_id, feedback=offer.feedback, sender=offer.sender)
         try:
             request = self._decode(offer.goal)
             if self._on_goal is not None:
@@ -138,7 +138,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         goal = self._registry.accept(offer.goal_id, stamp=time.time_ns(), sender=offer.sender)
         self._tell_decision(offer.goal_id)
         log = self._runs.start(goal, request)
-        return log.follow(feedback=offer.feedback, hold=offer.feedback)
+        return log.follow(feedback=offer.feedback, own=True)
 
     def _reject(self, goal_id: GoalID, reason: str) -> GoalRejected:
         """Reject a goal, and return the error to raise."""

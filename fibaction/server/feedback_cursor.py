@@ -36,22 +36,26 @@ class FeedbackCursor(GoalStream):
         "holding",
         "latest",
         "news",
+        "own",
         "reads",
         "stamp",
     )
 
-    def __init__(self, log: FeedbackLog, start: int, *, feedback: bool, hold: bool) -> None:
+    def __init__(
+        self, log: FeedbackLog, start: int, *, feedback: bool, own: bool, hold: bool
+    ) -> None:
         self.goal_id = log.goal.goal_id
         self.stamp = log.goal.stamp
         self.latest = log.latest
+        self.own = own
         self.cursor = start
         self.reads = feedback
         self._stalled = False
         self.news = Notifier()
         self._log = log
         self._follows = feedback
-        self._may_hold = hold and feedback
-        self.holding = self._may_hold
+        self._may_hold = hold
+        self.holding = hold
         """True if the executor waits for this cursor."""
         self._wanted = True
         self._dropped = 0

@@ -146,11 +146,15 @@ class FeedbackLog:
                 left.news.notify()
 
     def follow(
-        self, *, feedback: bool = True, hold: bool = False, after: int | None = None
+        self, *, feedback: bool = True, own: bool = False, after: int | None = None
     ) -> FeedbackCursor:
-        """Return a new cursor, at the end of the log or behind the feedback of number `after`."""
+        """Return a new cursor, at the end of the log or behind the feedback of number `after`.
+
+        Only an `own` cursor may make the executor wait.
+        """
         start = self.count if after is None else min(max(after, 0), self.count)
-        cursor = FeedbackCursor(self, start, feedback=feedback, hold=hold and not self.latest)
+        hold = own and feedback and not self.latest
+        cursor = FeedbackCursor(self, start, feedback=feedback, own=own, hold=hold)
         if feedback:
             self._readers = with_member(self._readers, cursor)
             self.set_holding(cursor)

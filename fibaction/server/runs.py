@@ -43,7 +43,7 @@ from anyio.abc import TaskGroup
 from fibaction._notify import Notifier
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import UnknownGoal
-from fibaction.goals import GoalID, GoalInfo, Outcome
+from fibaction.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.server._interruption import CancelOnce
 from fibaction.server._task_pool import TaskPool
 from fibaction.server.executor import Execution, Executor, GoalHandle
@@ -221,22 +221,37 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     # Follow
 
-    def follow(
-        self, goal_id: GoalID, *, feedback: bool = True, own: bool, after: int | None
-    ) -> FeedbackCursor:
+    def follow_again(self, goal_id: GoalID, *, feedback: bool, sender: Sender) -> FeedbackCursor:
+        """Return a stream of a goal that was accepted before, from its beginning.
+
+        It is the sender's own if that client has sent the goal the first time, too.
+
+        Raises:
+            UnknownGoal: The goal has been forgotten.
+        """
+        goal = self._find(goal_id)
+        own = goal.sender.owner == sender.owner
+        return self._log_of(goal).follow(feedback=feedback, own=own, after=0)
+
+    def follow(self, goal_id: GoalID, *, own: bool, after: int | None) -> FeedbackCursor:
         """Return a stream of a goal that is active or remembered: see `Endpoint.feedback`.
 
         Raises:
             UnknownGoal: The goal was never accepted, or has been forgotten.
         """
+        return self._log_of(self._find(goal_id)).follow(own=own, after=after)
+
+    def _find(self, goal_id: GoalID) -> GoalRecord:
         goal = self._registry.find(goal_id, now=current_time())
         if goal is None:
             raise UnknownGoal(goal_id)
+        return goal
+
+    def _log_of(self, goal: GoalRecord) -> FeedbackLog:
+        goal_id = goal.goal_id
         run = self._runs.get(goal_id)
         log = self._unread.get(goal_id) if run is None else run.log
-        if log is None:  # its feedback is no longer kept
-            log = FeedbackLog(goal)
-        return log.follow(feedback=feedback, hold=own, after=after)
+        return FeedbackLog(goal) if log is None else log  # its feedback may not be kept any longer
 
     def follow_statuses(self) -> StatusSubscription:
         """Return a stream of the statuses of all goals: see `Endpoint.status`."""
