@@ -11,8 +11,8 @@ the exception of `Ping`.
 
 - `post` queues a small message at once. There are few of these, such as credit or a rejection. A
   peer that makes them faster than it reads them is ended at `OVERFULL` times the high-water mark.
-- `send` queues a message as soon as the queue is below the high-water mark: back-pressure for
-  answers, each of which has a task that can wait.
+- `send` makes and queues a message as soon as the queue is below the high-water mark: back-pressure
+  for answers, each of which has a task that can wait.
 - The *source* is asked for frames when the line can take more, after `wake_writer()`, until it has
   none. Goals use it: feedback waits in its log, and not in a queue for each client, so a thousand
   goals of a slow client cost no memory here, and each gets its turn.
@@ -93,8 +93,10 @@ class Link:
         self._queued += len(frame)
         self._line.wake_writer()
 
-    async def send(self, frame: bytes) -> None:
-        """Queue a message as soon as the queue has room.
+    async def send(self, make: Callable[[], bytes]) -> None:
+        """Queue a message as soon as the queue has room; `make` is called then, and returns it.
+
+        So the answers that wait take no memory for their bytes.
 
         Raises:
             ConnectionLost: The connection has ended.
@@ -103,7 +105,7 @@ class Link:
             await self._room.wait()
         if self._error is not None:
             raise ConnectionLost(str(self._error)) from self._error
-        self._put(frame)
+        self._put(make())
 
     async def flush(self) -> None:
         """Wait until everything that is queued has been written, or the connection has ended."""

@@ -208,7 +208,7 @@ class Session:
             del self._waiting[message.id]
 
     async def _say(self, answer: Answer) -> None:
-        await self._link.send(fitting(answer.id, encode(answer), self.client.max_frame))
+        await self._link.send(lambda: fitting(answer.id, encode(answer), self.client.max_frame))
 
     # Errors
 

@@ -607,6 +607,26 @@ async def test_the_sender_of_a_goal_is_told_with_each_of_its_statuses() -> None:
             assert statuses.known == 1
 
 
+@pytest.mark.promise("FEEDBACK-13")
+async def test_a_goal_sent_again_is_the_senders_own_only_if_it_was_the_first_to_send_it() -> None:
+    executor = Held()
+    async with ActionServer(FIBONACCI, executor) as server:
+
+        def offer(owner: bytes, feedback: bool = True) -> Any:
+            sender = Sender("the arm", owner)
+            return at_once(server.offer_goal(goal_id, packed(2), feedback=feedback, sender=sender))
+
+        goal_id = GoalID.random()
+        streams = [offer(b"arm"), offer(b"arm"), offer(b"arm", False), offer(b"leg"), offer(b"")]
+        assert [stream.own for stream in streams] == [True, True, True, False, False]
+        assert [stream.holding for stream in streams] == [True, True, False, False, False]
+        assert [(await server.feedback(goal_id, own=own)).own for own in (True, False)] == [
+            True,
+            False,
+        ]
+        executor.go.set()
+
+
 async def test_a_caller_that_waited_for_the_decision_and_then_decides_is_the_sender() -> None:
     gate = Gate()
     async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:

@@ -443,6 +443,31 @@ async def test_answers_wait_for_a_client_that_does_not_read_and_do_not_end_its_c
         assert (heard.count(Actions), heard.count(Following)) == (50, 1)
 
 
+async def test_an_answer_is_made_when_there_is_room_for_it() -> None:
+    end, other = memory.pair()
+    other.stop_reading()
+    link = Link(end, LONG, high_water=10)
+    made: list[int] = []
+
+    def make(number: int) -> Callable[[], bytes]:
+        def frame() -> bytes:
+            made.append(number)
+            return bytes(10)
+
+        return frame
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(link.run, lambda frame: None)
+        for number in range(3):
+            tasks.start_soon(link.send, make(number))
+            await settled()
+        assert len(made) == 1
+        other.go_on_reading()
+        await settled()
+        assert sorted(made) == [0, 1, 2]
+        link.end(ConnectionLost("enough"))
+
+
 async def test_feedback_for_a_client_that_does_not_read_waits_where_it_is_made() -> None:
     server, count = endless(10)
     async with serving(server, limits=Limits(queue=1000)) as served:
