@@ -15,19 +15,22 @@ with its ID. They wait for that goal alone: `_decisions` has one notifier per un
 by the first task that waits.
 
 A cancel goes through `cancel`. The registry says which goals it means; `on_cancel` is called for
-each of them, concurrently, because one slow answer must not delay the cancels of other goals.
+each of them, for `MOST_AT_ONCE` concurrently, because one slow answer should not delay the cancels
+of other goals. A client may cancel all goals as often as it likes, so the work is done in slices.
 """
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Awaitable, Coroutine
+from collections.abc import Awaitable, Coroutine, Iterator
 from typing import Any, Generic, NamedTuple
 
 from anyio import create_task_group, current_time
 
 from fibaction._notify import Notifier
+from fibaction._slices import Slices
+from fibaction._text import excerpt
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import CancelRejected, GoalRejected, ProtocolError
 from fibaction.goals import CancelAnswer, GoalID, Sender
@@ -35,10 +38,13 @@ from fibaction.server.callbacks import SERVER_STOPPING, Callback, Callbacks
 from fibaction.server.cancellation import Cancellation
 from fibaction.server.executor import GoalHandle
 from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.goal_record import GoalRecord
+from fibaction.server.goal_record import GoalRecord, cut_reason
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.server.runs import Runs
 from fibaction.states import GoalStatus
+
+MOST_AT_ONCE = 100
+"""Calls of `on_cancel` that one cancel waits for at the same time."""
 
 logger = logging.getLogger("fibaction.server")
 
@@ -142,9 +148,12 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
 
     def _reject(self, goal_id: GoalID, reason: str) -> GoalRejected:
         """Reject a goal, and return the error to raise."""
+        reason = cut_reason(reason)
         self._registry.reject(goal_id, reason, now=current_time())
         self._tell_decision(goal_id)
-        logger.info("goal %s of action %r: rejected: %s", goal_id, self._action.name, reason)
+        logger.info(
+            "goal %s of action %r: rejected: %s", goal_id, self._action.name, excerpt(reason)
+        )
         return GoalRejected(reason, goal_id=goal_id)
 
     def _withdraw(self, goal_id: GoalID) -> None:
@@ -169,14 +178,22 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         if goal_id is not None:
             await self._decided(goal_id)
         cancellation = self._registry.cancel(goal_id, stamp, now=current_time())
+        goals, slices = iter(cancellation.candidates), Slices()
         if self._on_cancel is None or len(cancellation.candidates) < 2:
-            for goal in cancellation.candidates:
-                await self._cancel(cancellation, goal)
+            await self._cancel_each(cancellation, goals, slices)
         else:
             async with create_task_group() as tasks:
-                for goal in cancellation.candidates:
-                    tasks.start_soon(self._cancel, cancellation, goal)
+                for _ in range(min(MOST_AT_ONCE, len(cancellation.candidates))):
+                    tasks.start_soon(self._cancel_each, cancellation, goals, slices)
         return cancellation.answer()
+
+    async def _cancel_each(
+        self, cancellation: Cancellation, goals: Iterator[GoalRecord], slices: Slices
+    ) -> None:
+        """Cancel goals, one after another; several tasks may share the iterator and the slices."""
+        for goal in goals:
+            await self._cancel(cancellation, goal)
+            await slices.pause()
 
     async def _cancel(self, cancellation: Cancellation, goal: GoalRecord) -> None:
         if not goal.status.is_active:

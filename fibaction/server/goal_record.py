@@ -14,6 +14,15 @@ DIGEST_SIZE = 16
 """Bytes of a digest: enough that two payloads never have the same digest by chance."""
 
 
+REASON_LENGTH = 1000
+"""Characters of the reason for a rejection that are kept and told, at most."""
+
+
+def cut_reason(reason: str) -> str:
+    """Return the reason for a rejection, cut to `REASON_LENGTH` characters."""
+    return reason if len(reason) <= REASON_LENGTH else reason[: REASON_LENGTH - 1] + "…"
+
+
 def digest_of(payload: bytes) -> bytes:
     """Return a digest of a goal, which tells a retry from another goal with the same ID.
 
@@ -26,6 +35,7 @@ class GoalRecord:
     """The record of one accepted goal."""
 
     __slots__ = (
+        "changed",
         "digest",
         "ended_at",
         "feedback_count",
@@ -49,6 +59,8 @@ class GoalRecord:
         self.ended_at = 0
         """Time of the end: nanoseconds since 1970; 0 while the goal is active."""
         self.feedback_count = 0
+        self.changed = 0
+        """Number of the last published change of its status; 0 if no one follows the statuses."""
         self.stop_reason = ""
         """The reason for which the server ends the goal by itself; empty if it does not."""
 

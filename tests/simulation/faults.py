@@ -189,13 +189,14 @@ def statuses_come_out_of_order(real: Any) -> Any:
     """Send the status EXECUTING after the status that follows it."""
     late: list[GoalInfo] = []
 
-    def publish(self: StatusBroadcast, info: GoalInfo) -> None:
+    def publish(self: StatusBroadcast, info: GoalInfo) -> int:
         if info.status is GoalStatus.EXECUTING:
             late.append(info)
-            return
-        real(self, info)
+            return 0
+        number: int = real(self, info)
         while late:
-            real(self, late.pop())
+            number = real(self, late.pop())
+        return number
 
     return publish
 
