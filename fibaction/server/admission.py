@@ -23,10 +23,10 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Awaitable, Coroutine, Iterator
+from collections.abc import Awaitable, Coroutine
 from typing import Any, Generic, NamedTuple
 
-from anyio import create_task_group, current_time
+from anyio import Semaphore, create_task_group, current_time
 
 from fibaction._notify import Notifier
 from fibaction._slices import Slices
@@ -178,35 +178,62 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         if goal_id is not None:
             await self._decided(goal_id)
         cancellation = self._registry.cancel(goal_id, stamp, now=current_time())
-        goals, slices = iter(cancellation.candidates), Slices()
         if self._on_cancel is None or len(cancellation.candidates) < 2:
-            await self._cancel_each(cancellation, goals, slices)
+            slices = Slices()
+            for goal in cancellation.candidates:
+                asking = self._cancel(cancellation, goal)
+                if asking is not None:
+                    await self._cancel_later(cancellation, goal, asking)
+                await slices.pause()
         else:
-            async with create_task_group() as tasks:
-                for _ in range(min(MOST_AT_ONCE, len(cancellation.candidates))):
-                    tasks.start_soon(self._cancel_each, cancellation, goals, slices)
+            await self._cancel_together(cancellation)
         return cancellation.answer()
 
-    async def _cancel_each(
-        self, cancellation: Cancellation, goals: Iterator[GoalRecord], slices: Slices
-    ) -> None:
-        """Cancel goals, one after another; several tasks may share the iterator and the slices."""
-        for goal in goals:
-            await self._cancel(cancellation, goal)
-            await slices.pause()
+    async def _cancel_together(self, cancellation: Cancellation) -> None:
+        """Cancel goals, and wait for several calls of an async `on_cancel` at the same time."""
+        slices, room = Slices(), Semaphore(MOST_AT_ONCE, fast_acquire=True)
 
-    async def _cancel(self, cancellation: Cancellation, goal: GoalRecord) -> None:
+        async def wait(goal: GoalRecord, asking: Awaitable[None]) -> None:
+            await self._cancel_later(cancellation, goal, asking)
+            room.release()
+
+        async with create_task_group() as tasks:
+            for goal in cancellation.candidates:
+                await room.acquire()
+                asking = self._cancel(cancellation, goal)
+                if asking is None:
+                    room.release()
+                else:
+                    tasks.start_soon(wait, goal, asking)
+                await slices.pause()
+
+    def _cancel(self, cancellation: Cancellation, goal: GoalRecord) -> Awaitable[None] | None:
+        """Cancel a goal, or have it rejected; return the answer to wait for if it takes time."""
         if not goal.status.is_active:
-            return  # it has ended since it was chosen
+            return None  # it has ended since it was chosen
         if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
             handle = self._runs.handle_of(goal)
             try:
                 asking = self._callbacks.ask("on_cancel", self._on_cancel, handle, CancelRejected)
-                if asking is not None:
-                    await asking
             except CancelRejected as exc:
                 cancellation.reject(exc.reason)
-                return
+                return None
+            if asking is not None:
+                return asking
+        self._accept_cancel(cancellation, goal)
+        return None
+
+    async def _cancel_later(
+        self, cancellation: Cancellation, goal: GoalRecord, asking: Awaitable[None]
+    ) -> None:
+        try:
+            await asking
+        except CancelRejected as exc:
+            cancellation.reject(exc.reason)
+        else:
+            self._accept_cancel(cancellation, goal)
+
+    def _accept_cancel(self, cancellation: Cancellation, goal: GoalRecord) -> None:
         before = goal.status
         if cancellation.accept(goal) and goal.status is not before:
             self._runs.cancel(goal, interrupt=self._interrupt_on_cancel)

@@ -6,6 +6,7 @@ Sans-I/O: it calls no callbacks and interrupts no executors.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from operator import attrgetter
 
 from fibaction.goals import NO_GOAL, CancelAnswer, CancelCode, GoalID, GoalInfo
 from fibaction.server.goal_record import REASON_LENGTH, GoalRecord, cut_reason
@@ -44,11 +45,8 @@ class Cancellation:
 
     def answer(self) -> CancelAnswer:
         """Return the answer: NONE if any goal is canceling, REJECTED if all were rejected."""
-        canceling = tuple(
-            self._canceling[goal.goal_id]
-            for goal in self.candidates
-            if goal.goal_id in self._canceling
-        )
+        # In the order of acceptance. They are nearly in order already, so sorting is fast.
+        canceling = tuple(sorted(self._canceling.values(), key=attrgetter("stamp")))
         if canceling:
             code = CancelCode.NONE
         elif self._reasons:
