@@ -21,16 +21,16 @@ of other goals. A client may cancel all goals as often as it likes, so the work 
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Awaitable, Coroutine
 from typing import Any, Generic, NamedTuple
 
 from anyio import Semaphore, create_task_group, current_time
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._slices import Slices
-from fibaction._text import excerpt
+from fibaction._text import excerpt, shortened
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import CancelRejected, GoalRejected, ProtocolError
 from fibaction.goals import CancelAnswer, GoalID, Sender
@@ -38,7 +38,7 @@ from fibaction.server.callbacks import SERVER_STOPPING, Callback, Callbacks
 from fibaction.server.cancellation import Cancellation
 from fibaction.server.executor import GoalHandle
 from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.goal_record import GoalRecord, cut_reason
+from fibaction.server.goal_record import GoalRecord
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.server.runs import Runs
 from fibaction.states import GoalStatus
@@ -46,7 +46,7 @@ from fibaction.states import GoalStatus
 MOST_AT_ONCE = 100
 """Calls of `on_cancel` that one cancel waits for at the same time."""
 
-logger = logging.getLogger("fibaction.server")
+logger = clean_logger("fibaction.server")
 
 
 class Offer(NamedTuple):
@@ -148,12 +148,11 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
 
     def _reject(self, goal_id: GoalID, reason: str) -> GoalRejected:
         """Reject a goal, and return the error to raise."""
-        reason = cut_reason(reason)
+        reason = shortened(reason)
         self._registry.reject(goal_id, reason, now=current_time())
         self._tell_decision(goal_id)
-        logger.info(
-            "goal %s of action %r: rejected: %s", goal_id, self._action.name, excerpt(reason)
-        )
+        name = self._action.name
+        logger.info("goal %s of action %r: rejected: %s", goal_id, name, excerpt(reason))
         return GoalRejected(reason, goal_id=goal_id)
 
     def _withdraw(self, goal_id: GoalID) -> None:

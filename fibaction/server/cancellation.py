@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from operator import attrgetter
 
+from fibaction._text import REASON, shortened
 from fibaction.goals import NO_GOAL, CancelAnswer, CancelCode, GoalID, GoalInfo
-from fibaction.server.goal_record import REASON_LENGTH, GoalRecord, cut_reason
+from fibaction.server.goal_record import GoalRecord
 from fibaction.states import GoalEvent, GoalStatus, transition
 
 
@@ -39,7 +40,7 @@ class Cancellation:
 
     def reject(self, reason: str) -> None:
         """Note the reason for which a goal is not canceled."""
-        if reason not in self._reasons and self._length < REASON_LENGTH:
+        if reason not in self._reasons and self._length < REASON:
             self._reasons[reason] = None
             self._length += len(reason)
 
@@ -53,7 +54,7 @@ class Cancellation:
             code = CancelCode.REJECTED
         else:
             code = self._otherwise
-        return CancelAnswer(code, canceling, cut_reason("; ".join(self._reasons)))
+        return CancelAnswer(code, canceling, shortened("; ".join(self._reasons)))
 
 
 def cancellation_of(

@@ -14,15 +14,6 @@ DIGEST_SIZE = 16
 """Bytes of a digest: enough that two payloads never have the same digest by chance."""
 
 
-REASON_LENGTH = 1000
-"""Characters of the reason for a rejection that are kept and told, at most."""
-
-
-def cut_reason(reason: str) -> str:
-    """Return the reason for a rejection, cut to `REASON_LENGTH` characters."""
-    return reason if len(reason) <= REASON_LENGTH else reason[: REASON_LENGTH - 1] + "…"
-
-
 def digest_of(payload: bytes) -> bytes:
     """Return a digest of a goal, which tells a retry from another goal with the same ID.
 

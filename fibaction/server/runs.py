@@ -28,7 +28,6 @@ nothing can expire, until a goal ends.
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from collections import deque
@@ -41,6 +40,7 @@ from anyio import current_time
 from anyio.abc import TaskGroup
 from anyio.lowlevel import cancel_shielded_checkpoint
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._slices import Slices
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
@@ -73,7 +73,7 @@ MOST_AT_ONCE = 200
 
 CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
 
-logger = logging.getLogger("fibaction.server")
+logger = clean_logger("fibaction.server")
 
 
 class Run(Generic[GoalT, FeedbackT, ResultT]):

@@ -8,7 +8,6 @@ as an `Endpoint`.
 from __future__ import annotations
 
 import inspect
-import logging
 from collections.abc import Coroutine
 from functools import partial
 from types import TracebackType
@@ -17,6 +16,7 @@ from typing import Any, Generic, Literal, Self
 import anyio
 from anyio import create_task_group
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint
@@ -33,7 +33,7 @@ from fibaction.server.status_broadcast import StatusCursor
 
 SERVER_STOPPED = "server stopped"
 
-logger = logging.getLogger("fibaction.server")
+logger = clean_logger("fibaction.server")
 
 
 class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):

@@ -134,10 +134,14 @@ class Channel(Line):
 class StreamChannel(Channel):
     """Frames over a stream of bytes."""
 
-    def __init__(self, stream: ByteStream, peer: str, max_frame: int) -> None:
+    def __init__(self, stream: ByteStream, peer: str, reader: FrameReader) -> None:
+        """Take a stream. The reader is the server's (`WireServer.new_reader()`), or a client's own.
+
+        The channel closes the reader with the stream.
+        """
         self.peer = peer
         self._stream = stream
-        self._reader = FrameReader(max_frame)
+        self._reader = reader
         self._unfinished = False
         self._pieces = 0
 
@@ -169,6 +173,7 @@ class StreamChannel(Channel):
         return self._reader.feed(data)
 
     async def aclose(self) -> None:
+        self._reader.close()
         # Do not wait for a peer that does not take part in closing, or for a dead line.
         try:
             with anyio.move_on_after(1, shield=True):

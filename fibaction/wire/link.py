@@ -160,7 +160,8 @@ class Link:
             tasks.start_soon(guarded, self._watch)
             await guarded(lambda: self._line.run(on_frames, self._next_frames))
         assert self._error is not None
-        return self._error
+        # It is kept, and the frames of its traceback have a message that may be large.
+        return self._error.with_traceback(None)
 
     def _next_frames(self) -> list[bytes]:
         """Return the frames to send next; those before have been written."""

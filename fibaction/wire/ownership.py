@@ -26,20 +26,20 @@ It goes on by itself, and only loses its entry. An observer of a goal has no ent
 
 from __future__ import annotations
 
-import logging
 from hmac import compare_digest
 from typing import Literal, NamedTuple
 
 from anyio import CancelScope, sleep
 from anyio.abc import TaskGroup
 
+from fibaction._log import clean_logger
 from fibaction.abc import Endpoint, GoalStream
 from fibaction.exceptions import GoalRejected
 from fibaction.goals import GoalID
 from fibaction.server.goal_record import digest_of
 from fibaction.server.registry import ID_IN_USE
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 
 class _Owned(NamedTuple):

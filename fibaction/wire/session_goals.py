@@ -31,6 +31,14 @@ Answering: TypeAlias = Callable[[GoalRequest], AbstractContextManager[None]]
 """Turns any error of a block into the answer to a request."""
 
 
+def too_much(limits: Limits) -> str:
+    """Return the sentence for a client that has reached the limits of its connection."""
+    return (
+        f"too much at once: the limits of a connection are {limits.goals} goals"
+        f" and {limits.requests} other requests"
+    )
+
+
 class SessionGoals:
     """The goals of one connection, by the IDs of their requests."""
 
@@ -49,15 +57,23 @@ class SessionGoals:
         self._link = link
         self._answering = answering
         self._open: dict[int, GoalSubscription] = {}
+        self._follows: dict[bytes, int] = {}  # the number of them for each goal
         self._ready: dict[GoalSubscription, None] = {}
         self._on_news = self._tell  # made once, and not for each goal
         self._held = 0  # bytes of goals that are being decided upon
         self._told = Notifier()
 
-    @property
-    def has_room(self) -> bool:
-        """True if the client may follow another goal."""
-        return len(self._open) < self._limits.goals
+    def limit_for(self, message: GoalRequest) -> str:
+        """Return a sentence about the limit that forbids this request now; empty if none does."""
+        limits = self._limits
+        if len(self._open) >= limits.goals:
+            return too_much(limits)
+        if self._follows.get(message.goal_id, 0) < limits.follows:
+            return ""
+        return (
+            f"too much at once: this connection follows goal {GoalID(message.goal_id)} already"
+            f" {limits.follows} times, which is the limit"
+        )
 
     def get(self, request: int) -> GoalSubscription | None:
         """Return the goal of a request, if there is one."""
@@ -66,9 +82,10 @@ class SessionGoals:
     def begin(self, message: GoalRequest) -> None:
         """Send or follow a goal for the client."""
         subscription = GoalSubscription(
-            message.id, message.credit, self._on_news, self._client.max_frame
+            message.id, message.goal_id, message.credit, self._on_news, self._client.max_frame
         )
         self._open[message.id] = subscription
+        self._follows[message.goal_id] = self._follows.get(message.goal_id, 0) + 1
         if type(message) is Follow:
             self.tasks.start_soon(self._follow, message, subscription)
         elif self._client.is_trusted:
@@ -95,7 +112,7 @@ class SessionGoals:
         """Leave all goals: the connection has ended. `left` says that the client said goodbye."""
         for subscription in tuple(self._open.values()):
             if subscription.stream is not None:
-                del self._open[subscription.request]
+                self._remove(subscription)
                 self._give_up(subscription, left=left)
         self._told.notify()
 
@@ -211,11 +228,18 @@ class SessionGoals:
 
     def _end(self, subscription: GoalSubscription) -> None:
         """Forget a goal whose end was told, or which has no end to tell."""
-        del self._open[subscription.request]
+        self._remove(subscription)
         self._ready.pop(subscription, None)
         if subscription.stream is not None:
             subscription.leave()
             self._owners.end(subscription.stream)
+
+    def _remove(self, subscription: GoalSubscription) -> None:
+        """Count a subscription as no longer open."""
+        del self._open[subscription.request]
+        left = self._follows.pop(subscription.goal_id) - 1
+        if left:
+            self._follows[subscription.goal_id] = left
 
     def _give_up(self, subscription: GoalSubscription, *, left: bool) -> None:
         """Leave a goal to its owner's next connection: this one has ended."""

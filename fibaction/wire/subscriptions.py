@@ -5,9 +5,9 @@ They do not know connections: the owner is told that a subscription is ready, an
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.exceptions import ActionError
@@ -22,7 +22,7 @@ MOST_CREDIT = 2**31
 PIECE = 64
 """Feedback messages of one goal that are sent before the next goal has its turn."""
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 
 class Subscription:
@@ -85,6 +85,7 @@ class GoalSubscription(Subscription):
         "_opening",
         "_ready",
         "endpoint",
+        "goal_id",
         "is_wanted",
         "own",
         "stream",
@@ -94,11 +95,13 @@ class GoalSubscription(Subscription):
     def __init__(
         self,
         request: int,
+        goal_id: bytes,
         credit: int | None,
         ready: Callable[[GoalSubscription], None],
         max_frame: int,
     ) -> None:
         super().__init__(request, credit)
+        self.goal_id = goal_id
         self.stream: GoalStream | None = None
         self.endpoint: Endpoint | None = None
         self.own = False

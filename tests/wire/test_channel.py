@@ -11,7 +11,7 @@ from anyio.abc import ByteStream
 from fibaction._notify import Notifier
 from fibaction.exceptions import ConnectionLost, ProtocolError
 from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames, StreamChannel
-from fibaction.wire.frames import HEADER, header
+from fibaction.wire.frames import HEADER, FrameReader, header
 from tests.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
@@ -102,7 +102,7 @@ class PipeEnd(ByteStream):
 
 
 def channel_over(stream: ByteStream, limit: int = LIMIT) -> StreamChannel:
-    return StreamChannel(stream, "10.0.0.1:7400", limit)
+    return StreamChannel(stream, "10.0.0.1:7400", FrameReader(limit))
 
 
 def framed(*frames: bytes) -> bytes:
@@ -342,7 +342,7 @@ class Running:
 
     def __init__(self, *pieces: bytes) -> None:
         self.stream = FakeStream(*pieces) if pieces else QuietStream()
-        self.channel = StreamChannel(self.stream, "the peer", LIMIT)
+        self.channel = StreamChannel(self.stream, "the peer", FrameReader())
         self.heard: list[bytes] = []
         self.to_say: list[list[bytes]] = []
         self.error: Exception | None = None

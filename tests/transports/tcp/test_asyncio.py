@@ -18,7 +18,7 @@ from anyio.abc import SocketAttribute
 
 from fibaction.exceptions import ConnectionLost, ProtocolError
 from fibaction.wire.channel import CHUNK, Line
-from fibaction.wire.frames import framed
+from fibaction.wire.frames import FrameReader, framed
 from fibaction_transports.tcp import _asyncio
 from fibaction_transports.tcp._asyncio import ProtocolLine, accept, dial_tcp, dial_unix, on_asyncio
 
@@ -97,7 +97,7 @@ async def listening(
         listener = await anyio.create_unix_listener(path)
     async with listener, anyio.create_task_group() as tasks:
         parts = getattr(listener, "listeners", [listener])
-        tasks.start_soon(accept, parts[0], max_frame, serve, tasks)
+        tasks.start_soon(accept, parts[0], lambda: FrameReader(max_frame), serve, tasks)
         yield listener.extra(SocketAttribute.local_address), ends
         tasks.cancel_scope.cancel()
 
@@ -106,7 +106,7 @@ async def listening(
 async def pair() -> AsyncGenerator[tuple[End, End], None]:
     """Both ends of a connection, running."""
     async with listening() as ((host, port), ends):
-        one = End(await dial_tcp(host, port, LIMIT, "the server"))
+        one = End(await dial_tcp(host, port, FrameReader(), "the server"))
         await until(lambda: ends)
         async with anyio.create_task_group() as tasks:
             for end in (one, ends[0]):
@@ -144,7 +144,7 @@ async def test_frames_go_both_ways_in_order() -> None:
 
 async def test_what_there_is_to_say_before_it_runs_is_said() -> None:
     async with listening() as ((host, port), ends):
-        line = await dial_tcp(host, port, LIMIT, "the server")
+        line = await dial_tcp(host, port, FrameReader(), "the server")
         await until(lambda: ends)
         one, other = End(line), ends[0]
         one.say(b"early")
@@ -381,14 +381,14 @@ async def test_small_messages_are_sent_at_once_by_both_ends() -> None:
 
 async def test_a_peer_is_named_by_its_address_if_it_has_one(tmp_path: Path) -> None:
     async with listening() as ((host, port), ends):
-        line = await dial_tcp(host, port, LIMIT, "tcp://robot:7400")
+        line = await dial_tcp(host, port, FrameReader(), "tcp://robot:7400")
         assert line.peer == "tcp://robot:7400"
         await until(lambda: ends)
         here = line._transport.get_extra_info("sockname")
         assert ends[0].line.peer == f"127.0.0.1:{here[1]}"
         await line.aclose()
     async with listening(path=tmp_path / "socket") as (_, ends):
-        line = await dial_unix(tmp_path / "socket", LIMIT, "unix://socket")
+        line = await dial_unix(tmp_path / "socket", FrameReader(), "unix://socket")
         assert line.peer == "unix://socket"
         await until(lambda: ends)
         assert ends[0].line.peer == "a local process"
@@ -396,7 +396,7 @@ async def test_a_peer_is_named_by_its_address_if_it_has_one(tmp_path: Path) -> N
 
 
 async def test_a_peer_that_has_left_before_it_was_looked_at_has_no_name() -> None:
-    line = ProtocolLine(LIMIT, memoryview(bytearray(10)))
+    line = ProtocolLine(FrameReader(), memoryview(bytearray(10)))
     line.connection_made(_NoName())
     assert line.peer == "a peer that has left"
 
@@ -429,7 +429,7 @@ async def test_what_cannot_be_taken_over_after_it_was_accepted_is_closed(
         with socket.create_connection(("127.0.0.1", port)):
             async with anyio.create_task_group() as tasks:
                 with anyio.fail_after(5), pytest.raises(OSError, match="no more"):
-                    await accept(part, LIMIT, never, tasks)
+                    await accept(part, FrameReader, never, tasks)
     assert closed == [False]
     assert refused[0].fileno() == -1
 
@@ -445,7 +445,7 @@ async def test_on_a_loop_of_somebody_else_addresses_are_tried_one_after_the_othe
             return "transport", "line"
 
     monkeypatch.setattr(_asyncio, "_loop", OtherLoop)
-    made: object = await dial_tcp("robot", 1, LIMIT, "robot")
+    made: object = await dial_tcp("robot", 1, FrameReader(), "robot")
     assert (made, given) == ("line", [{}])
 
 
@@ -465,7 +465,7 @@ async def test_where_tasks_begin_at_once_addresses_are_tried_one_after_the_other
     if begin_at_once:
         monkeypatch.setattr(loop, "get_task_factory", lambda: asyncio.Task)
     async with listening() as ((host, port), _):
-        line = await dial_tcp(host, port, LIMIT, "the server")
+        line = await dial_tcp(host, port, FrameReader(), "the server")
         await line.aclose()
     assert given == [{} if begin_at_once else {"happy_eyeballs_delay": _asyncio.NEXT_ADDRESS}]
 

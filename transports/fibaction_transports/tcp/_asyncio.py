@@ -45,9 +45,9 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
     filled and read in one turn.
     """
 
-    def __init__(self, max_frame: int, buffer: memoryview, peer: str = "") -> None:
+    def __init__(self, reader: FrameReader, buffer: memoryview, peer: str = "") -> None:
         self.peer = peer
-        self._reader = FrameReader(max_frame)
+        self._reader = reader
         self._buffer = buffer
         self._transport: asyncio.Transport
         self._loop = asyncio.get_running_loop()
@@ -100,6 +100,7 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
             raise ConnectionLost(f"the connection to {self.peer} broke")
 
     async def aclose(self) -> None:
+        self._reader.close()
         self._transport.abort()
         await anyio.lowlevel.cancel_shielded_checkpoint()  # in which the socket is closed
 
@@ -173,7 +174,7 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         self.wake_writer()
 
 
-async def dial_tcp(host: str, port: int, max_frame: int, where: str) -> ProtocolLine:
+async def dial_tcp(host: str, port: int, reader: FrameReader, where: str) -> ProtocolLine:
     """Connect to a server.
 
     Raises:
@@ -187,26 +188,26 @@ async def dial_tcp(host: str, port: int, max_frame: int, where: str) -> Protocol
     if isinstance(loop, asyncio.BaseEventLoop) and loop.get_task_factory() is None:
         settings["happy_eyeballs_delay"] = NEXT_ADDRESS
     made = await loop.create_connection(
-        lambda: ProtocolLine(max_frame, _buffer(), where), host, port, **settings
+        lambda: ProtocolLine(reader, _buffer(), where), host, port, **settings
     )
     return made[1]
 
 
-async def dial_unix(path: os.PathLike[str], max_frame: int, where: str) -> ProtocolLine:
+async def dial_unix(path: os.PathLike[str], reader: FrameReader, where: str) -> ProtocolLine:
     """Connect to a server.
 
     Raises:
         OSError: The server does not answer.
     """
     made = await _loop().create_unix_connection(
-        lambda: ProtocolLine(max_frame, _buffer(), where), os.fspath(path)
+        lambda: ProtocolLine(reader, _buffer(), where), os.fspath(path)
     )
     return made[1]
 
 
 async def accept(
     listener: Listener[Any],
-    max_frame: int,
+    new_reader: Callable[[], FrameReader],
     serve: Callable[[Line], Coroutine[Any, Any, None]],
     tasks: TaskGroup,
 ) -> None:
@@ -225,7 +226,7 @@ async def accept(
                 # asyncio sets it only where the socket names its protocol, which this one does not.
                 accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             made = await loop.connect_accepted_socket(
-                lambda: ProtocolLine(max_frame, buffer), accepted
+                lambda: ProtocolLine(new_reader(), buffer), accepted
             )
         except BaseException:
             accepted.close()
