@@ -24,7 +24,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.server.feedback_log import FeedbackCursor
+from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import MAX_FRAME, header
 from fibaction.wire.link import Link
