@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 
 from anyio import CancelScope, Lock
 
-from fibaction._tasks import Slices
+from fibaction._slices import Slices
 from fibaction._text import excerpt
 from fibaction.abc import Endpoint, StatusStream
 from fibaction.goals import NO_GOAL, GoalID
