@@ -26,10 +26,10 @@ from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
 from fibaction.server.admission import Admission, Offer
 from fibaction.server.callbacks import Callback
 from fibaction.server.executor import Executor, GoalHandle
-from fibaction.server.feedback_log import FeedbackCursor
+from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.registry import GoalRegistry
 from fibaction.server.runs import Runs
-from fibaction.server.status_broadcast import StatusSubscription
+from fibaction.server.status_broadcast import StatusCursor
 
 SERVER_STOPPED = "server stopped"
 
@@ -238,10 +238,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._check_running()
         return await self._admission.cancel(goal_id, stamp)
 
-    async def status(self) -> StatusSubscription:
+    async def status(self) -> StatusCursor:
         """See `Endpoint.status`."""
         self._check_running()
-        return self._runs.follow_statuses()
+        return await self._runs.follow_statuses()
 
     def _check_running(self) -> None:
         if self._phase not in ("running", "stopping"):

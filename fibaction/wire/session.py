@@ -41,6 +41,7 @@ from contextlib import contextmanager
 from anyio import current_effective_deadline, get_cancelled_exc_class
 from anyio.abc import TaskGroup
 
+from fibaction._budget import ByteBudget
 from fibaction._log import clean_logger
 from fibaction._text import excerpt
 from fibaction.abc import Endpoint
@@ -91,6 +92,7 @@ class Session:
         endpoints: Mapping[str, Endpoint],
         settings: ServerSettings,
         owners: Owners,
+        memory: ByteBudget,
         clients_of: Callable[[str], list[str]],
         entered: Callable[[Session], None],
     ) -> None:
@@ -103,7 +105,9 @@ class Session:
         self._entered = entered
         self._left = False
         self._is_ended = False
-        self._goals = SessionGoals(self.client, owners, settings.limits, link, self._answering)
+        self._goals = SessionGoals(
+            self.client, owners, settings.limits, memory, link, self._answering
+        )
         self._waiting: dict[int, RequestSubscription] = {}
         self._handlers = RequestHandlers(endpoints, self.client.endpoint, clients_of, self._say)
         self._tasks: TaskGroup
@@ -132,7 +136,7 @@ class Session:
     def end(self, error: ActionError) -> None:
         """End the connection, and tell the client why; it may follow its goals on another one."""
         self._is_ended = True
-        self._goals.release(left=self._left)
+        self._goals.lose()
         self._link.end(error)
 
     # Messages that arrive

@@ -85,7 +85,13 @@ class WireServer:
             return
         link = Link(line, heartbeat, limits.queue)
         session = Session(
-            link, self._endpoints, self._settings, self._owners, self._clients_of, self._entered
+            link,
+            self._endpoints,
+            self._settings,
+            self._owners,
+            self.memory,
+            self._clients_of,
+            self._entered,
         )
         self._sessions[session] = None
         self._unknown[session] = anyio.current_time() + limits.handshake
@@ -147,7 +153,7 @@ class WireServer:
                     for session in tuple(self._sessions):
                         tasks.start_soon(session.drain)
         finally:  # asyncio can cancel the task itself, which no scope shields
-            self._owners.close()
+            await self._owners.aclose()
 
 
 @asynccontextmanager
