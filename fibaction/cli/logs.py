@@ -7,22 +7,18 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
 
-from fibaction.cli.escape import clean, clean_lines
+from fibaction._log import traceback_text
 
 
 class CleanFormatter(logging.Formatter):
-    """Writes each record of fibaction on one clean line, since it may contain text of a peer.
+    """Writes clean tracebacks, whichever code logs them: an executor's exception may contain what
+    a client has sent.
 
-    Records of the user's own code are not changed. A traceback keeps its lines and is cleaned,
-    whichever code logs it: an executor's exception may contain what a client has sent.
+    Messages of the user's own code are not changed; those of fibaction are clean already.
     """
 
-    def formatMessage(self, record: logging.LogRecord) -> str:
-        text = super().formatMessage(record)
-        return clean(text) if record.name.startswith("fibaction") else text
-
     def formatException(self, ei: Any) -> str:
-        return clean_lines(super().formatException(ei))
+        return traceback_text(ei[1])
 
 
 @contextmanager

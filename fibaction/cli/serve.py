@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import asynccontextmanager
 
@@ -10,6 +9,7 @@ import anyio
 import click
 
 from fibaction._api import serve
+from fibaction._log import clean_logger
 from fibaction.abc import StatusStream
 from fibaction.cli.action_names import names_of
 from fibaction.cli.exit_codes import ExitCode, run
@@ -21,7 +21,7 @@ from fibaction.cli.reload import SAME_STOP, run_reloading, started_by
 from fibaction.cli.signals import stop_signals
 from fibaction.states import GoalStatus
 
-logger = logging.getLogger(__name__)
+logger = clean_logger(__name__)
 
 
 @click.command(

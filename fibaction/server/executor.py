@@ -26,7 +26,6 @@ statuses, on clients or on other goals.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
 from contextvars import copy_context
 from time import perf_counter
@@ -35,6 +34,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, cast
 from anyio import get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
+from fibaction._log import clean_logger
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import GoalAborted, GoalCanceled, text_of
 from fibaction.server._interruption import CancelOnce, Steps
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from fibaction.server.feedback_log import FeedbackLog
     from fibaction.server.goal_record import GoalRecord
 
-logger = logging.getLogger("fibaction.server")
+logger = clean_logger("fibaction.server")
 
 
 class GoalHandle(Generic[GoalT]):

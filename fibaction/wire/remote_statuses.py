@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
+from fibaction._text import excerpt
 from fibaction.abc import StatusStream
 from fibaction.goals import GoalID, GoalInfo
 from fibaction.wire.calls import Call, Credits, Post, unfitting
@@ -86,7 +87,7 @@ class RemoteStatuses(Call, StatusStream):
                     message.stamp,
                     message.status,
                     message.feedback_count,
-                    message.client,
+                    excerpt(message.client),
                 )
                 self._items.append(info)
         elif isinstance(message, Watching):

@@ -83,7 +83,7 @@ async def serve(data: bytes) -> None:
             TERMS,
             Owners(tasks, grace=0),
             clients_of=lambda action: [],
-            supersede=lambda client: None,
+            entered=lambda session: None,
         )
         error = await session.run()
         assert isinstance(error, ActionError), error
