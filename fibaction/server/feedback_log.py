@@ -129,7 +129,8 @@ class FeedbackLog:
     def append(self, payload: bytes) -> None:
         """Add feedback. In a full log it pushes out the oldest."""
         number = self.goal.feedback_count = self.goal.feedback_count + 1
-        items, budget = self._items, self._budget
+        items: deque[FeedbackItem] = self._items
+        budget = self._budget
         if items is _NOTHING:  # a deque is a tenth of the memory of a goal without feedback
             self._items = items = deque(maxlen=self._window)
         elif len(items) == self._window:
@@ -274,7 +275,7 @@ class FeedbackLog:
 
     def make_room(self) -> None:
         """Recompute the slowest position, since the slowest cursors have moved."""
-        positions = [cursor.cursor for cursor in self._holders]
+        positions: list[float] = [cursor.cursor for cursor in self._holders]
         self._slowest = min(positions, default=math.inf)
         self._standing = positions.count(self._slowest)
         if self._room is not None:

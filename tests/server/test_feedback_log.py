@@ -811,7 +811,12 @@ def test_those_that_read_in_step_are_looked_at_once_for_each_feedback(
     streams = [log.follow(own=hold) for _ in range(100)]
     looks: list[None] = []
     real = FeedbackLog.make_room
-    monkeypatch.setattr(FeedbackLog, "make_room", lambda log: (looks.append(None), real(log)))
+
+    def look(log: FeedbackLog) -> None:
+        looks.append(None)
+        real(log)
+
+    monkeypatch.setattr(FeedbackLog, "make_room", look)
     for number in range(1, 6):
         append(log, 1)
         for stream in streams:
