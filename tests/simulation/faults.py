@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 from anyio import current_time, sleep
 
+from fibaction._budget import CountedBytes
 from fibaction._notify import Notifier
 from fibaction.events import _Merger
 from fibaction.goals import GoalID, GoalInfo
@@ -22,7 +23,7 @@ from fibaction.server.expiry import ExpiringMap
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
-from fibaction.server.registry import GoalRegistry, Verdict
+from fibaction.server.registry import GoalRegistry, Verdict, _Undecided
 from fibaction.server.status_broadcast import StatusBroadcast
 from fibaction.states import GoalStatus
 from fibaction.wire.calls import Credits
@@ -97,7 +98,9 @@ def a_goal_runs_again_when_it_is_sent_again(real: Any) -> Any:
     def admit(self: GoalRegistry, goal_id: GoalID, payload: bytes, *, now: float) -> Verdict:
         verdict: Verdict = real(self, goal_id, payload, now=now)
         if verdict is Verdict.REPEAT:
-            self._undecided[goal_id] = digest_of(payload)
+            self._undecided[goal_id] = _Undecided(
+                digest_of(payload), CountedBytes(self.budget, len(payload))
+            )
             return Verdict.DECIDE
         return verdict
 
