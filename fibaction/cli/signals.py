@@ -5,21 +5,29 @@
 - Verbs that watch run `until_interrupted`.
 - `serve` and `bridge` stop gracefully at the first signal, and end at once at the second:
   `stop_signals`.
+- `serve` ends even if threads of executors do not: `LastSeconds`.
 - All others end with `ExitCode.INTERRUPTED`: `exit_codes.report_errors`.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
+import sys
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from signal import SIGINT, SIGTERM
+from threading import Thread, Timer
+from threading import enumerate as enumerate_threads
+from typing import Self
 
 import anyio
 
 from fibaction._tasks import Background
+
+logger = logging.getLogger(__name__)
 
 SAME_SIGNAL = 0.1
 """Seconds within which a second signal counts as the first again: some programs, such as `timeout`,
@@ -83,3 +91,37 @@ def end_by(number: signal.Signals) -> None:
     """End this process as that signal does in a process without a handler."""
     signal.signal(number, signal.SIG_DFL)
     os.kill(os.getpid(), number)
+
+
+class LastSeconds:
+    """A block that ends the process if it does not end by itself soon after `begin()`.
+
+    Python waits for its threads at the end of the event loop and of the process. An executor may
+    have started one that never ends, and the process was told to end.
+    """
+
+    def __init__(self, seconds: float, code: int) -> None:
+        self._timer = Timer(seconds, end_now, [code])
+        self._timer.daemon = True
+        self._before: set[Thread] = set()
+
+    def __enter__(self) -> Self:
+        self._before.update(enumerate_threads())
+        return self
+
+    def begin(self) -> None:
+        """Begin to count the seconds."""
+        self._timer.start()
+
+    def __exit__(self, *_: object) -> None:
+        if all(thread.daemon for thread in set(enumerate_threads()) - self._before):
+            self._timer.cancel()
+
+
+def end_now(code: int) -> None:
+    """End this process with that code, without waiting for threads and tasks."""
+    logger.warning("this process ends without its threads and tasks that do not end")
+    logging.shutdown()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)

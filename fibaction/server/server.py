@@ -79,6 +79,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 `math.inf` for ever. A client that already waits for it always gets it.
             max_results: The number of outcomes that are kept at most; the oldest are forgotten.
             shutdown_timeout: Seconds that executors have for their clean-up when the server stops.
+                Then they are killed, and those that do not end are abandoned about a second later.
 
         Raises:
             TypeError: The action is untyped, or the executor is not callable, is a coroutine
