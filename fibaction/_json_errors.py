@@ -1,23 +1,28 @@
-"""Sentences for the errors of a JSON Schema validator.
+"""Sentences for the mismatches of data and a JSON Schema.
 
-They name fields as `goal.waypoints[2].x`, and expect schemas as msgspec makes them.
+They name fields as `goal.waypoints[2].x`, and expect schemas as msgspec makes them. The length of a
+sentence is limited, whatever the data and the schema are.
 """
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Iterator
-from typing import Any, TypeAlias
+from itertools import islice
 
-import msgspec
+from fibaction._json_mismatch import Mismatch, Path
+from fibaction._plain_data import is_map, quoted
+from fibaction._text import excerpt
 
-from fibaction._plain_data import is_map
-
-Error: TypeAlias = Any
-"""A `jsonschema.ValidationError`. The stub says of each attribute that it may be unset."""
-
-MAX_QUOTED = 60
-"""Characters of a wrong value that an error quotes."""
+MAX_NAME = 60
+"""Characters of a field's name that a sentence shows."""
+MAX_PATH = 400
+"""Characters of the way to a field that a sentence shows."""
+MAX_NAMED = 20
+"""Fields or values that a sentence lists."""
+MAX_COMPARED = 1000
+"""Fields among which a similar name is looked for, and kinds among which those are found that
+differ."""
 
 _TYPES = {
     "integer": "a whole number",
@@ -35,124 +40,148 @@ _FORMATS = {
     "duration": "a duration in ISO 8601",
     "uuid": "a UUID",
 }
+_LIMITS = {
+    "minimum": "is less than the minimum of {}",
+    "maximum": "is greater than the maximum of {}",
+    "exclusiveMinimum": "is less than or equal to the minimum of {}",
+    "exclusiveMaximum": "is greater than or equal to the maximum of {}",
+    "multipleOf": "is not a multiple of {}",
+    "minLength": "is shorter than {} characters",
+    "maxLength": "is longer than {} characters",
+    "minItems": "has fewer than {} items",
+    "maxItems": "has more than {} items",
+    "minProperties": "has fewer than {} fields",
+    "maxProperties": "has more than {} fields",
+    "oneOf": "fits more than one alternative",
+    "not": "is a value that the schema excludes",
+    "false": "is a value where the schema allows none",
+}
 
 
-def sentences(error: Error, name: str) -> Iterator[str]:
+def sentences(mismatch: Mismatch, name: str) -> Iterator[str]:
     """Yield what is wrong with a message that is called `name`."""
-    field, value = _field(name, error.absolute_path), quoted(error.instance)
-    match error.validator:
+    field, value = _field(name, mismatch.path), quoted(mismatch.value)
+    match mismatch.keyword:
         case "additionalProperties":
-            for unknown in _unknown_names(error):
-                yield _unknown(field, unknown, error.schema["properties"])
+            for unknown in islice(_unknown_names(mismatch), MAX_NAMED):
+                yield _unknown(field, unknown, mismatch.expected)
         case "required":
             # A misspelled field is reported as unknown, and not as missing as well.
-            known = error.schema["properties"]
-            meant = {_nearest(unknown, known) for unknown in _unknown_names(error)}
-            for required in error.validator_value:
-                if required not in error.instance and required not in meant:
-                    yield f"{field}.{required} is missing"
-        case "type" | "enum":
-            yield f"{field} must be {_expected(error)}, not {value}"
+            known = mismatch.schema.get("properties", {})
+            meant = {
+                _nearest(unknown, known)
+                for unknown in islice(_names_beside(mismatch.value, known), MAX_NAMED)
+            }
+            missing = (one for one in mismatch.expected if one not in mismatch.value)
+            for required in islice(missing, MAX_NAMED):
+                if required not in meant:
+                    yield f"{field}.{excerpt(required, MAX_NAME)} is missing"
+        case "type" | "enum" | "const":
+            yield f"{field} must be {_expected(mismatch)}, not {value}"
         case "format":
-            yield f"{field} must be {_FORMATS[error.validator_value]}, not {value}"
+            yield f"{field} must be {_FORMATS[mismatch.expected]}, not {value}"
         case "contentEncoding":
             yield f"{field} must be bytes in base64, not {value}"
         case "anyOf":
-            yield from _none_of(error, name)
-        case _:
-            yield f"{field}: {error.message.replace(repr(error.instance), value)}"
+            yield from _none_of(mismatch, name)
+        case keyword:
+            yield f"{field}: {value} {_LIMITS[keyword].format(quoted(mismatch.expected))}"
 
 
-def place(error: Error) -> list[tuple[bool, str | int]]:
-    """Return a key that sorts errors by their fields."""
-    return [(isinstance(part, int), part) for part in error.absolute_path]
-
-
-def quoted(value: Any) -> str:
-    """Return a value as JSON on one line, shortened to `MAX_QUOTED` characters."""
-    text = msgspec.json.encode(value).decode()
-    return text if len(text) <= MAX_QUOTED else f"{text[:MAX_QUOTED]}..."
-
-
-def _none_of(error: Error, name: str) -> Iterator[str]:
+def _none_of(mismatch: Mismatch, name: str) -> Iterator[str]:
     """Yield what is wrong with a value that fits no alternative.
 
     The alternative that was meant is known from the tag, or from the kind of the value.
     """
-    field = _field(name, error.absolute_path)
-    choice = error.schema.get("discriminator")
-    if choice is not None and is_map(error.instance):
-        value = error.instance
-        tag, known = choice["propertyName"], choice["mapping"]
-        if tag not in value:
-            yield f"{field}.{tag} is missing: {_either(map(quoted, known))}"
-            return
-        if value[tag] not in known:
-            found = quoted(value[tag])
-            yield f"{field}.{tag} must be {_either(map(quoted, known))}, not {found}"
-            return
-    meant = [errors for errors in _branches(error) if not any(map(_is_other_kind, errors))]
+    field, value = _field(name, mismatch.path), mismatch.value
+    tag, known = _tag(mismatch)
+    if tag and tag not in value:
+        yield f"{field}.{excerpt(tag, MAX_NAME)} is missing: {_either(map(quoted, known))}"
+        return
+    if tag and value[tag] not in known:
+        found = quoted(value[tag])
+        yield f"{field}.{excerpt(tag, MAX_NAME)} must be {_either(map(quoted, known))}, not {found}"
+        return
+    meant = [
+        found
+        for found in mismatch.alternatives
+        if not any(one.excludes(mismatch.path) for one in found)
+    ]
     if meant:
-        fewest = min(meant, key=len)
-        for part in sorted(fewest, key=place):
+        for part in min(meant, key=len):
             yield from sentences(part, name)
     else:
-        yield f"{field} must be {_expected(error)}, not {quoted(error.instance)}"
+        yield f"{field} must be {_expected(mismatch)}, not {quoted(value)}"
 
 
-def _branches(error: Error) -> list[list[Error]]:
-    """Return the errors of each alternative."""
-    branches: dict[Any, list[Error]] = {}
-    for part in error.context:
-        branches.setdefault(part.relative_schema_path[0], []).append(part)
-    return list(branches.values())
+def _tag(mismatch: Mismatch) -> tuple[str, list[str]]:
+    """Return the name of the field that tells alternatives apart, and its values; or nothing."""
+    choice = mismatch.schema.get("discriminator")
+    if not (is_map(choice) and is_map(mismatch.value)):
+        return "", []
+    tag, known = choice.get("propertyName"), choice.get("mapping")
+    return (tag, list(known)) if isinstance(tag, str) and is_map(known) else ("", [])
 
 
-def _is_other_kind(error: Error) -> bool:
-    """Return whether the value is of another kind than this alternative, or has another tag."""
-    path = list(error.relative_path)
-    if error.validator == "anyOf" and not path:
-        tagged = "discriminator" in error.schema and is_map(error.instance)
-        return not tagged and all(any(map(_is_other_kind, part)) for part in _branches(error))
-    tagged = error.validator == "enum" and len(path) == 1 and len(error.validator_value) == 1
-    return tagged or (error.validator in ("type", "enum") and not path)
+def _expected(mismatch: Mismatch) -> str:
+    return _either(dict.fromkeys(islice(_kinds(mismatch), MAX_COMPARED)))
 
 
-def _expected(error: Error) -> str:
-    return _either(dict.fromkeys(_kinds(error)))
+def _kinds(mismatch: Mismatch) -> Iterator[str]:
+    match mismatch.keyword, mismatch.expected:
+        case "type", str(name):
+            yield _TYPES.get(name, quoted(name))
+        case "type", names:
+            yield from (_TYPES.get(name, quoted(name)) for name in names)
+        case "enum", values:
+            yield from map(quoted, values)
+        case "const", value:
+            yield quoted(value)
+        case _:
+            pass
+    for alternative in mismatch.alternatives:
+        for part in alternative:
+            yield from _kinds(part)
 
 
-def _kinds(error: Error) -> Iterator[str]:
-    if error.validator == "type":
-        names = error.validator_value
-        yield from (_TYPES[name] for name in ([names] if isinstance(names, str) else names))
-    elif error.validator == "enum":
-        yield from map(quoted, error.validator_value)
-    for part in error.context:
-        yield from _kinds(part)
+def _unknown_names(mismatch: Mismatch) -> Iterator[str]:
+    return _names_beside(mismatch.value, frozenset(mismatch.expected))
 
 
-def _unknown_names(error: Error) -> list[str]:
-    return [name for name in error.instance if name not in error.schema["properties"]]
+def _names_beside(value: Iterable[object], known: Iterable[str]) -> Iterator[str]:
+    return (name for name in map(str, value) if name not in known)
 
 
 def _unknown(field: str, name: str, known: Iterable[str]) -> str:
     text = f"{field} has no field {quoted(name)}"
     if near := _nearest(name, known):
         return f"{text}; did you mean {near}?"
-    return f"{text}; it has {', '.join(known) or 'no fields'}"
+    return f"{text}; it has {_listed(known) or 'no fields'}"
+
+
+def _listed(names: Iterable[str]) -> str:
+    shown = [excerpt(name, MAX_NAME) for name in islice(names, MAX_NAMED + 1)]
+    return ", ".join(shown[:MAX_NAMED]) + (", ..." if len(shown) > MAX_NAMED else "")
 
 
 def _nearest(word: str, known: Iterable[str]) -> str:
     """Return the known word that was probably meant; empty if none is near."""
-    return next(iter(difflib.get_close_matches(word, list(known), n=1)), "")
+    if len(word) > MAX_NAME:
+        return ""
+    short = [name for name in islice(known, MAX_COMPARED) if len(name) <= MAX_NAME]
+    return next(iter(difflib.get_close_matches(word, short, n=1)), "")
 
 
-def _field(name: str, path: Iterable[str | int]) -> str:
-    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
-    return name + "".join(parts)
+def _field(name: str, path: Path) -> str:
+    parts = (
+        f"[{part}]" if isinstance(part, int) else f".{excerpt(part, MAX_NAME)}" for part in path
+    )
+    return excerpt(name + "".join(parts), MAX_PATH)
 
 
 def _either(texts: Iterable[str]) -> str:
-    *others, last = texts
+    shown = list(islice(texts, MAX_NAMED + 1))
+    if len(shown) > MAX_NAMED:
+        return f"{', '.join(shown[:MAX_NAMED])} or another"
+    *others, last = shown or ["another value"]
     return f"{', '.join(others)} or {last}" if others else last

@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 LENGTH = 200
-"""Characters of a peer's text that are logged or kept in an error."""
+"""Characters of a peer's text that are logged, or quoted in an error."""
+REASON = 1000
+"""Characters of a reason that are told and kept. A reason is data, so it is not escaped."""
 
 
 def excerpt(text: str, length: int = LENGTH) -> str:
@@ -17,11 +19,13 @@ def excerpt(text: str, length: int = LENGTH) -> str:
 
     The excerpt of an excerpt is the same text.
     """
-    if len(text) > length:
-        text = text[: length - 1] + "…"
     # Escaping makes it longer, so what was escaped is cut again.
-    clean = printable(text)
-    return clean if len(clean) <= length else clean[: length - 1] + "…"
+    return shortened(printable(shortened(text, length)), length)
+
+
+def shortened(text: str, length: int = REASON) -> str:
+    """Return the text, cut to `length` characters; it may still be several lines."""
+    return text if len(text) <= length else text[: length - 1] + "…"
 
 
 def printable(text: str) -> str:

@@ -65,7 +65,8 @@ class Endpoint(ABC):
     ) -> GoalStream:
         """Send a goal, and follow it from its beginning.
 
-        The same goal may be sent again with the same ID: it gets the same answer and runs once.
+        The same goal may be sent again with the same ID: it gets the same answer and runs once. If
+        another client has sent it first, the stream is that of an observer: `stream.own` is False.
         `feedback=False` follows the outcome only. `sender` is the client that sends it, for the
         goal's record; a connection to another process does not pass it on, since the server there
         identifies its clients itself.

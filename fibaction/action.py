@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeGuard, TypeVar, cast, get_origin
 import msgspec
 from msgspec import inspect
 
+from fibaction._text import excerpt
 from fibaction.exceptions import ProtocolError, TransportError, text_of
 
 GoalT = TypeVar("GoalT")
@@ -83,9 +84,11 @@ class Codec(Generic[T]):
             return self._decoder.decode(payload)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError) as exc:
             # msgspec raises TypeError for a set of unhashable values.
-            raise self._misread(str(exc)) from exc
+            text = excerpt(str(exc))
         except Exception as exc:  # of the type's own, for instance in its `__post_init__`
             raise self._misread(text_of(exc)) from exc
+        # Raised here, so that it does not keep msgspec's error, which may hold the whole payload.
+        raise self._misread(text)
 
     def _misread(self, text: str) -> ProtocolError:
         # Without the sender, the reader of the text would look for the fault in the client's code.

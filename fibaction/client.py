@@ -56,7 +56,8 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             AuthenticationFailed: This client lacks the permission.
             InvalidMessage: The goal is too large to be sent; nothing was sent.
             ProtocolError: The server sent an invalid message, which ended the connection.
-            TypeError, OverflowError: The goal cannot be encoded: see `Codec.encode`.
+            TypeError, ValueError, OverflowError, RecursionError: The goal cannot be encoded: see
+                `Codec.encode`.
             TypeError: `goal_id` is not a `GoalID`.
         """
         if goal_id is None:
@@ -77,7 +78,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
         Raises:
             GoalRejected, ServerNotFound, ConnectionLost, AuthenticationFailed, ProtocolError,
-                TypeError, OverflowError: As for `send_goal`.
+                TypeError, ValueError, OverflowError, RecursionError: As for `send_goal`.
             GoalAborted, GoalCanceled, UnknownGoal, TransportError: As for `ClientGoal.result`.
         """
         goal_id = GoalID.random()

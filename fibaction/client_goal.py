@@ -23,13 +23,14 @@ does not cancel again.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Coroutine, Generator
 from types import TracebackType
 from typing import Any, Generic
 
 import anyio
 
+from fibaction._log import clean_logger
+from fibaction._text import excerpt
 from fibaction.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.action import Action, Codec, FeedbackT, ResultT
 from fibaction.exceptions import ActionError, GoalAborted, GoalCanceled, UnknownGoal
@@ -40,7 +41,7 @@ LEAVE_TIMEOUT = 5.0
 """Seconds that the end of a goal's block waits for the answer to its cancel: longer than an answer
 takes, and as long as it takes to detect a dead peer."""
 
-logger = logging.getLogger("fibaction.client")
+logger = clean_logger("fibaction.client")
 
 
 class FeedbackReader(Generic[FeedbackT]):
@@ -239,7 +240,8 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
             try:
                 answer = await self._endpoint.cancel_goals(goal_id)
                 if not answer.accepted and answer.reason:
-                    logger.warning("goal %s was left, but runs on: %s", goal_id, answer.reason)
+                    reason = excerpt(answer.reason)
+                    logger.warning("goal %s was left, but runs on: %s", goal_id, reason)
             except ActionError as error:
                 logger.warning("goal %s was left, but could not be canceled: %s", goal_id, error)
         if timeout.cancelled_caught:

@@ -17,7 +17,8 @@
         ├── LimitReached          a limit of the server or of the client is reached
         └── ServerFailed          the server has a bug
 
-Data is in attributes (`reason`, `result`, `goal_id`), the text is one sentence. Nothing here knows
+Data is in attributes (`reason`, `result`, `goal_id`), the text is one sentence on one printable
+line, whatever a peer has sent: see `fibaction._text`. Nothing here knows
 goals in progress, transports or tasks. The number of each error on the wire is in
 `fibaction.wire.errors`.
 """
@@ -27,6 +28,7 @@ from __future__ import annotations
 from typing import Any
 
 from fibaction._action_error import ActionError as ActionError  # the root of this tree
+from fibaction._text import REASON, excerpt
 from fibaction.goals import WHY_UNKNOWN, GoalID
 from fibaction.states import InvalidTransition as InvalidTransition  # raised by the table alone
 
@@ -43,9 +45,10 @@ class _GoalError(ActionError):
         self.goal_id = goal_id
 
     def __str__(self) -> str:
+        reason = excerpt(self.reason, REASON)
         if self.goal_id is None:
-            return self.reason or f"the goal {self.what}"
-        return f"goal {self.goal_id} {self.what}" + (f": {self.reason}" if self.reason else "")
+            return reason or f"the goal {self.what}"
+        return f"goal {self.goal_id} {self.what}" + (f": {reason}" if reason else "")
 
 
 class GoalRejected(_GoalError):
@@ -173,10 +176,11 @@ class ServerFailed(TransportError):
 def text_of(exc: BaseException) -> str:
     """Return an error of foreign code as text, for example `ValueError: too far`.
 
-    If `str(exc)` itself raises, fall back to the name of the class.
+    It is one printable line of limited length. If `str(exc)` itself raises, fall back to the name
+    of the class.
     """
     try:
-        return f"{type(exc).__name__}: {exc}"
+        return excerpt(f"{type(exc).__name__}: {exc}", REASON)
     except Exception:
         return type(exc).__name__
 

@@ -81,7 +81,7 @@ UNKNOWN_SENDER = Sender()
 """A client that the transport cannot identify."""
 
 
-class GoalInfo(msgspec.Struct, frozen=True):
+class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     """One line of a server's list of goals."""
 
     goal_id: GoalID

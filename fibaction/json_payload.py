@@ -8,40 +8,32 @@ file or another protocol. For example, with the description that a server sends 
     goals = JsonCodec(info.goal)
     payload = goals.encode({"order": 3})  # defaults are filled in
 
-Checks by a schema need jsonschema: `pip install 'fibaction[json]'`. It is imported when the first
-`JsonCodec` with a schema is made.
+The schema and the data may be hostile: nothing is fetched, no regular expression of a schema is
+run, and the work and the length of errors are limited.
 """
 
 from __future__ import annotations
 
 import base64
-import binascii
-import copy
 import datetime
-import uuid
 from collections.abc import Iterator, Mapping
-from functools import cache
+from contextlib import contextmanager
+from itertools import islice
 from typing import Any, cast
 
 import msgspec
 
-from fibaction._json_errors import place, sentences
+from fibaction._json_check import MAX_MISMATCHES, Check, size_of
+from fibaction._json_errors import sentences
+from fibaction._json_schema import Schema, SchemaError
 from fibaction._plain_data import is_list, is_map
 
 __all__ = ["JsonCodec", "PayloadError", "to_json"]
 
-Schema = dict[str, Any]
-
 MAX_PROBLEMS = 5
 """Problems of one message that the text of an error names; later ones often follow from them."""
-
-_FORMATS: dict[str, Any] = {
-    "date-time": datetime.datetime,
-    "date": datetime.date,
-    "time": datetime.time,
-    "duration": datetime.timedelta,
-    "uuid": uuid.UUID,
-}
+MAX_DEPTH = 100
+"""Levels of nested data in a message that is checked."""
 
 
 class PayloadError(ValueError):
@@ -55,7 +47,7 @@ class PayloadError(ValueError):
         shown = [*problems[:MAX_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]
         super().__init__("; ".join(shown))
         self.problems = problems
-        """All problems, one sentence each, in the order of the fields."""
+        """The problems, one sentence each: all of them, or the first hundred or so."""
 
 
 class JsonCodec:
@@ -67,13 +59,14 @@ class JsonCodec:
     def __init__(self, schema: Mapping[str, Any], name: str = "goal") -> None:
         """Make a codec from a JSON Schema of `ActionInfo`. An empty schema allows any data.
 
-        `name` is what errors call the message.
+        The schema must not be changed later. `name` is what errors call the message.
+
+        Raises:
+            PayloadError: The schema is malformed, too large, or refers to something outside of it.
         """
         self._name = name
-        self._schema: Schema = copy.deepcopy(dict(schema))
-        self._definitions: Schema = self._schema.get("$defs", {})
-        _close(self._schema)
-        self._validator = _validator(self._schema) if schema else None
+        with self._errors():
+            self._schema = None if schema == {} else Schema(schema)
 
     def complete(self, data: Any) -> Any:
         """Return the message as plain data that can be sent, for example by an untyped client.
@@ -83,30 +76,19 @@ class JsonCodec:
         hold bytes already.
 
         Raises:
-            PayloadError: The data does not match the schema, or has a field that it does not name.
+            PayloadError: The data does not match the schema, has a field that it does not name, or
+                nests deeper than 100 levels; or msgpack cannot express it; or the schema is so
+                complex that the check takes too long.
         """
-        if self._validator is None:
-            return data
-        self._as_in_json(data)  # fails for data that contains itself, before it is copied
-        data = self._completed(data, self._schema)
-        errors = sorted(self._validator.iter_errors(self._as_in_json(data)), key=place)
-        # A validator reports each missing field by an error, whose sentences name all of them.
-        problems = dict.fromkeys(text for error in errors for text in sentences(error, self._name))
-        if problems:
-            raise PayloadError(*problems)
-        return self._converted(data, self._schema)
+        return self._message(data)[0]
 
     def encode(self, data: Any) -> bytes:
         """Return the payload of a message; see `complete`.
 
         Raises:
-            PayloadError: The data does not match the schema, or msgpack cannot express it.
+            PayloadError: As `complete`.
         """
-        message = self.complete(data)
-        try:
-            return msgspec.msgpack.encode(message)
-        except (TypeError, ValueError, OverflowError, RecursionError) as exc:
-            raise self._not_encoded(exc) from exc
+        return self._message(data)[1]
 
     def decode(self, payload: bytes) -> Any:
         """Return the message in a payload as JSON data; see `to_json`.
@@ -120,59 +102,107 @@ class JsonCodec:
             raise PayloadError(f"the {self._name} is not a valid payload: {exc}") from exc
         return msgspec.json.decode(to_json(message))
 
-    def _not_encoded(self, error: Exception) -> PayloadError:
-        return PayloadError(f"the {self._name} cannot be encoded: {error}")
+    def _message(self, data: Any) -> tuple[Any, bytes]:
+        """Return the message as plain data, and encoded."""
+        with self._errors():
+            if self._schema is not None:
+                # Without tuples and sets, and without parts that are the same object.
+                data = msgspec.to_builtins(data, builtin_types=(bytes, datetime.datetime))
+                data = self._checked(data, self._schema)
+            return data, msgspec.msgpack.encode(data)
 
-    def _as_in_json(self, data: Any) -> Any:
-        """Return data with text in place of bytes, which is what a schema describes."""
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
         try:
-            return msgspec.to_builtins(data, str_keys=True)
-        except (TypeError, ValueError, RecursionError) as exc:
-            raise self._not_encoded(exc) from exc
+            yield
+        except PayloadError:
+            raise
+        except SchemaError as exc:
+            raise PayloadError(f"the schema of the {self._name} {exc}") from exc
+        except (TypeError, ValueError, OverflowError, RecursionError) as exc:
+            raise PayloadError(f"the {self._name} cannot be encoded: {exc}") from exc
 
-    def _completed(self, value: Any, schema: Schema) -> Any:
-        schema = self._resolved(schema, value)
-        if is_map(value) and "properties" in schema:
-            whole: dict[Any, Any] = {}
-            for name, part in schema["properties"].items():
-                if name in value:
-                    whole[name] = self._completed(value[name], part)
-                elif "default" in part:
-                    whole[name] = copy.deepcopy(part["default"])
-            return {**whole, **{name: value[name] for name in value if name not in whole}}
-        if is_list(value):
-            rest = _part(schema, "items")
-            return [self._completed(item, rest) for item in value]
+    def _checked(self, data: Any, schema: Schema) -> Any:
+        if _is_deeper(data, MAX_DEPTH):
+            raise PayloadError(f"the {self._name} nests deeper than {MAX_DEPTH} levels")
+        check = Check(schema, size_of(data))
+        data = _completed(check, data, schema.root)
+        mismatches = islice(check.mismatches(data, schema.root), MAX_MISMATCHES)
+        # Each missing field is a mismatch, whose sentences name all of them.
+        problems = dict.fromkeys(text for one in mismatches for text in sentences(one, self._name))
+        if problems:
+            raise PayloadError(*problems)
+        return _converted(check, data, schema.root)
+
+
+def _is_deeper(data: Any, levels: int) -> bool:
+    if is_map(data):
+        return not levels or any(_is_deeper(item, levels - 1) for item in data.values())
+    if is_list(data):
+        return not levels or any(_is_deeper(item, levels - 1) for item in data)
+    return False
+
+
+def _completed(check: Check, value: Any, schema: Any) -> Any:
+    """Return the value with the defaults of fields that are missing."""
+    if not (is_map(value) or isinstance(value, list)):
         return value
+    schema = check.resolved(schema, value)
+    if isinstance(value, list):
+        return [_completed(check, *pair) for pair in _items(value, schema)]
+    known = schema.get("properties", {})
+    whole: dict[Any, Any] = {}
+    check.spend(len(known))
+    for name, part in known.items():
+        if name in value:
+            whole[name] = _completed(check, value[name], part)
+        elif is_map(part) and "default" in part:
+            whole[name] = _copied(check, part["default"], MAX_DEPTH)
+    rest = _part(schema, "additionalProperties")
+    for name in value:
+        if name not in whole:
+            whole[name] = _completed(check, value[name], rest)
+    return whole
 
-    def _converted(self, value: Any, schema: Schema) -> Any:
-        schema = self._resolved(schema, value)
-        if is_map(value):
-            known, rest = schema.get("properties", {}), _part(schema, "additionalProperties")
-            return {name: self._converted(value[name], known.get(name, rest)) for name in value}
-        if is_list(value):
-            first, rest = schema.get("prefixItems", []), _part(schema, "items")
-            parts = [*first, *[rest] * (len(value) - len(first))]
-            return [self._converted(*pair) for pair in zip(value, parts, strict=False)]
-        if isinstance(value, str) and schema.get("contentEncoding") == "base64":
-            return base64.b64decode(value)
-        if isinstance(value, float) and schema.get("type") == "integer":
-            return int(value)  # JSON Schema accepts 3.0 as a whole number, decoders do not
-        return value
 
-    def _resolved(self, schema: Schema, value: Any) -> Schema:
-        """Return the schema of the value: behind references, and among alternatives."""
-        while "$ref" in schema or "anyOf" in schema:
-            if "$ref" in schema:
-                schema = cast("Schema", self._definitions[schema["$ref"].rpartition("/")[2]])
-            else:
-                schema = self._chosen(schema["anyOf"], value)
-        return schema
+def _copied(check: Check, value: Any, levels: int) -> Any:
+    """Return a copy of a default, which the message may need many times."""
+    check.spend(size_of(value) if isinstance(value, str | bytes) else 1)
+    if (is_map(value) or is_list(value)) and not levels:
+        raise SchemaError(f"has a default that nests deeper than {MAX_DEPTH} levels")
+    if is_map(value):
+        return {name: _copied(check, item, levels - 1) for name, item in value.items()}
+    if is_list(value):
+        return [_copied(check, item, levels - 1) for item in value]
+    return value
 
-    def _chosen(self, parts: list[Schema], value: Any) -> Schema:
-        plain = self._as_in_json(value)
-        whole = ({**part, "$defs": self._definitions} for part in parts)
-        return next((part for part in whole if _validator(part).is_valid(plain)), Schema())
+
+def _converted(check: Check, value: Any, schema: Any) -> Any:
+    """Return a value that matches the schema as it is sent: bytes for base64, and so on."""
+    schema = check.resolved(schema, value)
+    if is_map(value):
+        known, rest = schema.get("properties", {}), _part(schema, "additionalProperties")
+        return {name: _converted(check, value[name], known.get(str(name), rest)) for name in value}
+    if isinstance(value, list):
+        return [_converted(check, *pair) for pair in _items(value, schema)]
+    if isinstance(value, str) and schema.get("contentEncoding") == "base64":
+        return base64.b64decode(value)
+    if isinstance(value, float) and schema.get("type") == "integer":
+        return int(value)  # JSON Schema accepts 3.0 as a whole number, decoders do not
+    return value
+
+
+def _items(value: list[Any], schema: dict[str, Any]) -> Iterator[tuple[Any, Any]]:
+    """Yield the items of a list, each with its schema."""
+    first, rest = schema.get("prefixItems", []), _part(schema, "items")
+    for index, item in enumerate(value):
+        yield item, first[index] if index < len(first) else rest
+
+
+def _part(schema: dict[str, Any], keyword: str) -> dict[str, Any]:
+    """Return the schema of further items or fields; empty where the keyword is true or false."""
+    part = schema.get(keyword)
+    return cast("dict[str, Any]", part) if isinstance(part, dict) else {}
 
 
 def to_json(value: Any) -> str:
@@ -194,72 +224,3 @@ def _without_extension(value: Any) -> Any:
     if isinstance(value, msgspec.msgpack.Ext):
         return {"ext": value.code, "data": value.data}
     raise TypeError(f"JSON has no {type(value).__name__}")
-
-
-def _part(schema: Schema, keyword: str) -> Schema:
-    """Return the schema of further items or fields; empty where the keyword is true or false."""
-    part = schema.get(keyword)
-    return cast("Schema", part) if isinstance(part, dict) else {}
-
-
-def _close(schema: Schema) -> None:
-    """Allow structs no fields but their own.
-
-    A server may ignore unknown fields, but the author of one expects it to have an effect.
-    """
-    if "properties" in schema:
-        schema.setdefault("additionalProperties", False)
-    for keyword in ("$defs", "properties"):
-        for part in schema.get(keyword, {}).values():
-            _close(part)
-    for keyword in ("anyOf", "prefixItems"):
-        for part in schema.get(keyword, ()):
-            _close(part)
-    for keyword in ("items", "additionalProperties"):
-        if part := _part(schema, keyword):
-            _close(part)
-
-
-# The validator
-
-
-def _validator(schema: Schema) -> Any:
-    make, formats = _validator_class()
-    return make(schema, format_checker=formats)
-
-
-@cache
-def _validator_class() -> tuple[Any, Any]:
-    """Return a class of validators that also check base64, and the formats that they check."""
-    from jsonschema import Draft202012Validator, FormatChecker, validators
-    from jsonschema.exceptions import ValidationError
-
-    def check_base64(_: Any, encoding: str, instance: Any, __: Any) -> Iterator[ValidationError]:
-        if encoding == "base64" and isinstance(instance, str) and not _is_base64(instance):
-            yield ValidationError("not base64")
-
-    formats = FormatChecker(formats=())
-    for name, kind in _FORMATS.items():
-        formats.checks(name, raises=msgspec.ValidationError)(_format_check(kind))
-    # The stub of jsonschema has no types for `extend`.
-    extended = cast("Any", validators).extend(
-        Draft202012Validator, {"contentEncoding": check_base64}
-    )
-    return extended, formats
-
-
-def _is_base64(text: str) -> bool:
-    try:
-        base64.b64decode(text, validate=True)
-    except binascii.Error:
-        return False
-    return True
-
-
-def _format_check(kind: Any) -> Any:
-    def check(value: Any) -> bool:
-        if isinstance(value, str):
-            msgspec.convert(value, kind)
-        return True
-
-    return check

@@ -73,6 +73,9 @@ class GoalStream(_Closing):
     """Time at which the goal was accepted: nanoseconds since 1970."""
     latest: bool
     """True if a slow reader gets the newest feedback only: the server's policy."""
+    own: bool = True
+    """True if the goal belongs to the client that asked for this stream, as far as the server can
+    tell clients apart. A stream of another client's goal never makes the executor wait."""
     cursor: int
     """The number of the last feedback that was taken or skipped; 0 before the first."""
     reads: bool

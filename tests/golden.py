@@ -110,8 +110,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "931a07a96669626f6e61636369",
     ),
     (
-        Welcome(1, 1.0, 65536),
-        "942001cb3ff0000000000000ce00010000",
+        Welcome(1, 1.0, 65536, 15.0),
+        "952001cb3ff0000000000000ce00010000cb402e000000000000",
     ),
     (
         Following(1, STAMP, GoalStatus.ACCEPTED, False, 0),

@@ -383,7 +383,7 @@ def test_a_value_of_another_type_is_rejected_and_the_field_is_named(
     with pytest.raises(ProtocolError) as caught:
         Codec(message_type).decode(msgspec.msgpack.encode(plain))
     assert str(caught.value) == text
-    assert isinstance(caught.value.__cause__, msgspec.ValidationError)
+    assert caught.value.__cause__ is caught.value.__context__ is None  # may hold the payload
 
 
 def test_what_a_server_sent_that_is_not_of_its_type_is_told_with_the_action() -> None:

@@ -43,3 +43,18 @@ def test_no_two_modules_have_the_same_name() -> None:
 def test_no_module_is_named_by_a_gerund() -> None:
     gerunds = {module.stem.strip("_") for module in modules() if module.stem.endswith("ing")}
     assert gerunds == {"testing"}
+
+
+CLEAN_LOGS = ("fibaction/_log.py", "fibaction/cli/logs.py", "fibaction/cli/top.py")
+"""The modules that set up logs, and so may use any logger."""
+
+
+def test_every_logger_is_a_clean_one() -> None:
+    found = {
+        str(module.relative_to(ROOT)): node.lineno
+        for module in modules()
+        for node in ast.walk(ast.parse(module.read_text()))
+        if isinstance(node, ast.Attribute | ast.alias)
+        and (node.attr if isinstance(node, ast.Attribute) else node.name) == "getLogger"
+    }
+    assert {name: line for name, line in found.items() if name not in CLEAN_LOGS} == {}

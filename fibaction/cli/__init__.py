@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
-NEEDED = ("click", "rich", "yaml", "jsonschema")
+NEEDED = ("click", "rich", "yaml")
 """The modules that the extra brings."""
 INTERRUPTED = 130
 """`ExitCode.INTERRUPTED`, whose module needs the extra."""

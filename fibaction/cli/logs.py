@@ -7,11 +7,13 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
 
-from fibaction.cli.escape import clean, clean_lines
+from fibaction._log import traceback_text
+from fibaction.cli.escape import clean
 
 
 class CleanFormatter(logging.Formatter):
-    """Writes each record of fibaction on one clean line, since it may contain text of a peer.
+    """Writes each record of fibaction, and of its extensions, on one clean line, since it may
+    contain text of a peer.
 
     Records of the user's own code are not changed. A traceback keeps its lines and is cleaned,
     whichever code logs it: an executor's exception may contain what a client has sent.
@@ -22,7 +24,7 @@ class CleanFormatter(logging.Formatter):
         return clean(text) if record.name.startswith("fibaction") else text
 
     def formatException(self, ei: Any) -> str:
-        return clean_lines(super().formatException(ei))
+        return traceback_text(ei[1])
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
 
@@ -10,21 +9,23 @@ import anyio
 import click
 
 from fibaction._api import serve
+from fibaction._log import clean_logger
 from fibaction.abc import StatusStream
 from fibaction.cli.action_names import names_of
 from fibaction.cli.exit_codes import ExitCode, run
 from fibaction.cli.import_target import AnyServer, import_servers
+from fibaction.cli.last_seconds import LastSeconds
 from fibaction.cli.logs import log_events, log_with_time
 from fibaction.cli.options import reject_inproc, url_of
 from fibaction.cli.output import say
 from fibaction.cli.reload import SAME_STOP, run_reloading, started_by
-from fibaction.cli.signals import LastSeconds, stop_signals
+from fibaction.cli.signals import stop_signals
 from fibaction.states import GoalStatus
 
 LAST_SECONDS = 0.5
 """Seconds between the stop of all servers and the end of the process, at most."""
 
-logger = logging.getLogger(__name__)
+logger = clean_logger(__name__)
 
 
 @click.command(
@@ -68,7 +69,7 @@ async def serve_servers(
     urls: Sequence[str],
     *,
     same: float | None = None,
-    at_end: Callable[[], None] = lambda: None,
+    at_end: Callable[[], None],
 ) -> int:
     """Serve until a signal comes, then let the goals end and tell their clients.
 

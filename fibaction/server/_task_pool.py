@@ -28,8 +28,8 @@ from typing import Any, TypeAlias
 from anyio.abc import TaskGroup
 from anyio.lowlevel import cancel_shielded_checkpoint
 
+from fibaction._detached import DetachedGroup, waker
 from fibaction._notify import Notifier
-from fibaction._tasks import DetachedGroup, waker
 from fibaction.server._fair_queue import FairQueue
 from fibaction.server._interruption import SLICE, CancelOnce
 

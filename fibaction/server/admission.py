@@ -15,32 +15,38 @@ with its ID. They wait for that goal alone: `_decisions` has one notifier per un
 by the first task that waits.
 
 A cancel goes through `cancel`. The registry says which goals it means; `on_cancel` is called for
-each of them, concurrently, because one slow answer must not delay the cancels of other goals.
+each of them, for `MOST_AT_ONCE` concurrently, because one slow answer should not delay the cancels
+of other goals. A client may cancel all goals as often as it likes, so the work is done in slices.
 """
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Awaitable, Coroutine
 from typing import Any, Generic, NamedTuple
 
-from anyio import create_task_group, current_time
+from anyio import Semaphore, create_task_group, current_time
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
+from fibaction._slices import Slices
+from fibaction._text import excerpt, shortened
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import CancelRejected, GoalRejected, ProtocolError
 from fibaction.goals import CancelAnswer, GoalID, Sender
 from fibaction.server.callbacks import SERVER_STOPPING, Callback, Callbacks
 from fibaction.server.cancellation import Cancellation
 from fibaction.server.executor import GoalHandle
-from fibaction.server.feedback_log import FeedbackCursor
+from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.goal_record import GoalRecord
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.server.runs import Runs
 from fibaction.states import GoalStatus
 
-logger = logging.getLogger("fibaction.server")
+MOST_AT_ONCE = 100
+"""Calls of `on_cancel` that one cancel waits for at the same time."""
+
+logger = clean_logger("fibaction.server")
 
 
 class Offer(NamedTuple):
@@ -95,7 +101,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         if verdict is Verdict.WAIT:
             return self._offer_again(offer)
         if verdict is Verdict.REPEAT:
-            return self._runs.follow(goal_id, feedback=offer.feedback, own=offer.feedback, after=0)
+            return self._runs.follow_again(goal_id, feedback=offer.feedback, sender=offer.sender)
         try:
             request = self._decode(offer.goal)
             if self._on_goal is not None:
@@ -138,13 +144,15 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         goal = self._registry.accept(offer.goal_id, stamp=time.time_ns(), sender=offer.sender)
         self._tell_decision(offer.goal_id)
         log = self._runs.start(goal, request)
-        return log.follow(feedback=offer.feedback, hold=offer.feedback)
+        return log.follow(feedback=offer.feedback, own=True)
 
     def _reject(self, goal_id: GoalID, reason: str) -> GoalRejected:
         """Reject a goal, and return the error to raise."""
+        reason = shortened(reason)
         self._registry.reject(goal_id, reason, now=current_time())
         self._tell_decision(goal_id)
-        logger.info("goal %s of action %r: rejected: %s", goal_id, self._action.name, reason)
+        name = self._action.name
+        logger.info("goal %s of action %r: rejected: %s", goal_id, name, excerpt(reason))
         return GoalRejected(reason, goal_id=goal_id)
 
     def _withdraw(self, goal_id: GoalID) -> None:
@@ -170,26 +178,61 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             await self._decided(goal_id)
         cancellation = self._registry.cancel(goal_id, stamp, now=current_time())
         if self._on_cancel is None or len(cancellation.candidates) < 2:
+            slices = Slices()
             for goal in cancellation.candidates:
-                await self._cancel(cancellation, goal)
+                asking = self._cancel(cancellation, goal)
+                if asking is not None:
+                    await self._cancel_later(cancellation, goal, asking)
+                await slices.pause()
         else:
-            async with create_task_group() as tasks:
-                for goal in cancellation.candidates:
-                    tasks.start_soon(self._cancel, cancellation, goal)
+            await self._cancel_together(cancellation)
         return cancellation.answer()
 
-    async def _cancel(self, cancellation: Cancellation, goal: GoalRecord) -> None:
+    async def _cancel_together(self, cancellation: Cancellation) -> None:
+        """Cancel goals, and wait for several calls of an async `on_cancel` at the same time."""
+        slices, room = Slices(), Semaphore(MOST_AT_ONCE, fast_acquire=True)
+
+        async def wait(goal: GoalRecord, asking: Awaitable[None]) -> None:
+            await self._cancel_later(cancellation, goal, asking)
+            room.release()
+
+        async with create_task_group() as tasks:
+            for goal in cancellation.candidates:
+                await room.acquire()
+                asking = self._cancel(cancellation, goal)
+                if asking is None:
+                    room.release()
+                else:
+                    tasks.start_soon(wait, goal, asking)
+                await slices.pause()
+
+    def _cancel(self, cancellation: Cancellation, goal: GoalRecord) -> Awaitable[None] | None:
+        """Cancel a goal, or have it rejected; return the answer to wait for if it takes time."""
         if not goal.status.is_active:
-            return  # it has ended since it was chosen
+            return None  # it has ended since it was chosen
         if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
             handle = self._runs.handle_of(goal)
             try:
                 asking = self._callbacks.ask("on_cancel", self._on_cancel, handle, CancelRejected)
-                if asking is not None:
-                    await asking
             except CancelRejected as exc:
                 cancellation.reject(exc.reason)
-                return
+                return None
+            if asking is not None:
+                return asking
+        self._accept_cancel(cancellation, goal)
+        return None
+
+    async def _cancel_later(
+        self, cancellation: Cancellation, goal: GoalRecord, asking: Awaitable[None]
+    ) -> None:
+        try:
+            await asking
+        except CancelRejected as exc:
+            cancellation.reject(exc.reason)
+        else:
+            self._accept_cancel(cancellation, goal)
+
+    def _accept_cancel(self, cancellation: Cancellation, goal: GoalRecord) -> None:
         before = goal.status
         if cancellation.accept(goal) and goal.status is not before:
             self._runs.cancel(goal, interrupt=self._interrupt_on_cancel)

@@ -21,7 +21,6 @@ This module does not depend on goals; its caller carries out the answers.
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Awaitable, Callable, Coroutine, Generator
 from contextlib import contextmanager
@@ -29,6 +28,8 @@ from typing import Any, TypeAlias, TypeVar
 
 from anyio import CancelScope, current_effective_deadline, get_cancelled_exc_class
 
+from fibaction._log import clean_logger
+from fibaction._text import excerpt
 from fibaction.exceptions import CancelRejected, GoalRejected, text_of
 
 T = TypeVar("T")
@@ -40,7 +41,7 @@ _Rejection: TypeAlias = type[GoalRejected] | type[CancelRejected]
 SERVER_STOPPING = "the server is stopping"
 CANCELED_ELSEWHERE = "it awaited a task or future that was canceled elsewhere"
 
-logger = logging.getLogger("fibaction.server")
+logger = clean_logger("fibaction.server")
 
 
 class Callbacks:
@@ -111,7 +112,7 @@ class Callbacks:
 def _check(name: str, answer: object, rejection: _Rejection) -> None:
     if answer is not None:
         raise TypeError(
-            f"{name} returned {answer!r}: return None to accept,"
+            f"{name} returned {excerpt(repr(answer))}: return None to accept,"
             f" raise {rejection.__name__}(reason) to reject"
         )
 

@@ -5,9 +5,10 @@ Sans-I/O: it calls no callbacks and interrupts no executors.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
+from operator import attrgetter
 
+from fibaction._text import REASON, shortened
 from fibaction.goals import NO_GOAL, CancelAnswer, CancelCode, GoalID, GoalInfo
 from fibaction.server.goal_record import GoalRecord
 from fibaction.states import GoalEvent, GoalStatus, transition
@@ -25,7 +26,8 @@ class Cancellation:
         """The goals that were active when the cancel arrived, CANCELING ones included."""
         self._otherwise = otherwise
         self._canceling: dict[GoalID, GoalInfo] = {}
-        self._reasons: list[str] = []
+        self._reasons: dict[str, None] = {}
+        self._length = 0
 
     def accept(self, goal: GoalRecord) -> bool:
         """Move the goal to CANCELING, and return True; return False if it has ended meanwhile."""
@@ -38,22 +40,21 @@ class Cancellation:
 
     def reject(self, reason: str) -> None:
         """Note the reason for which a goal is not canceled."""
-        self._reasons.append(reason)
+        if reason not in self._reasons and self._length < REASON:
+            self._reasons[reason] = None
+            self._length += len(reason)
 
     def answer(self) -> CancelAnswer:
         """Return the answer: NONE if any goal is canceling, REJECTED if all were rejected."""
-        canceling = tuple(
-            self._canceling[goal.goal_id]
-            for goal in self.candidates
-            if goal.goal_id in self._canceling
-        )
+        # In the order of acceptance. They are nearly in order already, so sorting is fast.
+        canceling = tuple(sorted(self._canceling.values(), key=attrgetter("stamp")))
         if canceling:
             code = CancelCode.NONE
         elif self._reasons:
             code = CancelCode.REJECTED
         else:
             code = self._otherwise
-        return CancelAnswer(code, canceling, "; ".join(dict.fromkeys(self._reasons)))
+        return CancelAnswer(code, canceling, shortened("; ".join(self._reasons)))
 
 
 def cancellation_of(
@@ -77,6 +78,7 @@ def cancellation_of(
             return Cancellation((), CancelCode.UNKNOWN_GOAL_ID)
         candidates = (goal,) if goal.status.is_active else ()
         return Cancellation(candidates, CancelCode.GOAL_TERMINATED)
-    latest = stamp or math.inf  # an ID alone was handled above
-    chosen = (goal for goal in active if goal.stamp <= latest or goal.goal_id == goal_id)
+    if not stamp:
+        return Cancellation(tuple(active), CancelCode.NONE)
+    chosen = (goal for goal in active if goal.stamp <= stamp or goal.goal_id == goal_id)
     return Cancellation(tuple(chosen), CancelCode.NONE)

@@ -29,7 +29,6 @@ statuses, on clients or on other goals.
 
 from __future__ import annotations
 
-import logging
 import sys
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
 from contextvars import copy_context
@@ -39,6 +38,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 from anyio import get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
+from fibaction._log import clean_logger
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import GoalAborted, GoalCanceled, text_of
 from fibaction.server._interruption import CancelOnce, Steps
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-logger = logging.getLogger("fibaction.server")
+logger = clean_logger("fibaction.server")
 
 
 class GoalHandle(Generic[GoalT]):

@@ -46,10 +46,16 @@ class ExpiringMap(Generic[T]):
         entry = self._entries.get(goal_id)
         return None if entry is None or entry[0] <= now else entry[1]
 
-    def expire(self, now: float) -> list[GoalID]:
-        """Remove the entries that are too old or too many, and return their keys."""
+    def expire(self, now: float, limit: int | None = None) -> list[GoalID]:
+        """Remove the entries that are too old or too many, but at most `limit`, and return their
+        keys.
+        """
         gone: list[GoalID] = []
-        while self._entries and (self.next_expiry <= now or len(self._entries) > self._limit):
+        while (
+            len(gone) != limit
+            and self._entries
+            and (self.next_expiry <= now or len(self._entries) > self._limit)
+        ):
             gone.append(self._entries.popitem(last=False)[0])
         return gone
 

@@ -19,6 +19,11 @@ That position is computed when a cursor moves (`make_room`) and not at each feed
 feedback 1.2 times as fast (`python -m tests.benchmarks.parts`). A cursor that has not been read for
 the stall timeout is stalled: it does not hold until it has caught up.
 
+Costs: anyone who may observe a goal may follow it thousands of times. So to follow, to take and to
+leave each cost the same however many cursors there are; only a feedback costs a notification for
+each. The log counts the holding cursors at the slowest position (`_slowest`), and looks at all
+holding ones only when the last of them has left it.
+
 A log references the cursors that read feedback, and has weak references to those that only wait for
 the end. So a stream that was closed, and is otherwise unused, is freed before its goal ends.
 
@@ -29,7 +34,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from itertools import islice
 from typing import TYPE_CHECKING
 from weakref import ref
@@ -37,12 +41,12 @@ from weakref import ref
 import anyio
 
 from fibaction._notify import Notifier
-from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
-from fibaction.exceptions import ActionError, copy_of
+from fibaction.abc import FeedbackItem
+from fibaction.server._members import Members, with_member, without_member
+from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.states import GoalStatus
 
 if TYPE_CHECKING:
-    from fibaction.goals import Outcome
     from fibaction.server.goal_record import GoalRecord
 
 
@@ -55,10 +59,13 @@ class FeedbackLog:
     __slots__ = (
         "__weakref__",
         "_full_at",
+        "_holders",
         "_items",
         "_others",
+        "_prune_at",
         "_readers",
         "_room",
+        "_slowest",
         "_window",
         "goal",
         "latest",
@@ -74,9 +81,12 @@ class FeedbackLog:
         """The statuses that the goal has had since its acceptance."""
         self._window = window
         self._items: deque[FeedbackItem] = _NOTHING
-        self._readers: tuple[FeedbackCursor, ...] = ()
-        self._others: tuple[ref[FeedbackCursor], ...] = ()  # they wait for the end only
+        self._readers: Members[FeedbackCursor] = ()
+        self._holders: Members[FeedbackCursor] = ()
+        self._slowest = 0  # the number of holding cursors at the slowest position
         self._full_at: float = math.inf
+        self._others: list[ref[FeedbackCursor]] | None = None  # they wait for the end only
+        self._prune_at = 0  # the number of others at which those that are gone are removed
         self._room: Notifier | None = None
 
     @property
@@ -95,13 +105,13 @@ class FeedbackLog:
         if self._items is _NOTHING:  # a deque is a tenth of the memory of a goal without feedback
             self._items = deque(maxlen=self._window)
         self._items.append(FeedbackItem(number, payload))
-        for cursor in self._readers:
+        for cursor in tuple(self._readers):
             cursor.news.notify()
 
     def tell_status(self) -> None:
         """Record the goal's new status, and notify the followers."""
         self.statuses += (self.goal.status,)
-        for cursor in self._readers:
+        for cursor in tuple(self._readers):
             cursor.news.notify()
 
     @property
@@ -120,27 +130,34 @@ class FeedbackLog:
             while self.is_full:
                 await self._room.wait()
             return
-        for cursor in self._readers:
+        for cursor in tuple(self._holders):
             if self.count - cursor.cursor >= self._window:
                 cursor.stall()
+                self._holders = without_member(self._holders, cursor)
+        self.make_room()
 
     def finish(self) -> None:
         """Notify all followers: the goal has its outcome."""
-        for cursor in self._readers:
+        for cursor in tuple(self._readers):
             cursor.news.notify()
-        for other in self._others:
+        others, self._others = self._others, None
+        for other in others or ():
             if (left := other()) is not None:
                 left.news.notify()
 
     def follow(
-        self, *, feedback: bool = True, hold: bool = False, after: int | None = None
+        self, *, feedback: bool = True, own: bool = False, after: int | None = None
     ) -> FeedbackCursor:
-        """Return a new cursor, at the end of the log or behind the feedback of number `after`."""
+        """Return a new cursor, at the end of the log or behind the feedback of number `after`.
+
+        Only an `own` cursor may make the executor wait.
+        """
         start = self.count if after is None else min(max(after, 0), self.count)
-        cursor = FeedbackCursor(self, start, feedback=feedback, hold=hold and not self.latest)
+        hold = own and feedback and not self.latest
+        cursor = FeedbackCursor(self, start, feedback=feedback, own=own, hold=hold)
         if feedback:
-            self._readers += (cursor,)
-            self.make_room()
+            self._readers = with_member(self._readers, cursor)
+            self.set_holding(cursor)
         else:
             self._remember(cursor)
         return cursor
@@ -148,19 +165,59 @@ class FeedbackLog:
     def leave(self, cursor: FeedbackCursor) -> None:
         """Deliver only the outcome to the cursor from now on."""
         if cursor in self._readers:
-            self._readers = tuple(one for one in self._readers if one is not cursor)
+            self._readers = without_member(self._readers, cursor)
             self._remember(cursor)
-            self.make_room()
+            self.set_holding(cursor)
 
     def _remember(self, cursor: FeedbackCursor) -> None:
-        if self.goal.outcome is None:
-            alive = (other for other in self._others if other() is not None)
-            self._others = (*alive, ref(cursor))
+        """Notify the cursor of the end, as long as anything else references it."""
+        if self.goal.outcome is not None:
+            return
+        if self._others is None:
+            self._others = []
+        elif len(self._others) >= self._prune_at:
+            self._others = [other for other in self._others if other() is not None]
+            self._prune_at = 2 * len(self._others) + 1
+        self._others.append(ref(cursor))
+
+    def set_holding(self, cursor: FeedbackCursor) -> None:
+        """Make the executor wait for the cursor, or no longer, as the cursor now says."""
+        is_holding = cursor in self._holders
+        if cursor.holding is is_holding:
+            return
+        if is_holding:
+            self._holders = without_member(self._holders, cursor)
+            self._count(cursor.cursor, math.inf)
+        else:
+            self._holders = with_member(self._holders, cursor)
+            self._count(math.inf, cursor.cursor)
+
+    def note_move(self, before: int, after: int) -> None:
+        """Note that a holding cursor has moved."""
+        if len(self._holders) > 1:
+            self._count(before, after)
+        else:
+            self._full_at = after + self._window
+            if self._room is not None:
+                self._room.notify()
+
+    def _count(self, before: float, after: float) -> None:
+        """Count a holding cursor at its new position; infinity is that of one without effect."""
+        slowest = self._full_at - self._window
+        if after < slowest:
+            self._full_at = after + self._window
+            self._slowest = 1
+            return
+        self._slowest += (after == slowest) - (before == slowest)
+        if self._slowest < 1:
+            self.make_room()
 
     def make_room(self) -> None:
-        """Recompute the number at which the log is full, since a cursor has moved or left."""
-        starts = [cursor.cursor for cursor in self._readers if cursor.holding]
-        self._full_at = min(starts) + self._window if starts else math.inf
+        """Recompute the number at which the log is full, since the slowest cursors have moved."""
+        positions = [cursor.cursor for cursor in self._holders]
+        slowest = min(positions, default=math.inf)
+        self._full_at = slowest + self._window
+        self._slowest = positions.count(slowest)
         if self._room is not None:
             self._room.notify()
 
@@ -180,122 +237,3 @@ class FeedbackLog:
         if limit == 1:
             return [self._items[start]]
         return list(islice(self._items, start, start + limit))
-
-
-class FeedbackCursor(GoalStream):
-    """One follower's position in a goal's log."""
-
-    __slots__ = (
-        "__weakref__",
-        "_dropped",
-        "_error",
-        "_follows",
-        "_log",
-        "_may_hold",
-        "_stalled",
-        "_statuses_told",
-        "_wanted",
-        "cursor",
-        "goal_id",
-        "holding",
-        "latest",
-        "news",
-        "reads",
-        "stamp",
-    )
-
-    def __init__(self, log: FeedbackLog, start: int, *, feedback: bool, hold: bool) -> None:
-        self.goal_id = log.goal.goal_id
-        self.stamp = log.goal.stamp
-        self.latest = log.latest
-        self.cursor = start
-        self.reads = feedback
-        self.holding = hold
-        """True if the executor waits for this cursor."""
-        self.news = Notifier()
-        self._log = log
-        self._follows = feedback
-        self._may_hold = hold
-        self._wanted = True
-        self._stalled = False
-        self._dropped = 0
-        self._statuses_told = len(log.statuses)
-        self._error: ActionError | None = None
-
-    @property
-    def status(self) -> GoalStatus:
-        return self._log.goal.status
-
-    @property
-    def dropped(self) -> int:
-        return self._dropped
-
-    def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
-        log, outcome = self._log, self._log.goal.outcome
-        if self._error is not None:
-            raise copy_of(self._error)
-        if self.reads:
-            while self._statuses_told < len(log.statuses):
-                status = log.statuses[self._statuses_told]
-                self._statuses_told += 1
-                if status.is_active:
-                    return (status,)
-            items = log.after(self.cursor, limit)
-            if items:
-                self._took(items)
-                return items
-            if log.has_after(self.cursor):
-                return ()
-        if outcome is None:
-            return ()
-        self._skip_rest()
-        return (outcome,)
-
-    def _skip_rest(self) -> None:
-        """Count unread feedback as dropped, unless the stream was opened without feedback."""
-        if self._follows:
-            self._dropped += self._log.count - self.cursor
-            self.cursor = self._log.count
-
-    def _took(self, items: list[FeedbackItem]) -> None:
-        last = items[-1].number
-        self._dropped += last - self.cursor - len(items)
-        self.cursor = last
-        if self._stalled and last == self._log.count:
-            self._stalled = False
-            self._update()
-        self._log.make_room()
-
-    def known_outcome(self) -> Outcome[bytes] | None:
-        outcome = self._log.goal.outcome
-        if self._error is not None:
-            raise copy_of(self._error)
-        return outcome
-
-    def seek(self, cursor: int) -> None:
-        self.cursor = min(max(cursor, 0), self._log.count)
-        self._log.make_room()
-
-    def hold(self, wanted: bool) -> None:
-        self._wanted = wanted
-        self._update()
-
-    def stall(self) -> None:
-        """Stop making the executor wait, until all feedback has been read."""
-        self._stalled = True
-        self._update()
-
-    def close(self) -> None:
-        self.reads = False
-        self.news.notify()
-        self._log.leave(self)
-
-    def fail(self, error: ActionError) -> None:
-        if self._log.goal.outcome is None:
-            self._error = error
-        self.news.notify()
-        self._log.leave(self)
-
-    def _update(self) -> None:
-        self.holding = self._may_hold and self._wanted and not self._stalled
-        self._log.make_room()

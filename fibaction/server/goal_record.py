@@ -26,6 +26,7 @@ class GoalRecord:
     """The record of one accepted goal."""
 
     __slots__ = (
+        "changed",
         "digest",
         "ended_at",
         "feedback_count",
@@ -49,6 +50,8 @@ class GoalRecord:
         self.ended_at = 0
         """Time of the end: nanoseconds since 1970; 0 while the goal is active."""
         self.feedback_count = 0
+        self.changed = 0
+        """Number of the last published change of its status; 0 if no one follows the statuses."""
         self.stop_reason = ""
         """The reason for which the server ends the goal by itself; empty if it does not."""
 

@@ -32,7 +32,7 @@ from enum import Enum
 import msgspec
 
 from fibaction.exceptions import GoalRejected
-from fibaction.goals import NO_GOAL, GoalID, GoalInfo, Outcome, Sender
+from fibaction.goals import NO_GOAL, GoalID, Outcome, Sender
 from fibaction.server.cancellation import Cancellation, cancellation_of
 from fibaction.server.expiry import ExpiringMap
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
@@ -74,6 +74,7 @@ class GoalRegistry:
         self._ended: ExpiringMap[GoalRecord] = ExpiringMap(result_timeout, max_results)
         self._rejected: ExpiringMap[_Rejection] = ExpiringMap(result_timeout, max_results)
         self._last_stamp = 0
+        self._listing: tuple[GoalRecord, ...] | None = None  # the last answer of `goals`
 
     # Accepting
 
@@ -116,6 +117,7 @@ class GoalRegistry:
         goal = GoalRecord(goal_id, self._undecided.pop(goal_id), self._last_stamp, sender)
         self._ended.discard(goal_id)  # it may have expired without being freed yet
         self._active[goal_id] = goal
+        self._listing = None
         return goal
 
     def reject(self, goal_id: GoalID, reason: str, *, now: float) -> None:
@@ -167,6 +169,7 @@ class GoalRegistry:
         goal.ended_at = stamp
         del self._active[goal.goal_id]
         self._ended.put(goal.goal_id, goal, now)
+        self._listing = None
 
     def cancel(self, goal_id: GoalID | None, stamp: int | None, *, now: float) -> Cancellation:
         """Begin a cancel of the goals that an ID and a stamp mean: see `cancellation_of`."""
@@ -183,17 +186,26 @@ class GoalRegistry:
         """Return the goal of that ID; None if it was never accepted or has been forgotten."""
         return self._active.get(goal_id) or self._ended.get(goal_id, now)
 
-    def statuses(self) -> list[GoalInfo]:
+    def goals(self) -> tuple[GoalRecord, ...]:
         """Return all goals that are remembered: the ended ones in the order of their ends, then the
         active ones in the order of their acceptance.
-        """
-        ended = [goal.info for goal in self._ended]
-        return ended + [goal.info for goal in self._active.values()]
 
-    def expire(self, now: float) -> list[GoalID]:
-        """Forget goals that are too old or too many, and return the IDs of those that had ended."""
-        self._rejected.expire(now)
-        return self._ended.expire(now)
+        The tuple is the same one until a goal is accepted, ends, or is forgotten.
+        """
+        if self._listing is None:
+            self._listing = (*self._ended, *self._active.values())
+        return self._listing
+
+    def expire(self, now: float, limit: int | None = None) -> list[GoalID]:
+        """Forget goals that are too old or too many, and return the IDs of those that had ended.
+
+        At most `limit` are forgotten; then call it again.
+        """
+        self._rejected.expire(now, limit)
+        gone = self._ended.expire(now, limit)
+        if gone:
+            self._listing = None
+        return gone
 
     @property
     def next_expiry(self) -> float:

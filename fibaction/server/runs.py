@@ -28,7 +28,6 @@ nothing can expire, until a goal ends.
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from collections import deque
@@ -39,18 +38,22 @@ from weakref import WeakValueDictionary
 import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
+from anyio.lowlevel import cancel_shielded_checkpoint
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
+from fibaction._slices import Slices
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import UnknownGoal
-from fibaction.goals import GoalID, GoalInfo, Outcome
+from fibaction.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.server._interruption import CancelOnce
 from fibaction.server._task_pool import TaskPool
 from fibaction.server.executor import Execution, Executor, GoalHandle
-from fibaction.server.feedback_log import FeedbackCursor, FeedbackLog
+from fibaction.server.feedback_cursor import FeedbackCursor
+from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord
 from fibaction.server.registry import GoalRegistry
-from fibaction.server.status_broadcast import StatusBroadcast, StatusSubscription
+from fibaction.server.status_broadcast import StatusBroadcast, StatusCursor
 from fibaction.states import GoalStatus
 
 EXPIRY_STEP = 0.1
@@ -62,9 +65,15 @@ RECENT_TIME, RECENT_GOALS = 1.0, 1000
 while the statuses are followed: a follower that learns of a goal asks for its feedback, and the
 goal may have ended by then."""
 
+MOST_NAMED = 10
+"""Goals that are named in the log when they are killed at the end; the others are counted."""
+
+MOST_AT_ONCE = 200
+"""Goals that are forgotten in one turn of the event loop, which takes less than a millisecond."""
+
 CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
 
-logger = logging.getLogger("fibaction.server")
+logger = clean_logger("fibaction.server")
 
 
 class Run(Generic[GoalT, FeedbackT, ResultT]):
@@ -163,25 +172,49 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """Interrupt all executors for that reason, and wait until they have ended; kill those whose
         clean-up has not ended within `timeout` seconds.
         """
-        for run in self._runs.values():
-            run.goal.stop_reason = reason
-            run.execution.interrupt()
         try:
+            slices = Slices()
+            for run in tuple(self._runs.values()):
+                run.goal.stop_reason = reason
+                run.execution.interrupt()
+                await slices.pause()
             with anyio.move_on_after(timeout, shield=True):
                 while self._runs:
                     await self._ended.wait()
         finally:
-            for run in tuple(self._runs.values()):
-                logger.warning(
-                    "goal %s of action %r did not stop in time (%g s), and is killed",
-                    run.goal.goal_id,
-                    self._action.name,
-                    timeout,
-                )
-                self._finish(run, Ending(EndKind.FAILED, reason=reason))
-                run.execution.kill()
-            self._pool.close()
-            self._statuses.finish()
+            try:
+                await self._kill_all(reason, timeout)
+            finally:
+                self._pool.close()
+                self._statuses.finish()
+
+    async def _kill_all(self, reason: str, timeout: float) -> None:
+        runs = tuple(self._runs.values())
+        for run in runs[:MOST_NAMED]:
+            logger.warning(
+                "goal %s of action %r did not stop in time (%g s), and is killed",
+                run.goal.goal_id,
+                self._action.name,
+                timeout,
+            )
+        if len(runs) > MOST_NAMED:
+            more = len(runs) - MOST_NAMED
+            logger.warning(
+                "%d more goals of action %r did not stop in time either", more, self._action.name
+            )
+        slices = Slices()
+        try:
+            for run in runs:
+                self._kill(run, reason)
+                await slices.pause()
+        finally:
+            for run in tuple(self._runs.values()):  # asyncio itself canceled the task in a pause
+                self._kill(run, reason)
+
+    def _kill(self, run: Run[GoalT, FeedbackT, ResultT], reason: str) -> None:
+        if run.outcome is None:
+            self._finish(run, Ending(EndKind.FAILED, reason=reason))
+            run.execution.kill()
 
     # Finish
 
@@ -220,32 +253,47 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     # Follow
 
-    def follow(
-        self, goal_id: GoalID, *, feedback: bool = True, own: bool, after: int | None
-    ) -> FeedbackCursor:
+    def follow_again(self, goal_id: GoalID, *, feedback: bool, sender: Sender) -> FeedbackCursor:
+        """Return a stream of a goal that was accepted before, from its beginning.
+
+        It is the sender's own if that client has sent the goal the first time, too.
+
+        Raises:
+            UnknownGoal: The goal has been forgotten.
+        """
+        goal = self._find(goal_id)
+        own = goal.sender.owner == sender.owner
+        return self._log_of(goal).follow(feedback=feedback, own=own, after=0)
+
+    def follow(self, goal_id: GoalID, *, own: bool, after: int | None) -> FeedbackCursor:
         """Return a stream of a goal that is active or remembered: see `Endpoint.feedback`.
 
         Raises:
             UnknownGoal: The goal was never accepted, or has been forgotten.
         """
+        return self._log_of(self._find(goal_id)).follow(own=own, after=after)
+
+    def _find(self, goal_id: GoalID) -> GoalRecord:
         goal = self._registry.find(goal_id, now=current_time())
         if goal is None:
             raise UnknownGoal(goal_id)
+        return goal
+
+    def _log_of(self, goal: GoalRecord) -> FeedbackLog:
+        goal_id = goal.goal_id
         run = self._runs.get(goal_id)
         log = self._unread.get(goal_id) if run is None else run.log
-        if log is None:  # its feedback is no longer kept
-            log = FeedbackLog(goal)
-        return log.follow(feedback=feedback, hold=own, after=after)
+        return FeedbackLog(goal) if log is None else log  # its feedback may not be kept any longer
 
-    def follow_statuses(self) -> StatusSubscription:
+    async def follow_statuses(self) -> StatusCursor:
         """Return a stream of the statuses of all goals: see `Endpoint.status`."""
-        self.expire(current_time())
-        return self._statuses.follow(self._registry.statuses())
+        await self._expire_all()
+        return self._statuses.follow(self._registry.goals())
 
     def _tell_status(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         run.log.tell_status()
         if self._statuses:
-            self._statuses.publish(run.goal.info)
+            run.goal.changed = self._statuses.publish(run.goal.info)
 
     # Forget
 
@@ -257,16 +305,25 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             # The feedback of a goal that ends from now on may expire before older results do.
             sooner = min(next_expiry, now + RECENT_TIME)
             await anyio.sleep_until(max(sooner, now + EXPIRY_STEP))
-            self.expire(current_time())
+            await self._expire_all()
+
+    async def _expire_all(self) -> None:
+        while self.expire(current_time()):
+            await cancel_shielded_checkpoint()
 
     def _next_expiry(self) -> float:
         recent = self._recent[0][0] if self._recent else math.inf
         return min(recent, self._registry.next_expiry)
 
-    def expire(self, now: float) -> None:
-        """Forget goals and feedback that have expired, and tell followers of the statuses."""
+    def expire(self, now: float) -> bool:
+        """Forget goals and feedback that have expired, and tell followers of the statuses.
+
+        Return whether there may be more of them.
+        """
         while self._recent and self._recent[0][0] <= now:
             self._recent.popleft()
-        for goal_id in self._registry.expire(now):
+        gone = self._registry.expire(now, MOST_AT_ONCE)
+        for goal_id in gone:
             if self._statuses:
                 self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))
+        return len(gone) == MOST_AT_ONCE

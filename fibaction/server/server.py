@@ -8,7 +8,6 @@ as an `Endpoint`.
 from __future__ import annotations
 
 import inspect
-import logging
 from collections.abc import Coroutine
 from functools import partial
 from types import TracebackType
@@ -17,6 +16,7 @@ from typing import Any, Generic, Literal, Self
 import anyio
 from anyio import create_task_group
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint
@@ -26,14 +26,14 @@ from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
 from fibaction.server.admission import Admission, Offer
 from fibaction.server.callbacks import Callback
 from fibaction.server.executor import Executor, GoalHandle
-from fibaction.server.feedback_log import FeedbackCursor
+from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.registry import GoalRegistry
 from fibaction.server.runs import Runs
-from fibaction.server.status_broadcast import StatusSubscription
+from fibaction.server.status_broadcast import StatusCursor
 
 SERVER_STOPPED = "server stopped"
 
-logger = logging.getLogger("fibaction.server")
+logger = clean_logger("fibaction.server")
 
 
 class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
@@ -239,10 +239,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._check_running()
         return await self._admission.cancel(goal_id, stamp)
 
-    async def status(self) -> StatusSubscription:
+    async def status(self) -> StatusCursor:
         """See `Endpoint.status`."""
         self._check_running()
-        return self._runs.follow_statuses()
+        return await self._runs.follow_statuses()
 
     def _check_running(self) -> None:
         if self._phase not in ("running", "stopping"):

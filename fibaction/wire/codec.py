@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 import msgspec
 
+from fibaction._text import excerpt
 from fibaction.exceptions import ProtocolError
 from fibaction.goals import GoalID
 from fibaction.wire.messages import (
@@ -98,7 +99,9 @@ def decode_from_client(frame: bytes) -> FromClient:
     try:
         return _from_client.decode(frame)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
-        raise ProtocolError(f"invalid client message: {exc}") from exc
+        text = excerpt(str(exc))
+    # Raised here, so that it does not keep the error above, which may hold the whole frame.
+    raise ProtocolError(f"invalid client message: {text}")
 
 
 def decode_from_server(frame: bytes) -> FromServer:
@@ -110,4 +113,5 @@ def decode_from_server(frame: bytes) -> FromServer:
     try:
         return _from_server.decode(frame)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
-        raise ProtocolError(f"invalid server message: {exc}") from exc
+        text = excerpt(str(exc))
+    raise ProtocolError(f"invalid server message: {text}")

@@ -171,7 +171,7 @@ class RemoteConnection(Connection):
         assert self._link is not None
         if self._reconnector.is_open or welcome.version != VERSION:
             raise ProtocolError(f"a Welcome of version {welcome.version} was not expected")
-        self._link.heartbeat.peer_interval = welcome.heartbeat
+        self._link.heartbeat.agree(welcome.heartbeat, welcome.max_heartbeat)
         self._calls.reopen(self._link, welcome.max_frame)
         self._reconnector.opened()
 

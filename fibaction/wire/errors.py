@@ -16,8 +16,8 @@ does not know counts as `ConnectionLost`. docs/protocol.md has the same table.
 
 from __future__ import annotations
 
-import logging
-
+from fibaction._log import clean_logger
+from fibaction._text import REASON, excerpt, shortened
 from fibaction.exceptions import (
     ActionError,
     AuthenticationFailed,
@@ -36,7 +36,7 @@ from fibaction.goals import GoalID
 from fibaction.wire.codec import encode
 from fibaction.wire.messages import Failed, Goodbye, Rejected, Why
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 NUMBERS: dict[type[ActionError], int] = {
     UnknownGoal: Why.UNKNOWN_GOAL,
@@ -66,7 +66,7 @@ def number_of(error: ActionError) -> int:
 def error_of(message: Failed | Rejected, goal_id: GoalID | None = None) -> ActionError:
     """Return the error that a server has answered with; `goal_id` is the goal of the request."""
     if isinstance(message, Rejected):
-        return GoalRejected(message.reason, goal_id=goal_id)
+        return GoalRejected(shortened(message.reason), goal_id=goal_id)
     return _error(message.why, message.text, goal_id)
 
 
@@ -97,7 +97,7 @@ def fitting(request: int, frame: bytes, limit: int) -> bytes:
 
 def error_of_goodbye(message: Goodbye, where: str) -> ActionError:
     """Return the error that ends the connection to the peer at `where`, which said goodbye."""
-    return _error(message.why, f"{where}: {message.reason}", None)
+    return _error(message.why, f"{where}: {excerpt(message.reason)}", None)
 
 
 def goodbye_of(error: ActionError) -> Goodbye:
@@ -114,11 +114,12 @@ def failure_of(exc: BaseException) -> ServerFailed:
 
 
 def sendable(text: str) -> str:
-    """Return a text with `?` in place of what cannot be sent as Unicode."""
-    return text.encode("utf-8", "replace").decode()
+    """Return a text to send: cut, and with `?` in place of what cannot be sent as Unicode."""
+    return shortened(text).encode("utf-8", "replace").decode()
 
 
 def _error(number: int, text: str, goal_id: GoalID | None) -> ActionError:
+    text = excerpt(text, REASON)  # the peer may have sent anything
     if number == Why.UNKNOWN_GOAL:
         # Without a goal, an endpoint has raised it where it may not.
         return ServerFailed(text) if goal_id is None else UnknownGoal(goal_id)

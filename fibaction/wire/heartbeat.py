@@ -10,10 +10,15 @@ noted for each message, and a peer is not blamed for the time in which this proc
 
 from __future__ import annotations
 
+import math
+
 from fibaction.exceptions import ConnectionLost
 
 MISSED = 4
 """A peer is considered dead after this many missed heartbeats. Late or lost ones are tolerated."""
+
+FIRST_STEP = 0.5
+"""The longest step before the sides know each other's heartbeats, in seconds."""
 
 
 class Heartbeat:
@@ -24,13 +29,22 @@ class Heartbeat:
         """Seconds between the heartbeats of this side."""
         self.peer_interval = interval
         """Seconds between the heartbeats of the peer; its first message tells them."""
+        self._is_agreed = False
         self._peer = peer
         self._silent = self._stuck = self._unsaid = 0.0
+
+    def agree(self, peer_interval: float, longest: float = math.inf) -> None:
+        """Note the heartbeat of the peer, and the longest one that it accepts of this side."""
+        self.peer_interval = peer_interval
+        self.interval = min(self.interval, longest)
+        self._is_agreed = True
 
     @property
     def step(self) -> float:
         """Seconds between two calls of `tick`."""
-        return min(self.interval, self.peer_interval) / 2
+        step = min(self.interval, self.peer_interval) / 2
+        # The first message of the peer may ask for shorter ones, and no step is cut short.
+        return step if self._is_agreed else min(step, FIRST_STEP)
 
     def tick(self, step: float, *, has_heard: bool, has_said: bool, is_stuck: bool) -> bool:
         """Count a step of so many seconds; return whether a heartbeat is to be sent now.

@@ -28,7 +28,9 @@ GoalBytes: TypeAlias = Annotated[bytes, msgspec.Meta(min_length=16, max_length=1
 Stamp: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
 FrameSize: TypeAlias = Annotated[int, msgspec.Meta(ge=1, lt=2**32)]
-Seconds: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=3600)]
+LONGEST_HEARTBEAT = 3600.0
+"""Longest heartbeat that a message can contain, in seconds."""
+Seconds: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=LONGEST_HEARTBEAT)]
 
 
 class _Message(msgspec.Struct, array_like=True, gc=False):
@@ -65,11 +67,12 @@ class Hello(_Message, tag=16):
     token: str = ""
     """The client's access token; empty if it has none."""
     session: bytes = b""
-    """Secret ID of the client, the same on all its connections; empty if it does not resume goals.
-    It identifies the owner of a goal. The server ends an older connection of the same session, so
-    that its goals can be resumed on this one."""
+    """Secret ID of the client, 16 or 32 bytes, the same on all its connections; empty if it does
+    not resume goals. Together with the name of the token it identifies the owner of a goal. The
+    server ends an older connection of the same session, so that its goals can be resumed on this
+    one."""
     max_frame: FrameSize = MAX_FRAME
-    """Length of the largest frame that the client accepts, in bytes."""
+    """Length of the largest frame that the client accepts, in bytes; at least 1024."""
 
     def __repr__(self) -> str:
         return f"Hello(version={self.version})"  # a token has no place in a log
@@ -183,6 +186,9 @@ class Welcome(_Message, tag=32):
     heartbeat: Seconds
     max_frame: FrameSize = MAX_FRAME
     """Length of the largest frame that the server accepts, in bytes."""
+    max_heartbeat: Seconds = LONGEST_HEARTBEAT
+    """Longest `heartbeat` of the client that the server accepts, in seconds; a client with a longer
+    one sends its messages at least this often."""
 
 
 @final

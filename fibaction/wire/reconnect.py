@@ -12,7 +12,6 @@
 
 from __future__ import annotations
 
-import logging
 import random
 from collections.abc import Awaitable, Callable
 
@@ -20,6 +19,7 @@ import anyio
 from anyio import CancelScope, create_task_group, current_time
 from anyio.abc import TaskGroup
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction.exceptions import (
     ActionError,
@@ -32,7 +32,7 @@ from fibaction.exceptions import (
 from fibaction.wire.link import naming
 from fibaction.wire.settings import ClientSettings
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.02, 2.0
 """Seconds between attempts to connect: short at first, for a line that only flickered, and long

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fibaction._text import shortened
 from fibaction.abc import Endpoint
 from fibaction.action import ActionInfo
 from fibaction.exceptions import ConnectionLost, LimitReached, ServerNotFound
@@ -76,7 +77,7 @@ class RemoteEndpoint(Endpoint):
         goals = tuple(
             GoalInfo(GoalID(goal), accepted, status) for goal, accepted, status in answer.goals
         )
-        return CancelAnswer(CancelCode(answer.return_code), goals, answer.reason)
+        return CancelAnswer(CancelCode(answer.return_code), goals, shortened(answer.reason))
 
     async def status(self) -> RemoteStatuses:
         return await self._calls.follow_statuses(self._info.name)

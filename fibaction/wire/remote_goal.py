@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
+from fibaction._text import shortened
 from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.exceptions import ProtocolError
 from fibaction.goals import UNKNOWN_OUTCOME, GoalID, Outcome
@@ -138,7 +139,8 @@ class RemoteGoal(Call, GoalStream):
         elif kind is Ended and self._is_answered:
             if message.status.is_active:
                 raise ProtocolError(f"a goal has ended as {message.status.name}")
-            self._end(Outcome(message.status, message.result, message.reason), message.place)
+            outcome = Outcome(message.status, message.result, shortened(message.reason))
+            self._end(outcome, message.place)
             self._post(Received(self.id))
         elif kind is Failed and self._is_answered and message.why == Why.UNKNOWN_GOAL:
             # The server was started anew, or the result has expired meanwhile.

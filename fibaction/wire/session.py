@@ -14,14 +14,15 @@ do is decided by the `AccessPolicy`. Its parts:
 - `Owners` has the goals of all clients of the server, beyond the end of a connection. It is shared
   by all sessions.
 
-A session goes through these steps. `run` starts the link, and a task that ends it unless the client
-says hello in time. `_handle` gets each frame; it must not wait, so what takes time is a task, or a
-subscription with credit. Each request has an ID that the client has not used on this connection
-before, and gets its answer, or an error: `_answering` turns whatever goes wrong into one, by the
-table in `errors`. A bug of an endpoint is an error for its client, and does not end the session.
+A session goes through these steps. `run` starts the link; the `WireServer` ends the session unless
+the client says hello in time. `_handle` gets each frame; it must not wait, so what takes time is a
+task, or a subscription with credit. Each request has an ID that the client has not used on this
+connection before, and gets its answer, or an error: `_answering` turns whatever goes wrong into
+one, by the table in `errors`. A bug of an endpoint is an error for its client, and does not end the
+session.
 
 A client has a *session*: a secret that it sends with each `Hello`. A new connection of the same
-session ends the one before (`supersede`), and takes over the goals that were open on it.
+session ends the one before, and takes over the goals that were open on it.
 
 When the connection ends, for whatever reason, its goals are released to `Owners`, which keeps the
 streams of the client's own goals for a while, so that no feedback is lost if it comes back. Then
@@ -33,15 +34,16 @@ When the server closes, `drain` waits until the ends of goals are told, and says
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 
-from anyio import current_effective_deadline, get_cancelled_exc_class, sleep
+from anyio import current_effective_deadline, get_cancelled_exc_class
 from anyio.abc import TaskGroup
 
-from fibaction._tasks import Background
+from fibaction._budget import ByteBudget
+from fibaction._log import clean_logger
+from fibaction._text import excerpt
 from fibaction.abc import Endpoint
 from fibaction.exceptions import (
     ActionError,
@@ -51,10 +53,12 @@ from fibaction.exceptions import (
     LimitReached,
     ProtocolError,
 )
-from fibaction.wire.codec import FromClient, decode_from_client, encode
+from fibaction.wire.codec import decode_from_client, encode
 from fibaction.wire.errors import failed, failure_of, fitting, goodbye_of
+from fibaction.wire.frames import FIRST_FRAME
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
+    LONGEST_HEARTBEAT,
     VERSION,
     Close,
     Credit,
@@ -72,11 +76,11 @@ from fibaction.wire.messages import (
 from fibaction.wire.ownership import Owners
 from fibaction.wire.requests import Answer, Request, RequestHandlers
 from fibaction.wire.session_client import SessionClient
-from fibaction.wire.session_goals import GoalRequest, SessionGoals
+from fibaction.wire.session_goals import GoalRequest, SessionGoals, too_much
 from fibaction.wire.settings import ServerSettings
 from fibaction.wire.subscriptions import RequestSubscription, Subscription
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 
 class Session:
@@ -88,18 +92,22 @@ class Session:
         endpoints: Mapping[str, Endpoint],
         settings: ServerSettings,
         owners: Owners,
+        memory: ByteBudget,
         clients_of: Callable[[str], list[str]],
-        supersede: Callable[[bytes], None],
+        entered: Callable[[Session], None],
     ) -> None:
-        """Let `clients_of` return the names of all clients that use an action, and `supersede` end
-        the earlier connections of a session.
+        """Let `clients_of` return the names of all clients that use an action, and call `entered`
+        when the client is let in, which ends its earlier connection.
         """
         self.client = SessionClient(link.peer, endpoints, settings)
         self._link = link
         self._settings = settings
-        self._supersede = supersede
+        self._entered = entered
         self._left = False
-        self._goals = SessionGoals(self.client, owners, settings.limits, link, self._answering)
+        self._is_ended = False
+        self._goals = SessionGoals(
+            self.client, owners, settings.limits, memory, link, self._answering
+        )
         self._waiting: dict[int, RequestSubscription] = {}
         self._handlers = RequestHandlers(endpoints, self.client.endpoint, clients_of, self._say)
         self._tasks: TaskGroup
@@ -107,15 +115,17 @@ class Session:
     async def run(self) -> ActionError:
         """Serve the client until the connection ends; return the error that ended it."""
         try:
-            async with Background() as self._tasks:
-                self._goals.tasks = self._tasks
-                self._tasks.start_soon(self._expect_hello)
-                error = await self._link.run(self._handle, self._goals.next_frames)
-                if isinstance(error, ProtocolError | AuthenticationFailed | LimitReached):
-                    await self._link.say_last(encode(goodbye_of(error)))
-                return error
+            error = await self._link.run(self._handle, self._goals.next_frames, self._start)
+            if self._is_ended or isinstance(
+                error, ProtocolError | AuthenticationFailed | LimitReached
+            ):
+                await self._link.say_last(encode(goodbye_of(error)))
+            return error
         finally:
             self._goals.release(left=self._left)
+
+    def _start(self, tasks: TaskGroup) -> None:
+        self._tasks = self._goals.tasks = tasks
 
     async def drain(self) -> None:
         """Wait until the client was told of every goal that has ended, and say goodbye."""
@@ -123,27 +133,22 @@ class Session:
         self._link.post(encode(Goodbye("the server is closing the connection")))
         await self._link.flush()
 
-    def end(self) -> None:
-        """End the connection, whose client has a newer one: its goals go on there."""
-        self._goals.release(left=self._left)
-        self._link.end(ConnectionLost("its client has a newer connection"))
-
-    async def _expect_hello(self) -> None:
-        handshake = self._settings.limits.handshake
-        await sleep(handshake)
-        if not self.client.is_known:
-            # The line may have been held up, so the client may try again.
-            self._link.end(LimitReached(f"it has not said hello within {handshake:g} s"))
+    def end(self, error: ActionError) -> None:
+        """End the connection, and tell the client why; it may follow its goals on another one."""
+        self._is_ended = True
+        self._goals.lose()
+        self._link.end(error)
 
     # Messages that arrive
 
     def _handle(self, frame: bytes) -> None:
+        if not self.client.is_known:
+            self._welcome(frame)
+            return
         message = decode_from_client(frame)
         # Most messages pass here: for a class of msgspec's, `isinstance` takes ten times as long.
-        if not self.client.is_known:
-            self._welcome(message)
-        elif type(message) is SendGoal or type(message) is Follow:
-            if self._admits(message, has_room=self._goals.has_room):
+        if type(message) is SendGoal or type(message) is Follow:
+            if self._admits(message, self._goals.limit_for(message)):
                 self._goals.begin(message)
         elif type(message) is Received:
             self._goals.received(message)
@@ -155,49 +160,50 @@ class Session:
                 subscription.close()
         elif isinstance(message, Goodbye):
             self._left = True
-            # The reason goes into one line of the log, and has a limited length there.
-            reason = "".join(c if c.isprintable() else " " for c in message.reason[:200])
-            self._link.end(ConnectionLost(f"{self._link.peer} left: {reason}"))
+            self._link.end(ConnectionLost(f"{self._link.peer} left: {excerpt(message.reason)}"))
         elif isinstance(message, Hello):
             raise ProtocolError("it said hello twice")
         elif not isinstance(message, Ping):
             self._begin(message)
 
-    def _welcome(self, message: FromClient) -> None:
-        hello = self.client.greet(message)
-        if hello.session:
-            # Otherwise a request on an earlier connection could come late, and run a goal again.
-            self._supersede(hello.session)
-            self.client.session = hello.session
-        self._link.heartbeat.peer_interval = hello.heartbeat
-        welcome = Welcome(VERSION, self._settings.heartbeat, self._settings.limits.frame)
+    def _welcome(self, frame: bytes) -> None:
+        if len(frame) > FIRST_FRAME:  # of a line that has frames of its own
+            raise ProtocolError(
+                f"its first message has {len(frame)} bytes, and the most are {FIRST_FRAME}"
+            )
+        hello = self.client.greet(decode_from_client(frame))
+        # Otherwise a request on an earlier connection could come late, and run a goal again.
+        self._entered(self)
+        limits = self._settings.limits
+        longest = min(limits.heartbeat, LONGEST_HEARTBEAT)
+        self._link.heartbeat.agree(min(hello.heartbeat, longest))
+        welcome = Welcome(VERSION, self._settings.heartbeat, limits.frame, longest)
         self._link.post(encode(welcome))
 
     def _subscription(self, request: int) -> Subscription | None:
         return self._goals.get(request) or self._waiting.get(request)
 
-    def _admits(self, message: GoalRequest | Request, *, has_room: bool) -> bool:
+    def _admits(self, message: GoalRequest | Request, limit: str) -> bool:
+        """Reject the request if a limit, told as a sentence, forbids it."""
         if self._subscription(message.id) is not None:
             raise ProtocolError(f"it used the ID {message.id} twice")
-        if not has_room:
-            limits = self._settings.limits
-            text = (
-                f"too much at once: the limits of a connection are {limits.goals} goals"
-                f" and {limits.requests} other requests"
-            )
-            answer: Rejected | Failed = Failed(message.id, Why.LIMIT, text)
+        if limit:
+            answer: Rejected | Failed = Failed(message.id, Why.LIMIT, limit)
             if isinstance(message, SendGoal):
-                answer = Rejected(message.id, text)
+                answer = Rejected(message.id, limit)
             self._link.post(encode(answer))
-        return has_room
+        return not limit
 
     # Requests beside goals
 
     def _begin(self, message: Request) -> None:
-        has_room = len(self._waiting) < self._settings.limits.requests
-        if self._admits(message, has_room=has_room):
+        limits = self._settings.limits
+        is_full = len(self._waiting) >= limits.requests
+        limit = too_much(limits) if is_full else self._handlers.limit_for(message)
+        if self._admits(message, limit):
             subscription = RequestSubscription(message.id, getattr(message, "credit", 0))
             self._waiting[message.id] = subscription
+            self._handlers.begin(message, subscription)
             self._tasks.start_soon(self._answer, message, subscription)
 
     async def _answer(self, message: Request, subscription: RequestSubscription) -> None:
@@ -208,7 +214,7 @@ class Session:
             del self._waiting[message.id]
 
     async def _say(self, answer: Answer) -> None:
-        await self._link.send(fitting(answer.id, encode(answer), self.client.max_frame))
+        await self._link.send(lambda: fitting(answer.id, encode(answer), self.client.max_frame))
 
     # Errors
 

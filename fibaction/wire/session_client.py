@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 
+from fibaction._text import excerpt
 from fibaction.abc import Endpoint
 from fibaction.exceptions import AuthenticationFailed, ProtocolError, ServerNotFound
 from fibaction.goals import UNKNOWN_SENDER, Sender
 from fibaction.server.goal_record import digest_of
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.codec import FromClient
-from fibaction.wire.frames import MAX_FRAME
+from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
 from fibaction.wire.messages import VERSION, Hello
 from fibaction.wire.settings import ServerSettings
+
+SESSION_LENGTHS = (0, 16, 32)
+"""Lengths of the secret of a client, in bytes; 0 for none."""
 
 
 class SessionClient:
@@ -26,8 +31,8 @@ class SessionClient:
         self._settings = settings
         self._peer: Peer | None = None
         self.session = b""
-        """The secret that the client has on each of its connections; empty if none. The session
-        sets it when the earlier connections are ended."""
+        """The digest of the client's secret and of the name of its token, the same on each of its
+        connections; empty if it has no secret."""
         self.sender = UNKNOWN_SENDER
         """The client as the sender of its goals."""
         self.max_frame = MAX_FRAME
@@ -48,14 +53,14 @@ class SessionClient:
     @property
     def name(self) -> str:
         """The client's address, with the name of its token if it has one, for people to read."""
-        name = self._peer.name if self._peer is not None else ""
+        name = excerpt(self._peer.name) if self._peer is not None else ""
         return f"{name} at {self._address}" if name else self._address
 
     def greet(self, message: FromClient) -> Hello:
         """Take the first message of the client, and let it in.
 
         Raises:
-            ProtocolError: The message is not a `Hello`, or of another version.
+            ProtocolError: The message is not a `Hello`, of another version, or wrong in a field.
             AuthenticationFailed: Its token is not accepted.
         """
         if not isinstance(message, Hello):
@@ -63,6 +68,14 @@ class SessionClient:
         if message.version != VERSION:
             raise ProtocolError(
                 f"it speaks version {message.version} of the protocol, and this is {VERSION}"
+            )
+        if len(message.session) not in SESSION_LENGTHS:
+            raise ProtocolError(
+                f"its session has {len(message.session)} bytes, and the lengths are 0, 16 and 32"
+            )
+        if message.max_frame < LEAST_FRAME:
+            raise ProtocolError(
+                f"it accepts messages of {message.max_frame} bytes, and the least is {LEAST_FRAME}"
             )
         self._peer = self._settings.access.admit(self._address, message.token)
         if self._peer is None:
@@ -72,8 +85,11 @@ class SessionClient:
                 if message.token
                 else "the server asks for a token, and the client gave none"
             )
-        owner = digest_of(message.session) if message.session else b""
-        self.sender = Sender(self.name, owner)
+        if message.session:
+            # Another token with the same secret is another client.
+            self.session = digest_of(digest_of(self._peer.name.encode()) + message.session)
+        # A client without a secret is told from all others, and is another on each connection.
+        self.sender = Sender(self.name, self.session or os.urandom(len(digest_of(b""))))
         self.max_frame = message.max_frame
         return message
 
@@ -87,7 +103,7 @@ class SessionClient:
         assert self._peer is not None
         if not await self._settings.access.permits(self._peer, action, permission):
             raise AuthenticationFailed(
-                f"this client may not {permission.value} at the action {action!r}"
+                f"this client may not {permission.value} at the action {excerpt(action)!r}"
             )
         return self.find(action)
 
@@ -102,7 +118,7 @@ class SessionClient:
         except KeyError:
             known = ", ".join(map(repr, sorted(self._endpoints))) or "nothing"
             raise ServerNotFound(
-                f"the action {action!r} is not served here: there is {known}"
+                f"the action {excerpt(action)!r} is not served here: there is {known}"
             ) from None
         self.actions.add(action)
         return endpoint

@@ -16,7 +16,7 @@ from typing import Any, Literal, TypedDict
 import msgspec
 
 from fibaction.wire.auth import AccessPolicy, Authorize, check_token
-from fibaction.wire.frames import MAX_FRAME
+from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
 
 HEARTBEAT = 1.0
 """Seconds between heartbeats, both ways, if nothing else is set."""
@@ -34,7 +34,7 @@ class Limits(msgspec.Struct, frozen=True):
     requests: int = 1000
     """Requests that one connection may wait for at the same time, beside its goals."""
     frame: int = MAX_FRAME
-    """Bytes of the largest message."""
+    """Bytes of the largest message; at least 1024."""
     memory: int = 64 * 2**20
     """Bytes of goals that are being decided upon, for one connection."""
     total_memory: int = 256 * 2**20
@@ -52,12 +52,14 @@ class Limits(msgspec.Struct, frozen=True):
         """Check the values.
 
         Raises:
-            ValueError: One of them is not positive, or not finite.
+            ValueError: One of them is not positive or not finite, or `frame` is too small.
         """
         for name in self.__struct_fields__:
             value = getattr(self, name)
             if not 0 < value < math.inf:
                 raise ValueError(f"the limit of {name} is finite and more than 0, not {value}")
+        if self.frame < LEAST_FRAME:
+            raise ValueError(f"the limit of frame is at least {LEAST_FRAME}, not {self.frame}")
 
 
 class ServerSettings(msgspec.Struct, frozen=True):
@@ -105,11 +107,12 @@ class ClientSettings(msgspec.Struct, frozen=True):
         """Check the values.
 
         Raises:
-            ValueError: A number is out of range, or the token is not valid text.
+            ValueError: A number is out of range, or the token is too long or not valid text.
         """
         check_token(self.token)
         _check_range("heartbeat", self.heartbeat, 0.001, 3600)
         _check_range("window", self.window, 1, 2**31 - 1)
+        _check_range("max_frame", self.max_frame, LEAST_FRAME, 2**32 - 1)
         _check_range("reconnect_timeout", self.reconnect_timeout, 0, math.inf)
 
     def __repr__(self) -> str:

@@ -5,16 +5,24 @@ from __future__ import annotations
 import logging
 from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager
-from hmac import compare_digest
 
 import anyio
 from anyio.abc import TaskGroup
 
+from fibaction._budget import ByteBudget
+from fibaction._log import clean_logger
+from fibaction._notify import Notifier
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint
-from fibaction.exceptions import AuthenticationFailed, LimitReached, ProtocolError
-from fibaction.wire.channel import Line
+from fibaction.exceptions import (
+    AuthenticationFailed,
+    ConnectionLost,
+    LimitReached,
+    ProtocolError,
+)
+from fibaction.wire.channel import Channel, Line
 from fibaction.wire.codec import encode
+from fibaction.wire.frames import FIRST_FRAME, FrameReader
 from fibaction.wire.link import Link, naming
 from fibaction.wire.messages import Goodbye, Why
 from fibaction.wire.ownership import Owners
@@ -24,7 +32,7 @@ from fibaction.wire.settings import ServerSettings
 LEAVE_TIMEOUT = 1.0
 """Seconds that a closing server gives its clients to take the last messages."""
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 
 class WireServer:
@@ -35,10 +43,24 @@ class WireServer:
     ) -> None:
         self.tasks = tasks
         """The task group of the connections."""
+        self.memory = ByteBudget(settings.limits.total_memory)
+        """The bytes that all connections hold together, see `Limits.total_memory`."""
+        self._turn = anyio.Lock()  # of the lines that have much to handle
         self._endpoints = endpoints
         self._settings = settings
         self._owners = Owners(tasks, grace=settings.grace, then=settings.orphans)
         self._sessions: dict[Session, None] = {}  # in the order of their arrival
+        self._unknown: dict[Session, float] = {}  # have not said hello; the end of their time
+        self._has_unknown = Notifier()
+        self._latest: dict[bytes, Session] = {}  # of each client with a session
+
+    def new_reader(self) -> FrameReader:
+        """Return the reader of a new line, for a transport that makes frames of bytes.
+
+        It knows the limits of the server. The line closes it when the line itself is closed.
+        """
+        limit = self._settings.limits.frame
+        return FrameReader(limit, first=FIRST_FRAME, budget=self.memory)
 
     def start(self, line: Line) -> None:
         """Serve one client in a task of its own."""
@@ -46,6 +68,8 @@ class WireServer:
 
     async def serve(self, line: Line) -> None:
         """Serve one client until its connection ends."""
+        if isinstance(line, Channel):
+            line.share_turns(self._turn)
         try:
             await self._serve(line)
         except Exception as exc:
@@ -56,7 +80,7 @@ class WireServer:
 
     async def _serve(self, line: Line) -> None:
         heartbeat, limits = self._settings.heartbeat, self._settings.limits
-        if len(self._sessions) >= limits.connections:
+        if len(self._sessions) >= limits.connections and not self._make_room():
             reason = f"the server is full: it has {limits.connections} connections"
             logger.warning("%s is rejected: %s", line.peer, reason)
             link = Link(line, heartbeat)
@@ -64,21 +88,61 @@ class WireServer:
             return
         link = Link(line, heartbeat, limits.queue)
         session = Session(
-            link, self._endpoints, self._settings, self._owners, self._clients_of, self._supersede
+            link,
+            self._endpoints,
+            self._settings,
+            self._owners,
+            self.memory,
+            self._clients_of,
+            self._entered,
         )
         self._sessions[session] = None
+        self._unknown[session] = anyio.current_time() + limits.handshake
+        self._has_unknown.notify()
         try:
             error = await session.run()
         finally:
-            del self._sessions[session]
+            self._forget(session)
         wrong = isinstance(error, ProtocolError | AuthenticationFailed | LimitReached)
         logger.log(logging.WARNING if wrong else logging.INFO, "%s", naming(line.peer, error))
 
-    def _supersede(self, client: bytes) -> None:
-        for session in tuple(self._sessions):
-            known = session.client.session
-            if known and compare_digest(known, client):
-                session.end()
+    def _forget(self, session: Session) -> None:
+        self._sessions.pop(session, None)
+        self._unknown.pop(session, None)
+        if self._latest.get(session.client.session) is session:
+            del self._latest[session.client.session]
+
+    def _make_room(self) -> bool:
+        """End the oldest connection that has not said hello; return whether there was one.
+
+        So connections that say nothing keep no client out.
+        """
+        oldest = next(iter(self._unknown), None)
+        if oldest is None:
+            return False
+        self._forget(oldest)
+        oldest.end(LimitReached("the server is full, and it has not said hello"))
+        return True
+
+    async def expect_hellos(self) -> None:
+        """End each connection that does not say hello in time."""
+        handshake = self._settings.limits.handshake
+        while True:
+            while not self._unknown:
+                await self._has_unknown.wait()
+            session, ends = next(iter(self._unknown.items()))
+            await anyio.sleep_until(ends)
+            if self._unknown.pop(session, None) is not None:
+                # The line may have been held up, so the client may try again.
+                session.end(LimitReached(f"it has not said hello within {handshake:g} s"))
+
+    def _entered(self, session: Session) -> None:
+        """Note that a client was let in; end its earlier connection."""
+        self._unknown.pop(session, None)
+        if key := session.client.session:
+            earlier, self._latest[key] = self._latest.get(key), session
+            if earlier is not None:
+                earlier.end(ConnectionLost("its client has a newer connection"))
 
     def _clients_of(self, action: str) -> list[str]:
         clients = (session.client for session in self._sessions)
@@ -92,7 +156,7 @@ class WireServer:
                     for session in tuple(self._sessions):
                         tasks.start_soon(session.drain)
         finally:  # asyncio can cancel the task itself, which no scope shields
-            self._owners.close()
+            await self._owners.aclose()
 
 
 @asynccontextmanager
@@ -102,6 +166,7 @@ async def open_server(
     """Open a server of these endpoints; at the end of the block its connections are closed."""
     async with Background() as tasks:
         server = WireServer(tasks, endpoints, settings)
+        tasks.start_soon(server.expect_hellos)
         try:
             yield server
         finally:

@@ -20,10 +20,10 @@ from anyio.abc import SocketAttribute, SocketStream
 
 from fibaction._notify import Notifier
 from fibaction.wire.channel import Line, StreamChannel
+from fibaction.wire.frames import FrameReader
 from fibaction_transports.tcp import _anyio, _asyncio
 
 FRAME = bytes(100)
-MAX_FRAME = 1000
 TURNS = 7
 
 
@@ -40,12 +40,13 @@ class End:
     async def run(self) -> None:
         await self._line.run(self._on_frames, self._next_frames)
 
-    def _on_frames(self, frames: list[bytes]) -> None:
+    def _on_frames(self, frames: list[bytes]) -> list[bytes]:
         if self._echoes:
             self.send(frames)
         else:
             self._arrived += len(frames)
             self._news.notify()
+        return []
 
     def _next_frames(self) -> list[bytes]:
         frames, self._queue = self._queue, []
@@ -80,17 +81,17 @@ async def ends(kind: str) -> AsyncGenerator[End, None]:
 
         # For one host, it is a list of one listener.
         (one,) = listener.listeners
-        tasks.start_soon(accept, one, MAX_FRAME, serve, tasks)
+        tasks.start_soon(accept, one, FrameReader, serve, tasks)
         port = listener.extra(SocketAttribute.local_port)
         line: Line
         if kind == "asyncio":
-            line = await _asyncio.dial_tcp("127.0.0.1", port, MAX_FRAME, "here")
+            line = await _asyncio.dial_tcp("127.0.0.1", port, FrameReader(), "here")
         else:
             stream: SocketStream = await anyio.connect_tcp("127.0.0.1", port)
             stream.extra(SocketAttribute.raw_socket).setsockopt(
                 socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
             )
-            line = StreamChannel(stream, "here", MAX_FRAME)
+            line = StreamChannel(stream, "here", FrameReader())
         end = End(line, echoes=False)
         tasks.start_soon(end.run)
         yield end

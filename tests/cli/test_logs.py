@@ -34,7 +34,7 @@ def test_a_traceback_in_the_log_keeps_its_lines_and_is_cleaned() -> None:
 
     assert (
         CleanFormatter().format(record)
-        == "it failed\nZeroDivisionError: by nothing\\x1b[2J\nat all"
+        == "it failed\n  ZeroDivisionError: by nothing\\x1b[2J\n  at all"
     )
 
 

@@ -29,7 +29,8 @@ from fibaction_transports.inprocess import InProcessTransport
 from tests.certificates import pems
 
 Servers: TypeAlias = tuple[Endpoint, ...]
-Way: TypeAlias = Callable[[Servers, str | Transport], AbstractAsyncContextManager[ClientConnection]]
+Way: TypeAlias = Callable[[Servers, str | Transport], AbstractAsyncContextManager[str]]
+"""Serves at an address, and gives the URL for clients."""
 
 PATIENCE = 10.0
 """Seconds after which a test that hangs fails."""
@@ -54,10 +55,28 @@ class Reach:
     @asynccontextmanager
     async def connection(self, *servers: Endpoint) -> AsyncGenerator[ClientConnection, None]:
         """Serve, and give a connection."""
+        async with self._serve(*servers) as url, connect(url) as connection:
+            yield connection
+
+    @asynccontextmanager
+    async def two_clients(
+        self, server: ActionServer[GoalT, FeedbackT, ResultT]
+    ) -> AsyncGenerator[tuple[ActionClient[GoalT, FeedbackT, ResultT], ...], None]:
+        """Serve, and give two clients, each with a connection of its own."""
+        action = server.action
+        async with (
+            self._serve(server) as url,
+            connect(url, action) as one,
+            connect(url, action) as other,
+        ):
+            yield one, other
+
+    @asynccontextmanager
+    async def _serve(self, *servers: Endpoint) -> AsyncGenerator[str, None]:
         before = running()
         with anyio.fail_after(PATIENCE):
-            async with self._way(servers, self.address()) as connection:
-                yield connection
+            async with self._way(servers, self.address()) as url:
+                yield url
         assert running() <= before, "tasks are left behind"
 
 
@@ -66,24 +85,22 @@ def running() -> set[int]:
 
 
 @asynccontextmanager
-async def directly(
-    servers: Servers, address: str | Transport
-) -> AsyncGenerator[ClientConnection, None]:
-    async with serve(servers, address) as (url,), connect(url) as connection:
-        yield connection
+async def directly(servers: Servers, address: str | Transport) -> AsyncGenerator[str, None]:
+    async with serve(servers, address) as (url,):
+        yield url
 
 
 @asynccontextmanager
 async def through_a_gateway(
     servers: Servers, address: str | Transport
-) -> AsyncGenerator[ClientConnection, None]:
+) -> AsyncGenerator[str, None]:
     """Somebody between, who knows no types, serves what he reaches."""
     async with AsyncExitStack() as stack:
         (url,) = await stack.enter_async_context(serve(servers, InProcessTransport()))
         behind = await stack.enter_async_context(connect(url))
         endpoints = [behind.endpoint(info) for info in await behind.actions()]
         (url,) = await stack.enter_async_context(serve(endpoints, address))
-        yield await stack.enter_async_context(connect(url))
+        yield url
 
 
 def tcp_address() -> str:

@@ -231,6 +231,23 @@ async def test_an_observer_follows_from_now_on_and_does_not_slow_the_goal_down(
     assert sleeper.feedback_dropped == 999 - len(rest) > 0
 
 
+@pytest.mark.promise("FEEDBACK-13")
+async def test_another_client_that_sends_a_running_goal_again_observes_it(reach: Reach) -> None:
+    executor = Counts()
+    executor.finish.set()
+    server = ActionServer(FIBONACCI, executor, feedback_window=4, stall_timeout=math.inf)
+    async with reach.two_clients(server) as (mine, theirs):
+        goal = await mine.send_goal(Goal(1000))
+        again = await theirs.send_goal(Goal(1000), goal_id=goal.goal_id)
+        assert again.stamp == goal.stamp
+        # The other one reads nothing, and the executor does not wait for it.
+        assert numbers([item async for item in goal.feedback]) == list(range(1, 1001))
+        seen = numbers([item async for item in again.feedback])
+        assert await again.result() == await goal.result() == Result([1000])
+    assert seen[-1] == 1000
+    assert again.feedback_dropped == 1000 - len(seen) > 0
+
+
 async def _read_all(goal: Any) -> None:
     async for _ in goal.feedback:
         pass

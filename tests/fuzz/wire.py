@@ -19,6 +19,7 @@ from typing import Any
 import anyio
 
 from fibaction import ActionServer
+from fibaction._budget import ByteBudget
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
 from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.channel import Channel
@@ -82,8 +83,9 @@ async def serve(data: bytes) -> None:
             {"fibonacci": server},
             TERMS,
             Owners(tasks, grace=0),
+            ByteBudget(2**20),
             clients_of=lambda action: [],
-            supersede=lambda client: None,
+            entered=lambda session: None,
         )
         error = await session.run()
         assert isinstance(error, ActionError), error

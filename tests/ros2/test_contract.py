@@ -54,6 +54,7 @@ EXCLUSIONS: dict[str, str] = {
     "test_the_same_goal_sent_again_gets_the_same_answer_and_runs_once": AGAIN,
     "test_the_same_goal_sent_again_while_it_is_decided_waits_for_that": AGAIN,
     "test_another_goal_under_an_id_in_use_is_rejected": AGAIN,
+    "test_another_client_that_sends_a_running_goal_again_observes_it": AGAIN,
     "test_a_goal_of_the_wrong_type_is_rejected_and_the_reason_names_the_field": DEFAULT,
     "test_an_action_that_is_not_served_is_not_found_and_can_be_waited_for": TYPE,
     "test_several_actions_share_one_connection": TYPE,

@@ -15,7 +15,6 @@ from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import (
     NodeSettings,
     RosNode,
-    one_line,
     own_node,
     users_node,
 )
@@ -189,8 +188,22 @@ async def test_an_invalid_name_is_a_transport_error(ros: RosNode) -> None:
         action_names(ros.node, "1 a")
 
 
-def test_a_text_becomes_one_line() -> None:
-    assert one_line("a\nb\tc\ud800") == "a b c?"
+class Kept(list[str]):
+    """A logger of rclpy that keeps the texts."""
+
+    warning = error = list[str].append
+
+
+@pytest.mark.promise("ERROR-5")
+def test_a_text_becomes_one_line_of_the_log_of_ros(
+    ros: RosNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ros, "_logger", kept := Kept())
+    ros.warn("a\nb\x1b\ud800")
+    ros.complain("x" * 10_000)
+
+    assert kept[0] == "a\\x0ab\\x1b\\ud800"
+    assert len(kept[1]) == 2000
 
 
 def test_the_inner_parts_of_rclpy_that_are_used_are_there() -> None:

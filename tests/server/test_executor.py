@@ -46,7 +46,7 @@ class Bench:
         self.goal = GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER)
         self.goal.status = GoalStatus.EXECUTING
         self.log = FeedbackLog(self.goal, window=window)
-        self.stream = self.log.follow(hold=True)
+        self.stream = self.log.follow(own=True)
         handle = GoalHandle(self.goal, Goal(order))
         self.execution = Execution(FIBONACCI, executor, handle, self.log, stall_timeout)
         self.ending: Ending | None = None

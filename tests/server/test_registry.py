@@ -97,6 +97,10 @@ def test_a_digest_is_the_same_in_every_process_and_has_sixteen_bytes() -> None:
     assert digest_of(b"goal") != digest_of(b"goa")
 
 
+def infos(registry: GoalRegistry) -> list[GoalInfo]:
+    return [goal.info for goal in registry.goals()]
+
+
 def candidates(cancellation: Cancellation) -> list[GoalID]:
     return [goal.goal_id for goal in cancellation.candidates]
 
@@ -121,14 +125,14 @@ def test_a_new_goal_is_to_be_decided_and_is_then_accepted() -> None:
     registry = GoalRegistry()
     assert registry.admit(A, b"x", now=0.0) is Verdict.DECIDE
     assert registry.is_undecided(A)
-    assert registry.statuses() == []
+    assert infos(registry) == []
     goal = registry.accept(A, stamp=7, sender=UNKNOWN_SENDER)
     assert not registry.is_undecided(A)
     assert goal.info == GoalInfo(A, 7, GoalStatus.ACCEPTED)
     assert goal.outcome is None
     assert goal.feedback_count == 0
     assert registry.find(A, now=0.0) is goal
-    assert registry.statuses() == [goal.info]
+    assert infos(registry) == [goal.info]
 
 
 def test_the_list_of_goals_names_the_sender_of_each_as_far_as_it_is_known() -> None:
@@ -136,14 +140,14 @@ def test_the_list_of_goals_names_the_sender_of_each_as_far_as_it_is_known() -> N
     accepted(registry, A)
     registry.admit(B, b"x", now=0.0)
     registry.accept(B, stamp=1, sender=Sender("10.0.0.7:51234"))
-    assert [info.client for info in registry.statuses()] == ["", "10.0.0.7:51234"]
+    assert [info.client for info in infos(registry)] == ["", "10.0.0.7:51234"]
 
 
 def test_the_list_of_goals_tells_how_many_feedback_messages_each_had() -> None:
     registry = GoalRegistry()
     goal = executing(registry, A)
     goal.feedback_count += 2
-    assert [info.feedback_count for info in registry.statuses()] == [2]
+    assert [info.feedback_count for info in infos(registry)] == [2]
 
 
 def test_a_goal_takes_no_more_memory_than_what_is_known_of_it_needs() -> None:
@@ -164,10 +168,10 @@ def test_an_accepted_goal_sent_again_is_repeated_whatever_its_status(
 ) -> None:
     registry = GoalRegistry(result_timeout=10.0)
     reach(registry, A)
-    before = registry.statuses()
+    before = infos(registry)
     assert registry.admit(A, b"", now=9.9) is Verdict.REPEAT
     assert rejection_of(registry, A, b"other", now=9.9) == IN_USE
-    assert registry.statuses() == before
+    assert infos(registry) == before
     assert not registry.is_undecided(A)
 
 
@@ -311,7 +315,7 @@ def test_a_goal_that_was_never_executed_cannot_end_and_goes_on() -> None:
     with pytest.raises(InvalidTransition):
         finish(registry, goal, Ending(EndKind.FAILED), now=0.0)
     assert goal.outcome is None
-    assert registry.statuses() == [GoalInfo(A, 1, GoalStatus.ACCEPTED)]
+    assert infos(registry) == [GoalInfo(A, 1, GoalStatus.ACCEPTED)]
 
 
 def test_a_goal_ends_once() -> None:
@@ -365,7 +369,7 @@ def test_a_cancel_is_about_the_goals_that_ros_says(
     assert [info.goal_id for info in answer.goals_canceling] == about
     assert {info.status for info in answer.goals_canceling} <= {GoalStatus.CANCELING}
     assert [
-        info.goal_id for info in registry.statuses() if info.status is GoalStatus.CANCELING
+        info.goal_id for info in infos(registry) if info.status is GoalStatus.CANCELING
     ] == about
 
 
@@ -434,6 +438,19 @@ def test_a_reason_that_all_goals_share_is_told_once() -> None:
     for reason in ("busy", "late", "busy"):
         cancellation.reject(reason)
     assert cancellation.answer() == CancelAnswer(CancelCode.REJECTED, (), "busy; late")
+
+
+def test_the_reasons_of_very_many_goals_are_cut() -> None:
+    registry = GoalRegistry()
+    three_goals(registry)
+    cancellation = registry.cancel(None, None, now=0.0)
+    for number in range(10_000):
+        cancellation.reject(f"reason {number}")
+    assert len(cancellation._reasons) < 200
+    reason = cancellation.answer().reason
+    assert reason.startswith("reason 0; reason 1; ")
+    assert reason.endswith("…")
+    assert len(reason) == 1000
 
 
 def test_the_answer_lists_goals_by_acceptance_in_whatever_order_they_agreed() -> None:
@@ -506,6 +523,32 @@ def test_two_cancels_of_one_goal_are_decided_each_by_itself() -> None:
 # Knowing and forgetting
 
 
+def test_a_status_list_is_made_once_until_a_goal_comes_or_goes() -> None:
+    registry = GoalRegistry(result_timeout=10.0)
+    lists = [registry.goals(), registry.goals()]
+    goal = executing(registry, A)
+    lists += [registry.goals(), registry.goals()]
+    finish(registry, goal, Ending(EndKind.RESULT), now=0.0)
+    lists.append(registry.goals())
+    registry.expire(9.9)
+    lists.append(registry.goals())
+    registry.expire(10.0)
+    lists.append(registry.goals())
+    assert lists == [(), (), (goal,), (goal,), (goal,), (goal,), ()]
+    assert lists[2] is lists[3] is not lists[4] is lists[5]
+
+
+def test_goals_are_forgotten_so_many_at_a_time_as_the_caller_says() -> None:
+    registry = GoalRegistry(result_timeout=10.0, max_results=5)
+    for number in range(1, 6):
+        ended(registry, goal_id(number), now=0.0)
+        registry.admit(goal_id(number + 10), b"", now=0.0)
+        registry.reject(goal_id(number + 10), "no", now=0.0)
+    assert registry.expire(10.0, 2) == [A, B]
+    assert registry.expire(10.0, 3) == [C, D, goal_id(5)]
+    assert registry.expire(10.0, 3) == []
+
+
 def test_a_status_list_has_the_ended_goals_by_their_end_then_the_active_ones() -> None:
     registry = GoalRegistry()
     three_goals(registry)
@@ -514,7 +557,7 @@ def test_a_status_list_has_the_ended_goals_by_their_end_then_the_active_ones() -
         assert goal is not None
         finish(registry, goal, Ending(EndKind.RESULT), now=0.0)
     accepted(registry, D, stamp=40)
-    assert [(info.goal_id, info.status.name) for info in registry.statuses()] == [
+    assert [(info.goal_id, info.status.name) for info in infos(registry)] == [
         (C, "SUCCEEDED"),
         (A, "SUCCEEDED"),
         (B, "ACCEPTED"),
@@ -532,7 +575,7 @@ def test_an_ended_goal_is_known_for_the_result_timeout_from_its_end() -> None:
     # Exact to the moment, whether or not `expire` was called.
     assert registry.find(A, now=110.0) is None
     assert registry.expire(110.0) == [A]
-    assert registry.statuses() == []
+    assert infos(registry) == []
     assert registry.next_expiry == math.inf
 
 
@@ -585,7 +628,7 @@ def test_only_so_many_ended_goals_are_kept_and_the_oldest_give_way() -> None:
     for number in (B, A, C, D):
         ended(registry, number)
     assert registry.expire(0.0) == [B, A]
-    assert [info.goal_id for info in registry.statuses()] == [C, D]
+    assert [info.goal_id for info in infos(registry)] == [C, D]
     assert registry.expire(0.0) == []
 
 
@@ -608,7 +651,7 @@ def test_a_goal_id_used_again_before_its_expiry_was_noticed_is_not_listed_as_gon
     registry = GoalRegistry(result_timeout=10.0)
     ended(registry, A, now=0.0)
     again = accepted(registry, A, now=10.0)
-    assert registry.statuses() == [again.info]
+    assert infos(registry) == [again.info]
     assert registry.expire(10.0) == []
 
 
@@ -895,7 +938,7 @@ class ProtocolMachine(RuleBasedStateMachine):
 
     @invariant()
     def the_lists_agree(self) -> None:
-        assert self.registry.statuses() == [
+        assert infos(self.registry) == [
             GoalInfo(goal.goal_id, goal.stamp, GoalStatus[goal.status])
             for goal in self.ended + self.active
         ]

@@ -26,9 +26,11 @@ from fibaction import (
     GoalStatus,
     Outcome,
     ServerNotFound,
+    _slices,
 )
 from fibaction.abc import FeedbackItem, GoalStream
 from fibaction.goals import Sender
+from fibaction.server import runs
 from fibaction.server._interruption import CancelOnce
 from fibaction.server.goal_record import Ending, EndKind
 from fibaction.server.runs import EXPIRY_STEP, RECENT_TIME
@@ -372,15 +374,15 @@ async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on() -> None:
 
     # asyncio ends its loop at once on a SystemExit, so that the wire is cut on trio only; here the
     # executor is run by hand, and both must let it through.
-    runs = server._runs
-    run_goal = runs._run
+    server_runs = server._runs
+    run_goal = server_runs._run
 
     async def run_and_catch(run: Any, scopes: CancelOnce) -> None:
         with pytest.raises(SystemExit):
             await run_goal(run, scopes)
         scope.cancel()
 
-    runs._run = run_and_catch  # type: ignore[method-assign]  # see above
+    server_runs._run = run_and_catch  # type: ignore[method-assign]  # see above
     with anyio.CancelScope() as scope:
         await serve()
     assert await streams[0].outcome() == Outcome(GoalStatus.ABORTED, None, "SystemExit")
@@ -607,6 +609,26 @@ async def test_the_sender_of_a_goal_is_told_with_each_of_its_statuses() -> None:
             assert statuses.known == 1
 
 
+@pytest.mark.promise("FEEDBACK-13")
+async def test_a_goal_sent_again_is_the_senders_own_only_if_it_was_the_first_to_send_it() -> None:
+    executor = Held()
+    async with ActionServer(FIBONACCI, executor) as server:
+
+        def offer(owner: bytes, feedback: bool = True) -> Any:
+            sender = Sender("the arm", owner)
+            return at_once(server.offer_goal(goal_id, packed(2), feedback=feedback, sender=sender))
+
+        goal_id = GoalID.random()
+        streams = [offer(b"arm"), offer(b"arm"), offer(b"arm", False), offer(b"leg"), offer(b"")]
+        assert [stream.own for stream in streams] == [True, True, True, False, False]
+        assert [stream.holding for stream in streams] == [True, True, False, False, False]
+        assert [(await server.feedback(goal_id, own=own)).own for own in (True, False)] == [
+            True,
+            False,
+        ]
+        executor.go.set()
+
+
 async def test_a_caller_that_waited_for_the_decision_and_then_decides_is_the_sender() -> None:
     gate = Gate()
     async with ActionServer(FIBONACCI, fibonacci, on_goal=gate) as server:
@@ -783,7 +805,141 @@ async def _backend() -> str:
     return "trio" if "trio" in anyio.get_cancelled_exc_class().__module__ else "asyncio"
 
 
+async def turns_during(work: Coroutine[Any, Any, object]) -> int:
+    """How many turns another task has while that is done."""
+    turns = 0
+
+    async def take_turns() -> None:
+        nonlocal turns
+        while True:
+            await anyio.lowlevel.checkpoint()
+            turns += 1
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(take_turns)
+        await work
+        tasks.cancel_scope.cancel()
+    return turns
+
+
+async def start_many(server: ActionServer[Goal, Feedback, Result], count: int) -> list[GoalStream]:
+    streams: list[GoalStream] = [
+        await server.send_goal(GoalID.random(), packed(order)) for order in range(count)
+    ]
+    await anyio.wait_all_tasks_blocked()
+    return streams
+
+
+@pytest.fixture
+def no_slice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every slice is over at once."""
+    monkeypatch.setattr(_slices, "SLICE", -1.0)
+
+
+@pytest.mark.promise("CANCEL-23")
+@pytest.mark.usefixtures("no_slice")
+@pytest.mark.parametrize("on_cancel", [None, agree], ids=["no on_cancel", "a sync one"])
+async def test_a_cancel_of_many_goals_gives_others_their_turns(on_cancel: Any) -> None:
+    async with ActionServer(FIBONACCI, Held(), on_cancel=on_cancel) as server:
+        streams = await start_many(server, 30)
+        for _ in range(2):  # the second one finds goals that are canceling, or have ended
+            assert await turns_during(server.cancel_goals()) > 20
+            await start_many(server, 30)
+        assert {(await stream.outcome()).status for stream in streams} == {GoalStatus.CANCELED}
+
+
+async def test_on_cancel_is_asked_about_a_hundred_goals_at_the_same_time() -> None:
+    asked: list[GoalID] = []
+    decide = anyio.Event()
+
+    async def on_cancel(goal: GoalHandle[Goal]) -> None:
+        asked.append(goal.goal_id)
+        await decide.wait()
+
+    async with ActionServer(FIBONACCI, Held(), on_cancel=on_cancel) as server:
+        streams = await start_many(server, 120)
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(server.cancel_goals)
+            await anyio.wait_all_tasks_blocked()
+            assert len(asked) == 100
+            decide.set()
+        assert set(asked) == {stream.goal_id for stream in streams}
+
+
+@pytest.mark.promise("ACCEPT-13")
+async def test_a_reason_for_a_rejection_is_cut_before_it_is_told_and_kept() -> None:
+    def on_goal(goal: Goal) -> None:
+        raise GoalRejected("no" * 1000)
+
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
+        goal_id = GoalID.random()
+        for _ in range(2):
+            with pytest.raises(GoalRejected) as caught:
+                await server.send_goal(goal_id, packed(1))
+            assert caught.value.reason == "no" * 499 + "n…"
+
+
+# Stopping with many goals
+
+
+class Stubborn:
+    """An executor whose clean-up does not end by itself."""
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            await anyio.sleep_forever()
+        yield Result([])
+
+
+@pytest.mark.usefixtures("no_slice")
+@pytest.mark.parametrize("executor", [Held, Stubborn], ids=["in time", "not in time"])
+async def test_a_stop_gives_others_their_turns_and_names_some_goals_only(
+    executor: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with ActionServer(FIBONACCI, executor(), shutdown_timeout=0) as server:
+        streams = await start_many(server, 30)
+        assert await turns_during(server.stop()) > 20
+        reasons = {(await stream.outcome()).reason for stream in streams}
+    assert reasons == {"server stopped"}
+    if executor is Stubborn:
+        assert caplog.text.count("and is killed") == 10
+        assert "20 more goals of action 'fibonacci' did not stop in time either" in caplog.text
+
+
+@pytest.mark.usefixtures("no_slice")
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_a_stop_that_is_itself_canceled_while_it_kills_ends_every_goal() -> None:
+    async with ActionServer(FIBONACCI, Stubborn(), shutdown_timeout=0) as server:
+        with anyio.fail_after(5):
+            streams = await start_many(server, 30)
+            task = asyncio.create_task(server.stop())
+            while not any(stream.status.is_terminal for stream in streams):
+                await anyio.lowlevel.checkpoint()
+            task.cancel()
+            await asyncio.wait([task])
+            assert task.cancelled()
+            reasons = {(await stream.outcome()).reason for stream in streams}
+    assert reasons == {"server stopped"}
+
+
 # Expiry
+
+
+@in_virtual_time()
+async def test_many_goals_are_forgotten_in_several_turns_before_the_rest_is_listed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(runs, "MOST_AT_ONCE", 3)
+    async with ActionServer(FIBONACCI, fibonacci, result_timeout=10) as server:
+        with await server.status() as before:
+            for _ in range(7):
+                await (await server.send_goal(GoalID.random(), packed(1))).outcome()
+            await anyio.sleep(10)
+            assert (await server.status()).known == 0
+            told = [await before.receive() for _ in range(28)]
+    assert [info.status for info in told if info is not None][21:] == [GoalStatus.UNKNOWN] * 7
 
 
 @pytest.mark.promise("RESULT-3")

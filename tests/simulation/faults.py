@@ -19,7 +19,8 @@ from fibaction.goals import GoalID, GoalInfo
 from fibaction.server.admission import Admission
 from fibaction.server.cancellation import Cancellation
 from fibaction.server.expiry import ExpiringMap
-from fibaction.server.feedback_log import FeedbackCursor, FeedbackLog
+from fibaction.server.feedback_cursor import FeedbackCursor
+from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.server.status_broadcast import StatusBroadcast
@@ -188,13 +189,14 @@ def statuses_come_out_of_order(real: Any) -> Any:
     """Send the status EXECUTING after the status that follows it."""
     late: list[GoalInfo] = []
 
-    def publish(self: StatusBroadcast, info: GoalInfo) -> None:
+    def publish(self: StatusBroadcast, info: GoalInfo) -> int:
         if info.status is GoalStatus.EXECUTING:
             late.append(info)
-            return
-        real(self, info)
+            return 0
+        number: int = real(self, info)
         while late:
-            real(self, late.pop())
+            number = real(self, late.pop())
+        return number
 
     return publish
 

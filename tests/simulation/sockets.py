@@ -13,6 +13,7 @@ from contextvars import copy_context
 from typing import Any
 
 from fibaction.wire.channel import CHUNK
+from fibaction.wire.frames import FrameReader
 from fibaction_transports.tcp import _asyncio
 from tests.simulation.streams import SimulatedStream
 
@@ -121,8 +122,10 @@ class Socket(asyncio.Transport):
         self._lose(None)
 
 
-def line_over(stream: SimulatedStream, max_frame: int, peer: str = "") -> _asyncio.ProtocolLine:
+def line_over(
+    stream: SimulatedStream, reader: FrameReader, peer: str = ""
+) -> _asyncio.ProtocolLine:
     """Return one end of a connection, as the transports for TCP and Unix sockets have it."""
-    line = _asyncio.ProtocolLine(max_frame, memoryview(bytearray(CHUNK)), peer)
+    line = _asyncio.ProtocolLine(reader, memoryview(bytearray(CHUNK)), peer)
     Socket(stream, line)
     return line

@@ -11,7 +11,7 @@ from fibaction._tasks import Background
 from fibaction.abc import Connection
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.connection import open_connection
-from fibaction.wire.frames import MAX_FRAME
+from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.wire_server import WireServer, open_server
 from fibaction_transports.tcp._asyncio import ProtocolLine
@@ -63,12 +63,14 @@ class SimulatedTransport(Transport):
     async def _accept(self, listener: Listener, connections: WireServer) -> None:
         while True:
             stream = await listener.accept()
-            connections.start(self._line_over(stream, ""))
+            connections.start(self._line_over(stream, "", connections.new_reader()))
 
-    def _line_over(self, stream: SimulatedStream, peer: str) -> ProtocolLine | StreamChannel:
+    def _line_over(
+        self, stream: SimulatedStream, peer: str, reader: FrameReader
+    ) -> ProtocolLine | StreamChannel:
         if self._calls_back:
-            return line_over(stream, MAX_FRAME, peer)
-        return StreamChannel(stream, peer or stream.peer, MAX_FRAME)
+            return line_over(stream, reader, peer)
+        return StreamChannel(stream, peer or stream.peer, reader)
 
     @asynccontextmanager
     async def connect(self) -> AsyncGenerator[Connection, None]:
@@ -84,4 +86,4 @@ class SimulatedTransport(Transport):
             stream = await self._line.dial()
         except OSError as exc:
             raise ServerNotFound(f"the server does not listen: {exc}") from exc
-        return self._line_over(stream, stream.peer)
+        return self._line_over(stream, stream.peer, FrameReader())

@@ -14,7 +14,7 @@ COUNT: Action[int, int, int] = Action("count", goal=int, feedback=int, result=in
 
 
 def settings_of_a_client() -> None:
-    connect("tcp://robot", COUNT, heartbeat=2, token="secret", limits=Limits(frame=1000))
+    connect("tcp://robot", COUNT, heartbeat=2, token="secret", limits=Limits(frame=2000))
     connect("ros2://", namespace="/robot", discovery_timeout=1.5)
     connect("tcp://robot", COUNT, hartbeat=2)  # type: ignore[call-overload]  # pyright: ignore[reportCallIssue]
     connect("tcp://robot", heartbeat="2")  # type: ignore[call-overload]  # pyright: ignore[reportArgumentType, reportCallIssue]

@@ -46,7 +46,7 @@ A, B, C = (bytes([number] * 16) for number in (1, 2, 3))
 GOAL_ID = GoalID(A)
 ANY = 2**31 - 1
 """More credit than any goal of a test uses up."""
-ANN, BOB = b"ann", b"bob"
+ANN, BOB = b"ann".ljust(16), b"bob".ljust(16)
 GOAL = FIBONACCI.goal.encode(fib.Goal(3))
 RESULT = FIBONACCI.result.encode(fib.Result([]))
 EXECUTING = GoalStatus.EXECUTING
@@ -114,6 +114,12 @@ class Client(Peer):
         await self.say(message)
         return await self.hear(kind)
 
+    async def ask_all(self, *messages: Any) -> list[Any]:
+        """All that is told until nothing moves any more, but for statuses."""
+        await self.say(*messages)
+        heard = await self.hear_all()
+        return [message for message in heard if not isinstance(message, StatusChanged)]
+
     async def send(self, request: int, goal_id: bytes = A, credit: int | None = ANY) -> Following:
         """Send a goal, and hear that it is accepted and executing."""
         following = await self.ask(send(request, goal_id, credit), Following)
@@ -176,7 +182,7 @@ async def serving(
     then: Literal["keep", "cancel"] = "keep",
 ) -> AsyncGenerator[Served, None]:
     """A real server's half, in front of servers that run in the block."""
-    limits = limits or Limits()
+    limits = limits or Limits(heartbeat=LONG)
     async with AsyncExitStack() as stack:
         for server in servers:
             await stack.enter_async_context(server)

@@ -45,7 +45,7 @@ from tests.wire import memory
 from tests.wire.ends import ANN, BOB, SUCCEEDED, A, B, C, Client, Served, serving
 from tests.wire.memory import LONG, Running, logged, settled
 
-LIMITS = Limits(goals=3, requests=4, memory=1000, frame=1000, queue=5000)
+LIMITS = Limits(goals=3, requests=4, memory=1000, frame=1024, queue=5000)
 BACKENDS = pytest.mark.parametrize("backend", ["asyncio", "trio"])
 
 
@@ -170,7 +170,9 @@ def test_any_bytes_end_their_own_session_only(backend: str, data: bytes, cuts: l
         async with beside_a_good_client() as served:
             stream = Chunks(chopped(data, cuts))
             with anyio.fail_after(5):
-                await served.wire.serve(StreamChannel(stream, "the bad one", LIMITS.frame))
+                await served.wire.serve(
+                    StreamChannel(stream, "the bad one", served.wire.new_reader())
+                )
 
     anyio.run(check, backend=backend)
 

@@ -7,8 +7,17 @@ from collections.abc import Iterable
 import pytest
 from hypothesis import assume, given, strategies
 
-from fibaction.exceptions import ProtocolError
-from fibaction.wire.frames import _OTHERS, HEADER, MAX_FRAME, FrameReader, header
+from fibaction._budget import ByteBudget
+from fibaction.exceptions import LimitReached, ProtocolError
+from fibaction.wire.frames import (
+    _OTHERS,
+    FIRST_FRAME,
+    HEADER,
+    MAX_FRAME,
+    UNCOUNTED,
+    FrameReader,
+    header,
+)
 
 FRAMES = strategies.lists(strategies.binary(max_size=300), max_size=8)
 LIMIT = 100
@@ -162,3 +171,74 @@ def test_any_bytes_are_frames_or_a_protocol_error(pieces: list[bytes]) -> None:
         pass
     assert b"".join(pieces).startswith(framed(frames))
     assert all(len(frame) <= LIMIT for frame in frames)
+
+
+# The first frame of a client
+
+
+def first_reader() -> FrameReader:
+    return FrameReader(10_000, first=FIRST_FRAME)
+
+
+def test_the_first_frame_has_a_limit_of_its_own() -> None:
+    reader = first_reader()
+    assert reader.feed(framed([bytes(FIRST_FRAME)])) == [bytes(FIRST_FRAME)]
+    with pytest.raises(
+        ProtocolError, match=r"^frame of 4097 bytes exceeds the limit of 4096 bytes"
+    ):
+        first_reader().feed(header(FIRST_FRAME + 1))
+
+
+@given(strategies.lists(strategies.integers(0, 20_000), max_size=5))
+def test_after_the_first_frame_the_limit_is_that_of_all(places: list[int]) -> None:
+    frames = [b"hello", bytes(10_000), bytes(9_000)]
+    reader = first_reader()
+    pieces = chopped(framed(frames), places)
+    assert [frame for piece in pieces for frame in reader.feed(piece)] == frames
+    with pytest.raises(ProtocolError, match=r"limit of 10000 bytes$"):
+        reader.feed(header(10_001))
+
+
+# The memory that readers share
+
+
+def test_what_is_held_of_large_frames_is_counted_and_given_back() -> None:
+    budget = ByteBudget(10 * UNCOUNTED)
+    one, other = FrameReader(budget=budget), FrameReader(budget=budget)
+    one.feed(header(3 * UNCOUNTED) + bytes(UNCOUNTED - HEADER))
+    assert budget.used == 0  # small messages always pass
+    one.feed(bytes(100))
+    assert budget.used == 100
+    other.feed(header(2 * UNCOUNTED) + bytes(UNCOUNTED))
+    assert budget.used == 100 + HEADER
+    assert one.feed(bytes(2 * UNCOUNTED - 100 + HEADER)) == [bytes(3 * UNCOUNTED)]
+    assert budget.used == HEADER
+    other.close()
+    other.close()
+    assert budget.used == 0
+    assert not other.is_within_frame
+
+
+def test_over_the_budget_the_reader_that_wants_more_fails_and_small_frames_pass() -> None:
+    budget = ByteBudget(UNCOUNTED)
+    one, other = FrameReader(budget=budget), FrameReader(budget=budget)
+    one.feed(header(MAX_FRAME) + bytes(2 * UNCOUNTED - HEADER))
+    assert budget.used == budget.limit
+    with pytest.raises(LimitReached, match=f"^the server is busy: it holds {UNCOUNTED} bytes of"):
+        other.feed(header(MAX_FRAME) + bytes(UNCOUNTED))
+    other.close()
+    assert budget.used == budget.limit
+    small = FrameReader(budget=budget)
+    assert small.feed(header(1000) + bytes(500)) == []
+    assert small.feed(bytes(500)) == [bytes(1000)]
+    one.close()
+    assert budget.used == 0
+
+
+def test_the_frame_that_completes_over_the_budget_passes() -> None:
+    budget = ByteBudget(UNCOUNTED)
+    reader = FrameReader(budget=budget)
+    reader.feed(header(3 * UNCOUNTED) + bytes(UNCOUNTED))
+    budget.take(UNCOUNTED)  # by others
+    assert reader.feed(bytes(2 * UNCOUNTED)) == [bytes(3 * UNCOUNTED)]
+    assert budget.used == UNCOUNTED

@@ -172,7 +172,7 @@ async def test_a_client_that_leaves_is_not_answered_and_its_reason_is_one_line_o
             await client.hear_the_end()
         ((level, text),) = texts(lines)
         assert (level, "\n" in text) == (logging.INFO, False)
-        assert text.startswith("the client left: done WARNING")
+        assert text.startswith("the client left: done\\x0aWARNING")
 
 
 async def test_the_loss_of_a_client_is_one_line_of_the_log() -> None:
@@ -197,7 +197,7 @@ async def test_a_token_is_in_no_line_of_the_log() -> None:
 async def test_a_server_says_the_size_of_the_messages_that_it_takes() -> None:
     async with serving(held(), limits=Limits(frame=1234)) as served:
         welcome = await served.connect().ask(Hello(VERSION, LONG, "", ANN), Welcome)
-        assert welcome == Welcome(VERSION, LONG, 1234)
+        assert welcome == Welcome(VERSION, LONG, 1234, Limits().heartbeat)
 
 
 async def test_a_sign_of_life_has_no_answer() -> None:
@@ -841,8 +841,10 @@ async def test_a_newer_connection_of_a_client_ends_the_one_before_and_no_other()
         await served.greet(b"", "right")
         with logged() as lines:
             second = await served.greet(ANN, "right", name="the second")
+            goodbye, text = over("its client has a newer connection", Why.CONNECTION_LOST)
+            assert await first.hear(Goodbye) == goodbye
             await first.hear_the_end()
-        assert texts(lines) == [(logging.INFO, "the first: its client has a newer connection")]
+        assert texts(lines) == [(logging.INFO, f"the first: {text}")]
         for client in (second, other, nameless):
             assert await client.is_served()
 

@@ -5,8 +5,8 @@ import math
 import pytest
 from hypothesis import given, strategies
 
-from fibaction.wire.frames import MAX_FRAME
-from fibaction.wire.settings import Limits
+from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
+from fibaction.wire.settings import ClientSettings, Limits
 
 NAMES = Limits.__struct_fields__
 
@@ -18,7 +18,7 @@ def test_the_default_limits_let_a_usual_client_work() -> None:
     assert all(0 < getattr(limits, name) < math.inf for name in NAMES)
 
 
-@given(strategies.sampled_from(NAMES), strategies.integers(1, 2**40))
+@given(strategies.sampled_from(NAMES), strategies.integers(LEAST_FRAME, 2**40))
 def test_any_number_above_zero_is_a_limit(name: str, value: int) -> None:
     limits = Limits(**{name: value})
     assert getattr(limits, name) == value
@@ -33,6 +33,19 @@ def test_any_number_above_zero_is_a_limit(name: str, value: int) -> None:
 def test_a_limit_that_limits_nothing_or_everything_is_rejected(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"^the limit of {name} is finite and more than 0, not "):
         Limits(**{name: value})  # type: ignore[arg-type]  # a float where some take an int
+
+
+@given(strategies.sampled_from(NAMES).filter("frame".__ne__), strategies.integers(1, LEAST_FRAME))
+def test_a_limit_may_be_small(name: str, value: int) -> None:
+    assert getattr(Limits(**{name: value}), name) == value
+
+
+def test_messages_of_a_kibibyte_pass_everywhere() -> None:
+    assert Limits(frame=LEAST_FRAME).frame == ClientSettings(max_frame=LEAST_FRAME).max_frame
+    with pytest.raises(ValueError, match=r"^the limit of frame is at least 1024, not 1023$"):
+        Limits(frame=LEAST_FRAME - 1)
+    with pytest.raises(ValueError, match=r"^max_frame is between 1024 and 4294967295, not 1023$"):
+        ClientSettings(max_frame=LEAST_FRAME - 1)
 
 
 def test_a_fraction_of_a_second_is_time_for_a_handshake() -> None:

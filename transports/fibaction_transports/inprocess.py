@@ -6,6 +6,7 @@ queued on the way, and a server may be started after its clients.
 
 from __future__ import annotations
 
+import os
 import re
 import uuid
 from collections.abc import AsyncGenerator
@@ -110,6 +111,8 @@ class _InProcessConnection(Connection):
         self.place = place
         self._streams: WeakSet[GoalStream | StatusStream] = WeakSet()
         self._closed: ConnectionLost | None = None
+        self.sender = Sender(owner=os.urandom(16))
+        """The client of this connection, which has no name."""
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
         return _NamedEndpoint(self, action.info if isinstance(action, Action) else action)
@@ -153,6 +156,8 @@ class _NamedEndpoint(Endpoint):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
     ) -> GoalStream:
+        if sender == UNKNOWN_SENDER:
+            sender = self._connection.sender
         stream = await self._server.send_goal(goal_id, goal, feedback=feedback, sender=sender)
         return self._connection.opened(stream)
 

@@ -11,6 +11,7 @@ from anyio.abc import SocketAttribute
 
 from fibaction.exceptions import ConnectionLost
 from fibaction.wire.channel import Line
+from fibaction.wire.frames import FrameReader
 from fibaction_transports.tcp._anyio import accept, peer_of
 from tests.transports.tcp.servers import Named
 
@@ -41,14 +42,14 @@ def test_whoever_connects_is_served_in_a_task_of_its_own() -> None:
         async def echo(line: Line) -> None:
             served.append(line.peer)
             with pytest.raises(ConnectionLost):
-                await line.run(lambda frames: None, list)
+                await line.run(lambda frames: [], list)
             await line.aclose()
             if len(served) == 2:
                 done.set()
 
         async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
             async with anyio.create_task_group() as tasks:
-                tasks.start_soon(accept, listener, 1000, echo, tasks)
+                tasks.start_soon(accept, listener, FrameReader, echo, tasks)
                 port = listener.extra(SocketAttribute.local_port)
                 with anyio.fail_after(5):
                     async with (

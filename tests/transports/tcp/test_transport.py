@@ -561,20 +561,20 @@ async def test_what_is_too_large_is_one_goals_error_and_the_connection_lives(
         yield Result([0] * goal.request.order)
 
     server = ActionServer(FIBONACCI, executor)
-    small = TcpTransport(port=0, limits=Limits(frame=1000))
+    small = TcpTransport(port=0, limits=Limits(frame=2000))
     async with serve(server, small) as (url,):
-        connecting = TcpTransport.from_url(url, limits=Limits(frame=500))
+        connecting = TcpTransport.from_url(url, limits=Limits(frame=1024))
         async with connect(connecting) as connection:
             client = connection.client(FIBONACCI)
             with anyio.fail_after(5):
                 other = await client.send_goal(Goal(0))
-                goal = await client.send_goal(Goal(700))
+                goal = await client.send_goal(Goal(1500))
                 assert (await anext(goal.feedback)).partial_sequence == [1]
                 assert goal.feedback_dropped == 1
-                with pytest.raises(TransportError, match="500 are the limit"):
+                with pytest.raises(TransportError, match="1024 are the limit"):
                     await goal.result()
-                with pytest.raises(ProtocolError, match="1000 are the server's limit"):
-                    await connection.endpoint(FIBONACCI).send_goal(GoalID.random(), bytes(1000))
+                with pytest.raises(ProtocolError, match="2000 are the server's limit"):
+                    await connection.endpoint(FIBONACCI).send_goal(GoalID.random(), bytes(2000))
                 go.set()
                 assert await other.result() == Result([])
         await heard.until("left: ")

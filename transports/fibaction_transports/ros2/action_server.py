@@ -31,7 +31,6 @@ that the sender has left.
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import asynccontextmanager
@@ -41,6 +40,7 @@ import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint, GoalStream
@@ -75,7 +75,7 @@ LINGER = 0.2
 RETRY_PAUSE = 1.0
 """Seconds between attempts to follow the statuses of an endpoint that cannot be reached."""
 
-logger = logging.getLogger("fibaction.ros2")
+logger = clean_logger("fibaction.ros2")
 
 
 class ServedEndpoint:

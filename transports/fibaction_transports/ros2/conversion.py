@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from fibaction._text import excerpt
 from fibaction.action import ActionInfo
 from fibaction.exceptions import ProtocolError, TransportError
 from fibaction.goals import GoalID, GoalInfo
@@ -63,7 +64,7 @@ class RosCodec:
         try:
             self._part.fill(message, self._decode(payload))
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, Unfit) as exc:
-            raise ProtocolError(str(exc)) from exc
+            raise ProtocolError(excerpt(str(exc))) from exc
 
     def from_ros(self, message: Any) -> bytes:
         """Make a payload as the user's end expects it."""

@@ -13,7 +13,13 @@ from anyio.abc import TaskGroup
 from fibaction._tasks import Background
 from fibaction.abc import Connection, Endpoint
 from fibaction.action import Action, ActionInfo
-from fibaction.exceptions import ConnectionLost, GoalRejected, ProtocolError, TransportError
+from fibaction.exceptions import (
+    ConnectionLost,
+    GoalRejected,
+    ProtocolError,
+    TransportError,
+    text_of,
+)
 from fibaction.goals import (
     UNKNOWN_OUTCOME,
     UNKNOWN_SENDER,
@@ -128,7 +134,9 @@ class _Decoder(GoalDecoder):
         try:
             found = deserialize(message, self._impl.FeedbackMessage)
         except Exception as exc:  # rclpy raises whatever rcl says
-            raise ProtocolError(f"invalid feedback of {len(message)} bytes: {exc}") from exc
+            raise ProtocolError(
+                f"invalid feedback of {len(message)} bytes: {text_of(exc)}"
+            ) from exc
         return self._codecs.feedback.from_ros(found.feedback)
 
     def outcome(self, response: Any) -> Outcome[bytes]:

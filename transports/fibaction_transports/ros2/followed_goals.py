@@ -8,12 +8,12 @@ request follows after a longer pause, so that requests do not pile up at a busy 
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from anyio import current_time
 
+from fibaction._log import clean_logger
 from fibaction.exceptions import ConnectionLost, ProtocolError
 from fibaction.goals import GoalID
 from fibaction.states import GoalStatus
@@ -28,7 +28,7 @@ LATE = 0.5
 FAILED_REQUESTS = 2
 """Failed requests for a goal's result after which an unreadable response is attributed to it."""
 
-logger = logging.getLogger("fibaction.ros2")
+logger = clean_logger("fibaction.ros2")
 
 
 class FollowedGoals:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import socket
 from collections import deque
 from collections.abc import Callable
@@ -11,6 +10,8 @@ from threading import Lock
 from typing import Any, TypeAlias
 
 import anyio
+
+from fibaction._log import clean_logger
 
 MAILBOX = 20_000
 """Items that may wait for the event loop. With more, nothing is taken, and messages wait in the
@@ -21,7 +22,7 @@ TURN = 64
 Sink: TypeAlias = Callable[[Any], None]
 """Handles an item on the event loop, without waiting."""
 
-logger = logging.getLogger("fibaction.ros2")
+logger = clean_logger("fibaction.ros2")
 
 
 class Mailbox:

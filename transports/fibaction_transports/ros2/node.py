@@ -6,7 +6,6 @@ thread waits for it any more.
 
 from __future__ import annotations
 
-import logging
 import os
 import uuid
 from collections.abc import AsyncGenerator, Callable, Sequence
@@ -15,7 +14,9 @@ from typing import Any
 
 import msgspec
 
+from fibaction._log import MESSAGE, clean_logger
 from fibaction._tasks import Background
+from fibaction._text import excerpt
 from fibaction.exceptions import ConnectionLost, TransportError
 from fibaction_transports.ros2.mailbox import Mailbox
 from fibaction_transports.ros2.rcl import (
@@ -33,7 +34,7 @@ from fibaction_transports.ros2.waitable import RosWaitable, Source
 LAST_DOMAIN = 232
 """The highest domain ID. Higher ones would have ports above 65535."""
 
-logger = logging.getLogger("fibaction.ros2")
+logger = clean_logger("fibaction.ros2")
 
 
 class NodeSettings(msgspec.Struct, frozen=True):
@@ -94,16 +95,17 @@ class RosNode:
     def warn(self, text: str) -> None:
         """Log a warning as one line in ROS's own log, which other nodes can read."""
         if self._can_log(text):
-            self._logger.warning(one_line(text))
+            self._logger.warning(excerpt(text, MESSAGE))
 
     def complain(self, text: str) -> None:
         """Log an error as one line in ROS's own log."""
         if self._can_log(text):
-            self._logger.error(one_line(text))  # rclpy allows one severity for each line of code
+            # Not in one place with `warn`: rclpy allows one severity for each line of code.
+            self._logger.error(excerpt(text, MESSAGE))
 
     def _can_log(self, text: str) -> bool:
         if not self.is_up:
-            logger.info("%s", one_line(text))
+            logger.info("%s", text)
         return self.is_up
 
     def make(self, kind: Any, ros_type: Any, name: str, profile: Any) -> Any:
@@ -272,8 +274,3 @@ async def users_node(node: Any) -> AsyncGenerator[RosNode, None]:
             yield ros
     finally:
         ros.close()
-
-
-def one_line(text: str) -> str:
-    """Return a text as one line of a log, without control characters."""
-    return "".join(c if c.isprintable() else " " for c in text.encode("utf-8", "replace").decode())

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from typing import Any
 
 import anyio
 from anyio import current_time
 
+from fibaction._log import clean_logger
 from fibaction.exceptions import ConnectionLost, ServerNotFound
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.names import ActionNames
@@ -25,7 +25,7 @@ happens on a busy machine, the next one is sent after most of a lease."""
 RIVALS_PAUSE = 1.0
 """Seconds between two looks for a second server of the same name."""
 
-logger = logging.getLogger("fibaction.ros2")
+logger = clean_logger("fibaction.ros2")
 
 
 class Presence:

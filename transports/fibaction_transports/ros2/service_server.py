@@ -11,6 +11,7 @@ import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction_transports.ros2.rcl import has_answered
 from fibaction_transports.ros2.waitable import Requests
@@ -20,7 +21,7 @@ ANSWER_PAUSES = (0.1, 0.3, 0.6)
 UNDERWAY = 10_000
 """Requests that may be under way. Most of them wait for the results of goals that run."""
 
-logger = logging.getLogger("fibaction.ros2")
+logger = clean_logger("fibaction.ros2")
 
 
 class ServiceServers:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import atexit
-import logging
 import threading
 from collections.abc import Callable
 from typing import Any
 
+from fibaction._log import clean_logger
+from fibaction.exceptions import text_of
 from fibaction_transports.ros2.rcl import (
     ExternalShutdownException,
     Future,
     SingleThreadedExecutor,
 )
 
-logger = logging.getLogger("fibaction.ros2")
+logger = clean_logger("fibaction.ros2")
 
 
 class Spinner:
@@ -55,7 +56,7 @@ class Spinner:
             # in between, rclpy raises whatever rcl says. With rclpy's own handlers of signals,
             # Ctrl-C shuts down all contexts of the process, and this one, too.
             if self._context.ok():
-                reason = f"the thread of rclpy has ended: {type(exc).__name__}: {exc}"
+                reason = f"the thread of rclpy has ended: {text_of(exc)}"
                 logger.error("%s", reason, exc_info=exc)
         if not self._stop.done():
             self._on_end(reason)

@@ -7,17 +7,17 @@ nothing: an exception would end the spinning.
 
 from __future__ import annotations
 
-import logging
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from threading import Lock
 from types import TracebackType
 from typing import Any
 
+from fibaction._log import clean_logger
 from fibaction_transports.ros2.mailbox import MAILBOX, TURN, Mailbox, Sink
 from fibaction_transports.ros2.rcl import InvalidHandle, ReentrantCallbackGroup, waitable
 
-logger = logging.getLogger("fibaction.ros2")
+logger = clean_logger("fibaction.ros2")
 
 
 class Source(ABC):

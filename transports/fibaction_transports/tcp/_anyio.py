@@ -9,11 +9,12 @@ from typing import Any
 from anyio.abc import AnyByteStream, ByteStream, Listener, SocketAttribute, TaskGroup
 
 from fibaction.wire.channel import Line, StreamChannel
+from fibaction.wire.frames import FrameReader
 
 
 async def accept(
     listener: Listener[Any],
-    max_frame: int,
+    new_reader: Callable[[], FrameReader],
     serve: Callable[[Line], Coroutine[Any, Any, None]],
     tasks: TaskGroup,
 ) -> None:
@@ -24,7 +25,7 @@ async def accept(
     """
 
     async def begin(stream: ByteStream) -> None:
-        await serve(StreamChannel(stream, peer_of(stream), max_frame))
+        await serve(StreamChannel(stream, peer_of(stream), new_reader()))
 
     await listener.serve(begin, tasks)
 

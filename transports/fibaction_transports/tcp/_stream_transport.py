@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import ssl
 from abc import abstractmethod
 from collections.abc import AsyncGenerator, Sequence
@@ -13,6 +12,7 @@ import anyio
 from anyio.abc import Listener
 from anyio.streams.stapled import MultiListener
 
+from fibaction._log import clean_logger
 from fibaction._tasks import Background
 from fibaction.exceptions import (
     AuthenticationFailed,
@@ -29,7 +29,7 @@ from fibaction_transports.tcp._tls import TlsListener, no_tls
 ACCEPT_PAUSE = 0.1
 """Seconds without new connections after one could not be accepted: a lack of files passes."""
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 
 class StreamTransport(WireTransport):
@@ -80,10 +80,9 @@ class StreamTransport(WireTransport):
     async def _accept(self, listener: Listener[Any], server: WireServer) -> None:
         plain = _asyncio.on_asyncio() and not isinstance(listener, TlsListener)
         accept = _asyncio.accept if plain else _anyio.accept
-        max_frame = self.server_settings.limits.frame
         while True:
             try:
-                await accept(listener, max_frame, server.serve, server.tasks)
+                await accept(listener, server.new_reader, server.serve, server.tasks)
             except Exception as exc:
                 # For example too many open files. The connections that are open must not suffer.
                 logger.error("%s cannot accept connections: %s", self.url, exc, exc_info=exc)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import ssl
 from contextlib import suppress
 
@@ -10,7 +9,8 @@ import anyio
 from anyio.abc import AnyByteStream, ByteStream
 from anyio.streams.tls import TLSListener
 
-from fibaction.exceptions import AuthenticationFailed, ConnectionLost
+from fibaction._log import clean_logger
+from fibaction.exceptions import AuthenticationFailed, ConnectionLost, text_of
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import framed
@@ -22,7 +22,7 @@ LAST_WORDS = 1.0
 SPEAKS_TLS = framed([encode(Goodbye("this server speaks TLS: use tls://", Why.PROTOCOL))])
 """The answer to a client that does not begin with TLS. OpenSSL has no alert for it."""
 
-logger = logging.getLogger("fibaction.wire")
+logger = clean_logger("fibaction.wire")
 
 
 def telling(context: ssl.SSLContext) -> ssl.SSLContext:
@@ -98,7 +98,7 @@ def _why(exc: Exception) -> str:
         return "it took too long to shake hands"
     if isinstance(exc, OSError | anyio.BrokenResourceError | anyio.EndOfStream):
         return "it hung up while shaking hands: it may not trust our certificate"
-    return f"{type(exc).__name__}: {exc}"
+    return text_of(exc)
 
 
 class TlsChannel(StreamChannel):

@@ -16,6 +16,7 @@ from anyio.streams.tls import TLSStream
 
 from fibaction.exceptions import TransportError
 from fibaction.wire.channel import Line, StreamChannel
+from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import WireKeywords
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import boolean, host_only
@@ -90,22 +91,22 @@ class TcpTransport(StreamTransport):
         return f"{'tls' if self._tls else 'tcp'}://{host}:{port}"
 
     async def _connect(self) -> Line:
-        max_frame = self.client_settings.max_frame
+        reader = FrameReader(self.client_settings.max_frame)
         if self._tls is None and _asyncio.on_asyncio():
-            return await _asyncio.dial_tcp(self._host, self._port, max_frame, self.url)
+            return await _asyncio.dial_tcp(self._host, self._port, reader, self.url)
         stream = await anyio.connect_tcp(self._host, self._port)
         stream.extra(SocketAttribute.raw_socket).setsockopt(
             socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
         )
         if self._tls is None:
-            return StreamChannel(stream, self.url, max_frame)
+            return StreamChannel(stream, self.url, reader)
         async with AsyncExitStack() as on_failure:
             on_failure.push_async_callback(anyio.aclose_forcefully, stream)
             given = self._tls
             context = telling(given.client()) if isinstance(given, TlsFiles) else given
             tls = await TLSStream.wrap(stream, hostname=self._host, ssl_context=context)
             on_failure.pop_all()
-        return TlsChannel(tls, self.url, max_frame)
+        return TlsChannel(tls, self.url, reader)
 
     async def _listen(self) -> tuple[Listener[Any], str]:
         if not (self._insecure or self._tls or _is_loopback(self._host)):

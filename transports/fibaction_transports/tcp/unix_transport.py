@@ -13,6 +13,7 @@ from anyio.abc import Listener
 
 from fibaction.exceptions import TransportError
 from fibaction.wire.channel import Line, StreamChannel
+from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import WireKeywords
 from fibaction_transports.tcp import _asyncio
 from fibaction_transports.tcp._stream_transport import StreamTransport
@@ -49,10 +50,10 @@ class UnixTransport(StreamTransport):
         return f"unix://{self._path}"
 
     async def _connect(self) -> Line:
-        max_frame = self.client_settings.max_frame
+        reader = FrameReader(self.client_settings.max_frame)
         if _asyncio.on_asyncio():
-            return await _asyncio.dial_unix(self._path, max_frame, self.url)
-        return StreamChannel(await anyio.connect_unix(self._path), self.url, max_frame)
+            return await _asyncio.dial_unix(self._path, reader, self.url)
+        return StreamChannel(await anyio.connect_unix(self._path), self.url, reader)
 
     async def _listen(self) -> tuple[Listener[Any], str]:
         if await self._is_served():

@@ -1,0 +1,199 @@
+"""The admission of clients: their sessions, the heartbeats that are accepted, and a full server."""
+
+from __future__ import annotations
+
+import logging
+from itertools import pairwise
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction.goals import Sender
+from fibaction.testing import ScriptedServer
+from fibaction.wire.auth import AccessPolicy
+from fibaction.wire.codec import encode
+from fibaction.wire.link import Link
+from fibaction.wire.messages import (
+    VERSION,
+    Following,
+    Goodbye,
+    Hello,
+    Ping,
+    Welcome,
+    Why,
+)
+from fibaction.wire.settings import ClientSettings, Limits
+from tests import fibonacci as fib
+from tests.fibonacci import FIBONACCI
+from tests.virtual_time import in_virtual_time
+from tests.wire import memory
+from tests.wire.ends import ANN, BOB, Network, follow, held, reached, serving
+from tests.wire.memory import LONG, logged, settled
+
+pytestmark = pytest.mark.anyio
+
+SESSION = bytes(range(32))
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+# Sessions
+
+
+@pytest.mark.parametrize("length", [1, 15, 17, 31, 33, 1000])
+async def test_a_session_of_another_length_is_rejected(length: int) -> None:
+    async with serving(held()) as served:
+        client = served.connect()
+        await client.say(Hello(VERSION, LONG, session=bytes(length)))
+        goodbye = await client.hear(Goodbye)
+        assert goodbye.why == Why.PROTOCOL
+        assert goodbye.reason.endswith(
+            f"its session has {length} bytes, and the lengths are 0, 16 and 32"
+        )
+        await client.hear_the_end()
+
+
+@pytest.mark.parametrize("length", [0, 16, 32])
+async def test_a_session_has_sixteen_or_thirty_two_bytes_or_none(length: int) -> None:
+    async with serving(held()) as served:
+        assert await (await served.greet(bytes(length))).is_served()
+
+
+async def test_the_same_session_with_another_token_is_another_client() -> None:
+    access = AccessPolicy({"sesame": "ann", "open": "bob", "too": "ann"})
+    async with serving(held(), access=access) as served:
+        ann = await served.greet(SESSION, "sesame")
+        await ann.send(1)
+        bob = await served.greet(SESSION, "open")
+        for client in (ann, bob):
+            assert await client.is_served()  # neither has ended the other
+        ann.channel.cut()
+        await settled()
+        # It does not own the goal, so it follows it as an observer does.
+        await bob.ask(follow(0, request=1), Following)
+        again = await served.greet(SESSION, "too")  # another token of the same name
+        await again.ask(follow(0, request=1), Following)
+        assert await bob.is_served()
+
+
+async def test_each_client_is_told_from_the_others_by_its_owner() -> None:
+    senders: list[Sender] = []
+
+    class Noting(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
+        def offer_goal(self, *args: Any, **kwargs: Any) -> Any:
+            senders.append(kwargs["sender"])
+            return super().offer_goal(*args, **kwargs)
+
+    access = AccessPolicy({"sesame": "ann", "open": "bob"})
+    async with serving(Noting(FIBONACCI, [anyio.Event()]), access=access) as served:
+        for number, (session, token) in enumerate(
+            ((ANN, "sesame"), (ANN, "sesame"), (ANN, "open"), (BOB, "sesame"), *[(b"", "open")] * 2)
+        ):
+            client = await served.greet(session, token)
+            await client.send(1, bytes([number + 1] * 16))
+    owners = [sender.owner for sender in senders]
+    assert owners[0] == owners[1]
+    assert len(set(owners)) == 5
+    assert {len(owner) for owner in owners} == {16}
+    assert not any(ANN in owner for owner in owners)
+
+
+async def test_a_server_with_many_clients_finds_a_session_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with serving(held()) as served:
+        for number in range(20):
+            await served.greet(bytes([number]) * 16)
+        assert len(served.wire._latest) == 20
+        newest = await served.greet(bytes([3]) * 16)
+        await settled()
+        assert len(served.wire._latest) == 20
+        newest.channel.cut()
+        await settled()
+        assert len(served.wire._latest) == 19
+
+
+# A full server
+
+
+async def test_the_oldest_connection_without_a_hello_makes_room_at_a_full_server() -> None:
+    async with serving(held(), limits=Limits(connections=3)) as served:
+        first = await served.greet(ANN)
+        silent = []
+        for number in range(2):
+            silent.append(served.connect(f"silent {number}"))
+            await settled()
+        with logged() as lines:
+            second = await served.greet(BOB)
+            goodbye = await silent[0].hear(Goodbye)
+            assert goodbye.why == Why.LIMIT
+            assert goodbye.reason.endswith("the server is full, and it has not said hello")
+            await silent[0].hear_the_end()
+        assert [(line.levelno, line.getMessage()) for line in lines] == [
+            (logging.WARNING, "silent 0: the server is full, and it has not said hello")
+        ]
+        await silent[1].ask(Hello(VERSION, LONG), Welcome)
+        rejected = await served.connect().hear(Goodbye)
+        assert rejected.reason == "the server is full: it has 3 connections"
+        for client in (first, second, silent[1]):
+            assert await client.is_served()
+
+
+@in_virtual_time()
+async def test_silent_connections_keep_no_client_out() -> None:
+    async with serving(held(), limits=Limits(connections=5)) as served:
+        for _ in range(3):
+            silent = [served.connect(f"silent {number}") for number in range(20)]
+            for one in silent:
+                one.channel.stop_reading()
+            await anyio.sleep(0.1)
+            client = await served.greet(b"")
+            assert await client.is_served()
+            await anyio.sleep(10)
+            assert all(one.channel.is_cut for one in silent)
+        assert len(served.wire._sessions) == 3
+        assert not served.wire._unknown
+
+
+# The heartbeats that a server accepts
+
+
+@in_virtual_time()
+async def test_a_server_limits_the_heartbeat_of_its_clients() -> None:
+    async with serving(held(), limits=Limits(heartbeat=15)) as served:
+        client = served.connect()
+        welcome = await client.ask(Hello(VERSION, LONG), Welcome)
+        assert welcome.max_heartbeat == 15
+        before = anyio.current_time()
+        await client.channel.cut_off()
+        assert 60 < anyio.current_time() - before <= 75
+
+
+async def test_a_server_with_no_such_limit_says_the_longest_that_can_be_said() -> None:
+    async with serving(held(), limits=Limits(heartbeat=10_000)) as served:
+        welcome = await served.connect().ask(Hello(VERSION, 3600), Welcome)
+        assert welcome.max_heartbeat == 3600
+
+
+@in_virtual_time()
+async def test_a_client_sends_something_as_often_as_its_server_wants() -> None:
+    network = Network()
+    async with reached(network, ClientSettings(heartbeat=LONG)) as (_, server):
+        server.channel.cut()
+        server, _ = await network.reached()
+        await anyio.sleep(0.2)
+        await server.say(Welcome(VERSION, LONG, max_heartbeat=2.0))
+        await anyio.sleep(20)
+        pings = [at for at, frames in server.channel.writes if encode(Ping()) in frames]
+        assert len(pings) >= 10
+        assert all(after - at < 2.1 for at, after in pairwise(pings))
+
+
+async def test_a_heartbeat_is_never_longer_than_the_own_one() -> None:
+    link = Link(memory.pair()[0], 1.0)
+    link.heartbeat.agree(2.0, 10.0)
+    assert (link.heartbeat.interval, link.heartbeat.peer_interval) == (1.0, 2.0)
