@@ -136,7 +136,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         execution = Execution(self._action, self._executor, handle, log, self._stall_timeout)
         run = self._runs[goal.goal_id] = Run(goal, log, execution)
         self._tell_status(run)
-        self._pool.add(partial(self._run, run))
+        self._pool.add(partial(self._run, run), goal.sender.owner)
         return log
 
     async def _run(self, run: Run[GoalT, FeedbackT, ResultT], scopes: CancelOnce) -> None:

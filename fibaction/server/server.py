@@ -86,6 +86,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 together. Over it new goals are rejected as `busy`, the oldest outcomes are
                 forgotten, and executors wait until their feedback is read.
             shutdown_timeout: Seconds that executors have for their clean-up when the server stops.
+                Then they are killed, and those that do not end are abandoned about a second later.
 
         Raises:
             TypeError: The action is untyped, or the executor is not callable, is a coroutine
