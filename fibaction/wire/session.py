@@ -199,9 +199,11 @@ class Session:
     def _begin(self, message: Request) -> None:
         limits = self._settings.limits
         is_full = len(self._waiting) >= limits.requests
-        if self._admits(message, too_much(limits) if is_full else ""):
+        limit = too_much(limits) if is_full else self._handlers.limit_for(message)
+        if self._admits(message, limit):
             subscription = RequestSubscription(message.id, getattr(message, "credit", 0))
             self._waiting[message.id] = subscription
+            self._handlers.begin(message, subscription)
             self._tasks.start_soon(self._answer, message, subscription)
 
     async def _answer(self, message: Request, subscription: RequestSubscription) -> None:
