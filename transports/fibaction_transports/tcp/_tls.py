@@ -77,6 +77,7 @@ class TlsListener(TLSListener):
                 oldest = next(iter(shaking))
                 del shaking[oldest]
                 oldest.cancel()
+            wrapped: TLSStream | None = None
             with anyio.CancelScope() as scope:
                 shaking[scope] = None
                 try:
@@ -88,14 +89,13 @@ class TlsListener(TLSListener):
                         )
                 except BaseException as exc:
                     await self.handle_handshake_error(exc, stream)
-                    return
                 finally:
                     shaking.pop(scope, None)
             if scope.cancelled_caught:
                 logger.warning(
                     "%s: no TLS: it took too long while %d others began", peer, self.most
                 )
-            else:
+            elif wrapped is not None:
                 await handler(wrapped)
 
         await self.listener.serve(begin, task_group)
