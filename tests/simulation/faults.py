@@ -1,13 +1,14 @@
 """Small deliberate mistakes in the product, to show that the simulation finds such.
 
-Each is a context manager that replaces one method of one class, as a slip in its code would, and
-has seeds of scenarios that find it. Any invariant may find it.
+Each is a context manager that replaces one method of one class, or one function of one module, as a
+slip in its code would, and has seeds of scenarios that find it. Any invariant may find it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from types import ModuleType
 from typing import Any
 
 import msgspec
@@ -44,7 +45,7 @@ class Mistake(msgspec.Struct, frozen=True):
 
     name: str
     meaning: str
-    cls: type
+    cls: type | ModuleType
     method: str
     make: Callable[[Any], Any]
     """The function that makes the wrong method from the real one."""
@@ -66,7 +67,7 @@ MISTAKES: dict[str, Mistake] = {}
 
 
 def mistake(
-    cls: type, method: str, *seeds: int
+    cls: type | ModuleType, method: str, *seeds: int
 ) -> Callable[[Callable[[Any], Any]], Callable[[Any], Any]]:
     """Register a function that makes the wrong method; its docstring describes the mistake."""
 
