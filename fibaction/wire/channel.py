@@ -13,7 +13,6 @@ from typing import TypeAlias
 
 import anyio
 from anyio.abc import ByteStream
-from anyio.lowlevel import checkpoint
 
 from fibaction._notify import Notifier
 from fibaction.exceptions import ActionError, ConnectionLost
@@ -90,6 +89,14 @@ class Channel(Line):
     """A line whose two directions have a task each."""
 
     _wanted: Notifier | None = None
+    _turn: anyio.Lock | None = None
+
+    def share_turns(self, turn: anyio.Lock) -> None:
+        """Handle the rest of what has arrived with that lock, which all lines of a server have.
+
+        However many of them are busy, they delay the others together as little as one would.
+        """
+        self._turn = turn
 
     @abstractmethod
     async def send(self, frames: Sequence[bytes]) -> None:
@@ -114,14 +121,15 @@ class Channel(Line):
 
     async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
         wanted = self._wanted = Notifier()
+        turn = self._turn or anyio.Lock()
         errors: list[ActionError] = []
 
         async def read() -> None:
             while True:
                 frames = on_frames(await self.receive())
                 while frames:
-                    await checkpoint()
-                    frames = on_frames(frames)
+                    async with turn:  # in a later turn, also if the lock is free
+                        frames = on_frames(frames)
 
         async def write() -> None:
             while True:

@@ -39,6 +39,7 @@ from contextlib import suppress
 from time import perf_counter
 
 from anyio import CancelScope, create_task_group, move_on_after, sleep
+from anyio.abc import TaskGroup
 
 from fibaction._notify import Notifier
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
@@ -128,13 +129,17 @@ class Link:
             self._scope.cancel()
 
     async def run(
-        self, handle: Callable[[bytes], None], source: Callable[[], list[bytes]] | None = None
+        self,
+        handle: Callable[[bytes], None],
+        source: Callable[[], list[bytes]] | None = None,
+        started: Callable[[TaskGroup], None] | None = None,
     ) -> ActionError:
         """Read, write and watch the peer until the connection ends; return the error that ended it.
 
         `handle` is called with each message that arrives; an `ActionError` that it raises ends the
         connection. `source` is asked for messages when the line can take more, after each
-        `wake_writer()`, until it returns none.
+        `wake_writer()`, until it returns none. `started` is called at first, with a task group
+        whose tasks are canceled when the connection ends.
         """
         if source is not None:
             self._source = source
@@ -162,6 +167,8 @@ class Link:
 
         async with create_task_group() as tasks:
             self._scope = tasks.cancel_scope
+            if started is not None:
+                started(tasks)
             if self._error is not None:
                 self._scope.cancel()
             tasks.start_soon(guarded, self._watch)

@@ -286,7 +286,10 @@ class SessionGoals:
         frames: list[bytes] = []
         size = 0
         slice_end = perf_counter() + SLICE
-        while self._ready and size < CHUNK and perf_counter() < slice_end:
+        while self._ready and size < CHUNK:
+            # Without any frame, the line would take it that there is nothing more to tell.
+            if frames and perf_counter() >= slice_end:
+                break
             subscription = next(iter(self._ready))
             del self._ready[subscription]
             more = subscription.next_frames()

@@ -20,7 +20,7 @@ from fibaction.exceptions import (
     LimitReached,
     ProtocolError,
 )
-from fibaction.wire.channel import Line
+from fibaction.wire.channel import Channel, Line
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import FIRST_FRAME, FrameReader
 from fibaction.wire.link import Link, naming
@@ -45,6 +45,7 @@ class WireServer:
         """The task group of the connections."""
         self.memory = ByteBudget(settings.limits.total_memory)
         """The bytes that all connections hold together, see `Limits.total_memory`."""
+        self._turn = anyio.Lock()  # of the lines that have much to handle
         self._endpoints = endpoints
         self._settings = settings
         self._owners = Owners(tasks, grace=settings.grace, then=settings.orphans)
@@ -67,6 +68,8 @@ class WireServer:
 
     async def serve(self, line: Line) -> None:
         """Serve one client until its connection ends."""
+        if isinstance(line, Channel):
+            line.share_turns(self._turn)
         try:
             await self._serve(line)
         except Exception as exc:

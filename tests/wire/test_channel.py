@@ -423,6 +423,38 @@ async def test_frames_that_are_given_back_come_again_in_a_later_turn_and_nothing
     assert len({turn for turn, *_ in turns}) >= 3
 
 
+async def test_channels_that_share_turns_handle_their_rests_one_after_the_other() -> None:
+    turns: list[int] = []
+    turn, lock = 0, anyio.Lock()
+    busy = [Running(framed(b"1", b"2", b"3", b"4")) for _ in range(5)]
+
+    def on_frames(frames: list[bytes]) -> list[bytes]:
+        if len(frames) < 4:
+            turns.append(turn)
+        return frames[1:]
+
+    async def run(running: Running) -> None:
+        with pytest.raises(ConnectionLost):
+            await running.channel.run(on_frames, running.next_frames)
+
+    async def count_turns() -> None:
+        nonlocal turn
+        while True:
+            await anyio.lowlevel.checkpoint()
+            turn += 1
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(count_turns)
+        with anyio.fail_after(5):
+            async with anyio.create_task_group() as running:
+                for one in busy:
+                    one.channel.share_turns(lock)
+                    running.start_soon(run, one)
+        tasks.cancel_scope.cancel()
+    assert len(turns) == 15
+    assert max(turns.count(one) for one in turns) <= 2  # tasks and turns begin in any order
+
+
 async def test_a_write_that_fails_ends_the_run() -> None:
     running = Running()
     running.stream.error = OSError("no route")

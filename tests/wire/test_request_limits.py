@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio
 import pytest
 
+from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy, Permission
 from fibaction.wire.messages import (
+    Actions,
+    AskPeers,
     CancelAnswered,
     CancelGoals,
     Close,
@@ -16,14 +21,20 @@ from fibaction.wire.messages import (
     Ended,
     Failed,
     Feedback,
+    Finished,
     Follow,
     Following,
+    ListActions,
+    Peers,
     Received,
     Rejected,
+    Watching,
+    WatchStatus,
     Why,
 )
 from fibaction.wire.settings import Limits
 from tests import fibonacci as fib
+from tests.fibonacci import FIBONACCI
 from tests.wire.ends import (
     ANN,
     ANY,
@@ -229,3 +240,124 @@ async def test_a_goal_that_another_client_sends_too_waits_for_its_own_client_onl
         *told, end = await ann.hear_all()
         assert [message.number for message in told] == list(range(2, 51))
         assert isinstance(end, Ended)
+
+
+# Requests that concern all goals, and the statuses
+
+
+WATCHED = (
+    "this connection follows the statuses of the action 'fibonacci' already; close that request"
+    " first"
+)
+
+
+async def test_a_connection_follows_the_statuses_of_an_action_once_at_a_time() -> None:
+    async with serving(held()) as served:
+        client, other = await served.greet(ANN), await served.greet(BOB)
+        await client.ask(WatchStatus(1, "fibonacci", 1), Watching)
+        again = WatchStatus(2, "fibonacci", 1)
+        assert await client.ask(again, Failed) == Failed(2, Why.LIMIT, WATCHED)
+        await other.ask(WatchStatus(1, "fibonacci", 1), Watching)
+        # One that was closed does not count, also if its end is still to come.
+        await client.say(Close(1), WatchStatus(3, "fibonacci", 1), WatchStatus(4, "fibonacci", 1))
+        heard = await client.hear_by_id()
+        assert {request: kinds(messages) for request, messages in heard.items()} == {
+            1: [Finished],
+            3: [Watching],
+            4: [Failed],
+        }
+        await client.say(Close(3))
+        await client.hear(Finished)
+        await client.ask(WatchStatus(5, "fibonacci", 1), Watching)
+
+
+async def test_statuses_that_cannot_be_followed_do_not_count() -> None:
+    async with serving(held()) as served:
+        client = await served.greet()
+        for request in range(3):
+            failed = await client.ask(WatchStatus(request, "swim", 1), Failed)
+            assert failed.why == Why.SERVER_NOT_FOUND
+
+
+class Counting(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
+    """A server that counts what is asked of it at the same time, and answers when told to."""
+
+    def __init__(self) -> None:
+        super().__init__(FIBONACCI, [anyio.Event()])
+        self.now = {"cancel": 0, "status": 0}
+        self.most = dict(self.now)
+        self.go = anyio.Event()
+
+    @asynccontextmanager
+    async def counted(self, kind: str) -> AsyncGenerator[None, None]:
+        self.now[kind] += 1
+        self.most[kind] = max(self.most[kind], self.now[kind])
+        await self.go.wait()
+        yield
+        self.now[kind] -= 1
+
+    async def cancel_goals(self, *args: Any, **kwargs: Any) -> Any:
+        async with self.counted("cancel"):
+            return await super().cancel_goals(*args, **kwargs)
+
+    async def status(self) -> Any:
+        async with self.counted("status"):
+            return await super().status()
+
+
+async def test_a_client_has_one_cancel_of_several_goals_and_one_list_at_work() -> None:
+    server = Counting()
+    async with serving(server) as served:
+        client, other = await served.greet(ANN), await served.greet(BOB)
+        several = [(None, None), (A, 7), (bytes(16), None)]
+        await client.ask_all(
+            *(CancelGoals(i, "fibonacci", *which) for i, which in enumerate(several * 3)),
+            *(
+                message
+                for i in range(10, 20)
+                for message in (WatchStatus(i, "fibonacci", 1), Close(i))
+            ),
+        )
+        assert await client.ask_all(ListActions(30), AskPeers(31, "fibonacci")) == []
+        assert server.now == {"cancel": 1, "status": 1}
+        await other.say(CancelGoals(1, "fibonacci", None, None))
+        await client.say(*(CancelGoals(i, "fibonacci", A, 0) for i in range(40, 43)))
+        await settled()
+        assert server.now == {"cancel": 5, "status": 1}  # those of another, and of one goal each
+        server.go.set()
+        heard = await client.hear_by_id()
+        assert kinds(await other.hear_all()) == [CancelAnswered]
+        assert server.most == {"cancel": 5, "status": 1}
+        told = {request: kinds(messages) for request, messages in heard.items()}
+        assert told == {
+            **{request: [CancelAnswered] for request in (*range(9), *range(40, 43))},
+            **{request: [Watching, Finished] for request in range(10, 20)},
+            30: [Actions],
+            31: [Peers],
+        }
+
+
+async def test_a_request_that_waits_for_its_turn_goes_with_its_connection() -> None:
+    server = Counting()
+    async with serving(server) as served:
+        client = await served.greet()
+        await client.say(*(CancelGoals(i, "fibonacci", None, None) for i in range(3)))
+        await client.say(WatchStatus(4, "fibonacci", 1))
+        await settled()
+        client.channel.cut()
+        await settled()
+        server.go.set()
+        assert await (await served.greet()).is_served()
+        assert server.most == {"cancel": 1, "status": 1}
+
+
+async def test_a_long_list_is_read_as_far_as_there_is_credit() -> None:
+    server = held()
+    async with serving(server) as served:
+        client = await served.greet()
+        await client.say(*(send(i, bytes([i] * 16), None) for i in range(1, 51)))
+        await client.hear_all()
+        assert (await client.ask(WatchStatus(99, "fibonacci", 10), Watching)).known == 50
+        assert len(await client.hear_all()) == 10
+        await client.say(Credit(99, 100))
+        assert len(await client.hear_all()) == 40

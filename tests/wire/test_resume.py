@@ -853,7 +853,7 @@ def changes(call_id: int, *stamps: int, dropped: int = 0) -> Sequence[GoalChange
     ]
 
 
-async def test_statuses_are_watched_again_as_far_as_there_is_room() -> None:
+async def test_statuses_are_watched_again_behind_what_has_come_before() -> None:
     network = Network()
     async with reached(network) as (connection, server):
         statuses, call_id = await watched(connection, server)
@@ -861,13 +861,12 @@ async def test_statuses_are_watched_again_as_far_as_there_is_room() -> None:
         await settled()
         assert (await statuses.receive()).stamp == 1
         server, asked = await asked_again(network, server, WatchStatus)
-        assert asked == WatchStatus(call_id, "fibonacci", WINDOW - 1)
-        await server.say(Watching(call_id, 0), *changes(call_id, 3, 4, 5, dropped=1))
+        assert asked == WatchStatus(call_id, "fibonacci", WINDOW)
+        await server.say(Watching(call_id, 2), *changes(call_id, 3, 4, 5, dropped=1))
         await settled()
-        assert statuses.dropped == 4
+        assert (statuses.dropped, statuses.known) == (4, 4)
         for _ in range(3):
             server, asked = await asked_again(network, server, WatchStatus)
-            assert asked.credit == 0
         await server.say(Watching(call_id, 0))
         assert [(await statuses.receive()).stamp for _ in range(4)] == [2, 3, 4, 5]
 
@@ -882,6 +881,8 @@ async def test_a_list_of_goals_has_each_once_across_connections() -> None:
             await server.say(Watching(call_id, 3), *changes(call_id, 1, 2, 3, 4))
             assert [info.stamp for info in await listing.answer()] == [1, 2, 3]
         assert (await statuses.receive()).stamp == 4
+        statuses.close()
+        await server.hear(Close)
         fewer, call_id = await watched(connection, server, known=2)
         async with Running(fewer.listed) as listing:
             server.channel.cut()

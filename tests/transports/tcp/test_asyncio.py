@@ -21,7 +21,14 @@ from fibaction.exceptions import ConnectionLost, ProtocolError
 from fibaction.wire.channel import CHUNK, SLICE, Line
 from fibaction.wire.frames import FrameReader, framed
 from fibaction_transports.tcp import _asyncio
-from fibaction_transports.tcp._asyncio import ProtocolLine, accept, dial_tcp, dial_unix, on_asyncio
+from fibaction_transports.tcp._asyncio import (
+    BATCH,
+    ProtocolLine,
+    accept,
+    dial_tcp,
+    dial_unix,
+    on_asyncio,
+)
 
 pytestmark = pytest.mark.asyncio
 
@@ -504,32 +511,70 @@ class _NoName(asyncio.Transport):
         pass
 
 
-async def test_what_cannot_be_taken_over_after_it_was_accepted_is_closed(
+async def test_a_connection_that_fails_as_it_is_accepted_is_closed_and_harms_no_other(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    loop = asyncio.get_running_loop()
+    take_over = loop.connect_accepted_socket
+    failed: list[socket.socket] = []
+
+    async def connect_accepted_socket(factory: Any, accepted: socket.socket) -> Any:
+        if not failed:
+            failed.append(accepted)
+            raise OSError("no more")
+        return await take_over(factory, accepted)
+
+    monkeypatch.setattr(loop, "connect_accepted_socket", connect_accepted_socket)
+    async with listening() as (address, ends):
+        with socket.create_connection(address), socket.create_connection(address):
+            await until(lambda: len(ends) == 1)
+    assert failed[0].fileno() == -1
+    assert [record.getMessage() for record in caplog.records] == [
+        "a connection was lost as it was accepted: no more"
+    ]
+
+
+async def test_a_connection_that_is_being_accepted_is_closed_with_the_server(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    taken: list[socket.socket] = []
+
+    async def connect_accepted_socket(factory: Any, accepted: socket.socket) -> Any:
+        taken.append(accepted)
+        await anyio.sleep_forever()
+
+    loop = asyncio.get_running_loop()
+    monkeypatch.setattr(loop, "connect_accepted_socket", connect_accepted_socket)
+    async with listening() as (address, ends):
+        with socket.create_connection(address):
+            await until(lambda: taken)
+    assert taken[0].fileno() == -1
+    assert ends == []
+
+
+async def test_clients_that_come_together_are_accepted_together_so_many_in_a_turn(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     loop = asyncio.get_running_loop()
-    closed: list[bool] = []
+    turns: list[int] = []
+    turn = 0
 
-    async def fail(_: object, accepted: socket.socket) -> None:
-        closed.append(accepted.fileno() == -1)
-        refused.append(accepted)
-        raise OSError("no more")
+    async def connect_accepted_socket(factory: Any, accepted: socket.socket) -> Any:
+        turns.append(turn)
+        await anyio.sleep_forever()
 
-    refused: list[socket.socket] = []
-    monkeypatch.setattr(loop, "connect_accepted_socket", fail)
-
-    async def never(line: Line) -> None:
-        raise AssertionError("nobody is served")
-
-    async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
-        part = listener.listeners[0]
-        port = part.extra(SocketAttribute.local_port)
-        with socket.create_connection(("127.0.0.1", port)):
-            async with anyio.create_task_group() as tasks:
-                with anyio.fail_after(5), pytest.raises(OSError, match="no more"):
-                    await accept(part, FrameReader, never, tasks)
-    assert closed == [False]
-    assert refused[0].fileno() == -1
+    monkeypatch.setattr(loop, "connect_accepted_socket", connect_accepted_socket)
+    count = 2 * BATCH + 1
+    async with listening() as (address, _):
+        peers = [socket.create_connection(address) for _ in range(count)]
+        with anyio.fail_after(5):
+            while len(turns) < count:
+                await anyio.lowlevel.checkpoint()
+                turn += 1
+        for peer in peers:
+            peer.close()
+    assert max(turns.count(one) for one in turns) == BATCH
+    assert len(set(turns)) == 3
 
 
 async def test_on_a_loop_of_somebody_else_addresses_are_tried_one_after_the_other(

@@ -22,13 +22,18 @@ from typing import Any, cast
 import anyio.lowlevel
 from anyio.abc import Listener, SocketAttribute, TaskGroup
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction.exceptions import ConnectionLost
 from fibaction.wire.channel import CHUNK, SLICE, Line, NextFrames, OnFrames
 from fibaction.wire.frames import FrameReader, framed
 
+BATCH = 16
+"""Connections that are accepted in one turn of the event loop: each costs the next turns more."""
 NEXT_ADDRESS = 0.25
 """Seconds after which a host is tried at its next address, too: as RFC 8305 recommends."""
+
+logger = clean_logger("fibaction.wire")
 
 
 def on_asyncio() -> bool:
@@ -271,14 +276,16 @@ async def accept(
 ) -> None:
     """Serve each client that connects in a task of its own, until accepting fails.
 
+    Clients that come at the same time are accepted together, `BATCH` in a turn of the event loop.
+
     Raises:
         OSError: A connection could not be accepted.
     """
     loop = _loop()
     listening = listener.extra(SocketAttribute.raw_socket)
     buffer, turns = _buffer(), _Turns()
-    while True:
-        accepted, _ = await loop.sock_accept(listening)
+
+    async def begin(accepted: socket.socket) -> None:
         try:
             if accepted.family != socket.AF_UNIX:
                 # asyncio sets it only where the socket names its protocol, which this one does not.
@@ -286,10 +293,25 @@ async def accept(
             made = await loop.connect_accepted_socket(
                 lambda: ProtocolLine(new_reader(), buffer, turns=turns), accepted
             )
-        except BaseException:
+        except BaseException as exc:
             accepted.close()
-            raise
-        tasks.start_soon(serve, made[1])
+            if not isinstance(exc, Exception):
+                raise
+            logger.warning("a connection was lost as it was accepted: %s", exc)
+        else:
+            await serve(made[1])
+
+    while True:
+        accepted, _ = await loop.sock_accept(listening)
+        tasks.start_soon(begin, accepted)
+        for _ in range(BATCH - 1):
+            try:
+                accepted, _ = listening.accept()
+            except BlockingIOError:
+                break
+            accepted.setblocking(False)
+            tasks.start_soon(begin, accepted)
+        await anyio.lowlevel.checkpoint()  # it need not have waited
 
 
 def _buffer() -> memoryview:
