@@ -577,6 +577,22 @@ async def test_goals_of_lost_connections_are_released_a_few_at_a_time(
     assert len(set(turns)) > 10
 
 
+async def test_a_server_can_close_while_it_releases_the_goals_of_a_lost_connection(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("fibaction._tasks.SLICE", 0)
+    for turns in range(30):  # at each of which another part of them is released
+        server = running(*feedback(*range(100)), fib.Result([]), feedback_window=4)
+        async with serving(server) as served:
+            client = await served.greet()
+            ids = [bytes([turns, number]).ljust(16) for number in range(20)]
+            await client.say(*(send(number, goal_id, 1) for number, goal_id in enumerate(ids)))
+            await client.hear_all()
+            client.channel.cut()
+            for _ in range(turns):
+                await anyio.lowlevel.checkpoint()
+
+
 # At the client: calls
 
 
