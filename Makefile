@@ -29,7 +29,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test format lint types imports unit docs docs-serve bench simulate soak fuzz mutants test-ros test-wheel test-pythons test-lowest ros clean
+.PHONY: help demo test format lint types imports unit docs docs-serve bench simulate soak fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -80,6 +80,9 @@ soak: $(VENV)/.tools  ## Run fifty connections for ten minutes, and check that n
 
 fuzz: $(VENV)/.fuzz  ## Send random bytes to a server for two minutes
 	$(BIN)/python -m tests.fuzz.wire -max_total_time=120
+
+attack: $(VENV)/.tools  ## Attack a server in every way, for 20 seconds each, beside an honest client
+	$(BIN)/python -m tests.hostile
 
 mutants: $(MUTANTS_VENV)/.installed  ## Put small faults into the rules, and check that the tests find each
 	$(MUTANTS_VENV)/bin/python -m tests.mutants

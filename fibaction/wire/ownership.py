@@ -177,8 +177,8 @@ class Owners:
         try:
             with CancelScope(shield=True):
                 while self._owned:
-                    await slices.pause()
                     self._end_first()
+                    await slices.pause()
         finally:  # asyncio can cancel the task itself, which no scope shields
             while self._owned:
                 self._end_first()
@@ -209,11 +209,12 @@ class Owners:
 
     def _keep(self, call: GoalSubscription, left: bool) -> None:
         """Keep a lost call for its client, if it may come back for it."""
-        if not call.own or (left and self._then == "keep"):
-            self._end_lost(call)
+        owned = self._owned.get(GoalID(call.goal_id))
+        if owned is None or not call.own or (left and self._then == "keep"):
+            self._end_lost(call)  # there is no entry any more if the server closes
             return
         call.leave()
-        if self._owned[GoalID(call.goal_id)].calls[-1] is not call:
+        if owned.calls[-1] is not call:
             _stream_of(call).hold(False)  # the executor waits for the last call alone
 
     def _cancels(self, call: GoalSubscription) -> bool:

@@ -25,11 +25,13 @@ from anyio.abc import TaskGroup
 
 from fibaction._budget import ByteBudget
 from fibaction._notify import Notifier
+from fibaction._slices import SLICE
 from fibaction.abc import Endpoint, GoalStream
 from fibaction.exceptions import GoalRejected, UnknownGoal
 from fibaction.goals import GoalID
 from fibaction.wire.auth import Permission
-from fibaction.wire.channel import CHUNK, SLICE
+from fibaction.wire.channel import CHUNK
+from fibaction.wire.frames import UNCOUNTED
 from fibaction.wire.link import Link
 from fibaction.wire.messages import Follow, Received, SendGoal
 from fibaction.wire.ownership import Owners
@@ -157,7 +159,8 @@ class SessionGoals:
         size = len(message.goal)
         if self._undecided + size > self._limits.memory:
             raise GoalRejected(f"too many bytes at once: the limit is {self._limits.memory}")
-        if not self._memory.has_room(size):
+        # A little of each connection always passes: one client must not use up what all have.
+        if self._undecided + size > UNCOUNTED and not self._memory.has_room(size):
             raise GoalRejected(
                 f"too many bytes at once: the limit of all clients is {self._memory.limit}"
             )

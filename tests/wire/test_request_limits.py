@@ -162,7 +162,10 @@ async def test_goals_of_one_client_wait_within_its_limit_of_memory(by: str) -> N
 
 
 @pytest.mark.parametrize("by", ["on_goal", "authorize"])
-async def test_goals_of_all_clients_wait_within_one_limit_of_memory(by: str) -> None:
+async def test_goals_of_all_clients_wait_within_one_limit_of_memory(
+    by: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fibaction.wire.session_goals.UNCOUNTED", 0)
     deciding = Deciding()
     server = running(fib.Result([]), on_goal=deciding.on_goal)
     access = AccessPolicy(authorize=deciding.authorize) if by == "authorize" else None
@@ -179,6 +182,17 @@ async def test_goals_of_all_clients_wait_within_one_limit_of_memory(by: str) -> 
         deciding.go.set()
         assert kinds(await clients[2].hear_all()) == [Following, Ended]
         assert served.wire.memory.used == 0
+
+
+async def test_small_goals_of_a_client_wait_also_if_others_use_up_the_memory_of_all() -> None:
+    deciding = Deciding()
+    server = running(fib.Result([]), on_goal=deciding.on_goal)
+    async with serving(server, limits=Limits(total_memory=1)) as served:
+        served.wire.memory.take(2)
+        client = await served.greet(ANN)
+        assert await client.ask_all(send(1, A, None)) == []
+        deciding.go.set()
+        assert kinds(await client.hear_all()) == [Following, Ended]
 
 
 # A goal that another client has sent

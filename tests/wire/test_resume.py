@@ -617,6 +617,22 @@ async def test_the_end_of_a_goal_can_be_told_once_more_without_its_feedback() ->
         assert (end.goal_id, end.stamp, end.status) == (GOAL_ID, stream.stamp, SUCCEEDED)
 
 
+async def test_a_server_can_close_while_it_releases_the_goals_of_a_lost_connection(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("fibaction._slices.SLICE", 0)
+    for turns in range(30):  # at each of which another part of them is released
+        server = running(*feedback(*range(100)), fib.Result([]), feedback_window=4)
+        async with serving(server) as served:
+            client = await served.greet()
+            ids = [bytes([turns, number]).ljust(16) for number in range(20)]
+            await client.say(*(send(number, goal_id, 1) for number, goal_id in enumerate(ids)))
+            await client.hear_all()
+            client.channel.cut()
+            for _ in range(turns):
+                await anyio.lowlevel.checkpoint()
+
+
 # At the client: calls
 
 

@@ -1,0 +1,140 @@
+"""A meter of an event loop: the longest turn, and the peak of the process's memory.
+
+A turn is what the loop does between two waits for its sockets: as long as it lasts, no other client
+has an answer. It is measured in seconds of the processor that the thread has used, so that other
+programs on a busy machine do not count.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import selectors
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Mapping
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, NamedTuple
+
+SLOW = 0.02
+"""Seconds of a turn from which on it is counted as slow."""
+
+
+class Reading(NamedTuple):
+    """The meter's figures since the last reset."""
+
+    longest: float
+    """Seconds of the processor that the longest turn took, or the one that is not over."""
+    slow: int
+    """Turns that took longer than `SLOW`."""
+    turns: int
+    cpu: float
+    """Seconds of the processor that the thread has used."""
+    peak: int
+    """Bytes of resident memory, at most."""
+    memory: int
+    """Bytes of resident memory now."""
+    collecting: float
+    """Seconds of the processor that the longest garbage collection took."""
+    stack: str
+    """The functions in which the longest turn was seen; empty if it was too short to be seen."""
+
+
+class Meter(selectors.DefaultSelector):
+    """A selector of asyncio's loop that measures the time between two calls of `select`."""
+
+    def __init__(self, orders: Connection, *, looks: bool = False) -> None:
+        """Obey `orders`; look in which functions a slow turn is, if `looks`."""
+        super().__init__()
+        self._orders = orders
+        self._clock = time.pthread_getcpuclockid(threading.get_ident())
+        self._thread = threading.get_ident()
+        self._turn_began: float | None = None
+        self._longest = self._seen = 0.0
+        self._slow = self._turns = 0
+        self._stack = ""
+        self._reset_at = self._now()
+        self._collecting = self._collection_began = 0.0
+        gc.callbacks.append(self._collects)
+        threading.Thread(target=self._obey, daemon=True).start()
+        if looks:
+            threading.Thread(target=self._look, daemon=True).start()
+
+    def _now(self) -> float:
+        return time.clock_gettime(self._clock)
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        if self._turn_began is not None:
+            taken = self._now() - self._turn_began
+            self._longest = max(self._longest, taken)
+            self._slow += taken > SLOW
+            self._turns += 1
+            self._turn_began = None
+        ready = super().select(timeout)
+        self._turn_began = self._now()
+        return ready
+
+    def read(self) -> Reading:
+        began, now = self._turn_began, self._now()
+        running = 0.0 if began is None else now - began
+        sizes = _sizes()
+        return Reading(
+            longest=max(self._longest, running),
+            slow=self._slow,
+            turns=self._turns,
+            cpu=now - self._reset_at,
+            peak=sizes["VmHWM"],
+            memory=sizes["VmRSS"],
+            collecting=self._collecting,
+            stack=self._stack,
+        )
+
+    def reset(self) -> None:
+        self._longest = self._seen = self._collecting = 0.0
+        self._slow = self._turns = 0
+        self._stack = ""
+        self._reset_at = self._now()
+        Path("/proc/self/clear_refs").write_text("5")  # the peak of memory is that of now
+
+    def _collects(self, phase: str, _info: Mapping[str, int]) -> None:
+        if phase == "start":
+            self._collection_began = self._now()
+        else:
+            self._collecting = max(self._collecting, self._now() - self._collection_began)
+
+    def _obey(self) -> None:
+        """Answer the orders of the test, also while the loop is busy."""
+        with suppress(EOFError, OSError):
+            while True:
+                if self._orders.recv() == "reset":
+                    self.reset()
+                self._orders.send(self.read())
+        os.kill(os.getpid(), signal.SIGKILL)  # the test has gone, and the loop may hang
+
+    def _look(self) -> None:
+        while True:
+            time.sleep(0.02)  # noqa: TID251  # in a thread of its own
+            began = self._turn_began
+            if began is None or (taken := self._now() - began) <= max(self._seen, SLOW):
+                continue
+            frame = sys._current_frames().get(self._thread)
+            self._seen = taken
+            names = [
+                f"{Path(f.filename).stem}.{f.name}:{f.lineno}"
+                for f in traceback.extract_stack(frame)
+            ]
+            self._stack = " < ".join(reversed(names[-6:]))
+
+
+def _sizes() -> Mapping[str, int]:
+    found: dict[str, Any] = {}
+    for line in Path("/proc/self/status").read_text().splitlines():
+        name, _, value = line.partition(":")
+        if name in ("VmHWM", "VmRSS"):
+            found[name] = int(value.split()[0]) * 1024
+    return found

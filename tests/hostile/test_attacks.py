@@ -1,0 +1,30 @@
+"""Each attack in its short form, beside an honest client."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.hostile.arena import figures_of
+from tests.hostile.attacks import ATTACKS
+from tests.hostile.verdict import faults
+
+PENDING = {
+    "goals that nobody follows",
+    "large goals accepted",
+    "large goals at once",
+    "large results",
+    "large results unread",
+    "large feedback unread",
+    "large feedback unfollowed",
+    "goals of 16 million values, unknown field",
+}
+"""Attacks that the server does not withstand yet."""
+SHORT = [name for name, attack in ATTACKS.items() if not attack.is_long and name not in PENDING]
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("name", SHORT)
+async def test_an_attack_costs_the_others_little(name: str) -> None:
+    found = await figures_of(name)
+
+    assert faults(ATTACKS[name], found) == []

@@ -1,0 +1,65 @@
+"""What the program of the attacks prints."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from tests.hostile import __main__ as program
+from tests.hostile.arena import Figures
+from tests.hostile.attacks import ATTACKS
+from tests.hostile.meter import Reading
+from tests.hostile.verdict import faults
+
+READING = Reading(0.01, 0, 100, 1.0, 40 * 2**20, 40 * 2**20, 0.0, "")
+FIGURES = Figures(READING, 1.0, [0.001, 0.002, 0.003], 0.1, 0, "2026-01-01 a: line\n")
+
+
+def test_the_help_is_laid_out_and_says_what_there_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["attack", "--help"])
+
+    with pytest.raises(SystemExit) as exit:
+        program.main()
+
+    assert exit.value.code == 0
+    out = capsys.readouterr().out
+    assert program.__doc__ is not None
+    assert program.__doc__.strip() in out
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"reading": READING._replace(longest=0.2)}, "a turn took 200 ms"),
+        ({"above": 5000.0}, "5000 MiB above the idle server"),
+        ({"stopped": 9.0}, "SIGTERM took 9.0 s"),
+        ({"code": -9}, "exit code -9"),
+        ({"log": "a line\nFORGED\n"}, "1 lines of the log are forged"),
+        ({"log": "a line\x1b[2J"}, "1 lines of the log are forged"),
+        ({"log": "x" * 2000}, "1 lines of the log are forged or too long"),
+    ],
+)
+def test_each_broken_bound_is_told(changed: dict[str, object], said: str) -> None:
+    attack = next(iter(ATTACKS.values()))
+
+    assert faults(attack, FIGURES) == []
+    told = " ".join(faults(attack, FIGURES._replace(**changed)))  # type: ignore[arg-type]  # of each field
+    assert said in told
+
+
+def test_a_name_that_no_attack_has_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["attack", "no such attack"])
+
+    with pytest.raises(SystemExit) as exit:
+        program.main()
+
+    assert exit.value.code == 2
+
+
+def test_the_row_of_an_attack_lines_up_with_the_head() -> None:
+    name = max(ATTACKS, key=len)
+
+    assert len(program.row(name, FIGURES)) == program.HEAD.index(" ok")
