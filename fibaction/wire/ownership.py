@@ -222,6 +222,7 @@ class Owners:
         stream = _stream_of(call)
         is_canceled = (
             self._then == "cancel"
+            and not self._has_closed
             and call.own
             and stream.goal_id not in self._owned
             and not stream.status.is_terminal
