@@ -17,6 +17,9 @@ from fibaction.goals import GoalInfo
 PERIOD = 1.0
 """Seconds between two looks for new actions, and the timeout of each look."""
 
+MOST_ACTIONS = 200
+"""Actions that are followed. Each needs a task and some requests."""
+
 AnyClient: TypeAlias = ActionClient[Any, Any, Any]
 """A client of an action whose types are not known here; its messages are plain values."""
 
@@ -56,19 +59,26 @@ async def follow_actions(
 ) -> None:
     """Follow every action that is or will be served, until canceled.
 
+    Actions after the first `MOST_ACTIONS` count as lost.
+
     Raises:
         ActionError: The server is not found; or the connection is lost and is not reopened.
     """
     actions: list[ActionInfo] | None = await connection.actions()
     reason = ""
-    followed: set[str] = set()
+    seen: set[str] = set()
     async with anyio.create_task_group() as tasks:
         while True:
             listener.on_actions(actions, reason)
             for info in actions or ():
-                if info.name not in followed:
-                    followed.add(info.name)
+                if info.name in seen:
+                    continue
+                seen.add(info.name)
+                if len(seen) <= MOST_ACTIONS:
                     tasks.start_soon(_follow_if_usable, connection, info, listener, feedback)
+                else:
+                    text = f"it is not followed, because there are over {MOST_ACTIONS} actions"
+                    listener.on_action_lost(info.name, text)
             await anyio.sleep(PERIOD)
             actions, reason = None, "it does not answer"
             with anyio.move_on_after(PERIOD):

@@ -1,4 +1,4 @@
-"""`ByteBudget`: a number of bytes that many parts share."""
+"""`ByteBudget`: a number of bytes that many parts share, and `CountedBytes`: a part of it."""
 
 from __future__ import annotations
 
@@ -21,6 +21,11 @@ class ByteBudget:
         """Return whether so many more bytes are within the limit."""
         return self.used + size <= self.limit
 
+    @property
+    def is_over(self) -> bool:
+        """True if more bytes are held than the limit."""
+        return self.used > self.limit
+
     def take(self, size: int) -> None:
         """Count bytes that are held from now on, also if they are over the limit."""
         self.used += size
@@ -28,3 +33,27 @@ class ByteBudget:
     def give_back(self, size: int) -> None:
         """Count bytes as no longer held."""
         self.used -= size
+
+
+class CountedBytes:
+    """Some bytes that count in a budget for as long as this object is referenced.
+
+    It serves parts that share what they hold, where none knows that it is the last one.
+    """
+
+    __slots__ = ("_budget", "size")
+
+    def __init__(self, budget: ByteBudget, size: int) -> None:
+        """Count so many bytes from now on."""
+        self._budget = budget
+        self.size = size
+        """The bytes that are counted."""
+        budget.used += size
+
+    def resize(self, size: int) -> None:
+        """Count so many bytes in place of those until now."""
+        self._budget.used += size - self.size
+        self.size = size
+
+    def __del__(self) -> None:
+        self._budget.used -= self.size

@@ -152,16 +152,19 @@ class Monitor(ActionListener):
     def snapshot(self, most_goals: int | None = None) -> Snapshot:
         """Return the state now, with at most so many goals.
 
-        Rates are measured between calls: call it a few times a second.
+        Rates are measured between calls: call it a few times a second. Feedback that came for
+        goals beyond `most_goals` is forgotten.
         """
         now = self._clock()
         active, ended = Counter[str](), Counter[str]()
         for key, goal in self._goals.items():
-            goal.update(now, self._summarize)
+            goal.sample(now)
             (active if goal.info.status.is_active else ended)[key.action] += 1
         for action in self._actions.values():
             action.rate.sample(now)
         first = sorted(self._goals.items(), key=lambda item: newest_active_first(item[1].info))
+        for index, (_, goal) in enumerate(first):
+            goal.summarize(self._summarize if most_goals is None or index < most_goals else None)
         return Snapshot(
             self._away,
             [
@@ -281,11 +284,19 @@ class _GoalState:
         self.merge(msgspec.structs.replace(self.info, feedback_count=event.number))
         return more
 
-    def update(self, now: float, summarize: Callable[[Any], Any]) -> None:
-        """Bring the rate and the summary up to date."""
+    def sample(self, now: float) -> None:
+        """Bring the rate up to date."""
         self._rate.sample(now)
+
+    def summarize(self, summarize: Callable[[Any], Any] | None) -> None:
+        """Make the summary of the latest feedback; with None, forget the feedback.
+
+        It may be large, and a server may have many goals.
+        """
         if self._new is not None:
-            self._summary, self._new = summarize(self._new.feedback), None
+            if summarize is not None:
+                self._summary = summarize(self._new.feedback)
+            self._new = None
 
     def snapshot(self, action: str) -> GoalSnapshot:
         return GoalSnapshot(action, self.info, self._rate.per_second, self._summary)

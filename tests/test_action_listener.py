@@ -149,3 +149,16 @@ async def test_a_connection_that_is_lost_for_good_ends_it(monkeypatch: pytest.Mo
     with pytest.raises(ConnectionLost):
         await follow_action(client, server.info, recorder, feedback=True)
     assert recorder.heard == [("gone", "one", "the line is dead")]
+
+
+@pytest.mark.asyncio
+async def test_the_first_of_many_actions_are_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_action_listener, "MOST_ACTIONS", 1)
+    one, two = counter("one"), counter("two")
+    async with one, two, followed(Served(one, two)) as heard:
+        await heard.until(lambda said: said.count(("reached", 2, "")) > 2)
+        await heard.until(lambda said: ("found", "one") in said)
+
+    lost = ("gone", "two", "it is not followed, because there are over 1 actions")
+    assert heard.count(lost) == 1
+    assert ("found", "two") not in heard

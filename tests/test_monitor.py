@@ -105,6 +105,18 @@ def test_feedback_is_summarized_once_per_snapshot() -> None:
     assert summarized == [20]
 
 
+def test_feedback_of_goals_beyond_the_most_is_forgotten() -> None:
+    monitor = Monitor()
+    monitor.on_actions([ONE], "")
+    monitor.on_event("one", info(2))
+    monitor.on_event("one", feedback(1))
+
+    assert monitor.snapshot(0).goals == []
+    assert the_goal(monitor).latest is None
+    monitor.on_event("one", feedback(2))
+    assert the_goal(monitor).latest == 20
+
+
 def test_a_rate_is_that_of_the_last_seconds() -> None:
     rate = monitor_module._Rate()
     assert rate.per_second == 0

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from fibaction.cli.escape import clean
+from fibaction.cli.escape import excerpt
 from fibaction.cli.exit_codes import ExitCode, Failure
 
 if TYPE_CHECKING:
@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
 MOST_SUGGESTED = 10
 """Names that an error lists where none of them is similar."""
+MOST_COMPARED = 1000
+"""Names among which a similar one is looked for."""
+LONGEST_COMPARED = 100
+"""Characters of a name that is compared: the time grows with their square."""
 
 
 async def find_action(connection: Connection, name: str) -> ActionInfo:
@@ -34,7 +38,7 @@ async def find_action(connection: Connection, name: str) -> ActionInfo:
 
 def no_action(name: str, actions: Iterable[ActionInfo]) -> Failure:
     """Return the error for an action that is not served, with the most similar name."""
-    known = sorted(shown(info.name) for info in actions)
+    known = sorted(excerpt(shown(info.name)) for info in actions)
     text = f"the action {shown(name)} is not served"
     if near := nearest(shown(name), known):
         text += f"; did you mean {near}?"
@@ -53,9 +57,12 @@ def shown(name: str) -> str:
 
 def names_of(endpoints: Iterable[Endpoint]) -> str:
     """Return the names of actions as one text."""
-    return ", ".join(clean(shown(endpoint.info.name)) for endpoint in endpoints)
+    return ", ".join(excerpt(shown(endpoint.info.name)) for endpoint in endpoints)
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
     """Return the known word that is most similar; empty if none is similar."""
-    return next(iter(difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)), "")
+    if len(word) > LONGEST_COMPARED:
+        return ""
+    compared = [name for name in known if len(name) <= LONGEST_COMPARED][:MOST_COMPARED]
+    return next(iter(difflib.get_close_matches(word, compared, n=1, cutoff=0.6)), "")

@@ -10,7 +10,7 @@ import click
 from fibaction._api import connect
 from fibaction.cli.action_names import shown
 from fibaction.cli.completion import ACTION
-from fibaction.cli.escape import clean
+from fibaction.cli.escape import excerpt
 from fibaction.cli.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.goal_lookup import ActionClients, find_goal, goal_digits, goals_of
 from fibaction.cli.goal_table import GoalRow
@@ -172,6 +172,6 @@ def _print_goal(
         goal = {"action": action, "goal_id": str(goal_id)}
         say_json({**goal, "canceling": canceling, "reason": why})
     elif status is not None:
-        say(f"Canceling the goal {goal_id} of {clean(shown(action))}")
+        say(f"Canceling the goal {goal_id} of {excerpt(shown(action))}")
     else:
         note(f"The goal {goal_id} of {shown(action)} is not canceled: {why}")

@@ -12,7 +12,7 @@ from fibaction._api import ClientConnection, connect
 from fibaction.action import Action, ActionInfo
 from fibaction.cli.action_names import find_action, shown
 from fibaction.cli.completion import ACTION
-from fibaction.cli.escape import clean
+from fibaction.cli.escape import excerpt
 from fibaction.cli.exit_codes import ExitCode, message_of, run
 from fibaction.cli.goal_table import GoalRow
 from fibaction.cli.logs import log_connection
@@ -102,7 +102,7 @@ class EventPrinter(ActionListener):
             say_json(row.json())
         else:
             when = time.strftime("%H:%M:%S")
-            cells = [when, row.goal_id, f"{_word(row.info.status):9}", clean(shown(row.action))]
+            cells = [when, row.goal_id, f"{_word(row.info.status):9}", excerpt(shown(row.action))]
             say("  ".join([*cells, row.feedback, row.client]))
 
     def print_feedback(self, event: GoalFeedback[Any]) -> None:

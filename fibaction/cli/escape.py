@@ -8,15 +8,22 @@ from __future__ import annotations
 
 import json
 
-from fibaction._text import printable as clean
-from fibaction._text import with_escapes
+from fibaction._text import excerpt, printable, with_escapes
 
-__all__ = ["clean", "clean_json", "clean_lines"]
+__all__ = ["clean", "clean_json", "clean_lines", "excerpt"]
+
+MAX_LINE = 2000
+"""Characters of a line with a sentence. Names are cut sooner, by `excerpt`."""
+
+
+def clean(text: str) -> str:
+    """Return the text on one printable line of at most `MAX_LINE` characters."""
+    return excerpt(text, MAX_LINE)
 
 
 def clean_lines(text: str) -> str:
-    """Return the text with each of its lines cleaned."""
-    return "\n".join(map(clean, text.split("\n")))
+    """Return the text with each of its lines printable, at full length."""
+    return "\n".join(map(printable, text.split("\n")))
 
 
 def clean_json(text: str) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from fibaction.cli.action_names import shown
-from fibaction.cli.escape import clean
+from fibaction.cli.escape import excerpt
 from fibaction.goals import GoalInfo
 from fibaction.monitor import newest_active_first
 from fibaction.states import GoalStatus
@@ -55,7 +55,7 @@ class GoalRow(msgspec.Struct, frozen=True):
     @property
     def client(self) -> str:
         """The client that sent it."""
-        return clean(self.info.client) or "-"
+        return excerpt(self.info.client) or "-"
 
     def age(self, now: float) -> str:
         """Return the time since it was accepted, if the clocks agree."""
@@ -126,7 +126,7 @@ def picture(screen: Console, rows: Sequence[GoalRow], away: str, *, actions: boo
     if len(seen) < len(rows):
         state += f"; {len(rows) - len(seen)} not shown"
     if away:
-        lines.append(Text(f"The server is away: {clean(away)}", "bold red"))
+        lines.append(Text(f"The server is away: {excerpt(away)}", "bold red"))
     else:
         lines.append(Text(state, "dim"))
     return Text("\n", no_wrap=True, overflow="ellipsis").join(lines)
@@ -145,7 +145,7 @@ def unambiguous(goal_ids: Iterable[str]) -> int:
 def _cells(rows: Iterable[GoalRow], digits: int, now: float, *, actions: bool) -> list[list[str]]:
     table = [["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "CLIENT"]]
     for row in rows:
-        action, info = clean(shown(row.action)), row.info
+        action, info = excerpt(shown(row.action)), row.info
         cells = [row.goal_id[:digits], action, info.status.name, row.age(now)]
         table.append([*cells, row.feedback, row.client])
     return table if actions else [[cells[0], *cells[2:]] for cells in table]

@@ -8,7 +8,7 @@ from fibaction._api import connect
 from fibaction.action import ActionInfo
 from fibaction.cli.action_names import no_action, shown
 from fibaction.cli.completion import ACTION
-from fibaction.cli.escape import clean
+from fibaction.cli.escape import excerpt
 from fibaction.cli.exit_codes import ExitCode, run
 from fibaction.cli.list import count_option, types_option, with_type
 from fibaction.cli.options import json_option, url_option
@@ -41,7 +41,7 @@ async def print_info(url: str, name: str, *, show_types: bool, count: bool, as_j
         info = found[0] if found else ActionInfo(name)
         try:
             peers = await connection.peers(info.name)
-        except ServerNotFound as exc:
+        except (ServerNotFound, UnicodeError) as exc:  # a name that is not text has no server
             raise no_action(name, actions) from exc
     if not (found or peers.servers or peers.clients):
         raise no_action(name, actions)
@@ -50,7 +50,7 @@ async def print_info(url: str, name: str, *, show_types: bool, count: bool, as_j
         names = {"clients": peers.clients, "servers": peers.servers}
         say_json({"name": info.name, "type": info.type_name, **names, **({} if count else schemas)})
         return ExitCode.SUCCEEDED
-    say(f"Action: {clean(shown(info.name))}")
+    say(f"Action: {excerpt(shown(info.name))}")
     for role, peer_names in (("clients", peers.clients), ("servers", peers.servers)):
         say(f"Action {role}: {len(peer_names)}")
         for one in () if count else peer_names:

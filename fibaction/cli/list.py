@@ -9,7 +9,7 @@ import click
 from fibaction._api import connect
 from fibaction.action import ActionInfo
 from fibaction.cli.action_names import shown
-from fibaction.cli.escape import clean
+from fibaction.cli.escape import excerpt
 from fibaction.cli.exit_codes import ExitCode, run
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import say, say_json
@@ -55,4 +55,4 @@ def print_actions(
 
 def with_type(name: str, type_name: str) -> str:
     """Return a name with its type in brackets, if there is one."""
-    return f"{clean(name)} [{clean(type_name)}]" if type_name else clean(name)
+    return f"{excerpt(name)} [{excerpt(type_name)}]" if type_name else excerpt(name)

@@ -5,6 +5,7 @@ progress of the goal.
 from __future__ import annotations
 
 import sys
+from itertools import islice
 from types import TracebackType
 from typing import Any, Self
 
@@ -29,6 +30,10 @@ MOST_CHARACTERS = 500
 """Characters of a text that are shown: more than a terminal is wide."""
 MOST_ITEMS = 8
 """Items of a list that are shown: its last ones, because many lists of feedback grow."""
+MOST_VALUES = 200
+"""Values that are shown, those within others included."""
+MOST_LEVELS = 20
+"""Levels of nesting that are shown."""
 
 _WORDS = {None: "null", False: "false", True: "true"}
 
@@ -123,20 +128,40 @@ class LiveLine:
 
 def on_one_line(feedback: Any) -> str:
     """Return a feedback on one line; large feedback is cut."""
-    if is_map(feedback):
-        return "  ".join(f"{clean(str(name))}: {_brief(feedback[name])}" for name in feedback)
-    return _brief(feedback)
+    return _OneLine().text(feedback)
 
 
-def _brief(value: Any) -> str:
-    if is_map(value):
-        return f"{{{on_one_line(value)}}}"
-    if is_list(value):
-        items = list(value)
-        shown = ", ".join(_brief(item) for item in items[-MOST_ITEMS:])
-        return f"[{'..., ' if len(items) > MOST_ITEMS else ''}{shown}]"
+class _OneLine:
+    """The text of one feedback. It counts the values that it shows."""
+
+    def __init__(self) -> None:
+        self._left = MOST_VALUES
+
+    def text(self, value: Any, level: int = 0) -> str:
+        if is_map(value):
+            shown = list(islice(value, max(self._left, 0)))
+            cut = ["..."] if len(shown) < len(value) else []
+            fields = [f"{_scalar(name)}: {self._part(value[name], level)}" for name in shown]
+            return "  ".join([*fields, *cut])
+        return self._part(value, level - 1)
+
+    def _part(self, value: Any, level: int) -> str:
+        self._left -= 1
+        if not (is_map(value) or is_list(value)):
+            return _scalar(value)
+        if level > MOST_LEVELS or self._left < 0:
+            return "..."
+        if is_map(value):
+            return f"{{{self.text(value, level + 1)}}}"
+        last = islice(reversed(value), MOST_ITEMS) if isinstance(value, list | tuple) else value
+        items = [self._part(item, level + 1) for item in reversed(list(islice(last, MOST_ITEMS)))]
+        return f"[{'..., ' if len(value) > MOST_ITEMS else ''}{', '.join(items)}]"
+
+
+def _scalar(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return _WORDS[value]
     if isinstance(value, float):
         return f"{value:.6g}"
-    return clean(str(value)[:MOST_CHARACTERS])
+    text = value if isinstance(value, str | bytes) else str(value)
+    return clean(str(text[:MOST_CHARACTERS])[:MOST_CHARACTERS])

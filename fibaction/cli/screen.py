@@ -13,7 +13,7 @@ from textual.widgets import DataTable, Footer, Static
 
 from fibaction.cli.action_names import shown
 from fibaction.cli.cancel import reason_of
-from fibaction.cli.escape import clean
+from fibaction.cli.escape import excerpt
 from fibaction.cli.exit_codes import message_of
 from fibaction.cli.goal_table import STYLES, GoalRow, unambiguous
 from fibaction.cli.progress import on_one_line
@@ -27,7 +27,7 @@ SETTLING = 2
 """Pictures with goals in which a cursor that was not moved stays at the top: the goals that there
 are arrive one by one, and the user has not chosen one of them yet."""
 MOST = 200
-"""Goals that are shown: each costs time at every picture."""
+"""Goals and actions that are shown: each costs time at every picture."""
 WIDE = 110
 """Width of a screen with room for the client, too."""
 NUMBERS = ("ACTIVE", "ENDED", "FEEDBACK/S", "AGE", "FEEDBACK", "/S")
@@ -117,25 +117,27 @@ class TopScreen(App[None]):
         away, actions = message_of(snapshot.away), snapshot.actions
         state.set_class(bool(away), "away")
         if away:
-            state.update(f"{clean(self._where)}  the server is away: {clean(away)}")
+            state.update(f"{excerpt(self._where)}  the server is away: {excerpt(away)}")
             return
         active, ended = sum(one.active for one in actions), sum(one.ended for one in actions)
         rate = sum(one.feedback_rate for one in actions)
-        state.update(f"{clean(self._where)}  {active} active, {ended} ended, {rate:.1f} feedback/s")
+        counts = f"{active} active, {ended} ended, {rate:.1f} feedback/s"
+        state.update(f"{excerpt(self._where)}  {counts}")
 
     def _draw_actions(self, snapshot: Snapshot) -> None:
+        # Actions with active goals come first, if not all of them fit.
+        first = sorted(snapshot.actions, key=lambda one: (not one.active, one.info.name))[:MOST]
         rows = [
             [
-                Text(clean(shown(one.info.name))),
+                Text(excerpt(shown(one.info.name))),
                 _right(f"{one.active}"),
                 _right(f"{one.ended}"),
                 _right(f"{one.feedback_rate:.1f}"),
-                Text(f"away: {clean(message_of(one.away))}", "red")
+                Text(f"away: {excerpt(message_of(one.away))}", "red")
                 if one.away
-                else Text(clean(one.info.type_name)),
+                else Text(excerpt(one.info.type_name)),
             ]
-            # Actions with active goals come first, if not all of them fit.
-            for one in sorted(snapshot.actions, key=lambda one: (not one.active, one.info.name))
+            for one in first
         ]
         self._fill("actions", ["ACTION", "ACTIVE", "ENDED", "FEEDBACK/S", "TYPE"], rows)
 
@@ -148,7 +150,7 @@ class TopScreen(App[None]):
         rows = [
             [
                 Text(row.goal_id[:digits]),
-                Text(clean(shown(row.action))),
+                Text(excerpt(shown(row.action))),
                 Text(row.info.status.name, STYLES.get(row.info.status, "")),
                 _right(row.age(now)),
                 _right(row.feedback),
@@ -195,7 +197,7 @@ class TopScreen(App[None]):
             self._followed = goal = now or self._followed
             status = goal.info.status.name if now else "forgotten by the server"
             panel.border_title = Text(  # a `str` would be read as markup
-                f"{clean(shown(goal.action))} {goal.info.goal_id} {status}"
+                f"{excerpt(shown(goal.action))} {goal.info.goal_id} {status}"
             )
             self.query_one("#feedback", Static).update(
                 goal.latest.yaml
@@ -234,17 +236,17 @@ class TopScreen(App[None]):
             self.run_worker(self._cancel(key))
 
     async def _cancel(self, key: GoalKey) -> None:
-        goal = f"{str(key.goal_id)[:8]} of {clean(shown(key.action))}"
+        goal = f"{str(key.goal_id)[:8]} of {excerpt(shown(key.action))}"
         try:
             answer = await self._monitor.cancel(key)
         except ActionError as exc:
-            self.notify(clean(message_of(exc)), severity="error", markup=False)
+            self.notify(excerpt(message_of(exc)), severity="error", markup=False)
             return
         if answer.accepted:
             self.notify(f"Canceling the goal {goal}", markup=False)
         else:
             self.notify(
-                f"The goal {goal} is not canceled: {clean(reason_of(answer))}",
+                f"The goal {goal} is not canceled: {excerpt(reason_of(answer))}",
                 severity="warning",
                 markup=False,
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
 
 import anyio
@@ -14,12 +14,16 @@ from fibaction.abc import StatusStream
 from fibaction.cli.action_names import names_of
 from fibaction.cli.exit_codes import ExitCode, run
 from fibaction.cli.import_target import AnyServer, import_servers
+from fibaction.cli.last_seconds import LastSeconds
 from fibaction.cli.logs import log_events, log_with_time
 from fibaction.cli.options import reject_inproc, url_of
 from fibaction.cli.output import say
 from fibaction.cli.reload import SAME_STOP, run_reloading, started_by
 from fibaction.cli.signals import stop_signals
 from fibaction.states import GoalStatus
+
+LAST_SECONDS = 0.5
+"""Seconds between the stop of all servers and the end of the process, at most."""
 
 logger = clean_logger(__name__)
 
@@ -55,19 +59,27 @@ def serve_command(
         else:
             with started_by(parent):
                 same = None if parent is None else SAME_STOP
-                run(serve_servers, import_servers(target), where, same=same, uvloop=True)
+                servers = import_servers(target)
+                with LastSeconds(LAST_SECONDS, ExitCode.SUCCEEDED) as last:
+                    run(serve_servers, servers, where, same=same, at_end=last.begin, uvloop=True)
 
 
 async def serve_servers(
-    servers: Sequence[AnyServer], urls: Sequence[str], *, same: float | None = None
+    servers: Sequence[AnyServer],
+    urls: Sequence[str],
+    *,
+    same: float | None = None,
+    at_end: Callable[[], None],
 ) -> int:
     """Serve until a signal comes, then let the goals end and tell their clients.
 
-    A signal within `same` seconds of the first one is ignored: see `stop_signals`.
+    A signal within `same` seconds of the first one is ignored: see `stop_signals`. `at_end` is
+    called when all servers have stopped.
     """
     async with stop_signals(same) as stop, served(servers, *urls) as where:
         say(f"serving {names_of(servers)} at {', '.join(where)}, Ctrl-C stops it")
         await stop.wait()
+    at_end()
     return ExitCode.SUCCEEDED
 
 

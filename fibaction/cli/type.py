@@ -7,7 +7,7 @@ import click
 from fibaction._api import connect
 from fibaction.cli.action_names import find_action, shown
 from fibaction.cli.completion import ACTION
-from fibaction.cli.escape import clean
+from fibaction.cli.escape import excerpt
 from fibaction.cli.exit_codes import ExitCode, Failure, run
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import say, say_json
@@ -33,7 +33,7 @@ async def print_type(url: str, name: str, *, as_json: bool) -> int:
     if as_json:
         say_json({"name": info.name, "type": info.type_name})
     elif info.type_name:
-        say(clean(info.type_name))
+        say(excerpt(info.type_name))
     else:
         raise Failure(f"the server of {shown(info.name)} does not say its type", ExitCode.ABORTED)
     return ExitCode.SUCCEEDED

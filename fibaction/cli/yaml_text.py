@@ -5,8 +5,7 @@ from __future__ import annotations
 import base64
 import datetime
 import math
-from collections.abc import Collection
-from itertools import islice
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import yaml
@@ -19,6 +18,10 @@ MAX_ITEMS = 128
 """Items of a list that are shown by default; `ros2 topic echo` shows as many."""
 MAX_CHARACTERS = 1000
 """Characters of a text, or bytes, that are shown by default."""
+MAX_VALUES = 10_000
+"""Values of a message that are shown by default, those within others included."""
+MAX_VALUES_IN_FULL = 200_000
+"""Values that are shown in full: PyYAML needs some 100 MB and some seconds for them."""
 MAX_DEPTH = 50
 """Levels of nesting that are shown. PyYAML cannot go on beyond Python's limit of recursion."""
 
@@ -54,9 +57,12 @@ class _FastDumper(_Style, getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # typ
 def as_yaml(value: Any, *, full: bool = False, indent: int = 0) -> str:
     """Return the value as YAML text that cannot control a terminal.
 
-    Without `full`, long lists, texts and bytes are cut, and say how much is left out.
+    Without `full`, long lists, maps, texts and bytes are cut, and say how much is left out.
     """
-    cut = _Cut(math.inf, math.inf) if full else _Cut(MAX_ITEMS, MAX_CHARACTERS)
+    if full:
+        cut = _Cut(math.inf, math.inf, MAX_VALUES_IN_FULL)
+    else:
+        cut = _Cut(MAX_ITEMS, MAX_CHARACTERS, MAX_VALUES)
     data = cut.value(value, 0)
     text = _dump(data, _FastDumper)
     if "\\U" in text:  # libyaml escapes emoji, PyYAML by itself does not
@@ -80,26 +86,40 @@ def _dump(data: Any, dumper: Any) -> str:
 class _Cut:
     """The limits of what is shown, and the plain data within them."""
 
-    def __init__(self, max_items: float, max_characters: float) -> None:
+    def __init__(self, max_items: float, max_characters: float, max_values: int) -> None:
         self._max_items = max_items
         self._max_characters = max_characters
+        self._left = max_values
 
     def value(self, value: Any, depth: int) -> Any:
         """Return what is shown of a value."""
         if depth > MAX_DEPTH:
             return f"... deeper than {MAX_DEPTH} levels"
+        self._left -= 1
         if is_map(value):
-            return {self._scalar(key): self.value(item, depth + 1) for key, item in value.items()}
+            return self._map(value, depth)
         if is_list(value):
             return self._list(value, depth)
         return self._scalar(value)
 
+    def _map(self, fields: dict[Any, Any], depth: int) -> dict[Any, Any]:
+        shown: dict[Any, Any] = {}
+        more = len(fields)
+        for key in self._some_of(fields):
+            shown[self._scalar(key)] = self.value(fields[key], depth + 1)
+            more -= 1
+        return {**shown, "...": f"and {more} more"} if more else shown
+
     def _list(self, items: Collection[Any], depth: int) -> list[Any]:
-        more = len(items) - self._max_items
-        if more <= 0:
-            return [self.value(item, depth + 1) for item in items]
-        shown = islice(items, int(self._max_items))
-        return [*(self.value(item, depth + 1) for item in shown), f"... and {more} more"]
+        shown = [self.value(item, depth + 1) for item in self._some_of(items)]
+        more = len(items) - len(shown)
+        return [*shown, f"... and {more} more"] if more else shown
+
+    def _some_of(self, values: Collection[Any]) -> Iterator[Any]:
+        for index, value in enumerate(values):
+            if index >= self._max_items or self._left <= 0:
+                return
+            yield value
 
     def _scalar(self, value: Any) -> Any:
         if value is None or isinstance(value, bool | int | float | datetime.date):

@@ -11,8 +11,7 @@ killed.
 Two parts do this together. `CancelOnce` has two scopes. The outer one belongs to the task:
 canceling it delivers the cancellation. The inner one, `rest`, can shield its content from the outer
 one. It shields from the beginning, since a task of the pool is used for one goal after another;
-`interrupt()` removes the shield and cancels the outer scope, and `kill()` cancels `rest` itself,
-which its own shield does not prevent.
+`interrupt()` removes the shield and cancels the outer scope, and `kill()` does so for good.
 
 `Steps` drives the executor's coroutine step by step, in place of the task. So it sees the
 cancellation arrive (`throw`, or trio's `outcome.Error` in `send`). If the coroutine waits after
@@ -23,16 +22,23 @@ run.
 Inside a task group of the executor's own, the backend's rule holds: the group is canceled with all
 its tasks, and clean-up there needs a shield of its own. On trio, a nursery that is open around
 clean-up absorbs the cancellation.
+
+An executor may survive being killed: it catches each cancellation and awaits again, or it waits
+where no cancellation arrives. Since `Steps` drives the coroutine, it can stop doing so: it gives
+the coroutine up after MOST_KILLS cancellations, or when `CancelOnce.abandon()` is called. To the
+task, the coroutine has then returned. The coroutine is kept for ever, because Python would
+otherwise close it, and run its clean-up in the middle of something else (`_keep_for_ever`).
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Coroutine, Generator
 from contextvars import Context
 from time import perf_counter
 from types import TracebackType
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NoReturn, TypeVar
 
 from anyio import CancelScope, TaskHandle, current_effective_deadline, get_cancelled_exc_class
 
@@ -42,19 +48,55 @@ SLICE = 0.005
 """Seconds that a task may run without awaiting before other tasks run: short for people and for
 heartbeats, long compared with a turn of the event loop (some 10 microseconds)."""
 
+MOST_KILLS = 100
+"""The cancellations that a killed coroutine gets before it is given up: each of its nested blocks
+may await something in its clean-up, and needs one of them."""
+
+_kept: list[object] = []
+
+
+def _keep_for_ever(coroutine: object) -> None:
+    """Keep a coroutine from being closed, also at the end of the process.
+
+    To close it is to raise GeneratorExit in it. It may catch that, too, and as no event loop runs
+    then, an `await` in a loop would fail at once, again and again: the process would never end.
+    """
+    _kept.append(coroutine)
+    if sys.implementation.name == "cpython":  # others do not close what is left at their end
+        from ctypes import py_object, pythonapi
+
+        pythonapi.Py_IncRef(py_object(coroutine))
+
 
 class CancelOnce:
     """The two scopes around an executor, which cancel it once, and kill it later."""
 
-    __slots__ = ("_task", "is_spent", "on_wait", "rest")
+    __slots__ = (
+        "_task",
+        "is_abandoned",
+        "is_killed",
+        "is_spent",
+        "on_wait",
+        "rest",
+        "steps",
+        "wake",
+    )
 
     def __init__(self, on_wait: Callable[[], None]) -> None:
         self._task: TaskHandle[None] | CancelScope | None = None
         self.rest = CancelScope(shield=True)
         self.is_spent = False
         """True if the scopes are canceled, so that no other job can run in them."""
+        self.is_killed = False
+        """True if every `await` is canceled from now on."""
+        self.is_abandoned = False
+        """True if a coroutine was given up inside, whose own scopes are still open."""
         self.on_wait = on_wait
         """The function that is called when the coroutine inside begins to wait."""
+        self.steps: Steps[Any] | None = None
+        """The coroutine that runs in these scopes now; None if none does."""
+        self.wake: Callable[[], None] | None = None
+        """The function that ends a wait of the task even if scopes shield it; None if none can."""
 
     def run_by(self, task: TaskHandle[None] | CancelScope) -> None:
         """Set the task, or the outer scope, in which `rest` is entered.
@@ -74,8 +116,15 @@ class CancelOnce:
 
     def kill(self) -> None:
         """Cancel every `await` from now on."""
-        self.is_spent = True
-        self.rest.cancel()
+        self.is_killed = True
+        self.interrupt()
+
+    def abandon(self) -> None:
+        """Give up the coroutine inside, and end the wait of its task, if anything can."""
+        if self.steps is not None:
+            self.steps.give_up()
+            if self.wake is not None:
+                self.wake()
 
 
 class Steps(Generator[Any, Any, T], Generic[T]):
@@ -86,28 +135,49 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         "_by_outcome",
         "_context",
         "_coroutine",
+        "_kills",
+        "_on_given_up",
         "_scopes",
         "pending",
         "slice_end",
     )
 
     def __init__(
-        self, coroutine: Coroutine[Any, Any, T], scopes: CancelOnce, context: Context
+        self,
+        coroutine: Coroutine[Any, Any, T],
+        scopes: CancelOnce,
+        context: Context,
+        on_given_up: Callable[[], T],
     ) -> None:
+        """Prepare to await the coroutine; `on_given_up` is called if it is given up, and returns a
+        value in place of the coroutine's.
+        """
         self.pending = False
         """True if a cancellation was sent and has not arrived."""
         self._coroutine = coroutine
         self._scopes = scopes
         self._context = context
+        self._on_given_up = on_given_up
         self._arrived = False
         self._by_outcome = False
+        self._kills = 0
         self.slice_end = 0.0
         """The time by which the coroutine should have waited, by `perf_counter`."""
+        scopes.steps = self
 
     def interrupt(self) -> None:
         """Cancel the coroutine, once."""
         self.pending = True
         self._scopes.interrupt()
+
+    def give_up(self) -> None:
+        """Never resume the coroutine again; the next step ends the wait for it."""
+        _keep_for_ever(self._coroutine)
+        scopes = self._scopes
+        scopes.steps = None
+        scopes.is_spent = scopes.is_abandoned = True
+        scopes.rest.shield = True  # or tasks that the coroutine has started were canceled for ever
+        self._coroutine = _GivenUp(self._on_given_up())
 
     def __await__(self) -> Generator[Any, Any, T]:
         return self
@@ -148,14 +218,19 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         self._coroutine.close()
 
     def _note_arrival(self, error: BaseException | None) -> None:
-        """Note that the cancellation has arrived, if the error is one."""
-        if self.pending and isinstance(error, get_cancelled_exc_class()):
-            self.pending = False
-            self._arrived = True
+        """Note that the cancellation has arrived, if the error is one; count those that kill."""
+        if isinstance(error, get_cancelled_exc_class()):
+            if self.pending:
+                self.pending = False
+                self._arrived = True
+            elif self._scopes.is_killed:
+                self._kills += 1
+                if self._kills > MOST_KILLS:
+                    self.give_up()
 
     def _suspend(self, waiting_for: Any) -> Any:
         self._scopes.on_wait()
-        if self._arrived:
+        if self._arrived and not self._scopes.is_killed:
             rest = self._scopes.rest
             rest.shield = True
             self._arrived = self._by_outcome and self._is_unwinding()
@@ -167,4 +242,28 @@ class Steps(Generator[Any, Any, T], Generic[T]):
 
         Such a nursery must see that the cancellation comes from outside, or it would absorb it.
         """
-        return current_effective_deadline() == -math.inf and not self._scopes.rest.cancel_called
+        return current_effective_deadline() == -math.inf
+
+
+class _GivenUp(Coroutine[Any, Any, T]):
+    """In place of a coroutine that was given up: it returns a value at once."""
+
+    def __init__(self, value: T) -> None:
+        self._value = value
+
+    def send(self, value: object) -> NoReturn:
+        raise StopIteration(self._value)
+
+    def throw(
+        self,
+        typ: type[BaseException] | BaseException,
+        val: BaseException | object = None,
+        tb: TracebackType | None = None,
+    ) -> NoReturn:
+        raise StopIteration(self._value)
+
+    def close(self) -> None:
+        """Do nothing: the coroutine must not be closed."""
+
+    def __await__(self) -> Generator[Any, Any, T]:
+        raise NotImplementedError  # it is driven by `Steps`

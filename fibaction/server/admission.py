@@ -102,6 +102,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             return self._offer_again(offer)
         if verdict is Verdict.REPEAT:
             return self._runs.follow_again(goal_id, feedback=offer.feedback, sender=offer.sender)
+        self._check_room(goal_id)
         try:
             request = self._decode(offer.goal)
             if self._on_goal is not None:
@@ -114,6 +115,22 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         except BaseException:
             self._withdraw(goal_id)
             raise
+
+    def _check_room(self, goal_id: GoalID) -> None:
+        """Reject a new goal if the server is at a limit.
+
+        The rejection is not kept, so that the same goal may be accepted later.
+        """
+        busy = self._registry.busy
+        if not busy and self._registry.budget.is_over:
+            while self._runs.expire(current_time()):
+                pass
+            busy = self._registry.busy
+        if busy:
+            self._withdraw(goal_id)
+            name = self._action.name
+            logger.info("goal %s of action %r: rejected: %s", goal_id, name, busy)
+            raise GoalRejected(busy, goal_id=goal_id)
 
     async def _offer_again(self, offer: Offer) -> FeedbackCursor:
         await self._decided(offer.goal_id)

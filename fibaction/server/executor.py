@@ -20,16 +20,20 @@ The end of the generator becomes an `Ending`:
 - it raised another exception, or broke a rule of executors (`_Misuse`): FAILED, with the error as
   the reason, and a traceback in the log `fibaction.server`.
 
+An executor that is killed and does not end is given up (`_given_up`): nothing awaits it any more.
+So that nothing closes its generator either, the event loop is not told of the generator (`_first`).
+
 The registry turns an ending into a status of the goal. This module does not depend on the rules for
 statuses, on clients or on other goals.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
 from contextvars import copy_context
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 
 from anyio import get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
@@ -45,6 +49,8 @@ if TYPE_CHECKING:
     from fibaction.goals import GoalID
     from fibaction.server.feedback_log import FeedbackLog
     from fibaction.server.goal_record import GoalRecord
+
+T = TypeVar("T")
 
 logger = clean_logger("fibaction.server")
 
@@ -126,7 +132,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
     def run(self, scopes: CancelOnce) -> Awaitable[Ending]:
         """Run the executor to its end, and return its ending. To be called once."""
         self._scopes = scopes
-        self._steps = Steps(self._run(), scopes, self._context)
+        self._steps = Steps(self._run(), scopes, self._context, self._given_up)
         if self._is_interrupted:
             self._steps.interrupt()
         return self._steps
@@ -155,11 +161,24 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         except BaseException as exc:
             return self._ended_by(exc)
         finally:
+            assert self._scopes is not None
+            self._scopes.steps = None
             self._scopes = None
             del self._steps  # it and this object reference each other
         if self._result is None:
             return self._failed(_Misuse("it ended without yielding a result"))
         return Ending(EndKind.RESULT, self._result)
+
+    def _given_up(self) -> Ending:
+        """Tell in the log that the executor runs no further, and return the ending for its goal."""
+        self._scopes = None
+        logger.error(
+            "goal %s of action %r: its executor does not end though it was killed, and is"
+            " abandoned; what it holds stays taken until this process ends",
+            self.handle.goal_id,
+            self._action.name,
+        )
+        return Ending(EndKind.FAILED, self._result, "the executor was abandoned")
 
     def _ended_by(self, exc: BaseException) -> Ending:
         # In a frame of its own: a traceback references its frames. If one of those also referenced
@@ -188,7 +207,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
     async def _consume(self, items: AsyncGenerator[FeedbackT | ResultT, None]) -> None:
         feedback, result = self._action.feedback, self._action.result
         log, steps = self._log, self._steps
-        step = items.__anext__()
+        step = _first(items)
         while True:
             try:
                 item = await step
@@ -252,6 +271,20 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             reason,
             exc_info=exc,
         )
+
+
+def _first(items: AsyncGenerator[T, None]) -> Awaitable[T]:
+    """Begin the iteration, without the event loop's hooks.
+
+    With them, the loop closes the generator at its own end. `Execution` closes it, so this would
+    only reach one that was abandoned: it would run again, and keep the loop from ending.
+    """
+    hooks = sys.get_asyncgen_hooks()
+    sys.set_asyncgen_hooks(None, None)
+    try:
+        return items.__anext__()
+    finally:
+        sys.set_asyncgen_hooks(*hooks)
 
 
 class _Misuse(Exception):

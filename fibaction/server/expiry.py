@@ -1,7 +1,7 @@
 """`ExpiringMap`: entries about goals, kept for a fixed time and up to a limited number.
 
 Sans-I/O: the time is an argument. Expiry is exact, whether or not the memory has been freed: `get`
-compares the time, and `expire` frees.
+compares the time, and `pop` frees.
 """
 
 from __future__ import annotations
@@ -33,31 +33,30 @@ class ExpiringMap(Generic[T]):
         return (value for _, value in self._entries.values())
 
     def put(self, goal_id: GoalID, value: T, now: float) -> None:
-        """Add an entry, whose time begins now. Call `expire` afterwards to keep the limit."""
+        """Add an entry, whose time begins now. Call `pop` afterwards to keep the limit."""
         self._entries.pop(goal_id, None)  # an old entry would keep its place in the order
         self._entries[goal_id] = (now + self._seconds, value)
 
-    def discard(self, goal_id: GoalID) -> None:
-        """Remove the entry, if there is one."""
-        self._entries.pop(goal_id, None)
+    def discard(self, goal_id: GoalID) -> T | None:
+        """Remove the entry, if there is one, and return its value."""
+        entry = self._entries.pop(goal_id, None)
+        return None if entry is None else entry[1]
 
     def get(self, goal_id: GoalID, now: float) -> T | None:
         """Return the value; None if it is missing, or has expired."""
         entry = self._entries.get(goal_id)
         return None if entry is None or entry[0] <= now else entry[1]
 
-    def expire(self, now: float, limit: int | None = None) -> list[GoalID]:
-        """Remove the entries that are too old or too many, but at most `limit`, and return their
-        keys.
+    def pop(self, now: float, *, also_new: bool = False) -> T | None:
+        """Remove the oldest entry if it is too old, or if there are too many, and return its value;
+        None if nothing is to be removed.
+
+        With `also_new`, the oldest entry is removed in any case.
         """
-        gone: list[GoalID] = []
-        while (
-            len(gone) != limit
-            and self._entries
-            and (self.next_expiry <= now or len(self._entries) > self._limit)
-        ):
-            gone.append(self._entries.popitem(last=False)[0])
-        return gone
+        is_due = also_new or self.next_expiry <= now or len(self._entries) > self._limit
+        if not (is_due and self._entries):
+            return None
+        return self._entries.popitem(last=False)[1][1]
 
     @property
     def next_expiry(self) -> float:

@@ -71,7 +71,7 @@ class FeedbackCursor(GoalStream):
         return self._dropped
 
     def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
-        log, outcome = self._log, self._log.goal.outcome
+        log, outcome = self._log, self._log.outcome
         if self._error is not None:
             raise copy_of(self._error)
         if self.reads:
@@ -108,7 +108,7 @@ class FeedbackCursor(GoalStream):
             self._update()
 
     def known_outcome(self) -> Outcome[bytes] | None:
-        outcome = self._log.goal.outcome
+        outcome = self._log.outcome
         if self._error is not None:
             raise copy_of(self._error)
         return outcome
@@ -136,7 +136,7 @@ class FeedbackCursor(GoalStream):
         self._leave()
 
     def fail(self, error: ActionError) -> None:
-        if self._log.goal.outcome is None:
+        if self._log.outcome is None:
             self._error = error
         self._leave()
 

@@ -21,11 +21,17 @@ the stall timeout is stalled: it does not hold until it has caught up.
 
 Costs: anyone who may observe a goal may follow it thousands of times. So to follow, to take and to
 leave each cost the same however many cursors there are; only a feedback costs a notification for
-each. The log counts the holding cursors at the slowest position (`_slowest`), and looks at all
+each. The log counts the holding cursors at the slowest position (`_standing`), and looks at all
 holding ones only when the last of them has left it.
 
-A log references the cursors that read feedback, and has weak references to those that only wait for
-the end. So a stream that was closed, and is otherwise unused, is freed before its goal ends.
+The remembered feedback counts in the server's budget of bytes. While the server is over its budget,
+a log pushes out what its holding cursors have read, up to the newest message, and it is full as
+soon as one of them has anything to read.
+
+Until the end, a log references the cursors that read feedback, and has weak references to those
+that only wait for the end. So a stream that was closed, and is otherwise unused, is freed before
+its goal ends; afterwards, every stream is freed when nothing else references it, without the
+garbage collector.
 
 This module does not depend on executors, nor on the rules for statuses.
 """
@@ -33,6 +39,7 @@ This module does not depend on executors, nor on the rules for statuses.
 from __future__ import annotations
 
 import math
+import sys
 from collections import deque
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -40,6 +47,7 @@ from weakref import ref
 
 import anyio
 
+from fibaction._budget import ByteBudget
 from fibaction._notify import Notifier
 from fibaction.abc import FeedbackItem
 from fibaction.server._members import Members, with_member, without_member
@@ -50,6 +58,11 @@ if TYPE_CHECKING:
     from fibaction.server.goal_record import GoalRecord
 
 
+BUDGET_STEP = 0.1
+"""Seconds after which a log looks again whether the server is within its budget of bytes."""
+
+UNLIMITED = ByteBudget(sys.maxsize)
+
 _NOTHING: deque[FeedbackItem] = deque(maxlen=0)
 
 
@@ -58,7 +71,8 @@ class FeedbackLog:
 
     __slots__ = (
         "__weakref__",
-        "_full_at",
+        "_budget",
+        "_held",
         "_holders",
         "_items",
         "_others",
@@ -66,25 +80,38 @@ class FeedbackLog:
         "_readers",
         "_room",
         "_slowest",
+        "_standing",
         "_window",
         "goal",
         "latest",
+        "outcome",
         "statuses",
     )
 
-    def __init__(self, goal: GoalRecord, *, window: int = 1, latest: bool = False) -> None:
+    def __init__(
+        self,
+        goal: GoalRecord,
+        *,
+        window: int = 1,
+        latest: bool = False,
+        budget: ByteBudget = UNLIMITED,
+    ) -> None:
         self.goal = goal
+        self.outcome = goal.outcome
+        """The goal's outcome, which is kept here if the server forgets the goal."""
         self.latest = latest
         """True if a slow reader gets the newest feedback only."""
         # Tuples, because most have one item or none, and a list is twice as large.
         self.statuses: tuple[GoalStatus, ...] = ()
         """The statuses that the goal has had since its acceptance."""
         self._window = window
+        self._budget = budget
+        self._held = goal.held
         self._items: deque[FeedbackItem] = _NOTHING
         self._readers: Members[FeedbackCursor] = ()
         self._holders: Members[FeedbackCursor] = ()
-        self._slowest = 0  # the number of holding cursors at the slowest position
-        self._full_at: float = math.inf
+        self._slowest: float = math.inf  # the slowest position of a holding cursor
+        self._standing = 0  # the number of holding cursors there
         self._others: list[ref[FeedbackCursor]] | None = None  # they wait for the end only
         self._prune_at = 0  # the number of others at which those that are gone are removed
         self._room: Notifier | None = None
@@ -102,10 +129,18 @@ class FeedbackLog:
     def append(self, payload: bytes) -> None:
         """Add feedback. In a full log it pushes out the oldest."""
         number = self.goal.feedback_count = self.goal.feedback_count + 1
-        if self._items is _NOTHING:  # a deque is a tenth of the memory of a goal without feedback
-            self._items = deque(maxlen=self._window)
-        self._items.append(FeedbackItem(number, payload))
-        for cursor in tuple(self._readers):
+        items: deque[FeedbackItem] = self._items
+        budget = self._budget
+        if items is _NOTHING:  # a deque is a tenth of the memory of a goal without feedback
+            self._items = items = deque(maxlen=self._window)
+        elif len(items) == self._window:
+            budget.used -= len(items[0].payload)
+        items.append(FeedbackItem(number, payload))
+        budget.used += len(payload)
+        if budget.used > budget.limit:
+            self._push_out()
+        readers = self._readers
+        for cursor in readers if type(readers) is tuple else tuple(readers):
             cursor.news.notify()
 
     def tell_status(self) -> None:
@@ -116,8 +151,25 @@ class FeedbackLog:
 
     @property
     def is_full(self) -> bool:
-        """True if more feedback would push out some that the goal's own client has yet to read."""
-        return self.goal.feedback_count >= self._full_at
+        """True if more feedback would push out some that the goal's own client has yet to read, or
+        if the client has any to read while the server is over its budget.
+        """
+        unread = self.goal.feedback_count - self._slowest
+        if unread >= self._window:
+            return True
+        budget = self._budget
+        return budget.used > budget.limit and unread > 0
+
+    def _push_out(self) -> None:
+        """Push out old feedback that no holding cursor has to read: the budget is used up."""
+        items, budget = self._items, self._budget
+        while budget.is_over and len(items) > 1 and items[0].number <= self._slowest:
+            budget.give_back(len(items.popleft().payload))
+
+    def __del__(self) -> None:
+        # Adding them up here costs less than counting them at each feedback.
+        for item in self._items:
+            self._budget.used -= len(item.payload)
 
     async def wait_for_room(self, seconds: float) -> None:
         """Wait until the log is no longer full, for at most that long.
@@ -128,17 +180,26 @@ class FeedbackLog:
             self._room = Notifier()
         with anyio.move_on_after(seconds):
             while self.is_full:
-                await self._room.wait()
+                # The budget does not tell when it has room again.
+                limit = math.inf if self.count - self._slowest >= self._window else BUDGET_STEP
+                with anyio.move_on_after(limit):
+                    await self._room.wait()
             return
+        least = 1 if self._budget.is_over else self._window
         for cursor in tuple(self._holders):
-            if self.count - cursor.cursor >= self._window:
+            if self.count - cursor.cursor >= least:
                 cursor.stall()
                 self._holders = without_member(self._holders, cursor)
         self.make_room()
 
     def finish(self) -> None:
-        """Notify all followers: the goal has its outcome."""
-        for cursor in tuple(self._readers):
+        """Notify all followers: the goal has its outcome. The log references none from now on."""
+        self.outcome = self.goal.outcome
+        readers, self._readers = self._readers, ()
+        if self._holders:
+            self._holders = ()
+            self.make_room()
+        for cursor in tuple(readers):
             cursor.news.notify()
         others, self._others = self._others, None
         for other in others or ():
@@ -171,7 +232,7 @@ class FeedbackLog:
 
     def _remember(self, cursor: FeedbackCursor) -> None:
         """Notify the cursor of the end, as long as anything else references it."""
-        if self.goal.outcome is not None:
+        if self.outcome is not None:
             return
         if self._others is None:
             self._others = []
@@ -194,30 +255,29 @@ class FeedbackLog:
 
     def note_move(self, before: int, after: int) -> None:
         """Note that a holding cursor has moved."""
-        if len(self._holders) > 1:
-            self._count(before, after)
-        else:
-            self._full_at = after + self._window
+        holders = len(self._holders)
+        if holders == 1:
+            self._slowest = after
             if self._room is not None:
                 self._room.notify()
+        elif holders:  # else the goal has ended
+            self._count(before, after)
 
     def _count(self, before: float, after: float) -> None:
         """Count a holding cursor at its new position; infinity is that of one without effect."""
-        slowest = self._full_at - self._window
-        if after < slowest:
-            self._full_at = after + self._window
-            self._slowest = 1
+        if after < self._slowest:
+            self._slowest = after
+            self._standing = 1
             return
-        self._slowest += (after == slowest) - (before == slowest)
-        if self._slowest < 1:
+        self._standing += (after == self._slowest) - (before == self._slowest)
+        if self._standing < 1:
             self.make_room()
 
     def make_room(self) -> None:
-        """Recompute the number at which the log is full, since the slowest cursors have moved."""
-        positions = [cursor.cursor for cursor in self._holders]
-        slowest = min(positions, default=math.inf)
-        self._full_at = slowest + self._window
-        self._slowest = positions.count(slowest)
+        """Recompute the slowest position, since the slowest cursors have moved."""
+        positions: list[float] = [cursor.cursor for cursor in self._holders]
+        self._slowest = min(positions, default=math.inf)
+        self._standing = positions.count(self._slowest)
         if self._room is not None:
             self._room.notify()
 

@@ -7,6 +7,7 @@ from hashlib import blake2b
 
 import msgspec
 
+from fibaction._budget import CountedBytes
 from fibaction.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.states import INITIAL, GoalStatus
 
@@ -31,6 +32,7 @@ class GoalRecord:
         "ended_at",
         "feedback_count",
         "goal_id",
+        "held",
         "outcome",
         "sender",
         "stamp",
@@ -38,7 +40,14 @@ class GoalRecord:
         "stop_reason",
     )
 
-    def __init__(self, goal_id: GoalID, digest: bytes, stamp: int, sender: Sender) -> None:
+    def __init__(
+        self,
+        goal_id: GoalID,
+        digest: bytes,
+        stamp: int,
+        sender: Sender,
+        held: CountedBytes | None = None,
+    ) -> None:
         self.goal_id = goal_id
         self.digest = digest
         self.stamp = stamp
@@ -47,6 +56,10 @@ class GoalRecord:
         """The client that sent the goal, and owns it."""
         self.status: GoalStatus = INITIAL
         self.outcome: Outcome[bytes] | None = None
+        """The outcome; None while the goal is active, and again after the server has forgotten it.
+        The log of the goal has its own reference, for those that still follow it."""
+        self.held = held
+        """The bytes that are held of the goal: its payload, then its result."""
         self.ended_at = 0
         """Time of the end: nanoseconds since 1970; 0 while the goal is active."""
         self.feedback_count = 0

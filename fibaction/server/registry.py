@@ -21,6 +21,12 @@ The ID of a goal is made by its client. The digest of the payload tells a retry 
 with the same ID: the same ID with the same digest is a retry, and runs once; with another digest it
 is a clash, and is rejected.
 
+A registry has two limits for all clients together: of the goals that are undecided or active, and
+of the bytes that are held (`budget`): goals until they end, feedback, and results. A new goal is
+counted by `admit`. If it is over a limit (`busy`), it is to be withdrawn, and rejected without a
+record, since it may be accepted later. Of ended goals the oldest are forgotten to stay within the
+bytes. Bytes count as long as anything references them, so nothing has to give them back.
+
 A goal ends in two steps, so that a store can keep the outcome before it is told to clients:
 `outcome_for` computes the outcome and changes nothing; `finish` makes it the goal's.
 """
@@ -28,9 +34,11 @@ A goal ends in two steps, so that a store can keep the outcome before it is told
 from __future__ import annotations
 
 from enum import Enum
+from typing import NamedTuple
 
 import msgspec
 
+from fibaction._budget import ByteBudget, CountedBytes
 from fibaction.exceptions import GoalRejected
 from fibaction.goals import NO_GOAL, GoalID, Outcome, Sender
 from fibaction.server.cancellation import Cancellation, cancellation_of
@@ -39,6 +47,15 @@ from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
 from fibaction.states import GoalEvent, GoalStatus, transition
 
 ID_IN_USE = "its ID is in use by another goal"
+
+MAX_GOALS = 20_000
+"""Goals that are active at the same time."""
+
+MAX_BYTES = 256 * 2**20
+"""Bytes of goals, feedback and results that are held at the same time."""
+
+MOST_REJECTIONS = 200
+"""Rejections that are forgotten by one call."""
 
 
 class Verdict(Enum):
@@ -52,6 +69,13 @@ class Verdict(Enum):
     """Give the same answer again, since the same goal was accepted before."""
 
 
+class _Undecided(NamedTuple):
+    """A goal that was sent, and is not decided yet."""
+
+    digest: bytes
+    held: CountedBytes
+
+
 class _Rejection(msgspec.Struct, frozen=True):
     """The record of a rejected goal."""
 
@@ -62,14 +86,26 @@ class _Rejection(msgspec.Struct, frozen=True):
 class GoalRegistry:
     """Every goal of one action server, from its acceptance until it is forgotten."""
 
-    def __init__(self, *, result_timeout: float = 10.0, max_results: int = 1000) -> None:
+    def __init__(
+        self,
+        *,
+        result_timeout: float = 10.0,
+        max_results: int = 1000,
+        max_goals: int = MAX_GOALS,
+        max_bytes: int = MAX_BYTES,
+    ) -> None:
         """Make an empty registry.
 
         `result_timeout` is the time that an ended goal is remembered, in seconds from its end; 0
         not at all, `math.inf` for ever. `max_results` is the number of ended goals that are
-        remembered at most; the oldest are forgotten.
+        remembered at most; the oldest are forgotten. `max_goals` is the number of undecided and
+        active goals at most, and `max_bytes` the bytes of all that is held.
         """
-        self._undecided: dict[GoalID, bytes] = {}
+        self.budget = ByteBudget(max_bytes)
+        """The bytes of goals, feedback and results."""
+        self._max_goals = max_goals
+        self._kept_bytes = 0  # of the results that are remembered
+        self._undecided: dict[GoalID, _Undecided] = {}
         self._active: dict[GoalID, GoalRecord] = {}
         self._ended: ExpiringMap[GoalRecord] = ExpiringMap(result_timeout, max_results)
         self._rejected: ExpiringMap[_Rejection] = ExpiringMap(result_timeout, max_results)
@@ -89,7 +125,7 @@ class GoalRegistry:
         """
         digest = digest_of(payload)
         if goal_id in self._undecided:
-            known = self._undecided[goal_id]
+            known = self._undecided[goal_id].digest
             verdict = Verdict.WAIT
         elif (goal := self.find(goal_id, now=now)) is not None:
             known = goal.digest
@@ -100,11 +136,25 @@ class GoalRegistry:
         elif goal_id == NO_GOAL:
             raise GoalRejected("its ID is all zeros, which is reserved", goal_id=goal_id)
         else:
-            self._undecided[goal_id] = known = digest
+            known = digest
+            held = CountedBytes(self.budget, len(payload))
+            self._undecided[goal_id] = _Undecided(digest, held)
             verdict = Verdict.DECIDE
         if known != digest:
             raise GoalRejected(ID_IN_USE, goal_id=goal_id)
         return verdict
+
+    @property
+    def busy(self) -> str:
+        """The reason for which a goal that was admitted last must be rejected; empty if none."""
+        goals = len(self._undecided) + len(self._active)
+        if goals > self._max_goals:
+            return f"busy: {goals - 1} goals are active, the limit is {self._max_goals}"
+        # Results that are only kept for later give way to goals.
+        needed, limit = self.budget.used - self._kept_bytes, self.budget.limit
+        if needed > limit:
+            return f"busy: goals and feedback would take {needed} bytes, the limit is {limit}"
+        return ""
 
     def accept(self, goal_id: GoalID, *, stamp: int, sender: Sender) -> GoalRecord:
         """Accept an undecided goal, and return its record.
@@ -114,17 +164,21 @@ class GoalRegistry:
         back.
         """
         self._last_stamp = max(stamp, self._last_stamp + 1)
-        goal = GoalRecord(goal_id, self._undecided.pop(goal_id), self._last_stamp, sender)
-        self._ended.discard(goal_id)  # it may have expired without being freed yet
+        digest, held = self._undecided.pop(goal_id)
+        goal = GoalRecord(goal_id, digest, self._last_stamp, sender, held)
+        earlier = self._ended.discard(goal_id)  # it may have expired without being freed yet
+        if earlier is not None:
+            self._forget(earlier)
         self._active[goal_id] = goal
         self._listing = None
         return goal
 
     def reject(self, goal_id: GoalID, reason: str, *, now: float) -> None:
         """Reject an undecided goal; a retry gets the same answer."""
-        rejection = _Rejection(self._undecided.pop(goal_id), reason)
+        rejection = _Rejection(self._undecided.pop(goal_id).digest, reason)
         self._rejected.put(goal_id, rejection, now)
-        self._rejected.expire(now)
+        while self._rejected.pop(now) is not None:
+            pass
 
     def withdraw(self, goal_id: GoalID) -> None:
         """Forget an undecided goal; a retry is decided anew."""
@@ -167,6 +221,10 @@ class GoalRegistry:
         goal.status = outcome.status
         goal.outcome = outcome
         goal.ended_at = stamp
+        size = len(outcome.result or b"") + len(outcome.reason)
+        if goal.held is not None:
+            goal.held.resize(size)
+            self._kept_bytes += size
         del self._active[goal.goal_id]
         self._ended.put(goal.goal_id, goal, now)
         self._listing = None
@@ -197,15 +255,29 @@ class GoalRegistry:
         return self._listing
 
     def expire(self, now: float, limit: int | None = None) -> list[GoalID]:
-        """Forget goals that are too old or too many, and return the IDs of those that had ended.
+        """Forget goals that are too old, too many or too large together, and return the IDs of
+        those that had ended.
 
         At most `limit` are forgotten; then call it again.
         """
-        self._rejected.expire(now, limit)
-        gone = self._ended.expire(now, limit)
-        if gone:
-            self._listing = None
+        for _ in range(MOST_REJECTIONS):
+            if self._rejected.pop(now) is None:
+                break
+        gone: list[GoalID] = []
+        while len(gone) != limit:
+            goal = self._ended.pop(now, also_new=self.budget.is_over)
+            if goal is None:
+                break
+            self._forget(goal)
+            gone.append(goal.goal_id)
         return gone
+
+    def _forget(self, goal: GoalRecord) -> None:
+        """Let go of the outcome. Lists of goals may reference the record for a long time."""
+        if goal.held is not None:
+            self._kept_bytes -= goal.held.size
+        goal.outcome = goal.held = None
+        self._listing = None
 
     @property
     def next_expiry(self) -> float:

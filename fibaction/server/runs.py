@@ -129,12 +129,14 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     def start(self, goal: GoalRecord, request: GoalT) -> FeedbackLog:
         """Run the executor of an accepted goal, and return the goal's log."""
-        log = FeedbackLog(goal, window=self._window, latest=self._latest)
+        log = FeedbackLog(
+            goal, window=self._window, latest=self._latest, budget=self._registry.budget
+        )
         handle = GoalHandle(goal, request)
         execution = Execution(self._action, self._executor, handle, log, self._stall_timeout)
         run = self._runs[goal.goal_id] = Run(goal, log, execution)
         self._tell_status(run)
-        self._pool.add(partial(self._run, run))
+        self._pool.add(partial(self._run, run), goal.sender.owner)
         return log
 
     async def _run(self, run: Run[GoalT, FeedbackT, ResultT], scopes: CancelOnce) -> None:
@@ -320,7 +322,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
         Return whether there may be more of them.
         """
-        while self._recent and self._recent[0][0] <= now:
+        is_over = self._registry.budget.is_over
+        while self._recent and (is_over or self._recent[0][0] <= now):
             self._recent.popleft()
         gone = self._registry.expire(now, MOST_AT_ONCE)
         for goal_id in gone:

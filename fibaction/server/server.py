@@ -27,7 +27,7 @@ from fibaction.server.admission import Admission, Offer
 from fibaction.server.callbacks import Callback
 from fibaction.server.executor import Executor, GoalHandle
 from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.registry import GoalRegistry
+from fibaction.server.registry import MAX_BYTES, MAX_GOALS, GoalRegistry
 from fibaction.server.runs import Runs
 from fibaction.server.status_broadcast import StatusCursor
 
@@ -56,6 +56,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         stall_timeout: float = 10.0,
         result_timeout: float = 10.0,
         max_results: int = 1000,
+        max_goals: int = MAX_GOALS,
+        max_bytes: int = MAX_BYTES,
         shutdown_timeout: float = 5.0,
     ) -> None:
         """Set up a server; nothing runs yet.
@@ -78,7 +80,13 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             result_timeout: Seconds that an outcome is kept after the goal's end; 0 not at all,
                 `math.inf` for ever. A client that already waits for it always gets it.
             max_results: The number of outcomes that are kept at most; the oldest are forgotten.
+            max_goals: The number of goals that may be active, or be decided upon, at the same time;
+                more are rejected with a reason that begins with `busy`.
+            max_bytes: The bytes of goals until their end, of remembered feedback, and of results,
+                together. Over it new goals are rejected as `busy`, the oldest outcomes are
+                forgotten, and executors wait until their feedback is read.
             shutdown_timeout: Seconds that executors have for their clean-up when the server stops.
+                Then they are killed, and those that do not end are abandoned about a second later.
 
         Raises:
             TypeError: The action is untyped, or the executor is not callable, is a coroutine
@@ -99,12 +107,19 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             ("stall_timeout", stall_timeout),
             ("result_timeout", result_timeout),
             ("max_results", max_results),
+            ("max_goals", max_goals),
+            ("max_bytes", max_bytes),
             ("shutdown_timeout", shutdown_timeout),
         ):
             if not value >= 0:
                 raise ValueError(f"{name} is 0 or more, not {value}")
         self.action = action
-        registry = GoalRegistry(result_timeout=result_timeout, max_results=max_results)
+        registry = GoalRegistry(
+            result_timeout=result_timeout,
+            max_results=max_results,
+            max_goals=max_goals,
+            max_bytes=max_bytes,
+        )
         self._runs = Runs(
             action,
             executor,

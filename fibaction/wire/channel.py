@@ -21,9 +21,6 @@ from fibaction.wire.frames import FrameReader, framed
 CHUNK = 2**16
 """Bytes read or written at once: large, so that the cost of a call does not count, and small enough
 for a slow line to move one within a heartbeat."""
-SLICE = 0.001
-"""Seconds that one connection may take of a turn of the event loop, to read or to write: then the
-others have their turn."""
 
 
 OnFrames: TypeAlias = Callable[[list[bytes]], list[bytes]]

@@ -62,27 +62,28 @@ def framed(frames: Iterable[bytes]) -> bytes:
 class FrameReader:
     """Parser of frames, which may arrive in pieces of any size.
 
-    It keeps at most one incomplete frame. What a large one takes is counted in a budget that many
+    It keeps at most one incomplete frame. What a large one takes is counted in a memory that many
     readers share, until the frame is complete or the reader is closed.
     """
 
     def __init__(
-        self, limit: int = MAX_FRAME, *, first: int | None = None, budget: ByteBudget | None = None
+        self, limit: int = MAX_FRAME, *, first: int | None = None, memory: FrameMemory | None = None
     ) -> None:
         """Accept frames of at most `limit` bytes; the first one of at most `first`, if given."""
         self._limit = limit
         self._next_limit = limit if first is None else first
-        self._budget = budget
-        self._counted = 0
+        self._memory = memory
+        self._is_counted = self._is_given_up = False
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[bytes]:
         """Add received bytes, and return the frames that are now complete.
 
         Raises:
-            LimitReached: The readers that share the budget hold too much.
+            LimitReached: The readers that share the memory hold too much, and this one the most.
             ProtocolError: A frame is longer than the limit. The stream cannot be read any further.
         """
+        self._check()
         buffer = self._buffer
         if not buffer:  # usually all bytes are consumed, and none are copied
             frames, start = self._split(data, data)
@@ -92,8 +93,9 @@ class FrameReader:
             with memoryview(buffer) as view:
                 frames, start = self._split(buffer, view)
             del buffer[:start]
-        if self._counted or len(buffer) > UNCOUNTED:
+        if self._is_counted or len(buffer) > UNCOUNTED:
             self._count(max(0, len(buffer) - UNCOUNTED))
+            self._check()
         return frames
 
     def _split(self, data: bytes | bytearray, view: bytes | memoryview) -> tuple[list[bytes], int]:
@@ -117,24 +119,52 @@ class FrameReader:
 
     def _count(self, held: int) -> None:
         """Count the bytes that are held now, above those that are not counted."""
-        if self._budget is not None:
-            more, self._counted = held - self._counted, held
-            self._budget.take(more)
-            if more > 0 and not self._budget.has_room():
-                raise LimitReached(
-                    f"the server is busy: it holds {self._budget.limit} bytes of unfinished"
-                    f" messages and of goals that are being decided upon, so try again later"
-                )
+        self._is_counted = held > 0
+        if self._memory is not None:
+            self._memory.hold(self, held)
+
+    def _check(self) -> None:
+        if self._is_given_up:
+            raise LimitReached(
+                "the server is busy: it has no room for a large message, so try again later"
+            )
 
     def close(self) -> None:
         """Forget the incomplete frame: no more bytes come."""
         self._buffer = bytearray()
         self._count(0)
 
+    def give_up(self) -> None:
+        """Forget the incomplete frame, and fail as soon as more bytes come."""
+        self._is_given_up = True
+        self.close()
+
     @property
     def is_within_frame(self) -> bool:
         """True if part of a frame has arrived, and the rest has not."""
         return bool(self._buffer)
+
+
+class FrameMemory:
+    """The memory of the incomplete frames of all connections of a server.
+
+    When there is too little, the reader that holds the most is given up: so a peer that begins many
+    large messages, and completes none, does not keep out those of others.
+    """
+
+    def __init__(self, budget: ByteBudget) -> None:
+        """Share a budget, also with other things."""
+        self._budget = budget
+        self._held: dict[FrameReader, int] = {}
+
+    def hold(self, reader: FrameReader, size: int) -> None:
+        """Note that a reader holds so many bytes now; give up readers if all hold too much."""
+        more = size - self._held.pop(reader, 0)
+        if size:
+            self._held[reader] = size
+        self._budget.take(more)
+        while more > 0 and self._held and not self._budget.has_room():
+            max(self._held, key=self._held.__getitem__).give_up()
 
 
 def _looks_like(first: bytes) -> str:

@@ -42,8 +42,9 @@ from anyio import CancelScope, create_task_group, move_on_after, sleep
 from anyio.abc import TaskGroup
 
 from fibaction._notify import Notifier
+from fibaction._slices import SLICE
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
-from fibaction.wire.channel import CHUNK, SLICE, Line
+from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.codec import encode
 from fibaction.wire.heartbeat import Heartbeat
 from fibaction.wire.messages import Ping

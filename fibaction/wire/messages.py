@@ -116,7 +116,10 @@ class CancelGoals(_Message, tag=19):
 
 @final
 class WatchStatus(_Message, tag=20):
-    """Request to follow the statuses of all goals. Answered by `Watching` or `Failed`."""
+    """Request to follow the statuses of all goals, once for each action and connection at a time.
+
+    Answered by `Watching` or `Failed`.
+    """
 
     id: ID
     action: str
@@ -265,7 +268,7 @@ class Ended(_Message, tag=38):
     result: bytes | None
     reason: str
     place: Stamp
-    """Number of the last feedback; feedback that has not arrived before this message is lost."""
+    """Number of the last feedback that was sent or left out; what has not arrived is lost."""
 
 
 @final

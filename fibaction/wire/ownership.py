@@ -39,7 +39,7 @@ from anyio.abc import TaskGroup
 
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
-from fibaction._tasks import Slices
+from fibaction._slices import Slices
 from fibaction.abc import Endpoint, GoalStream, GoalUpdate
 from fibaction.exceptions import ActionError, GoalRejected
 from fibaction.goals import GoalID, Outcome

@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 
 from anyio import CancelScope, Lock
 
-from fibaction._tasks import Slices
+from fibaction._slices import Slices
 from fibaction._text import excerpt
 from fibaction.abc import Endpoint, StatusStream
 from fibaction.goals import NO_GOAL, GoalID
@@ -45,6 +45,9 @@ from fibaction.wire.subscriptions import RequestSubscription
 
 Request: TypeAlias = CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers
 Answer: TypeAlias = CancelAnswered | Done | Watching | GoalChanged | Finished | Actions | Peers
+
+PART = 256
+"""Goals of a long answer that are prepared at once."""
 
 
 class RequestHandlers:
@@ -115,8 +118,10 @@ class RequestHandlers:
         answer = await endpoint.cancel_goals(goal_id, message.stamp)
         goals: list[tuple[bytes, int, GoalStatus]] = []
         slices = Slices()
-        for info in answer.goals_canceling:
-            goals.append((info.goal_id, info.stamp, info.status))
+        for start in range(0, len(answer.goals_canceling), PART):
+            part = answer.goals_canceling[start : start + PART]
+            # Of bytes, because other classes take several times as long to encode.
+            goals += [(bytes(info.goal_id), info.stamp, info.status) for info in part]
             await slices.pause()
         await self._say(
             CancelAnswered(message.id, answer.return_code, goals, sendable(answer.reason))
@@ -148,7 +153,7 @@ class RequestHandlers:
             subscription.credit -= 1
             changed = GoalChanged(
                 request,
-                info.goal_id,
+                bytes(info.goal_id),
                 info.stamp,
                 info.status,
                 statuses.dropped,

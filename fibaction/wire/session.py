@@ -80,6 +80,9 @@ from fibaction.wire.session_goals import GoalRequest, SessionGoals, too_much
 from fibaction.wire.settings import ServerSettings
 from fibaction.wire.subscriptions import RequestSubscription, Subscription
 
+LONGEST_NAME = 1000
+"""Characters of the name of an action, at most: a request may wait, with its name."""
+
 logger = clean_logger("fibaction.wire")
 
 
@@ -187,6 +190,8 @@ class Session:
         """Reject the request if a limit, told as a sentence, forbids it."""
         if self._subscription(message.id) is not None:
             raise ProtocolError(f"it used the ID {message.id} twice")
+        if not limit and len(getattr(message, "action", "")) > LONGEST_NAME:
+            limit = f"the name of an action has at most {LONGEST_NAME} characters"
         if limit:
             answer: Rejected | Failed = Failed(message.id, Why.LIMIT, limit)
             if isinstance(message, SendGoal):

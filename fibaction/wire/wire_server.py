@@ -22,7 +22,7 @@ from fibaction.exceptions import (
 )
 from fibaction.wire.channel import Channel, Line
 from fibaction.wire.codec import encode
-from fibaction.wire.frames import FIRST_FRAME, FrameReader
+from fibaction.wire.frames import FIRST_FRAME, FrameMemory, FrameReader
 from fibaction.wire.link import Link, naming
 from fibaction.wire.messages import Goodbye, Why
 from fibaction.wire.ownership import Owners
@@ -45,6 +45,7 @@ class WireServer:
         """The task group of the connections."""
         self.memory = ByteBudget(settings.limits.total_memory)
         """The bytes that all connections hold together, see `Limits.total_memory`."""
+        self._frames = FrameMemory(self.memory)
         self._turn = anyio.Lock()  # of the lines that have much to handle
         self._endpoints = endpoints
         self._settings = settings
@@ -60,7 +61,7 @@ class WireServer:
         It knows the limits of the server. The line closes it when the line itself is closed.
         """
         limit = self._settings.limits.frame
-        return FrameReader(limit, first=FIRST_FRAME, budget=self.memory)
+        return FrameReader(limit, first=FIRST_FRAME, memory=self._frames)
 
     def start(self, line: Line) -> None:
         """Serve one client in a task of its own."""

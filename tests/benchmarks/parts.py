@@ -9,7 +9,7 @@ that other programs disturb little. The ratios are in the docstrings of the part
 from __future__ import annotations
 
 import argparse
-from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Generator
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Generator, Hashable
 from contextlib import contextmanager
 from functools import partial
 from statistics import median
@@ -48,7 +48,7 @@ async def call_all(client: ActionClient[int, int, str], goals: int, feedback: in
 # A task for each goal, in place of those of the pool
 
 
-def _add_with_a_task(self: TaskPool, job: Job) -> None:
+def _add_with_a_task(self: TaskPool, job: Job, key: Hashable = None) -> None:
     async def run(scopes: CancelOnce) -> None:
         with scopes.rest:
             await job(scopes)
@@ -67,6 +67,7 @@ def without_pool() -> Generator[None, None, None]:
 async def short_goals(*, pooled: bool) -> None:
     async with ActionServer(COUNT, count) as server:
         client = ActionClient(server, COUNT)
+        await client.call(0)  # the pool's group is open then
         if pooled:
             await call_all(client, GOALS, 0)
         else:

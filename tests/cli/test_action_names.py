@@ -65,3 +65,12 @@ def test_names_are_shown_as_ros_does_and_cleaned() -> None:
 
     assert names_of(endpoints) == "/arm/pick, /count, /a\\x1b"
     assert shown("~/jump") == "~/jump"
+
+
+def test_names_that_take_long_to_compare_are_not_suggested() -> None:
+    actions = [ActionInfo("x" * 1_000_000 + str(number)) for number in range(20)]
+
+    assert "did you mean" not in no_action("x" * 1_000_000, actions).message
+    message = no_action("arm", actions).message
+    assert message.startswith("the action /arm is not served; there is /xxx")
+    assert len(message) <= 2000

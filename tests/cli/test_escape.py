@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from fibaction.cli.escape import clean, clean_json, clean_lines
+from fibaction.cli.escape import MAX_LINE, clean, clean_json, clean_lines
 
 
 def test_text_of_others_is_cleaned_once() -> None:
@@ -12,6 +12,13 @@ def test_text_of_others_is_cleaned_once() -> None:
     assert clean(clean("\x1b")) == clean("\x1b")
     assert clean("füñf 鳥") == "füñf 鳥"
     assert clean_lines("a\x1b\nb") == "a\\x1b\nb"
+
+
+def test_a_sentence_is_cut_and_lines_of_a_message_are_not() -> None:
+    long = "x" * 5000
+
+    assert clean(long) == "x" * (MAX_LINE - 1) + "…"
+    assert clean_lines(f"{long}\na") == f"{long}\na"
 
 
 def test_json_is_cleaned_in_the_way_of_json() -> None:

@@ -47,10 +47,27 @@ def test_a_number_of_the_feedback_tells_how_far(
         ({"n": [1, 2], "yes": [True, False]}, "n: [1, 2]  yes: [true, false]"),
         ("red\x1b[31m\nüñ", "red\\x1b[31m\\x0aüñ"),
         ("x" * 1000, "x" * 500),
+        ({"a": {1}, 5: ()}, "a: [1]  5: []"),
+        ([[1], {"a": 2}], "[[1], {a: 2}]"),
+        (b"hi", "b'hi'"),
+        ({f"{n}": n for n in range(9999)}, "  ".join([*(f"{n}: {n}" for n in range(200)), "..."])),
     ],
 )
 def test_a_feedback_is_made_one_line(feedback: object, line: str) -> None:
     assert on_one_line(feedback) == line
+
+
+def test_the_line_of_a_hostile_feedback_is_short() -> None:
+    wide: Any = {"x" * 1000: 1}
+    for _ in range(8):
+        wide = [wide] * 8
+    deep: Any = []
+    for _ in range(5000):
+        deep = [deep]
+    for feedback in (wide, deep, {"a": wide, "b": wide}, {f"{n}": [n] * 9 for n in range(300)}):
+        assert len(on_one_line(feedback)) < 200_000
+
+    assert on_one_line(deep) == "[" * 22 + "..." + "]" * 22
 
 
 def drawn(feedback: Any, width: int = 80) -> str:

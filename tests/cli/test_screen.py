@@ -11,6 +11,7 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable
 
 from fibaction import ActionInfo, CancelAnswer, ConnectionLost, GoalID, GoalInfo
+from fibaction.cli import screen
 from fibaction.cli.escape import clean
 from fibaction.cli.screen import FeedbackText, TopScreen
 from fibaction.events import GoalFeedback
@@ -38,8 +39,8 @@ def filled() -> Monitor:
 
 @asynccontextmanager
 async def shown(monitor: Monitor, columns: int = 80) -> AsyncGenerator[Pilot[None], None]:
-    screen = TopScreen(monitor, "tcp://robot:7400")
-    async with screen.run_test(size=(columns, 24), notifications=True) as pilot:
+    app = TopScreen(monitor, "tcp://robot:7400")
+    async with app.run_test(size=(columns, 24), notifications=True) as pilot:
         with anyio.fail_after(PATIENCE):
             while "Quit" not in lines(pilot)[-1]:  # the keys come last, a moment later
                 await pilot.pause()
@@ -232,3 +233,13 @@ async def test_keys_quit(key: str) -> None:
         await pilot.press(key)
         await pilot.pause()
         assert pilot.app.return_code == 0
+
+
+@pytest.mark.asyncio
+async def test_some_of_many_actions_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(screen, "MOST", 2)
+    monitor = filled()
+    monitor.on_actions([ActionInfo(f"name{number}") for number in range(1000)], "")
+    async with shown(monitor) as pilot:
+        assert pilot.app.query_one("#actions", DataTable).row_count == 2
+        find(pilot, "/arm/pick")  # it has active goals

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.msgpack import Ext
 
+from fibaction.cli import yaml_text
 from fibaction.cli.yaml_text import as_yaml
 
 # What msgpack carries: text without lone surrogates, integers of 64 bits.
@@ -114,6 +115,24 @@ def test_long_lists_texts_and_bytes_are_cut_and_say_how_much_is_left_out() -> No
     assert found["numbers"] == [*range(128), "... and 49872 more"]
     assert found["text"] == "x" * 1000 + "... and 4999000 more characters"
     assert found["bytes"].endswith("eA==... and 1 more bytes")
+
+
+def test_large_maps_are_cut_and_say_how_much_is_left_out() -> None:
+    found = yaml.safe_load(as_yaml({f"f{number}": 1 for number in range(1000)}))
+
+    assert list(found) == [*(f"f{number}" for number in range(128)), "..."]
+    assert found["..."] == "and 872 more"
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_the_number_of_all_values_is_limited(full: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(yaml_text, "MAX_VALUES_IN_FULL" if full else "MAX_VALUES", 50)
+    value = [[{"a": [1, 2, 3]}] * 100] * 100
+
+    lines = as_yaml(value, full=full).splitlines()
+
+    assert len(lines) < 60
+    assert lines[-1] == "- '... and 99 more'"
 
 
 def test_in_full_nothing_is_cut() -> None:

@@ -321,6 +321,43 @@ async def test_a_result_that_comes_after_the_time_to_stop_changes_nothing(reach:
         assert caught.value.result is None
 
 
+async def catches_every_cancellation() -> None:
+    while True:
+        try:
+            await anyio.sleep(1)
+        except BaseException:
+            continue
+
+
+async def is_shielded() -> None:
+    with anyio.CancelScope(shield=True):
+        await anyio.sleep_forever()
+
+
+@pytest.mark.promise("STOP-6", "STOP-7", "STOP-11")
+async def test_a_server_closes_without_executors_that_do_not_end_and_names_their_goals(
+    reach: Reach, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fibaction.server._task_pool.GRACE", 0.05)
+
+    async def refuses(goal: GoalHandle[Goal]) -> Items:
+        yield Feedback([1])
+        await (is_shielded() if goal.request.order else catches_every_cancellation())
+        yield Result([])
+
+    server = ActionServer(FIBONACCI, refuses, shutdown_timeout=0.01)
+    async with reach(server) as client:
+        goals = [await client.send_goal(Goal(order)) for order in (0, 1)]
+        for goal in goals:
+            async for _ in goal.feedback:
+                break
+        await server.stop()
+        for goal in goals:
+            assert await goal.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
+    for goal in goals:
+        assert any(str(goal.goal_id) in text and "is abandoned" in text for text in caplog.messages)
+
+
 @pytest.mark.promise("STOP-8")
 async def test_a_server_that_has_stopped_is_not_found(reach: Reach) -> None:
     server = ActionServer(FIBONACCI, fibonacci)

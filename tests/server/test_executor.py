@@ -366,7 +366,8 @@ async def test_steps_that_are_dropped_half_way_close_their_coroutine() -> None:
         raise AssertionError("it was resumed")
 
     async def main() -> Ending:
-        return await Steps(waits(), CancelOnce(lambda: None), copy_context())
+        scopes = CancelOnce(lambda: None)
+        return await Steps(waits(), scopes, copy_context(), lambda: Ending(EndKind.FAILED))
 
     running = main()
     assert running.send(None) == "waiting"

@@ -12,6 +12,7 @@ import pytest
 import trio.testing
 from hypothesis import given, strategies
 
+from fibaction._budget import ByteBudget
 from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.exceptions import ConnectionLost
 from fibaction.goals import UNKNOWN_SENDER, GoalID, Outcome
@@ -393,6 +394,21 @@ def test_a_log_keeps_its_readers_alive_and_no_other_cursor() -> None:
     assert [stream() is not None for stream in streams] == [True, False, False]
     end(log)  # and it does not stumble over those that are gone
     assert wakes
+
+
+def test_a_log_that_has_ended_is_freed_with_the_last_of_its_streams() -> None:
+    log = new_log()
+    one, other = log.follow(own=True), log.follow()
+    append(log, 2)
+    end(log)
+    gone = weakref.ref(log)
+    del log
+    assert numbers_of(one.take(9)) == [1, 2]
+    one.hold(False)
+    del one
+    assert gone() is not None
+    del other
+    assert gone() is None
 
 
 def test_a_log_forgets_those_that_waited_for_the_end_and_are_gone() -> None:
@@ -795,7 +811,12 @@ def test_those_that_read_in_step_are_looked_at_once_for_each_feedback(
     streams = [log.follow(own=hold) for _ in range(100)]
     looks: list[None] = []
     real = FeedbackLog.make_room
-    monkeypatch.setattr(FeedbackLog, "make_room", lambda log: (looks.append(None), real(log)))
+
+    def look(log: FeedbackLog) -> None:
+        looks.append(None)
+        real(log)
+
+    monkeypatch.setattr(FeedbackLog, "make_room", look)
     for number in range(1, 6):
         append(log, 1)
         for stream in streams:
@@ -847,6 +868,81 @@ def test_a_log_is_full_exactly_if_a_holding_follower_is_a_window_behind(
 
     everyone: set[FeedbackCursor] = set()
     anyio.run(check)
+
+
+# The bytes of feedback
+
+
+def log_within(budget: ByteBudget, *, window: int = 4) -> FeedbackLog:
+    return FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), window=window, budget=budget)
+
+
+def test_the_bytes_of_remembered_feedback_are_counted_and_given_back() -> None:
+    budget = ByteBudget(1000)
+    log = log_within(budget, window=3)
+    for size in (1, 10, 100):
+        log.append(bytes(size))
+    assert budget.used == 111
+    log.append(bytes(5))
+    assert budget.used == 115
+    del log
+    assert budget.used == 0
+
+
+def test_a_log_without_holding_readers_keeps_its_newest_feedback_when_bytes_are_used_up() -> None:
+    budget = ByteBudget(20)
+    log = log_within(budget)
+    observer = log.follow()
+    for size in (8, 8, 8):
+        log.append(bytes(size))
+    assert (budget.used, log.is_full) == (16, False)
+    log.append(bytes(30))
+    assert budget.used == 30
+    assert numbers_of(observer.take(9)) == [4]
+    assert observer.dropped == 3
+
+
+def test_a_holding_reader_loses_nothing_when_bytes_are_used_up_and_the_executor_waits() -> None:
+    budget = ByteBudget(20)
+    log = log_within(budget)
+    client = log.follow(own=True)
+    log.append(bytes(8))
+    log.append(bytes(8))
+    assert not log.is_full
+    log.append(bytes(8))
+    assert log.is_full
+    assert numbers_of(client.take(2)) == [1, 2]
+    assert log.is_full
+    assert numbers_of(client.take(2)) == [3]
+    assert not log.is_full
+    log.append(bytes(8))
+    assert (budget.used, log.is_full) == (16, False)
+    assert client.dropped == 0
+
+
+@pytest.mark.asyncio
+async def test_a_wait_for_bytes_ends_soon_after_others_have_given_them_back() -> None:
+    budget = ByteBudget(20)
+    log = log_within(budget)
+    client = log.follow(own=True)
+    log.append(bytes(8))
+    budget.take(15)
+    await while_waiting(lambda: log.wait_for_room(math.inf), lambda: budget.give_back(15))
+    assert client.holding
+
+
+@pytest.mark.asyncio
+async def test_a_client_that_does_not_read_stalls_also_when_it_is_the_bytes_that_are_used_up() -> (
+    None
+):
+    budget = ByteBudget(20)
+    log = log_within(budget)
+    slow, quick = log.follow(own=True), log.follow(own=True)
+    log.append(bytes(21))
+    quick.take()
+    with anyio.fail_after(5):
+        await log.wait_for_room(0)
+    assert (slow.holding, quick.holding, log.is_full) == (False, True, False)
 
 
 def test_a_client_stalls_after_exactly_the_time_that_it_was_given() -> None:

@@ -538,6 +538,17 @@ def test_a_status_list_is_made_once_until_a_goal_comes_or_goes() -> None:
     assert lists[2] is lists[3] is not lists[4] is lists[5]
 
 
+def test_rejections_are_forgotten_two_hundred_at_a_time() -> None:
+    registry = GoalRegistry(result_timeout=10.0)
+    for number in range(1, 252):
+        registry.admit(goal_id(number), b"", now=0.0)
+        registry.reject(goal_id(number), "no", now=0.0)
+    registry.expire(10.0)
+    assert len(list(registry._rejected)) == 51
+    registry.expire(10.0)
+    assert list(registry._rejected) == []
+
+
 def test_goals_are_forgotten_so_many_at_a_time_as_the_caller_says() -> None:
     registry = GoalRegistry(result_timeout=10.0, max_results=5)
     for number in range(1, 6):
@@ -664,6 +675,79 @@ def test_a_goal_id_used_again_does_not_keep_later_goals_from_being_forgotten() -
     finish(registry, again, Ending(EndKind.RESULT), now=10.0)
     assert registry.next_expiry == 15.0
     assert registry.expire(15.0) == [B]
+
+
+# Limits
+
+
+def test_unless_told_twenty_thousand_goals_and_256_mebibytes_are_the_limits() -> None:
+    registry = GoalRegistry()
+    assert registry.budget.limit == 256 * 1024 * 1024
+    for number in range(1, 20_001):
+        registry.admit(goal_id(number), b"", now=0.0)
+    assert registry.busy == ""
+    registry.admit(goal_id(20_001), b"", now=0.0)
+    assert registry.busy == "busy: 20000 goals are active, the limit is 20000"
+
+
+@pytest.mark.parametrize("reach", [accepted, executing, canceling])
+def test_goals_that_are_undecided_or_active_count_and_others_do_not(
+    reach: Callable[[GoalRegistry, GoalID], GoalRecord],
+) -> None:
+    registry = GoalRegistry(max_goals=2)
+    ended(registry, D)
+    reach(registry, A)
+    registry.admit(B, b"", now=0.0)
+    assert registry.busy == ""
+    registry.admit(C, b"", now=0.0)
+    assert registry.busy == "busy: 2 goals are active, the limit is 2"
+    registry.withdraw(C)
+    assert registry.busy == ""
+
+
+def test_a_goal_that_is_over_the_bytes_is_to_be_rejected_unless_results_can_make_room() -> None:
+    registry = GoalRegistry(max_bytes=10)
+    goal = accepted(registry, A, payload=b"1234")
+    registry.admit(B, b"123456", now=0.0)
+    assert registry.busy == ""
+    registry.admit(C, b"7", now=0.0)
+    assert registry.busy == "busy: goals and feedback would take 11 bytes, the limit is 10"
+    registry.withdraw(C)
+    registry.execute(goal)
+    finish(registry, goal, Ending(EndKind.RESULT, b"result", "why"), now=0.0)
+    assert registry.budget.used == 15
+    assert registry.busy == ""
+    assert registry.expire(0.0) == [A]
+    assert registry.budget.used == 6
+    assert goal.outcome is None
+    registry.reject(B, "no", now=0.0)
+    assert registry.budget.used == 0
+
+
+def test_the_oldest_results_give_way_until_the_rest_is_within_the_bytes() -> None:
+    registry = GoalRegistry(max_bytes=8)
+    for number in (B, A, C):
+        ended(registry, number)  # b"done", four bytes
+    assert registry.expire(0.0) == [B]
+    assert registry.find(A, now=0.0) is not None
+
+
+def test_a_result_counts_until_it_is_forgotten_and_no_one_else_has_it() -> None:
+    registry = GoalRegistry(result_timeout=10.0)
+    goal = ended(registry, A)
+    held = goal.held
+    registry.expire(10.0)
+    assert goal.held is None
+    assert registry.budget.used == 4
+    del held
+    assert registry.budget.used == 0
+
+
+def test_a_goal_id_used_again_gives_back_the_bytes_of_the_expired_goal() -> None:
+    registry = GoalRegistry(result_timeout=10.0)
+    ended(registry, A)
+    accepted(registry, A, payload=b"12", now=10.0)
+    assert registry.budget.used == 2
 
 
 # Random histories against a plain model
@@ -963,6 +1047,16 @@ class ProtocolMachine(RuleBasedStateMachine):
             else:
                 status, result, reason = goal.outcome
                 assert goal.real.outcome == Outcome(GoalStatus[status], result, reason)
+
+    @invariant()
+    def the_bytes_of_what_is_held_are_counted(self) -> None:
+        held = [*self.undecided.values(), *(goal.payload for goal in self.active)]
+        for goal in self.ended:
+            assert goal.outcome is not None
+            _, result, reason = goal.outcome
+            held += [result or b"", reason.encode()]
+        assert self.registry.budget.used == sum(map(len, held))
+        assert self.registry.busy == ""
 
     @invariant()
     def stamps_increase(self) -> None:

@@ -6,12 +6,14 @@ import asyncio  # noqa: TID251  # it alone can cancel a task without a scope
 import gc
 import math
 import tracemalloc
-from collections.abc import Coroutine, Iterator
+from collections.abc import AsyncIterator, Coroutine, Iterator
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
 import anyio
 import pytest
+from hypothesis import given, settings, strategies
 
 from fibaction import (
     Action,
@@ -22,13 +24,16 @@ from fibaction import (
     CancelRejected,
     GoalHandle,
     GoalID,
+    GoalInfo,
     GoalRejected,
     GoalStatus,
     Outcome,
     ServerNotFound,
+    UnknownGoal,
     _slices,
 )
-from fibaction.abc import FeedbackItem, GoalStream
+from fibaction._budget import ByteBudget
+from fibaction.abc import FeedbackItem, GoalStream, StatusStream
 from fibaction.goals import Sender
 from fibaction.server import runs
 from fibaction.server._interruption import CancelOnce
@@ -79,6 +84,8 @@ class Held:
         ({"result_timeout": -0.1}, "result_timeout is 0 or more, not -0.1"),
         ({"result_timeout": math.nan}, "result_timeout is 0 or more, not nan"),
         ({"max_results": -1}, "max_results is 0 or more, not -1"),
+        ({"max_goals": -1}, "max_goals is 0 or more, not -1"),
+        ({"max_bytes": -1}, "max_bytes is 0 or more, not -1"),
         ({"shutdown_timeout": -1}, "shutdown_timeout is 0 or more, not -1"),
     ],
 )
@@ -1012,6 +1019,151 @@ async def test_a_client_that_stalls_holds_the_executor_up_for_its_time_once() ->
         stream = await server.send_goal(GoalID.random(), packed(1))
         await stream.outcome()
     assert times == pytest.approx([0, 0] + [10] * 8)
+
+
+# Limits for all clients together
+
+
+@pytest.mark.promise("ACCEPT-14")
+async def test_a_goal_too_many_is_rejected_until_another_one_has_ended() -> None:
+    executor = Held()
+    async with ActionServer(FIBONACCI, executor, max_goals=2) as server:
+        streams = await start_many(server, 2)
+        goal_id = GoalID.random()
+        for _ in range(2):
+            with pytest.raises(GoalRejected) as caught:
+                await server.send_goal(goal_id, packed(3))
+            assert caught.value.reason == "busy: 2 goals are active, the limit is 2"
+            assert caught.value.goal_id == goal_id
+        again = await server.send_goal(streams[0].goal_id, packed(0))  # a retry is not a new goal
+        await server.cancel_goals(streams[1].goal_id)
+        await streams[1].outcome()
+        stream = await server.send_goal(goal_id, packed(3))
+        executor.go.set()
+        assert (await stream.outcome()).result == result([3])
+        assert (await again.outcome()).result == result([0])
+
+
+@pytest.mark.promise("ACCEPT-14")
+async def test_goals_that_are_being_decided_count() -> None:
+    gate = Gate()
+    async with ActionServer(FIBONACCI, fibonacci, on_goal=gate, max_goals=1) as server:
+        asking = waited_for(server.offer_goal(GoalID.random(), packed(2)))
+        with pytest.raises(GoalRejected, match="busy: 1 goals are active, the limit is 1"):
+            server.offer_goal(GoalID.random(), packed(2))
+        gate.open.set()
+        assert gate.asked == []
+        assert (await (await asking).outcome()).status is GoalStatus.SUCCEEDED
+
+
+def budget_of(server: ActionServer[Any, Any, Any]) -> ByteBudget:
+    return server._runs._registry.budget
+
+
+@pytest.mark.promise("ACCEPT-14", "RESULT-9")
+async def test_results_give_way_to_goals_and_goals_to_nothing() -> None:
+    executor = Held()
+    executor.go.set()
+    size = len(packed(1))
+    async with ActionServer(FIBONACCI, executor, max_bytes=3 * size) as server:
+        old = await server.send_goal(GoalID.random(), packed(1))
+        await old.outcome()
+        old_id = old.goal_id
+        assert (await server.get_result(old_id)).status is GoalStatus.SUCCEEDED
+        del old
+        executor.go = anyio.Event()
+        with await server.status() as statuses:
+            await statuses.receive()
+            held = await start_many(server, 3)
+            assert (await server.get_result(old_id)).status is GoalStatus.UNKNOWN
+            told = [info async for info in several(statuses, 4)]
+            assert [info.goal_id for info in told if not info.status.is_active] == [old_id]
+        used = budget_of(server).used
+        with pytest.raises(GoalRejected) as caught:
+            await server.send_goal(GoalID.random(), packed(4))
+        assert caught.value.reason == (
+            f"busy: goals and feedback would take {used + size} bytes, the limit is {3 * size}"
+        )
+        assert budget_of(server).used == used
+        executor.go.set()
+        assert {(await stream.outcome()).status for stream in held} == {GoalStatus.SUCCEEDED}
+
+
+async def several(statuses: StatusStream, count: int) -> AsyncIterator[GoalInfo]:
+    """The next statuses, those of goals that are new or forgotten."""
+    while count:
+        info = await statuses.receive()
+        assert info is not None
+        if info.status in (GoalStatus.ACCEPTED, GoalStatus.UNKNOWN):
+            count -= 1
+            yield info
+
+
+@pytest.mark.parametrize("result_timeout", [0, 0.01])
+@given(
+    steps=strategies.lists(
+        strategies.tuples(
+            strategies.sampled_from(["send", "follow", "statuses", "read", "close", "cancel"]),
+            strategies.integers(0, 5),
+        ),
+        max_size=40,
+    ),
+    max_bytes=strategies.sampled_from([0, 30, 200, 10_000]),
+)
+@settings(max_examples=30, deadline=None)
+def test_when_all_has_ended_and_is_forgotten_no_bytes_are_counted(
+    steps: list[tuple[str, int]], max_bytes: int, result_timeout: float
+) -> None:
+    async def check() -> None:
+        async def executor(goal: GoalHandle[Goal]) -> Items:
+            for number in range(goal.request.order):
+                yield Feedback([number] * number)
+                await anyio.lowlevel.checkpoint()
+            yield Result([goal.request.order] * 5)
+
+        server = ActionServer(
+            FIBONACCI,
+            executor,
+            max_bytes=max_bytes,
+            max_results=2,
+            result_timeout=result_timeout,
+            stall_timeout=0,
+        )
+        streams: list[Any] = []
+
+        async def use(stream: Any, step: str) -> None:
+            if step == "close":
+                stream.close()
+            elif isinstance(stream, GoalStream):
+                if step == "follow":
+                    streams.append(await server.feedback(stream.goal_id, after=0))
+                else:
+                    stream.take(2)
+
+        async with server:
+            for step, number in steps:
+                with suppress(GoalRejected, UnknownGoal):
+                    if step == "send":
+                        sending = server.send_goal(GoalID.random(), packed(number))
+                        streams.append(await sending)
+                    elif step == "statuses":
+                        streams.append(await server.status())
+                    elif step == "cancel":
+                        await server.cancel_goals()
+                    elif number < len(streams):
+                        await use(streams[number], step)
+                await anyio.lowlevel.checkpoint()
+            await anyio.wait_all_tasks_blocked()
+        assert not server._runs._runs
+        while streams:
+            streams.pop().close()
+        budget = budget_of(server)
+        server._runs._registry.expire(math.inf)
+        server._runs._recent.clear()
+        gc.collect()
+        assert budget.used == 0
+
+    anyio.run(check)
 
 
 # Many goals

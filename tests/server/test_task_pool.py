@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from contextvars import copy_context
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -11,8 +15,10 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from fibaction.server._interruption import SLICE, CancelOnce
-from fibaction.server._task_pool import MOST_IDLE, TaskPool
+from fibaction.server._interruption import MOST_KILLS, SLICE, CancelOnce, Steps
+from fibaction.server._task_pool import GRACE, MOST_IDLE, TaskPool
+from tests.processes import PATIENCE
+from tests.refusing import REFUSING, SHUTDOWN_TIMEOUT
 
 pytestmark = pytest.mark.anyio
 
@@ -70,8 +76,11 @@ async def running() -> AsyncGenerator[Bench, None]:
     with anyio.fail_after(5):
         async with anyio.create_task_group() as tasks:
             bench = Bench(TaskPool(tasks, "worker"))
-            yield bench
-            bench.crew.close()
+            try:
+                await anyio.wait_all_tasks_blocked()  # its group is open then
+                yield bench
+            finally:
+                bench.crew.close()
 
 
 async def test_jobs_that_do_not_wait_are_done_in_one_task_in_their_order() -> None:
@@ -238,6 +247,108 @@ async def test_jobs_that_never_wait_let_others_have_their_turns(
             seen.append(len(bench.done))
     # A turn is two jobs; trio, which draws the order of tasks, may let two turns follow each other.
     assert max(later - earlier for earlier, later in pairwise([0, *seen])) <= 4
+
+
+async def test_tasks_that_go_on_in_the_same_turn_share_one_slice(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 0.0
+    monkeypatch.setattr("fibaction.server._task_pool.perf_counter", lambda: now)
+    async with running() as bench:
+        for number in range(1, 9):
+            bench.add_waiting(number)
+        await bench.all_done(8)
+
+        async def job(scopes: CancelOnce) -> None:
+            nonlocal now
+            now += SLICE
+            bench.note(100)
+
+        for _ in range(100):
+            bench.crew.add(job)
+        bench.go_on.set()
+        most = before = 0
+        while len(bench.done) < 8 + 8 + 100:
+            await anyio.lowlevel.checkpoint()
+            most = max(most, bench.done.count(100) - before)
+            before = bench.done.count(100)
+    assert most <= 4  # with a slice for each of the tasks it would be 8
+
+
+async def test_a_job_of_another_key_does_not_wait_for_all_jobs_of_the_first() -> None:
+    began: list[str] = []
+    async with running() as bench:
+
+        async def job(scopes: CancelOnce, key: str) -> None:
+            began.append(key)
+            bench.done.append(0)
+
+        for _ in range(10_000):
+            bench.crew.add(partial(job, key="many"), "many")
+        for _ in range(3):
+            bench.crew.add(partial(job, key="few"), "few")
+        await bench.all_done(10_003)
+    assert [number for number, key in enumerate(began) if key == "few"] == [1, 3, 5]
+
+
+# Abandoned jobs
+
+
+@pytest.mark.parametrize("is_waiting", [False, True], ids=["catches", "is shielded"])
+async def test_the_owner_ends_without_a_job_that_does_not_end(
+    is_waiting: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grace = 0.01 if is_waiting else 5
+    monkeypatch.setattr("fibaction.server._task_pool.GRACE", grace)
+    seen: list[str] = []
+    all_scopes: list[CancelOnce] = []
+
+    async def refuses() -> str:
+        with anyio.CancelScope(shield=is_waiting):
+            while True:
+                try:
+                    await anyio.sleep(1)
+                except BaseException as exc:
+                    seen.append(type(exc).__name__)
+
+    async def job(scopes: CancelOnce) -> None:
+        all_scopes.append(scopes)
+        bench.note(1)
+        seen.append(await Steps(refuses(), scopes, copy_context(), lambda: "given up"))
+
+    async with running() as bench:
+        bench.crew.add(job)
+        await bench.all_done(1)
+        all_scopes[0].kill()
+    assert seen[-1] == "given up"
+    assert len(seen) == (1 if is_waiting else MOST_KILLS + 1)
+    assert all_scopes[0].is_abandoned
+
+
+async def test_a_job_without_steps_is_left_behind_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fibaction.server._task_pool.GRACE", 0.01)
+    async with running() as bench:
+        bench.add_waiting(1)
+        await bench.all_done(1)
+    assert bench.done == [1]
+    bench.go_on.set()
+    await anyio.wait_all_tasks_blocked()
+    assert bench.done == [1, -1]
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+async def test_a_program_ends_in_spite_of_executors_that_do_not(backend: str) -> None:
+    command = [sys.executable, "-m", "tests.refusing", backend]
+    with anyio.fail_after(PATIENCE):
+        run = await anyio.run_process(command, check=False)
+    code, out, err = run.returncode, run.stdout.decode(), run.stderr.decode()
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["left"] < SHUTDOWN_TIMEOUT + GRACE + 1
+    assert found["used"] < 0.1  # of half a second
+    for executor in REFUSING:
+        assert f"of action {executor.__name__!r}: its executor does not end" in err
+    assert "Traceback" not in err
 
 
 async def test_closing_ends_the_tasks_that_are_through_later_too() -> None:

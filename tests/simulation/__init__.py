@@ -5,9 +5,12 @@
     make simulate
 
 `generator` makes a `scenario` from a seed: a server, clients, their deeds, and the faults of the
-network. A `world` runs it, on an event loop in virtual time (`loop`) over a `network` in memory,
-and `invariants` checks the rules that hold in every run. No part reads a clock, a socket or
-randomness of the machine, so a seed gives the same run in every process.
+network. Half of them have `hostile` clients as well, which send messages of their own making,
+within the limits and beyond. A `world` runs the scenario, on an event loop in virtual time (`loop`)
+over a `network` in memory. `invariants` checks the rules that hold in every run, and `custody`
+looks at what the server holds. No part reads a clock, a socket or randomness of the machine, so a
+seed gives the same run in every process.
 
-`faults` are small deliberate mistakes in the product; a test shows that each is found.
+`faults` and `hostile_faults` are small deliberate mistakes in the product; a test shows that each
+is found.
 """

@@ -61,6 +61,14 @@ class Client:
                 await self._stop_deeds(tasks.cancel_scope)
             self.state.is_leaving = True
 
+    def session(self) -> bytes:
+        """Return the secret session of its connection; zeros if it has none."""
+        if self._connection is None:
+            return bytes(16)
+        remote = self._connection._connection
+        assert isinstance(remote, RemoteConnection)
+        return remote._session
+
     def calls(self) -> list[int]:
         """Return the requests that its connection has under way."""
         if self._connection is None:

@@ -348,7 +348,7 @@ class Deeds:
     async def _ask(self, deed: Deed) -> None:
         names = [info.name for info in await self._connection.actions()]
         peers = await self._connection.peers(SIMULATED.name)
-        if names != [SIMULATED.name] or not all("client-" in name for name in peers.clients):
+        if names != [SIMULATED.name] or not all("-" in name for name in peers.clients):
             self._record.fail("outcome", f"{self._plan.name} is told of {names} and {peers}")
 
 

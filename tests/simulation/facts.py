@@ -12,6 +12,8 @@ from fibaction import GoalID, Outcome
 from fibaction.states import INITIAL
 from tests.simulation.scenario import ClientPlan, Done
 
+HONEST_TOKEN, HOSTILE_TOKEN = "honest secret", "hostile secret"
+"""The tokens of the clients, where the server asks for them."""
 EPSILON = 1e-3
 """Seconds between the arrival of a message and its handling: turns of the loop, without latency."""
 
@@ -19,9 +21,11 @@ EPSILON = 1e-3
 class Truth:
     """An accepted goal, as its server knows it."""
 
-    def __init__(self, goal_id: GoalID, stamp: int, life: Life, at: float) -> None:
+    def __init__(self, goal_id: GoalID, stamp: int, life: Life, at: float, sender: str) -> None:
         self.goal_id = goal_id
         self.stamp = stamp
+        self.sender = sender
+        """The name of the client that sent it, as its server knows it."""
         self.life = life
         self.accepted_at = at
         self.statuses = [INITIAL]

@@ -1,18 +1,20 @@
 """Small deliberate mistakes in the product, to show that the simulation finds such.
 
-Each is a context manager that replaces one method of one class, as a slip in its code would, and
-has seeds of scenarios that find it. Any invariant may find it.
+Each is a context manager that replaces one method of one class, or one function of one module, as a
+slip in its code would, and has seeds of scenarios that find it. Any invariant may find it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from types import ModuleType
 from typing import Any
 
 import msgspec
 from anyio import current_time, sleep
 
+from fibaction._budget import CountedBytes
 from fibaction._notify import Notifier
 from fibaction.events import _Merger
 from fibaction.goals import GoalID, GoalInfo
@@ -22,7 +24,7 @@ from fibaction.server.expiry import ExpiringMap
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
-from fibaction.server.registry import GoalRegistry, Verdict
+from fibaction.server.registry import GoalRegistry, Verdict, _Undecided
 from fibaction.server.status_broadcast import StatusBroadcast
 from fibaction.states import GoalStatus
 from fibaction.wire.calls import Credits
@@ -43,7 +45,7 @@ class Mistake(msgspec.Struct, frozen=True):
 
     name: str
     meaning: str
-    cls: type
+    cls: type | ModuleType
     method: str
     make: Callable[[Any], Any]
     """The function that makes the wrong method from the real one."""
@@ -65,7 +67,7 @@ MISTAKES: dict[str, Mistake] = {}
 
 
 def mistake(
-    cls: type, method: str, *seeds: int
+    cls: type | ModuleType, method: str, *seeds: int
 ) -> Callable[[Callable[[Any], Any]], Callable[[Any], Any]]:
     """Register a function that makes the wrong method; its docstring describes the mistake."""
 
@@ -97,7 +99,9 @@ def a_goal_runs_again_when_it_is_sent_again(real: Any) -> Any:
     def admit(self: GoalRegistry, goal_id: GoalID, payload: bytes, *, now: float) -> Verdict:
         verdict: Verdict = real(self, goal_id, payload, now=now)
         if verdict is Verdict.REPEAT:
-            self._undecided[goal_id] = digest_of(payload)
+            self._undecided[goal_id] = _Undecided(
+                digest_of(payload), CountedBytes(self.budget, len(payload))
+            )
             return Verdict.DECIDE
         return verdict
 

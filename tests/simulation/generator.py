@@ -6,6 +6,7 @@ import math
 import random
 from typing import Literal
 
+from tests.simulation.hostile_generator import with_hostile_clients
 from tests.simulation.network import Direction
 from tests.simulation.scenario import (
     DEEDS,
@@ -43,7 +44,7 @@ class _Generator:
             server,
             clients,
             self._faults(clients),
-            self.chance.uniform(0, self.span) if late else 0.0,
+            server_at=self.chance.uniform(0, self.span) if late else 0.0,
             calls_back=self.chance.random() < 0.5,
         )
 
@@ -184,4 +185,5 @@ class _Generator:
 
 def scenario_of(seed: int) -> Scenario:
     """Return the scenario of a seed."""
-    return _Generator(seed).scenario()
+    generator = _Generator(seed)
+    return with_hostile_clients(generator.scenario(), generator.span)

@@ -41,6 +41,11 @@ INVARIANTS = {
     "error": "a call fails only if there is a reason",
     "cancel": "the answer to a cancel is what happens",
     "rest": "no task, no connection and no goal is left at the end",
+    "hostile": "a hostile client gets an answer, or the end of its connection",
+    "access": "a client is told, and can do, only what it is permitted",
+    "held": "what is held for one client is within the limits",
+    "hold": "a goal's executor waits only for the client that sent it",
+    "peace": "a connection ends only if there is a reason",
     "log": "no error is logged, and no exception is lost",
 }
 """The rules, by short names."""
@@ -93,6 +98,8 @@ class Record:
         """The goals that were sent more than once on purpose."""
         self.clashes: set[GoalID] = set()
         """The IDs with which another goal was sent."""
+        self.copied: set[GoalID] = set()
+        """The goals that a hostile client has sent again."""
         self._cancels: set[GoalID | None] = set()
         self._orphaned: dict[GoalID, float] = {}
         self._outages: dict[GoalID, list[float]] = {}
@@ -116,6 +123,11 @@ class Record:
         violation = Violation(invariant, text, self.now())
         self.violations.append(violation)
         self.tell(f"VIOLATION {violation}")
+
+    @property
+    def is_stopping(self) -> bool:
+        """True if a server stops or has stopped."""
+        return any(life.stops_at <= self.now() for life in self.lives)
 
     # What servers do
 
@@ -153,7 +165,7 @@ class Record:
         outages = [*self._outages.get(goal_id, []), self.now() - since]
         return any(outage >= seconds - EPSILON for outage in outages)
 
-    def accepted(self, life: Life, goal_id: GoalID, stamp: int) -> None:
+    def accepted(self, life: Life, goal_id: GoalID, stamp: int, sender: str = "") -> None:
         """Check that a goal was accepted at most once."""
         now = self.now()
         self.tell(f"server {life.number} accepts {short(goal_id)}")
@@ -162,12 +174,14 @@ class Record:
                 lost = any(one.losses for one in self.clients.values() if goal_id in one.goals)
                 how = "again, after its connection was lost" if lost else "twice"
                 self.fail("once", f"goal {short(goal_id)} was accepted {how}")
-        life.goals[goal_id, stamp] = Truth(goal_id, stamp, life, now)
+        if goal_id in self.copied and self.truth(goal_id, None) is not None:
+            self.sent_again.add(goal_id)  # it runs again: its server has forgotten it
+        life.goals[goal_id, stamp] = Truth(goal_id, stamp, life, now, sender)
 
     def _may_run_again(self, truth: Truth, now: float) -> bool:
         if not self._has_expired(truth, now):
             return False
-        if truth.goal_id in self.sent_again:
+        if truth.goal_id in self.sent_again or truth.goal_id in self.copied:
             return True
         return self.was_orphaned_for(truth.goal_id, self.scenario.server.grace)
 

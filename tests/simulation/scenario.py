@@ -1,8 +1,8 @@
 """The plan of one run, as plain data.
 
 A scenario has all that is decided before the run: the settings of the server and of each client,
-the deeds of the clients with their times, and the faults. It can be made smaller by leaving parts
-out.
+the deeds of the clients with their times, the attacks of hostile clients, and the faults. It can be
+made smaller by leaving parts out.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from typing import Literal, TypeAlias
 import msgspec
 
 from fibaction import Action
+from fibaction.wire.auth import Permission
+from fibaction.wire.frames import MAX_FRAME
 from tests.simulation.network import Direction
 from tests.simulation.streams import Manner, Weather
 
@@ -91,6 +93,13 @@ class ServerPlan(msgspec.Struct, frozen=True):
     queue: int = 2**20
     goals: int = 10_000
     """The number of goals that one connection may follow."""
+    follows: int = 100
+    """The number of times that one connection may follow one goal."""
+    requests: int = 1000
+    """The number of requests beside goals that one connection may wait for."""
+    connections: int = 1000
+    asks_for_tokens: bool = False
+    """True if clients need a token."""
 
 
 class Deed(msgspec.Struct, frozen=True):
@@ -156,6 +165,73 @@ class ClientPlan(msgspec.Struct, frozen=True):
     """Seconds from its start until its process ends without closing its connection."""
 
 
+class Attack(msgspec.Struct, frozen=True):
+    """One thing that a hostile client does, `count` times."""
+
+    at: float
+    """Seconds after the client's start."""
+    kind: str
+    work: Work
+    """The goal of an attack that sends one."""
+    count: int = 1
+    target: int = 0
+    """The index of the first goal that is meant, among those that honest clients have sent."""
+    credit: int | None = 0
+    """The credit that it grants: none at all, or nil."""
+    pause: float = 0.0
+    """Seconds for which a silent attack lasts."""
+
+
+ATTACKS = (
+    ("send", 3),  # send goals, and keep them
+    ("send again", 2),  # send one goal of its own again and again
+    ("copy", 4),  # send goals of others again
+    ("clash", 1),  # send other goals with the IDs of others' goals
+    ("odd goals", 1),  # goals that are not of the type
+    ("follow", 3),  # follow one goal again and again
+    ("own", 2),  # follow goals of others as if it had sent them
+    ("watch", 2),  # follow the statuses again and again
+    ("cancel all", 2),
+    ("cancel others", 1),
+    ("ask", 2),  # all other requests
+    ("forged texts", 2),  # control characters in every text
+    ("foreign ids", 2),  # Credit, Close and Received for IDs that are not in use
+    ("close", 2),  # Close and Received for all IDs that are in use
+    ("credit", 1),  # as much credit as a message can grant
+    ("same id", 1),  # a second request with an ID that is in use
+    ("hello again", 1),  # a second Hello
+    ("hellos", 2),  # connect, say hello, and close
+    ("no hello", 4),  # connect, and say nothing
+    ("large hello", 2),  # announce a large first message, and send a part of it
+    ("no permission to speak", 1),  # begin with a request
+    ("garbage", 2),  # random bytes
+    ("wrong message", 2),  # a message that a client may not send
+    ("half", 2),  # a part of a message, then nothing
+    ("too large", 1),  # a message over the limit
+    ("odd hello", 2),  # a Hello whose fields are out of their limits
+    ("stolen session", 5),  # say hello with the session of another client
+)
+
+
+class HostilePlan(msgspec.Struct, frozen=True):
+    """The settings and the attacks of one hostile client."""
+
+    name: str
+    weather: Weather
+    attacks: tuple[Attack, ...]
+    starts_at: float = 0.0
+    reads: Literal["all", "slowly", "never"] = "all"
+    may: frozenset[Permission] = frozenset(Permission)
+    """Its permissions, if the server asks for them."""
+    has_token: bool = True
+    """False if its token is wrong, where the server asks for one."""
+    has_session: bool = True
+    heartbeat: float = 1.0
+    """Seconds between two messages of it, as it says; it sends one each half second at least."""
+    max_frame: int = MAX_FRAME
+    leaves: Literal["goodbye", "close", "silence"] = "close"
+
+
 class Fault(msgspec.Struct, frozen=True):
     """A fault of the network, or of the server's process."""
 
@@ -177,6 +253,7 @@ class Scenario(msgspec.Struct, frozen=True):
     server: ServerPlan
     clients: tuple[ClientPlan, ...]
     faults: tuple[Fault, ...] = ()
+    hostile: tuple[HostilePlan, ...] = ()
     server_at: float = 0.0
     """Seconds until the first server starts."""
     calls_back: bool = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+import tests.simulation.hostile_faults  # noqa: F401  # it adds its mistakes
 from tests.simulation.faults import MISTAKES, Mistake
 from tests.simulation.generator import scenario_of
 from tests.simulation.world import simulate

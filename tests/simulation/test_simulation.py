@@ -8,7 +8,7 @@ import secrets
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
@@ -17,10 +17,13 @@ from tests.simulation.executors import EXECUTORS
 from tests.simulation.generator import scenario_of
 from tests.simulation.invariants import Violation
 from tests.simulation.scenario import (
+    ATTACKS,
     DEEDS,
     KINDS,
+    Attack,
     ClientPlan,
     Deed,
+    HostilePlan,
     Scenario,
     ServerPlan,
     Work,
@@ -106,6 +109,38 @@ def test_scenarios_are_of_all_kinds() -> None:
     assert len(faults) == 8
     assert all(not one.faults for one in scenarios if one.climate == "calm")
     assert not any(one.has_restarts for one in scenarios if one.climate == "gentle")
+
+
+def test_hostile_clients_are_of_all_kinds_in_half_of_the_scenarios() -> None:
+    scenarios = [scenario_of(seed) for seed in range(1000)]
+    hostile = [plan for one in scenarios for plan in one.hostile]
+    attacks = {attack.kind for plan in hostile for attack in plan.attacks}
+    assert attacks == {kind for kind, _ in ATTACKS}
+    assert {plan.reads for plan in hostile} == {"all", "slowly", "never"}
+    assert {plan.leaves for plan in hostile} == {"goodbye", "close", "silence"}
+    assert 400 < sum(bool(one.hostile) for one in scenarios) < 600
+
+
+# Hostile clients alone: each attack of each kind, against one honest client that calls
+
+
+@pytest.mark.parametrize("reads", ["all", "never"])
+@pytest.mark.parametrize("kind", [kind for kind, _ in ATTACKS])
+def test_an_attack_leaves_an_honest_client_and_the_server_as_they_were(
+    kind: str, reads: Literal["all", "never"]
+) -> None:
+    deeds = tuple(
+        Deed(at, what, Work(key, "steady", steps=30, pause=0.1))
+        for key, (at, what) in enumerate([(0.0, "send"), (0.5, "call"), (1.0, "events")])
+    )
+    attacks = tuple(
+        Attack(0.2 + number / 10, kind, Work(100 + number), count=40, target=number, credit=number)
+        for number in range(3)
+    )
+    plan = HostilePlan("hostile-0", Weather(), attacks, reads=reads)
+    server = ServerPlan(follows=10, requests=30, goals=60, asks_for_tokens=True)
+    honest = ClientPlan("client-0", Weather(), deeds=deeds)
+    check(simulate(Scenario(0, "calm", server, (honest,), hostile=(plan,))))
 
 
 def test_the_log_is_left_as_it_was() -> None:

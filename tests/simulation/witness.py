@@ -13,23 +13,38 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 from unittest.mock import patch
 
-from fibaction import ActionError, Endpoint, GoalID, Outcome, ProtocolError
+from fibaction import ActionError, GoalID, Outcome, ProtocolError
 from fibaction.abc import GoalStream
 from fibaction.server.cancellation import Cancellation
+from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import GoalRecord
 from fibaction.server.registry import GoalRegistry
 from fibaction.wire.connection import RemoteConnection
 from fibaction.wire.ownership import Owners
 from fibaction.wire.reconnect import Reconnector
 from fibaction.wire.session import Session
+from fibaction.wire.subscriptions import GoalSubscription, HeldGoals
 from fibaction.wire.wire_server import WireServer
 from tests.simulation.facts import Truth
 from tests.simulation.invariants import ON_PURPOSE, Record
 
+LONGEST_LINE = 1000
+"""Characters of a line of the log, at most: some words of the server, and excerpts of a client's
+texts."""
+
 
 @contextmanager
-def recorded(record: Record, on_hub: Callable[[WireServer], None]) -> Generator[None, None, None]:
-    """Report decisions of servers and states of connections to the record, in the block."""
+def recorded(
+    record: Record,
+    on_hub: Callable[[WireServer], None],
+    on_message: Callable[[Session], None],
+    on_hold: Callable[[FeedbackLog], None],
+) -> Generator[None, None, None]:
+    """Report decisions of servers and states of connections to the record, in the block.
+
+    `on_message` is called after each message of a client, and `on_hold` when an executor begins to
+    wait for a client.
+    """
     with ExitStack() as stack:
 
         def wrap(cls: type, name: str, make: Callable[[Any], Any]) -> None:
@@ -43,16 +58,19 @@ def recorded(record: Record, on_hub: Callable[[WireServer], None]) -> Generator[
         wrap(RemoteConnection, "_begin", lambda real: _beginning(real, record))
         wrap(Reconnector, "_give_up", lambda real: _giving_up(real, record))
         wrap(Session, "run", lambda real: _session_running(real, record))
-        wrap(Owners, "adopt", lambda real: _adopting(real, record))
+        wrap(Owners, "lose", lambda real: _losing(real, record))
         wrap(Owners, "own", lambda real: _owning(real, record))
         wrap(WireServer, "__init__", lambda real: _opening_hub(real, on_hub))
+        wrap(Session, "_handle", lambda real: _handling(real, on_message))
+        wrap(FeedbackLog, "wait_for_room", lambda real: _holding(real, on_hold))
         yield
 
 
 def _accepting(real: Any, record: Record) -> Any:
     def accept(self: GoalRegistry, goal_id: GoalID, **keywords: Any) -> GoalRecord:
         goal: GoalRecord = real(self, goal_id, **keywords)
-        record.accepted(record.life_of(self), goal_id, goal.stamp)
+        sender = keywords["sender"].name
+        record.accepted(record.life_of(self), goal_id, goal.stamp, sender)
         return goal
 
     return accept
@@ -101,6 +119,8 @@ def _attempting(real: Any, record: Record) -> Any:
         else:
             state.has_failed = True
         record.tell(f"{state.plan.name} has no connection: {error}")
+        if record.scenario.climate == "calm" and not (state.is_leaving or record.is_stopping):
+            record.fail("peace", f"{state.plan.name} has lost its connection: {error}")
         if isinstance(error, ProtocolError) and not _is_lines_fault(error, record):
             record.fail("error", f"{state.plan.name}'s connection ended: {error}")
         state.is_final = isinstance(error, ProtocolError) or not state.plan.reconnect
@@ -142,24 +162,27 @@ def _session_running(real: Any, record: Record) -> Any:
         peer = self._link.peer
         error: ActionError = await real(self)
         record.tell(f"the server's connection with {peer} ended: {error}")
-        if isinstance(error, ProtocolError) and not _is_lines_fault(error, record):
+        is_hostile = peer.startswith("hostile-")
+        if isinstance(error, ProtocolError) and not (is_hostile or _is_lines_fault(error, record)):
             record.fail("error", f"the server's connection with {peer} ended: {error}")
         return error
 
     return run
 
 
-def _adopting(real: Any, record: Record) -> Any:
-    def adopt(self: Owners, endpoint: Endpoint, stream: GoalStream, *, left: bool) -> None:
-        record.orphaned(stream.goal_id)
-        real(self, endpoint, stream, left=left)
+def _losing(real: Any, record: Record) -> Any:
+    def lose(self: Owners, held: HeldGoals, *, left: bool) -> None:
+        for call in held.calls.values():
+            if call.own:
+                record.orphaned(GoalID(call.goal_id))
+        real(self, held, left=left)
 
-    return adopt
+    return lose
 
 
 def _owning(real: Any, record: Record) -> Any:
-    def own(self: Owners, stream: GoalStream, *rest: Any) -> bool:
-        is_own: bool = real(self, stream, *rest)
+    def own(self: Owners, call: GoalSubscription, stream: GoalStream, *rest: Any) -> bool:
+        is_own: bool = real(self, call, stream, *rest)
         if is_own:
             record.owned(stream.goal_id)
         return is_own
@@ -173,6 +196,22 @@ def _opening_hub(real: Any, on_hub: Callable[[WireServer], None]) -> Any:
         on_hub(self)
 
     return __init__
+
+
+def _handling(real: Any, on_message: Callable[[Session], None]) -> Any:
+    def _handle(self: Session, frame: bytes) -> None:
+        real(self, frame)
+        on_message(self)
+
+    return _handle
+
+
+def _holding(real: Any, on_hold: Callable[[FeedbackLog], None]) -> Any:
+    async def wait_for_room(self: FeedbackLog, seconds: float) -> None:
+        on_hold(self)
+        await real(self, seconds)
+
+    return wait_for_room
 
 
 def _name_in(where: str) -> str:
@@ -189,6 +228,8 @@ class _Log(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         text = record.getMessage()
         self._record.tell(f"log {record.levelname} {text}")
+        if not text.isprintable() or len(text) > LONGEST_LINE:
+            self._record.fail("log", f"a client has formed this line: {text!r}")
         wanted = ON_PURPOSE in text or ON_PURPOSE in str(record.exc_info and record.exc_info[1])
         if record.levelno >= logging.ERROR and not wanted:
             more = logging.Formatter().formatException(record.exc_info) if record.exc_info else ""

@@ -21,11 +21,14 @@ from anyio import CancelScope, create_task_group, current_time
 from anyio.abc import TaskGroup
 
 from fibaction import ActionServer, serve
+from fibaction.server.feedback_log import FeedbackLog
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
+from fibaction.wire.session import Session
 from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
 from fibaction.wire.wire_server import WireServer
 from tests.simulation import loop as virtual
 from tests.simulation.clients import Client
+from tests.simulation.custody import excesses, holders, left_for_clients, left_without_clients
 from tests.simulation.executors import (
     decide_cancel,
     decide_cancel_later,
@@ -33,7 +36,9 @@ from tests.simulation.executors import (
     decide_goal_later,
     executor_for,
 )
-from tests.simulation.facts import Life
+from tests.simulation.facts import HONEST_TOKEN, HOSTILE_TOKEN, Life
+from tests.simulation.hostile import Hostile
+from tests.simulation.hostile_generator import last_attack_of
 from tests.simulation.invariants import Record, Violation
 from tests.simulation.machine import made_up
 from tests.simulation.network import Line, Network
@@ -43,6 +48,13 @@ from tests.simulation.witness import listening, lost, recorded
 
 PATIENCE = 900.0
 """Seconds that a run may take after the last fault: several times the longest timeout."""
+
+
+CHECKED = 0.1
+"""Seconds between two looks at what a server holds for clients that have sent no message."""
+EMPTY_WITHIN = 90.0
+"""Seconds after which a server without clients has nothing left of them: four heartbeats of the
+longest that it grants, and some."""
 
 
 class Report(msgspec.Struct, frozen=True):
@@ -76,6 +88,14 @@ class World:
         self.record = Record(scenario, lambda: loop.now - virtual.EPOCH)
         self.network = Network(loop, random.Random(f"network {scenario.seed}"), self.record.tell)
         self.hub: WireServer | None = None
+        plan = scenario.server
+        self.limits = Limits(
+            connections=plan.connections,
+            queue=plan.queue,
+            goals=plan.goals,
+            follows=plan.follows,
+            requests=plan.requests,
+        )
         self._loop = loop
         self._server: ActionServer[Work, Step, Done] | None = None
         self._life_scope: CancelScope
@@ -84,6 +104,15 @@ class World:
         self._clients = [
             Client(self.record, plan, self._client_transport(line, number))
             for number, (plan, line) in enumerate(zip(scenario.clients, self._lines, strict=True))
+        ]
+        self._hostile = [
+            Hostile(
+                self.record,
+                plan,
+                self.network.line(plan.name, plan.weather),
+                lambda number: self._clients[number % len(self._clients)].session(),
+            )
+            for plan in scenario.hostile
         ]
         self._lives = 0
         """The number of servers that have not stopped, those included that have crashed."""
@@ -96,6 +125,7 @@ class World:
             reconnect=plan.reconnect,
             reconnect_timeout=plan.reconnect_timeout,
             window=plan.window,
+            token=HONEST_TOKEN if self.scenario.server.asks_for_tokens else "",
         )
         calls_back = self.scenario.calls_back
         return SimulatedTransport(self.network, line, keeping, calls_back=calls_back)
@@ -103,6 +133,31 @@ class World:
     def on_hub(self, opened: WireServer) -> None:
         """Keep the wire server that an action server has opened."""
         self.hub = opened
+
+    async def _check_often(self) -> None:
+        """Check what is held for all clients, while there are hostile ones."""
+        while not all(hostile.has_left for hostile in self._hostile):
+            for session in self.hub._sessions if self.hub is not None else ():
+                self.on_message(session)
+            await anyio.sleep(CHECKED)
+
+    def on_message(self, session: Session) -> None:
+        """Check what is held for a client that has sent a message."""
+        for excess in excesses(session, self.limits):
+            self.record.fail("held", f"for {session._link.peer}: {excess}")
+
+    def on_hold(self, log: FeedbackLog) -> None:
+        """Check for whom the executor of a goal is about to wait."""
+        assert self.hub is not None
+        truth = self.record.truth(log.goal.goal_id, log.goal.stamp)
+        if truth is None:
+            return
+        for session in self.hub._sessions:
+            peer = session._link.peer
+            name = peer.partition(":")[0]
+            is_other = name not in truth.sender
+            if is_other and any(stream._log is log for stream in holders(session)):
+                self.record.fail("hold", f"a goal of {truth.sender} waits for {peer}")
 
     # The servers
 
@@ -127,14 +182,19 @@ class World:
     def _server_transport(self) -> SimulatedTransport:
         plan = self.scenario.server
 
-        async def ask(_peer: Peer, _action: str, _verb: Permission) -> bool:
-            await anyio.sleep(0.002)
-            return True
+        may = {hostile.name: hostile.may for hostile in self.scenario.hostile}
 
-        rules: dict[str, Any] = {"open": None, "sync": lambda *_: True, "async": ask}
-        limits = Limits(queue=plan.queue, goals=plan.goals)
-        access = AccessPolicy(authorize=rules[plan.authorize])
-        terms = ServerSettings(plan.heartbeat, access, limits, plan.orphans, plan.grace)
+        def decide(peer: Peer, _action: str, permission: Permission) -> bool:
+            return permission in may.get(peer.address.partition(":")[0], Permission)
+
+        async def decide_later(peer: Peer, action: str, permission: Permission) -> bool:
+            await anyio.sleep(0.002)
+            return decide(peer, action, permission)
+
+        rules: dict[str, Any] = {"open": None, "sync": decide, "async": decide_later}
+        tokens = {HONEST_TOKEN: "honest", HOSTILE_TOKEN: "hostile"}
+        access = AccessPolicy(tokens if plan.asks_for_tokens else None, rules[plan.authorize])
+        terms = ServerSettings(plan.heartbeat, access, self.limits, plan.orphans, plan.grace)
         return SimulatedTransport(self.network, terms=terms, calls_back=self.scenario.calls_back)
 
     async def _live(self, after: float) -> None:
@@ -222,9 +282,15 @@ class World:
             self._tasks.start_soon(self._live, self.scenario.server_at)
             for client, line in zip(self._clients, self._lines, strict=True):
                 self._tasks.start_soon(self._be_a_client, client, line)
+            for hostile in self._hostile:
+                self._tasks.start_soon(hostile.run)
+            self._tasks.start_soon(self._check_often)
             async with create_task_group() as faults:
                 faults.start_soon(self._fail_as_planned)
                 await self._until_all_is_done()
+            for hostile in self._hostile:
+                hostile.may_leave.set()
+            await self._until(lambda: all(one.has_left for one in self._hostile), "to leave")
             await self._until_nothing_is_left()
             await self._end()
         for task in virtual.waiting_tasks():
@@ -244,7 +310,7 @@ class World:
         last = max((fault.at + 1 for fault in scenario.faults), default=0.0)
         for plan in scenario.clients:
             last = max(last, *(plan.starts_at + deed.at + 1 for deed in plan.deeds))
-        last = max(last, scenario.server_at)
+        last = max(last, scenario.server_at, *map(last_attack_of, scenario.hostile))
         await anyio.sleep_until(virtual.EPOCH + last)
         give_up_at = current_time() + PATIENCE
         while not self._is_quiet():
@@ -258,7 +324,8 @@ class World:
 
     def _is_quiet(self) -> bool:
         is_idle = self._server is not None and self._is_served and not self._server._runs
-        return is_idle and all(client.is_done for client in self._clients)
+        are_done = all(client.is_done for client in self._clients)
+        return is_idle and are_done and all(hostile.is_done for hostile in self._hostile)
 
     def _give_up(self) -> None:
         for client in self._clients:
@@ -281,11 +348,7 @@ class World:
     def _left_by_goals(self) -> list[str]:
         left: list[str] = []
         if self.hub is not None:
-            left += (f"an orphan: {one!r}" for one in self.hub._owners._owned)
-            for session in self.hub._sessions:
-                peer = session._link.peer
-                left += (f"a goal of {peer}: {one}" for one in session._goals._open)
-                left += (f"a request of {peer}: {one}" for one in session._waiting)
+            left += left_for_clients(self.hub)
         for client in self._clients:
             left += (f"a call of {client.plan.name}: {one}" for one in client.calls())
         return left
@@ -297,7 +360,20 @@ class World:
         for client in self._clients:
             client.may_leave.set()
         await self._until(lambda: all(client.has_left for client in self._clients), "to leave")
+        await self._until_server_is_empty()
         await self._stop_server()
+
+    async def _until_server_is_empty(self) -> None:
+        """Wait until the server has nothing, now that all clients have left."""
+        if self.hub is None or self._server is None or not self._is_served:
+            return
+        hub, server = self.hub, self._server
+        give_up_at = current_time() + EMPTY_WITHIN
+        while left := list(left_without_clients(hub, server)):
+            if current_time() >= give_up_at:
+                self.record.fail("rest", f"left when all clients have gone: {left}")
+                return
+            await anyio.sleep(1)
 
     async def _stop_server(self) -> None:
         if self._is_served:
@@ -322,7 +398,7 @@ def simulate(scenario: Scenario) -> Report:
     with (
         listening(record),
         made_up(loop, scenario.seed),
-        recorded(record, world.on_hub),
+        recorded(record, world.on_hub, world.on_message, world.on_hold),
     ):
         try:
             virtual.run(world.run, loop, lambda context: lost(record, context))

@@ -10,9 +10,10 @@ import anyio
 import anyio.lowlevel
 import pytest
 
+from fibaction._slices import SLICE
 from fibaction.exceptions import ConnectionLost, ProtocolError
 from fibaction.wire import link as module
-from fibaction.wire.channel import CHUNK, SLICE, Line, NextFrames, OnFrames
+from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames
 from fibaction.wire.link import Link
 from fibaction.wire.messages import ListActions
 from tests.wire.ends import BOB, held, serving

@@ -3,6 +3,7 @@ from __future__ import annotations
 import itertools
 import sys
 from collections.abc import Iterable
+from contextlib import suppress
 
 import pytest
 from hypothesis import assume, given, strategies
@@ -15,6 +16,7 @@ from fibaction.wire.frames import (
     HEADER,
     MAX_FRAME,
     UNCOUNTED,
+    FrameMemory,
     FrameReader,
     header,
 )
@@ -202,9 +204,14 @@ def test_after_the_first_frame_the_limit_is_that_of_all(places: list[int]) -> No
 # The memory that readers share
 
 
+def sharing(limit: int) -> tuple[ByteBudget, FrameReader, FrameReader]:
+    budget = ByteBudget(limit)
+    memory = FrameMemory(budget)
+    return budget, FrameReader(memory=memory), FrameReader(memory=memory)
+
+
 def test_what_is_held_of_large_frames_is_counted_and_given_back() -> None:
-    budget = ByteBudget(10 * UNCOUNTED)
-    one, other = FrameReader(budget=budget), FrameReader(budget=budget)
+    budget, one, other = sharing(10 * UNCOUNTED)
     one.feed(header(3 * UNCOUNTED) + bytes(UNCOUNTED - HEADER))
     assert budget.used == 0  # small messages always pass
     one.feed(bytes(100))
@@ -219,26 +226,62 @@ def test_what_is_held_of_large_frames_is_counted_and_given_back() -> None:
     assert not other.is_within_frame
 
 
-def test_over_the_budget_the_reader_that_wants_more_fails_and_small_frames_pass() -> None:
-    budget = ByteBudget(UNCOUNTED)
-    one, other = FrameReader(budget=budget), FrameReader(budget=budget)
-    one.feed(header(MAX_FRAME) + bytes(2 * UNCOUNTED - HEADER))
+def test_the_reader_that_holds_the_most_is_given_up_for_another() -> None:
+    budget, large, small = sharing(3 * UNCOUNTED)
+    large.feed(header(MAX_FRAME) + bytes(4 * UNCOUNTED - HEADER))
     assert budget.used == budget.limit
-    with pytest.raises(LimitReached, match=f"^the server is busy: it holds {UNCOUNTED} bytes of"):
-        other.feed(header(MAX_FRAME) + bytes(UNCOUNTED))
-    other.close()
-    assert budget.used == budget.limit
-    small = FrameReader(budget=budget)
-    assert small.feed(header(1000) + bytes(500)) == []
-    assert small.feed(bytes(500)) == [bytes(1000)]
-    one.close()
+    assert small.feed(header(2 * UNCOUNTED) + bytes(UNCOUNTED)) == []
+    assert budget.used == HEADER  # its memory is free at once
+    with pytest.raises(LimitReached, match=r"^the server is busy: it has no room for a large"):
+        large.feed(b"more")
+    assert small.feed(bytes(UNCOUNTED)) == [bytes(2 * UNCOUNTED)]
     assert budget.used == 0
 
 
-def test_the_frame_that_completes_over_the_budget_passes() -> None:
-    budget = ByteBudget(UNCOUNTED)
-    reader = FrameReader(budget=budget)
+def test_the_reader_that_wants_more_fails_if_it_holds_the_most() -> None:
+    budget, large, small = sharing(2 * UNCOUNTED)
+    small.feed(header(MAX_FRAME) + bytes(2 * UNCOUNTED - HEADER))
+    with pytest.raises(LimitReached):
+        large.feed(header(MAX_FRAME) + bytes(3 * UNCOUNTED))
+    assert budget.used == UNCOUNTED
+    assert small.feed(b"more") == []
+
+
+def test_small_frames_pass_whatever_is_held() -> None:
+    budget, _, small = sharing(1)
+    budget.take(1000)  # by others
+    assert small.feed(header(1000) + bytes(500)) == []
+    assert small.feed(bytes(500)) == [bytes(1000)]
+    with pytest.raises(LimitReached):
+        small.feed(header(MAX_FRAME) + bytes(2 * UNCOUNTED))
+    assert budget.used == 1000
+
+
+def test_a_frame_that_is_complete_passes_whatever_is_held() -> None:
+    budget, reader, _ = sharing(UNCOUNTED)
     reader.feed(header(3 * UNCOUNTED) + bytes(UNCOUNTED))
     budget.take(UNCOUNTED)  # by others
     assert reader.feed(bytes(2 * UNCOUNTED)) == [bytes(3 * UNCOUNTED)]
     assert budget.used == UNCOUNTED
+
+
+@given(
+    strategies.lists(
+        strategies.tuples(strategies.integers(0, 3), strategies.integers(0, 3 * UNCOUNTED)),
+        max_size=20,
+    )
+)
+def test_nothing_leaks_and_the_limit_holds(feeds: list[tuple[int, int]]) -> None:
+    budget = ByteBudget(4 * UNCOUNTED)
+    memory = FrameMemory(budget)
+    readers = [FrameReader(memory=memory) for _ in range(4)]
+    for reader in readers:
+        reader.feed(header(5 * UNCOUNTED))
+    for number, size in feeds:
+        with suppress(LimitReached, ProtocolError):
+            readers[number].feed(bytes(size))
+        held = sum(max(0, len(reader._buffer) - UNCOUNTED) for reader in readers)
+        assert budget.used == held <= budget.limit
+    for reader in readers:
+        reader.close()
+    assert budget.used == 0

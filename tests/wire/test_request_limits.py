@@ -28,6 +28,7 @@ from fibaction.wire.messages import (
     Peers,
     Received,
     Rejected,
+    SendGoal,
     Watching,
     WatchStatus,
     Why,
@@ -254,6 +255,23 @@ async def test_a_goal_that_another_client_sends_too_waits_for_its_own_client_onl
         *told, end = await ann.hear_all()
         assert [message.number for message in told] == list(range(2, 51))
         assert isinstance(end, Ended)
+
+
+async def test_a_request_with_a_long_name_does_not_wait() -> None:
+    """It could wait for a permission, with as many bytes as a message may have."""
+    deciding = Deciding()
+    access = AccessPolicy(authorize=deciding.authorize)
+    text = "the name of an action has at most 1000 characters"
+    async with serving(held(), access=access) as served:
+        client = await served.greet()
+        for name, answers in (("a" * 1000, []), ("a" * 1001, [text] * 3)):
+            heard = await client.ask_all(
+                SendGoal(1, name, A, GOAL, 1),
+                Follow(2, name, A, None, False, 1),
+                CancelGoals(3, name, None, None),
+            )
+            assert [getattr(one, "reason", "") or one.text for one in heard] == answers
+            client = await served.greet(BOB)
 
 
 # Requests that concern all goals, and the statuses

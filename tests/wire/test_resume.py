@@ -552,7 +552,7 @@ async def test_goals_of_lost_connections_are_released_a_few_at_a_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """So that losing a client with thousands of goals does not stop the others."""
-    monkeypatch.setattr("fibaction._tasks.SLICE", 0)
+    monkeypatch.setattr("fibaction._slices.SLICE", 0)
     ids = [bytes([number] * 16) for number in range(1, 51)]
     server = running(*feedback(*range(100)), fib.Result([]), feedback_window=4)
     turns: list[int] = []

@@ -17,8 +17,9 @@ import pytest
 import sniffio
 from anyio.abc import SocketAttribute
 
+from fibaction._slices import SLICE
 from fibaction.exceptions import ConnectionLost, ProtocolError
-from fibaction.wire.channel import CHUNK, SLICE, Line
+from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.frames import FrameReader, framed
 from fibaction_transports.tcp import _asyncio
 from fibaction_transports.tcp._asyncio import (

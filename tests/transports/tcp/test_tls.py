@@ -263,6 +263,21 @@ async def test_who_does_not_begin_with_tls_is_not_waited_for(heard: Hearing) -> 
         await heard.until(f"{peer.name}: no TLS: it took too long to shake hands")
 
 
+async def test_clients_that_begin_and_say_nothing_keep_no_other_out(heard: Hearing) -> None:
+    limits = Limits(connections=2)
+    transport = TcpTransport(port=0, tls=TlsFiles(cert=pems().cert), limits=limits)
+    async with serve(new_server(), transport) as (url,), AsyncExitStack() as silent:
+        for _ in range(3):
+            await silent.enter_async_context(raw(url))
+        assert await works(f"{url}?ca={pems().ca}")
+        lines = [
+            line
+            for line in heard.warnings
+            if "no TLS: it took too long while 2 others began" in line
+        ]
+        assert len(lines) == 2
+
+
 async def test_who_hangs_up_while_shaking_hands_is_said_to_have_done_so(heard: Hearing) -> None:
     transport = tls_server(cert=pems().cert)
     async with serve(new_server(), transport) as (url,):

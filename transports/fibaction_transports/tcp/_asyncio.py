@@ -24,8 +24,9 @@ from anyio.abc import Listener, SocketAttribute, TaskGroup
 
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
+from fibaction._slices import SLICE
 from fibaction.exceptions import ConnectionLost
-from fibaction.wire.channel import CHUNK, SLICE, Line, NextFrames, OnFrames
+from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames
 from fibaction.wire.frames import FrameReader, framed
 
 BATCH = 16

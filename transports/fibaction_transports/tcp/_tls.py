@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import ssl
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
 
 import anyio
-from anyio.abc import AnyByteStream, ByteStream
-from anyio.streams.tls import TLSListener
+from anyio.abc import AnyByteStream, ByteStream, TaskGroup
+from anyio.streams.tls import TLSListener, TLSStream
 
 from fibaction._log import clean_logger
 from fibaction.exceptions import AuthenticationFailed, ConnectionLost, text_of
@@ -53,8 +56,49 @@ class _Telling(ssl.SSLObject):
             raise ssl.SSLWantWriteError from exc
 
 
+@dataclass(eq=False)
 class TlsListener(TLSListener):
-    """A listener whose failed handshakes are one line of the log, without a traceback."""
+    """A listener whose failed handshakes are one line of the log, without a traceback.
+
+    So many clients may shake hands at the same time. Each takes memory, so one more ends the oldest
+    of them: clients that begin and then say nothing keep no other out.
+    """
+
+    most: int = 1000
+
+    async def serve(
+        self, handler: Callable[[TLSStream], Any], task_group: TaskGroup | None = None
+    ) -> None:
+        shaking: dict[anyio.CancelScope, None] = {}
+
+        async def begin(stream: AnyByteStream) -> None:
+            peer = peer_of(stream)
+            if len(shaking) >= self.most:
+                oldest = next(iter(shaking))
+                del shaking[oldest]
+                oldest.cancel()
+            wrapped: TLSStream | None = None
+            with anyio.CancelScope() as scope:
+                shaking[scope] = None
+                try:
+                    with anyio.fail_after(self.handshake_timeout):
+                        wrapped = await TLSStream.wrap(
+                            stream,
+                            ssl_context=self.ssl_context,
+                            standard_compatible=self.standard_compatible,
+                        )
+                except BaseException as exc:
+                    await self.handle_handshake_error(exc, stream)
+                finally:
+                    shaking.pop(scope, None)
+            if scope.cancelled_caught:
+                logger.warning(
+                    "%s: no TLS: it took too long while %d others began", peer, self.most
+                )
+            elif wrapped is not None:
+                await handler(wrapped)
+
+        await self.listener.serve(begin, task_group)
 
     @staticmethod
     async def handle_handshake_error(exc: BaseException, stream: AnyByteStream) -> None:

@@ -127,8 +127,11 @@ class TcpTransport(StreamTransport):
         url = self._url(listener.extra(SocketAttribute.local_port))
         if context is None:
             return listener, url
-        timeout = self.server_settings.limits.handshake
-        return TlsListener(listener, context, handshake_timeout=timeout), url
+        limits = self.server_settings.limits
+        tls = TlsListener(
+            listener, context, handshake_timeout=limits.handshake, most=limits.connections
+        )
+        return tls, url
 
 
 def _is_loopback(host: str) -> bool:
