@@ -25,11 +25,12 @@ from anyio.abc import TaskGroup
 
 from fibaction._budget import ByteBudget
 from fibaction._notify import Notifier
+from fibaction._slices import SLICE
 from fibaction.abc import Endpoint, GoalStream
 from fibaction.exceptions import GoalRejected, UnknownGoal
 from fibaction.goals import GoalID
 from fibaction.wire.auth import Permission
-from fibaction.wire.channel import CHUNK, SLICE
+from fibaction.wire.channel import CHUNK
 from fibaction.wire.frames import UNCOUNTED
 from fibaction.wire.link import Link
 from fibaction.wire.messages import Follow, Received, SendGoal
