@@ -40,7 +40,7 @@ from anyio.abc import TaskGroup
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._slices import Slices
-from fibaction.abc import Endpoint, GoalStream, GoalUpdate
+from fibaction.abc import GoalStream, GoalUpdate
 from fibaction.exceptions import ActionError, GoalRejected
 from fibaction.goals import GoalID, Outcome
 from fibaction.server.goal_record import digest_of
