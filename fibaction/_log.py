@@ -27,7 +27,7 @@ import logging
 import traceback
 from collections.abc import Iterator
 from itertools import islice
-from typing import Any
+from typing import Any, cast
 
 from fibaction._text import REASON, excerpt, shortened
 
@@ -149,7 +149,7 @@ def _lines(exc: BaseException, depth: int) -> Iterator[str]:
             text = f"{shortened(text)}\n{shortened(str(note))}"
     yield from shortened(text, LINES * LINE).split("\n")
     if isinstance(exc, BaseExceptionGroup) and depth < DEPTH:
-        parts: tuple[BaseException, ...] = exc.exceptions
+        parts = cast("BaseExceptionGroup[BaseException]", exc).exceptions
         for number, part in enumerate(parts[:ERRORS], 1):
             yield f"+---- {number} of {len(parts)} ----"
             yield from ("| " + line for line in _with_causes(part, depth + 1))

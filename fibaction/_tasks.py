@@ -1,11 +1,13 @@
-"""Background tasks of a block of code."""
+"""Background tasks of a block of code, and long work that lets other tasks run."""
 
 from __future__ import annotations
 
+from time import perf_counter
 from types import TracebackType
 
 from anyio import CancelScope, Event, create_task_group, sleep_forever
 from anyio.abc import TaskGroup
+from anyio.lowlevel import checkpoint
 
 
 class Background:
@@ -48,3 +50,22 @@ class Background:
             async with create_task_group() as self._tasks:
                 self._ready.set()
                 await sleep_forever()
+
+
+SLICE = 0.001
+"""Seconds of work after which other tasks have their turn."""
+
+
+class Slices:
+    """Work on many items, in slices of about a millisecond."""
+
+    __slots__ = ("_end",)
+
+    def __init__(self) -> None:
+        self._end = perf_counter() + SLICE
+
+    async def pause(self) -> None:
+        """Let other tasks run if the slice is over, and begin the next one; otherwise go on."""
+        if perf_counter() >= self._end:
+            await checkpoint()
+            self._end = perf_counter() + SLICE

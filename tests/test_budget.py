@@ -3,7 +3,7 @@
 from fibaction._budget import ByteBudget, CountedBytes
 
 
-def test_a_budget_has_room_up_to_its_limit():
+def test_a_budget_has_room_up_to_its_limit() -> None:
     budget = ByteBudget(10)
 
     budget.take(4)
@@ -12,7 +12,7 @@ def test_a_budget_has_room_up_to_its_limit():
     assert not budget.has_room(7)
 
 
-def test_bytes_that_are_given_back_can_be_taken_again():
+def test_bytes_that_are_given_back_can_be_taken_again() -> None:
     budget = ByteBudget(10)
     budget.take(10)
 
@@ -22,7 +22,7 @@ def test_bytes_that_are_given_back_can_be_taken_again():
     assert budget.has_room(3)
 
 
-def test_a_budget_counts_what_is_over_its_limit():
+def test_a_budget_counts_what_is_over_its_limit() -> None:
     budget = ByteBudget(10)
 
     budget.take(25)

@@ -2,10 +2,16 @@
 
 Verbs and options are completed by click itself. A server that does not answer within `TIMEOUT`
 completes nothing, since a user waits at a prompt.
+
+The scripts of the shells insert names unquoted, and a server may send any name. So only names that
+mean themselves in every shell are completed. All names that follow ROS's rule do, except those with
+a `~`.
 """
 
 from __future__ import annotations
 
+import re
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import anyio
@@ -22,6 +28,10 @@ if TYPE_CHECKING:
 
 TIMEOUT = 5.0
 """Seconds for the answer of a server."""
+MOST = 1000
+"""Actions whose names are completed."""
+
+_PLAIN = re.compile(r"[A-Za-z0-9_/]{0,200}", re.ASCII)
 
 
 class _ActionName(click.ParamType[str]):
@@ -59,12 +69,16 @@ TYPE = _TypeName()
 
 
 def reachable(url: str) -> list[ActionInfo]:
-    """Return the actions at a URL whose names can be typed; none if the server cannot be asked."""
+    """Return the actions at a URL whose names and types mean themselves in a shell.
+
+    There are none if the server cannot be asked.
+    """
     try:
         infos = anyio.run(actions_at, url)
     except ActionError:
         return []
-    return [info for info in infos if f"{info.name}{info.type_name}".isprintable()]
+    plain = (info for info in infos if _PLAIN.fullmatch(info.name))
+    return list(islice((info for info in plain if _PLAIN.fullmatch(info.type_name)), MOST))
 
 
 async def actions_at(url: str) -> list[ActionInfo]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import sys
 from collections.abc import Awaitable, Callable, Generator, Iterable
 from contextlib import contextmanager
@@ -12,6 +13,7 @@ from typing import IO, Any, NoReturn, cast
 
 import click
 
+from fibaction.cli import exit_at_once
 from fibaction.cli.escape import clean, clean_lines
 from fibaction.exceptions import (
     ActionError,
@@ -111,6 +113,8 @@ def run(
     """Run a verb's async function, and exit with the code that it returns.
 
     With `uvloop` it runs on uvloop, if that is installed: uvloop is faster, but starts more slowly.
+    Such a verb handles signals by itself. Any other exits at once at Ctrl-C, unless it receives
+    signals; also while it computes.
 
     Raises:
         click.exceptions.Exit: The function has ended.
@@ -121,7 +125,14 @@ def run(
     import anyio
 
     options = {"use_uvloop": uvloop and find_spec("uvloop") is not None}
-    code = anyio.run(partial(verb, *arguments, **settings), backend_options=options)
+    exits = signal.getsignal(signal.SIGINT) is signal.default_int_handler and not uvloop
+    if exits:  # the event loop's own handler would wait for a task that computes
+        signal.signal(signal.SIGINT, exit_at_once)
+    try:
+        code = anyio.run(partial(verb, *arguments, **settings), backend_options=options)
+    finally:
+        if exits:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
     raise click.exceptions.Exit(code)
 
 

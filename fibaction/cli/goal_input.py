@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from contextlib import suppress
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 import yaml
 
@@ -32,9 +32,15 @@ def read_goal(text: str, schema: dict[str, Any]) -> Any:
         raise _unusable(f"{exc}{advice}") from exc
 
 
+MAX_DIGITS = 100
+"""Characters of a number. The longest ones take a long time, and no message can hold them."""
+
+
 class _Loader(yaml.SafeLoader):
     """A YAML loader that reads `1e3` as a number, which YAML 1.1 reads as text, and times as text,
     because only the schema tells whether a field is a time.
+
+    It reads no aliases: some lines of them can stand for more values than a computer can hold.
     """
 
     yaml_implicit_resolvers = {  # noqa: RUF012  # PyYAML's attribute, and it has no type there
@@ -42,6 +48,25 @@ class _Loader(yaml.SafeLoader):
         for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            self._reject("aliases such as *name are not supported", self.peek_event().start_mark)
+        return super().compose_node(parent, index)
+
+    def construct_number(self, node: yaml.ScalarNode) -> int | float:
+        if len(node.value) > MAX_DIGITS:
+            text = f"a number with more than {MAX_DIGITS} digits"
+            self._reject(text, node.start_mark)
+        if node.tag.endswith("int"):
+            return self.construct_yaml_int(node)
+        return self.construct_yaml_float(node)
+
+    def _reject(self, problem: str, mark: yaml.Mark) -> NoReturn:
+        raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
+
+
+for _kind in ("int", "float"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", _Loader.construct_number)
 
 cast("Any", _Loader).add_implicit_resolver(  # the stub has no types for it
     "tag:yaml.org,2002:float",
@@ -61,8 +86,8 @@ def _parse(text: str) -> Any:
         where = f" (line {mark.line + 1}, column {mark.column + 1})" if mark else ""
         problem = ", ".join(filter(None, (exc.context, exc.problem)))
         raise _unusable(f"the goal is not valid YAML{where}: {problem}") from exc
-    except (yaml.YAMLError, ValueError, RecursionError) as exc:
-        # For example, a number with too many digits is a ValueError.
+    except (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError) as exc:
+        # PyYAML raises any of these for a value with a wrong tag, such as `!!int x`.
         raise _unusable(f"the goal is not valid YAML: {exc}") from exc
 
 

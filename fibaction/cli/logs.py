@@ -8,14 +8,20 @@ from contextlib import contextmanager
 from typing import Any
 
 from fibaction._log import traceback_text
+from fibaction.cli.escape import clean
 
 
 class CleanFormatter(logging.Formatter):
-    """Writes clean tracebacks, whichever code logs them: an executor's exception may contain what
-    a client has sent.
+    """Writes each record of fibaction, and of its extensions, on one clean line, since it may
+    contain text of a peer.
 
-    Messages of the user's own code are not changed; those of fibaction are clean already.
+    Records of the user's own code are not changed. A traceback keeps its lines and is cleaned,
+    whichever code logs it: an executor's exception may contain what a client has sent.
     """
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        text = super().formatMessage(record)
+        return clean(text) if record.name.startswith("fibaction") else text
 
     def formatException(self, ei: Any) -> str:
         return traceback_text(ei[1])

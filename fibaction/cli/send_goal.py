@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import AsyncIterator
 from contextlib import suppress
 from pathlib import Path
-from signal import SIGINT, SIGTERM, Signals
 from typing import Any, Literal
 
 import anyio
@@ -26,7 +24,7 @@ from fibaction.cli.goal_input import read_goal
 from fibaction.cli.options import full_option, json_option, url_option
 from fibaction.cli.output import note, say
 from fibaction.cli.render import goal_printer, print_goal
-from fibaction.cli.signals import SAME_SIGNAL
+from fibaction.cli.signals import SAME_SIGNAL, SignalReceiver
 from fibaction.exceptions import ActionError, GoalRejected
 from fibaction.goals import CancelCode, GoalID
 
@@ -171,7 +169,7 @@ class _GoalSender:
         self._late = False
 
     async def run(self, url: str, name: str, type_name: str, text: str) -> int:
-        with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
+        with SignalReceiver(self._left) as signals:
             async with Background() as tasks:
                 tasks.start_soon(self._handle_signals, signals)
                 if self._options.timeout is not None:
@@ -188,10 +186,7 @@ class _GoalSender:
         info = await find_action(connection, name)
         goal = goal_for(info, type_name, text)
         action = Action.untyped(info)
-        try:
-            payload = action.goal.encode(goal)
-        except (TypeError, ValueError, OverflowError, RecursionError) as exc:
-            raise Failure(f"the goal cannot be sent: {exc}", ExitCode.USAGE) from exc
+        payload = action.goal.encode(goal)
         self._endpoint = connection.endpoint(action)
         if not self._options.detach:
             self._printer.sending(goal)
@@ -230,9 +225,9 @@ class _GoalSender:
 
     # Ending it early
 
-    async def _handle_signals(self, signals: AsyncIterator[Signals]) -> None:
+    async def _handle_signals(self, signals: SignalReceiver) -> None:
         """Cancel the goal at the first Ctrl-C, and leave at the second."""
-        await anext(signals)
+        await signals.next()
         first = latest = anyio.current_time()
         async with anyio.create_task_group() as meanwhile:
             if self._phase == "accepted":
@@ -241,7 +236,7 @@ class _GoalSender:
             else:
                 self._all.cancel()
             while latest - first <= SAME_SIGNAL:
-                await anext(signals)
+                await signals.next()
                 latest = anyio.current_time()
             meanwhile.cancel_scope.cancel()
         self._withdrawal.cancel()

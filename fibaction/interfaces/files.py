@@ -17,6 +17,11 @@ from typing import NamedTuple
 from fibaction.interfaces.definitions import FieldDefinition, InterfaceError, MessageDefinition
 from fibaction.interfaces.parser import parse_action, parse_message
 
+MAX_DEPTH = 100
+"""Levels of messages within messages."""
+MAX_MESSAGES = 100_000
+"""Messages within one message, all levels and elements of arrays of a fixed size counted."""
+
 _PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", re.ASCII)
 _TYPE = re.compile(r"[A-Z][A-Za-z0-9]*", re.ASCII)
 
@@ -70,15 +75,15 @@ class ActionFile(NamedTuple):
         """Return all messages, each once, and each after those that it nests."""
         found: dict[str, InterfaceMessage] = {}
         for part in (self.goal, self.result, self.feedback):
-            for message in _inside_out(part):
-                found.setdefault(message.class_name, message)
+            _add_inside_out(part, found)
         return list(found.values())
 
 
-def _inside_out(message: InterfaceMessage) -> Iterator[InterfaceMessage]:
-    for nested in message.nested.values():
-        yield from _inside_out(nested)
-    yield message
+def _add_inside_out(message: InterfaceMessage, found: dict[str, InterfaceMessage]) -> None:
+    if message.class_name not in found:
+        for nested in message.nested.values():
+            _add_inside_out(nested, found)
+        found[message.class_name] = message
 
 
 def read_action(
@@ -153,6 +158,26 @@ def _text_of(path: Path) -> str:
         raise InterfaceError(path, line, f"expected text in UTF-8, found {exc.reason}") from exc
 
 
+class _Extent(NamedTuple):
+    """The size of a message with its defaults."""
+
+    messages: int
+    """The message itself, and all messages in it."""
+    levels: int
+    """Levels of messages in it."""
+
+    def with_field(self, field: FieldDefinition, nested: _Extent) -> _Extent:
+        """Return the extent of a message that has one more field."""
+        times = (field.type.size or 0) if field.type.is_array else 1
+        messages = self.messages + times * nested.messages
+        return _Extent(messages, max(self.levels, 1 + nested.levels))
+
+
+def _too_deep(definition: MessageDefinition, field: FieldDefinition) -> InterfaceError:
+    text = f"expected at most {MAX_DEPTH} levels of messages, found more"
+    return InterfaceError(definition.path, field.line, text)
+
+
 class _Messages:
     """The messages that are nested in an action, at any depth."""
 
@@ -161,6 +186,7 @@ class _Messages:
         self._roots = roots
         self._definitions: dict[tuple[str, str], MessageDefinition] = {}
         self._made: dict[tuple[str, str], InterfaceMessage] = {}
+        self._extents: dict[tuple[str, str], _Extent] = {}
         self._namesakes: Counter[str] = Counter()
 
     def read(self, definitions: Iterable[MessageDefinition]) -> None:
@@ -171,7 +197,8 @@ class _Messages:
 
     def _read(
         self, definition: MessageDefinition, package: str, above: tuple[tuple[str, str], ...]
-    ) -> None:
+    ) -> _Extent:
+        extent = _Extent(1, 0)
         for field in definition.fields:
             if not field.type.is_message:
                 continue
@@ -179,10 +206,21 @@ class _Messages:
             if key in above:
                 text = f"expected a message that does not contain itself, found {_full(*key)!r}"
                 raise InterfaceError(definition.path, field.line, text)
+            if len(above) >= MAX_DEPTH:
+                raise _too_deep(definition, field)
             if key not in self._definitions:
                 nested = self._definition(definition.path, field, *key)
-                self._read(nested, key[0], (*above, key))
+                self._extents[key] = self._read(nested, key[0], (*above, key))
                 self._definitions[key] = nested
+            extent = extent.with_field(field, self._extents[key])
+            if extent.levels > MAX_DEPTH:
+                raise _too_deep(definition, field)
+            if extent.messages > MAX_MESSAGES:
+                text = (
+                    f"expected at most {MAX_MESSAGES:,} messages in one, found {extent.messages:,}"
+                )
+                raise InterfaceError(definition.path, field.line, text)
+        return extent
 
     def _definition(
         self, user: Path, field: FieldDefinition, package: str, name: str

@@ -21,10 +21,14 @@ from fibaction.wire.frames import FrameReader, framed
 CHUNK = 2**16
 """Bytes read or written at once: large, so that the cost of a call does not count, and small enough
 for a slow line to move one within a heartbeat."""
+SLICE = 0.001
+"""Seconds that one connection may take of a turn of the event loop, to read or to write: then the
+others have their turn."""
 
 
-OnFrames: TypeAlias = Callable[[list[bytes]], None]
-"""Takes the frames that have arrived; an empty list if only a piece of one has arrived."""
+OnFrames: TypeAlias = Callable[[list[bytes]], list[bytes]]
+"""Takes the frames that have arrived; an empty list if only a piece of one has arrived. Returns
+those that it has not handled: they come again in a later turn, before anything else."""
 NextFrames: TypeAlias = Callable[[], list[bytes]]
 """Returns the frames to send next, if any. The next call says that those before are written."""
 
@@ -55,6 +59,10 @@ class Line(ABC):
     async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
         """Call `on_frames` with what arrives, and send what `next_frames` returns.
 
+        Frames that `on_frames` returns are given to it again in a later turn of the event loop, and
+        nothing is read until it has taken all of them: a peer that sends faster than its messages
+        can be handled has to wait, and nobody else.
+
         `next_frames` is called at first, after each `wake_writer()`, and after each write, until it
         returns none. Runs once, and does not return.
 
@@ -81,6 +89,14 @@ class Channel(Line):
     """A line whose two directions have a task each."""
 
     _wanted: Notifier | None = None
+    _turn: anyio.Lock | None = None
+
+    def share_turns(self, turn: anyio.Lock) -> None:
+        """Handle the rest of what has arrived with that lock, which all lines of a server have.
+
+        However many of them are busy, they delay the others together as little as one would.
+        """
+        self._turn = turn
 
     @abstractmethod
     async def send(self, frames: Sequence[bytes]) -> None:
@@ -105,11 +121,15 @@ class Channel(Line):
 
     async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
         wanted = self._wanted = Notifier()
+        turn = self._turn or anyio.Lock()
         errors: list[ActionError] = []
 
         async def read() -> None:
             while True:
-                on_frames(await self.receive())
+                frames = on_frames(await self.receive())
+                while frames:
+                    async with turn:  # in a later turn, also if the lock is free
+                        frames = on_frames(frames)
 
         async def write() -> None:
             while True:

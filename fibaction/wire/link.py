@@ -21,7 +21,9 @@ The line asks for frames by `_next_frames`. To be asked again means that the fra
 written; that is how the queue knows how much of it is gone.
 
 *Receiving.* The line calls `on_frames` with what arrives, and each frame goes to `handle`. It must
-not wait; what takes time is started as a task, or waits for credit.
+not wait; what takes time is started as a task, or waits for credit. After a slice of time the rest
+goes back to the line, for a later turn, so that a peer that sends very many messages delays all
+others by no more than that.
 
 *The end.* A connection ends once, by the first error: one that `handle` raises, one of the line,
 one of the heartbeat, or `end()`. From then on nothing more is fetched from the source, and what is
@@ -31,14 +33,17 @@ message that tells the peer why. When a peer counts as dead is the rule of `hear
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from time import perf_counter
 
 from anyio import CancelScope, create_task_group, move_on_after, sleep
+from anyio.abc import TaskGroup
 
 from fibaction._notify import Notifier
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
-from fibaction.wire.channel import Line
+from fibaction.wire.channel import CHUNK, SLICE, Line
 from fibaction.wire.codec import encode
 from fibaction.wire.heartbeat import Heartbeat
 from fibaction.wire.messages import Ping
@@ -47,7 +52,6 @@ HIGH_WATER = 2**20
 """Bytes in the queue above which `send` waits: some milliseconds of any line."""
 OVERFULL = 2
 """Limit for messages queued without back-pressure, as a multiple of the high-water mark."""
-
 PING = encode(Ping())
 
 
@@ -59,7 +63,7 @@ class Link:
         self.heartbeat = Heartbeat(line.peer, heartbeat)
         self._line = line
         self._high_water = high_water
-        self._queue: list[bytes] = []
+        self._queue: deque[tuple[bytes, bool]] = deque()  # frames, and whether they were posted
         self._queued = 0
         self._source: Callable[[], list[bytes]] = list
         self._room = Notifier()
@@ -82,14 +86,14 @@ class Link:
 
     def post(self, frame: bytes) -> None:
         """Queue a small message; after the end it is lost."""
-        self._put(frame)
         # A message that has waited for room may be large, and does not count.
+        self._put(frame, is_posted=True)
         self._posted += len(frame)
         if self._posted > OVERFULL * self._high_water + len(frame):
             self.end(ProtocolError(f"{self.peer} asks for more than it reads"))
 
-    def _put(self, frame: bytes) -> None:
-        self._queue.append(frame)
+    def _put(self, frame: bytes, *, is_posted: bool) -> None:
+        self._queue.append((frame, is_posted))
         self._queued += len(frame)
         self._line.wake_writer()
 
@@ -105,7 +109,7 @@ class Link:
             await self._room.wait()
         if self._error is not None:
             raise ConnectionLost(str(self._error)) from self._error
-        self._put(make())
+        self._put(make(), is_posted=False)
 
     async def flush(self) -> None:
         """Wait until everything that is queued has been written, or the connection has ended."""
@@ -125,27 +129,35 @@ class Link:
             self._scope.cancel()
 
     async def run(
-        self, handle: Callable[[bytes], None], source: Callable[[], list[bytes]] | None = None
+        self,
+        handle: Callable[[bytes], None],
+        source: Callable[[], list[bytes]] | None = None,
+        started: Callable[[TaskGroup], None] | None = None,
     ) -> ActionError:
         """Read, write and watch the peer until the connection ends; return the error that ended it.
 
         `handle` is called with each message that arrives; an `ActionError` that it raises ends the
         connection. `source` is asked for messages when the line can take more, after each
-        `wake_writer()`, until it returns none.
+        `wake_writer()`, until it returns none. `started` is called at first, with a task group
+        whose tasks are canceled when the connection ends.
         """
         if source is not None:
             self._source = source
 
-        def on_frames(frames: list[bytes]) -> None:
+        def on_frames(frames: list[bytes]) -> list[bytes]:
             self._has_heard = True
+            ends = perf_counter() + SLICE
             try:
-                for frame in frames:
+                for handled, frame in enumerate(frames):
                     if self._error is not None:
                         break
+                    if handled and perf_counter() >= ends:
+                        return frames[handled:]
                     handle(frame)
             except ActionError as exc:
                 self.end(exc)  # now: nothing more is to be fetched
                 raise
+            return []
 
         async def guarded(part: Callable[[], Awaitable[None]]) -> None:
             try:
@@ -155,6 +167,8 @@ class Link:
 
         async with create_task_group() as tasks:
             self._scope = tasks.cancel_scope
+            if started is not None:
+                started(tasks)
             if self._error is not None:
                 self._scope.cancel()
             tasks.start_soon(guarded, self._watch)
@@ -174,9 +188,12 @@ class Link:
         frames: list[bytes] = []
         if self._error is None:  # a half-written frame would make the last message unreadable
             self._writing = self._writing_posted = 0
-            if self._queue:
-                frames, self._queue = self._queue, frames
-                self._writing, self._writing_posted = self._queued, self._posted
+            # The rest of the queue is for the next write: other connections have their turn.
+            while self._queue and self._writing < CHUNK:
+                frame, is_posted = self._queue.popleft()
+                frames.append(frame)
+                self._writing += len(frame)
+                self._writing_posted += is_posted * len(frame)
             frames += self._source()
         self._is_writing = bool(frames)
         return frames

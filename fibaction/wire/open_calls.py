@@ -17,7 +17,7 @@ from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.link import Link
 from fibaction.wire.messages import Follow, SendGoal
 from fibaction.wire.remote_goal import RemoteGoal
-from fibaction.wire.remote_statuses import RemoteStatuses
+from fibaction.wire.remote_statuses import RemoteStatuses, StatusWatch
 
 
 class OpenCalls:
@@ -31,6 +31,8 @@ class OpenCalls:
         self._calls: dict[int, Call] = {}
         # Those of observers, for as long as the caller keeps them: one goal may have many.
         self._observed: WeakValueDictionary[int, RemoteGoal] = WeakValueDictionary()
+        # One for each action, for all who follow its statuses here.
+        self._watches: WeakValueDictionary[str, StatusWatch] = WeakValueDictionary()
         self._unopened: deque[Call] = deque()  # on this connection; in turn, as they may be large
         self._ids = itertools.count(1)
         # At least two: one can be dropped for the next. With one unread, the end would not come.
@@ -71,8 +73,20 @@ class OpenCalls:
         Raises:
             ActionError: As for `ask`.
         """
-        statuses = RemoteStatuses(next(self._ids), action, self._window, self.post)
-        await self._open(statuses)
+        self._check()
+        watch = before = self._watches.get(action)
+        if watch is None or not watch.is_complete:
+            watch = StatusWatch(next(self._ids), action, self._window, self.post)
+            if before is not None and not before.is_over:
+                watch.take_over(before)
+            self._watches[action] = watch
+            self._start(watch)
+        statuses = watch.follow()
+        try:
+            await watch.answered()
+        except BaseException:
+            statuses.close()
+            raise
         return statuses
 
     def post(self, message: FromClient) -> None:
@@ -83,17 +97,21 @@ class OpenCalls:
     async def _open(self, call: Call) -> None:
         """Open a call, and wait until the server has answered; give it up after an error."""
         self._check()
-        self._calls[call.id] = call
-        if self._link is not None:
-            self._unopened.append(call)
-            # Calls that are opened in the same turn of the event loop are written together.
-            self._link.wake_writer(at_once=len(self._calls) == 1)
+        self._start(call)
         try:
             await call.answered()
         except BaseException:
             if self._calls.pop(call.id, None) is not None:
                 self.post(call.giving_up())
             raise
+
+    def _start(self, call: Call) -> None:
+        """Send the opening of a call, if there is a connection."""
+        self._calls[call.id] = call
+        if self._link is not None:
+            self._unopened.append(call)
+            # Calls that are opened in the same turn of the event loop are written together.
+            self._link.wake_writer(at_once=len(self._calls) == 1)
 
     # For the connection
 
@@ -108,6 +126,8 @@ class OpenCalls:
         """Wait for another connection: this one has ended."""
         self._link = None
         self._unopened.clear()
+        for watch in tuple(self._watches.values()):
+            watch.detach()
 
     def openings(self) -> list[bytes]:
         """Return frames that open calls on this connection, as many as fill one write."""

@@ -3,60 +3,77 @@
 Theory of operation
 -------------------
 
-A goal belongs to the client that has sent it: to its *session*, the secret that the client sends on
-each of its connections. `Owners` has one entry for each goal with an owner, for all connections of
-one server: the stream by which the owner follows the goal (that of the last call, if there are
-more), the session, and a digest of the goal. The entry begins when the owner's stream does (`own`),
-and lasts until the owner has the end of the goal, or is not waited for any longer (`end`).
+A goal belongs to the client that has sent it: to its *owner*, a digest that is the same on each
+connection of the client. `Owners` has one entry for each goal with an owner, for all connections of
+one server: the owner, a digest of the goal, and the calls by which the owner follows the goal.
+Mostly this is one call; there are more if the client sends the goal again, or follows it again. The
+entry begins with the first call (`own`), and lasts until the owner has the end of the goal in each
+of them, or is not waited for any longer (`end`). An observer of a goal has no entry here.
 
-When a connection is lost, its session releases the streams of its client (`adopt`). They stay open,
-so the executor waits for the client as it waits for one that does not read, and the feedback of the
-meantime is there when it comes back. A task waits `grace` seconds for that. Then:
+All calls of one connection are in its `HeldGoals`. When the connection is lost (`lose`), these
+stay open, so the executor waits for the client as it waits for one that does not read, and the
+feedback of the meantime is there when it comes back. One task for each lost connection waits
+`grace` seconds for that. Then:
 
-- The client comes back and follows its goal again: `own` replaces the stream, and the wait ends.
-- The client comes back after the goal has ended: `ended` gives the old stream, which still has the
-  feedback and the outcome, also if the server has forgotten the goal. A goal that is *sent* again
+- The client comes back and follows its goal again: `own` replaces one of the lost calls. The others
+  hold the executor no longer, and wait for the client only to tell it the end.
+- The client comes back after the goal has ended: `ended` gives the stream of a lost call, which
+  still has the feedback and the outcome, also if the server has forgotten the goal. If the client
+  asks more often than there are lost calls, it gets the outcome alone. A goal that is *sent* again
   is compared by its digest, so that another goal of the same ID is rejected.
-- The client does not come back: the stream is closed, and the goal runs on without it (`"keep"`),
-  or is canceled (`"cancel"`). A client that has said goodbye is not waited for.
+- The client does not come back: the streams are closed, and the goal runs on without them
+  (`"keep"`), or is canceled (`"cancel"`). A client that has said goodbye is not waited for.
 
-A stream that is replaced while its connection is open is that of another call of the same client.
-It goes on by itself, and only loses its entry. An observer of a goal has no entry here.
+A connection may have ten thousand goals. To lose it takes one step, `is_lost`, whatever their
+number; what is to be done for each of them is done in slices, between which others have their turn.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from hmac import compare_digest
-from typing import Literal, NamedTuple
+from typing import Literal
 
-from anyio import CancelScope, sleep
+from anyio import CancelScope, current_time, sleep_until
 from anyio.abc import TaskGroup
 
 from fibaction._log import clean_logger
-from fibaction.abc import Endpoint, GoalStream
-from fibaction.exceptions import GoalRejected
-from fibaction.goals import GoalID
+from fibaction._notify import Notifier
+from fibaction._tasks import Slices
+from fibaction.abc import Endpoint, GoalStream, GoalUpdate
+from fibaction.exceptions import ActionError, GoalRejected
+from fibaction.goals import GoalID, Outcome
 from fibaction.server.goal_record import digest_of
 from fibaction.server.registry import ID_IN_USE
+from fibaction.states import GoalStatus
+from fibaction.wire.subscriptions import GoalSubscription, HeldGoals
 
 logger = clean_logger("fibaction.wire")
 
 
-class _Owned(NamedTuple):
-    """A goal, with the stream and the session of its owner."""
+class _Owned:
+    """A goal with an owner."""
 
-    stream: GoalStream
-    session: bytes
-    digest: bytes | None
-    """Digest of the goal; None if it was sent before this server knew it."""
+    __slots__ = ("calls", "digest", "owner")
 
-    def is_of(self, session: bytes) -> bool:
-        """Return whether the goal belongs to that session."""
-        return bool(self.session) and compare_digest(self.session, session)
+    def __init__(self, owner: bytes, digest: bytes | None, call: GoalSubscription) -> None:
+        self.owner = owner
+        self.digest = digest
+        """Digest of the goal; None if it was sent before this server knew it."""
+        self.calls: tuple[GoalSubscription, ...] = (call,)
+
+    def is_of(self, owner: bytes) -> bool:
+        """Return whether the goal belongs to that owner."""
+        return bool(self.owner) and compare_digest(self.owner, owner)
+
+    @property
+    def lost(self) -> list[GoalSubscription]:
+        """The calls whose connections are lost."""
+        return [call for call in self.calls if call.held.is_lost]
 
 
 class Owners:
-    """The owners of the goals of one server, and the streams by which they follow them."""
+    """The owners of the goals of one server, and the calls by which they follow them."""
 
     def __init__(
         self, tasks: TaskGroup, *, grace: float, then: Literal["keep", "cancel"] = "keep"
@@ -66,35 +83,49 @@ class Owners:
         self._grace = grace
         self._then = then
         self._owned: dict[GoalID, _Owned] = {}
-        self._losses: dict[GoalID, CancelScope] = {}  # of goals whose owner is waited for
+        self._has_closed = False
 
-    def is_own(self, goal_id: GoalID, session: bytes) -> bool:
-        """Return whether a client of this session has sent the goal."""
+    def is_own(self, goal_id: GoalID, owner: bytes) -> bool:
+        """Return whether that client has sent the goal."""
         owned = self._owned.get(goal_id)
-        return owned is not None and owned.is_of(session)
+        return owned is not None and owned.is_of(owner)
 
-    def own(self, stream: GoalStream, session: bytes, goal: bytes | None = None) -> bool:
-        """Record `stream` as the owner's stream, replacing any earlier one.
+    def own(
+        self, call: GoalSubscription, stream: GoalStream, owner: bytes, goal: bytes | None = None
+    ) -> bool:
+        """Record that the owner follows its goal by `stream` in a call, perhaps in place of a call
+        that is lost.
 
         `goal` is the goal, if it is sent now. Return False, and change nothing, if the goal belongs
-        to another session.
+        to another client.
         """
-        before = self._owned.get(stream.goal_id)
+        goal_id = stream.goal_id
+        owned = self._owned.get(goal_id)
         digest = None if goal is None else digest_of(goal)
-        if before is not None:
-            if not before.is_of(session):
-                return False
-            digest = before.digest if digest is None else digest
-            # If the client was not waited for, the earlier stream is another call's: it goes on.
-            if self._stop_waiting(stream.goal_id) and before.stream is not stream:
-                before.stream.close()
-        self._owned[stream.goal_id] = _Owned(stream, session, digest)
+        if owned is None:
+            self._owned[goal_id] = _Owned(owner, digest, call)
+            return True
+        if not owned.is_of(owner):
+            return False
+        owned.digest = digest or owned.digest
+        if lost := owned.lost:
+            replaced = next((one for one in lost if one.stream is stream), lost[-1])
+            self._replace(owned, replaced, stream)
+        owned.calls += (call,)
         return True
 
-    def ended(
-        self, goal_id: GoalID, session: bytes, goal: bytes | None = None
-    ) -> GoalStream | None:
-        """Return the stream of a goal of that session that has ended, and may not have been told.
+    def _replace(self, owned: _Owned, replaced: GoalSubscription, stream: GoalStream) -> None:
+        """Forget a lost call: its client goes on by another stream, or by the same."""
+        owned.calls = tuple(call for call in owned.calls if call is not replaced)
+        replaced.held.forget(replaced)
+        replaced.leave()
+        if replaced.stream is not stream:
+            _stream_of(replaced).close()
+        for call in owned.lost:  # the client is here, so only what it reads may hold the executor
+            _stream_of(call).hold(False)
+
+    def ended(self, goal_id: GoalID, owner: bytes, goal: bytes | None = None) -> GoalStream | None:
+        """Return a stream of a goal of that client that has ended, and may not have been told.
 
         `goal` is the goal, if it is sent again.
 
@@ -102,55 +133,156 @@ class Owners:
             GoalRejected: It is another goal of the same ID.
         """
         owned = self._owned.get(goal_id)
-        if owned is None or not owned.stream.status.is_terminal or not owned.is_of(session):
+        if owned is None or not owned.is_of(owner):
+            return None
+        ended = [call for call in owned.calls if _stream_of(call).status.is_terminal]
+        if not ended:
             return None
         if goal is not None and owned.digest != digest_of(goal):
             raise GoalRejected(ID_IN_USE, goal_id=goal_id)
-        return owned.stream
+        lost = [_stream_of(call) for call in ended if call.held.is_lost]
+        if not lost:
+            return EndOnly(_stream_of(ended[-1]))
+        return next((stream for stream in lost if stream.reads), lost[-1])
 
-    def close(self) -> None:
-        """End all entries: the server closes."""
-        for owned in tuple(self._owned.values()):
-            self.end(owned.stream)
-
-    def end(self, stream: GoalStream) -> None:
-        """Close a stream of an owner that has the end of the goal, or does not wait for it."""
+    def end(self, call: GoalSubscription) -> None:
+        """Close the stream of a call whose client has the end of the goal, or does not wait for it,
+        or only observes it.
+        """
+        stream = _stream_of(call)
         stream.close()
         owned = self._owned.get(stream.goal_id)
-        if owned is not None and owned.stream is stream:
-            del self._owned[stream.goal_id]
-            self._stop_waiting(stream.goal_id)
+        if owned is not None and call in owned.calls:
+            owned.calls = tuple(one for one in owned.calls if one is not call)
+            if not owned.calls:
+                del self._owned[stream.goal_id]
 
-    def adopt(self, endpoint: Endpoint, stream: GoalStream, *, left: bool) -> None:
-        """Keep a stream whose connection is lost, or end it.
+    def lose(self, held: HeldGoals, *, left: bool) -> None:
+        """Keep the goals of a connection that has ended, or end them.
 
         `left` says that the client said goodbye.
         """
-        owned = self._owned.get(stream.goal_id)
-        if owned is None or owned.stream is not stream or (left and self._then == "keep"):
-            self.end(stream)
-        else:
-            loss = self._losses[stream.goal_id] = CancelScope()
-            self._tasks.start_soon(self._wait, endpoint, stream, loss, 0 if left else self._grace)
+        held.is_lost = True
+        if self._has_closed:
+            for call in tuple(held.calls.values()):
+                if held.has(call):
+                    self._end_lost(call)
+        elif held.calls:
+            self._tasks.start_soon(self._wait, held, left)
 
-    def _stop_waiting(self, goal_id: GoalID) -> bool:
-        """Stop waiting for the owner of a goal; return whether it was waited for."""
-        loss = self._losses.pop(goal_id, None)
-        if loss is not None:
-            loss.cancel()  # the task would keep the stream, for ever if `grace` is infinite
-        return loss is not None
+    async def aclose(self) -> None:
+        """End all entries: the server closes."""
+        self._has_closed = True
+        slices = Slices()
+        try:
+            with CancelScope(shield=True):
+                while self._owned:
+                    await slices.pause()
+                    self._end_first()
+        finally:  # asyncio can cancel the task itself, which no scope shields
+            while self._owned:
+                self._end_first()
 
-    async def _wait(
-        self, endpoint: Endpoint, stream: GoalStream, loss: CancelScope, grace: float
-    ) -> None:
-        with loss:
-            await sleep(grace)
-        if self._losses.get(stream.goal_id) is not loss:
-            return  # the client came back, and may have been lost again
-        self.end(stream)
-        if self._then == "cancel" and not stream.status.is_terminal:
-            logger.info("goal %s is canceled: its client has not come back", stream.goal_id)
-            try:
-                await endpoint.cancel_goals(stream.goal_id)
-            except Exception as exc:  # an endpoint may be foreign code
-                logger.warning("goal %s could not be canceled: %s", stream.goal_id, exc)
+    def _end_first(self) -> None:
+        _, owned = self._owned.popitem()
+        for call in owned.calls:
+            _stream_of(call).close()
+
+    async def _wait(self, held: HeldGoals, left: bool) -> None:
+        """Wait for the client of a lost connection, and give its goals up if it does not come."""
+        grace_over = current_time() + (0 if left else self._grace)
+        slices = Slices()
+        for call in tuple(held.calls.values()):
+            if held.has(call):
+                self._keep(call, left)
+            await slices.pause()
+        with held.wait:
+            await sleep_until(grace_over)
+        canceled = 0
+        for call in tuple(held.calls.values()):
+            if held.has(call):
+                self._end_lost(call)
+                canceled += self._cancels(call)
+            await slices.pause()
+        if canceled:
+            logger.info("canceling the goals of a client that has not come back: %d", canceled)
+
+    def _keep(self, call: GoalSubscription, left: bool) -> None:
+        """Keep a lost call for its client, if it may come back for it."""
+        if not call.own or (left and self._then == "keep"):
+            self._end_lost(call)
+            return
+        call.leave()
+        if self._owned[GoalID(call.goal_id)].calls[-1] is not call:
+            _stream_of(call).hold(False)  # the executor waits for the last call alone
+
+    def _cancels(self, call: GoalSubscription) -> bool:
+        """Cancel the goal of a call that was given up, if that is to be; return whether it is."""
+        stream = _stream_of(call)
+        is_canceled = (
+            self._then == "cancel"
+            and call.own
+            and stream.goal_id not in self._owned
+            and not stream.status.is_terminal
+        )
+        if is_canceled:
+            assert call.endpoint is not None
+            self._tasks.start_soon(self._cancel, call.endpoint, stream.goal_id)
+        return is_canceled
+
+    def _end_lost(self, call: GoalSubscription) -> None:
+        call.held.forget(call)
+        call.leave()
+        self.end(call)
+
+    async def _cancel(self, endpoint: Endpoint, goal_id: GoalID) -> None:
+        try:
+            await endpoint.cancel_goals(goal_id)
+        except Exception as exc:  # an endpoint may be foreign code
+            logger.warning("goal %s could not be canceled: %s", goal_id, exc)
+
+
+def _stream_of(call: GoalSubscription) -> GoalStream:
+    assert call.stream is not None
+    return call.stream
+
+
+class EndOnly(GoalStream):
+    """One more stream of a goal that has ended, which has the outcome and no feedback."""
+
+    __slots__ = ("_stream", "cursor", "goal_id", "latest", "news", "reads", "stamp")
+
+    def __init__(self, stream: GoalStream) -> None:
+        self.goal_id, self.stamp, self.latest = stream.goal_id, stream.stamp, stream.latest
+        self.cursor = stream.cursor
+        self.reads = False
+        self.news = Notifier()
+        self._stream = stream
+
+    @property
+    def status(self) -> GoalStatus:
+        return self._stream.status
+
+    @property
+    def dropped(self) -> int:
+        return self._stream.cursor - self.cursor
+
+    def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
+        outcome = self.known_outcome()
+        self.cursor = self._stream.cursor
+        return () if outcome is None else (outcome,)
+
+    def known_outcome(self) -> Outcome[bytes] | None:
+        return self._stream.known_outcome()
+
+    def seek(self, cursor: int) -> None:
+        self.cursor = min(cursor, self._stream.cursor)
+
+    def hold(self, wanted: bool) -> None:
+        """Do nothing: there is no executor any more."""
+
+    def close(self) -> None:
+        """Do nothing: only the outcome is delivered anyway."""
+
+    def fail(self, error: ActionError) -> None:
+        """Do nothing: the outcome is known."""

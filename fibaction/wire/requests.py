@@ -1,17 +1,29 @@
 """`RequestHandlers`: the requests of a client beside goals. A task works on each.
 
 They know neither connections nor permissions: `find` checks permissions, and `say` sends.
+
+Some requests concern all goals, all actions or all clients, and may be answered at length: a cancel
+of several goals, and the lists. One client could send a thousand of them at once. So each client
+has one cancel of several goals, and one list, at work at a time; the next has its turn when the
+answer to the one before is under way. The two do not wait for each other, since a cancel may wait
+for a decision of the user's.
+
+A client may follow the statuses of an action once on a connection. They are read one by one, as far
+as there is credit, in slices between which other clients have their turn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Generator, Mapping
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 
-from anyio import CancelScope
+from anyio import CancelScope, Lock
 
-from fibaction.abc import Endpoint
-from fibaction.goals import GoalID
+from fibaction._tasks import Slices
+from fibaction._text import excerpt
+from fibaction.abc import Endpoint, StatusStream
+from fibaction.goals import NO_GOAL, GoalID
 from fibaction.states import GoalStatus
 from fibaction.wire.auth import Permission
 from fibaction.wire.errors import sendable
@@ -52,6 +64,9 @@ class RequestHandlers:
         self._find = find
         self._clients_of = clients_of
         self._say = say
+        self._canceling = Lock()
+        self._listing = Lock()
+        self._watched: dict[str, RequestSubscription] = {}  # by the action
         self._handlers: dict[type, Callable[[Any, RequestSubscription], Awaitable[None]]] = {
             CancelGoals: self._cancel_goals,
             WatchStatus: self._watch_status,
@@ -59,6 +74,23 @@ class RequestHandlers:
             ListActions: self._list_actions,
             AskPeers: self._ask_peers,
         }
+
+    def limit_for(self, request: Request) -> str:
+        """Return a sentence about the limit that forbids this request now; empty if none does."""
+        if type(request) is not WatchStatus:
+            return ""
+        watched = self._watched.get(request.action)
+        if watched is None or watched.closed:
+            return ""
+        return (
+            f"this connection follows the statuses of the action {excerpt(request.action)!r}"
+            f" already; close that request first"
+        )
+
+    def begin(self, request: Request, subscription: RequestSubscription) -> None:
+        """Count a request, in the order of arrival; `handle` must follow."""
+        if type(request) is WatchStatus:
+            self._watched[request.action] = subscription
 
     async def handle(self, request: Request, subscription: RequestSubscription) -> None:
         """Send all answers to a request; of statuses, as many as the client has credit for.
@@ -71,35 +103,60 @@ class RequestHandlers:
     async def _cancel_goals(self, message: CancelGoals, _subscription: RequestSubscription) -> None:
         endpoint = await self._find(message.action, Permission.CANCEL)
         goal_id = None if message.goal_id is None else GoalID(message.goal_id)
+        if goal_id in (None, NO_GOAL) or message.stamp:
+            async with self._canceling:
+                await self._cancel(message, endpoint, goal_id)
+        else:
+            await self._cancel(message, endpoint, goal_id)
+
+    async def _cancel(
+        self, message: CancelGoals, endpoint: Endpoint, goal_id: GoalID | None
+    ) -> None:
         answer = await endpoint.cancel_goals(goal_id, message.stamp)
-        goals: list[tuple[bytes, int, GoalStatus]] = [
-            (info.goal_id, info.stamp, info.status) for info in answer.goals_canceling
-        ]
+        goals: list[tuple[bytes, int, GoalStatus]] = []
+        slices = Slices()
+        for info in answer.goals_canceling:
+            goals.append((info.goal_id, info.stamp, info.status))
+            await slices.pause()
         await self._say(
             CancelAnswered(message.id, answer.return_code, goals, sendable(answer.reason))
         )
 
     async def _watch_status(self, message: WatchStatus, subscription: RequestSubscription) -> None:
-        endpoint = await self._find(message.action, Permission.OBSERVE)
-        with await endpoint.status() as statuses:
-            subscription.stop_with(statuses.close)
-            await self._say(Watching(message.id, statuses.known))
-            while (info := await statuses.receive()) is not None:
-                await subscription.wait()
-                if subscription.closed:
-                    break
-                subscription.credit -= 1
-                changed = GoalChanged(
-                    message.id,
-                    info.goal_id,
-                    info.stamp,
-                    info.status,
-                    statuses.dropped,
-                    info.feedback_count,
-                    info.client,
-                )
-                await self._say(changed)
-            await self._say(Finished(message.id))
+        try:
+            endpoint = await self._find(message.action, Permission.OBSERVE)
+            async with self._listing:
+                statuses = await endpoint.status()
+                subscription.stop_with(statuses.close)
+                with _closing_after_error(statuses):
+                    await self._say(Watching(message.id, statuses.known))
+            with statuses:
+                await self._tell_statuses(message.id, statuses, subscription)
+        finally:
+            if self._watched.get(message.action) is subscription:
+                del self._watched[message.action]
+        await self._say(Finished(message.id))
+
+    async def _tell_statuses(
+        self, request: int, statuses: StatusStream, subscription: RequestSubscription
+    ) -> None:
+        slices = Slices()
+        while (info := await statuses.receive()) is not None:
+            await subscription.wait()
+            if subscription.closed:
+                break
+            subscription.credit -= 1
+            changed = GoalChanged(
+                request,
+                info.goal_id,
+                info.stamp,
+                info.status,
+                statuses.dropped,
+                info.feedback_count,
+                info.client,
+            )
+            await self._say(changed)
+            await slices.pause()
 
     async def _await_server(self, message: AwaitServer, subscription: RequestSubscription) -> None:
         endpoint = await self._find(message.action, Permission.OBSERVE)
@@ -110,8 +167,19 @@ class RequestHandlers:
 
     async def _ask_peers(self, message: AskPeers, _subscription: RequestSubscription) -> None:
         await self._find(message.action, Permission.OBSERVE)
-        await self._say(Peers(message.id, self._clients_of(message.action)))
+        async with self._listing:
+            await self._say(Peers(message.id, self._clients_of(message.action)))
 
     async def _list_actions(self, message: ListActions, _subscription: RequestSubscription) -> None:
-        infos = [endpoint.info for endpoint in self._endpoints.values()]
-        await self._say(Actions(message.id, infos))
+        async with self._listing:
+            infos = [endpoint.info for endpoint in self._endpoints.values()]
+            await self._say(Actions(message.id, infos))
+
+
+@contextmanager
+def _closing_after_error(statuses: StatusStream) -> Generator[None, None, None]:
+    try:
+        yield
+    except BaseException:
+        statuses.close()
+        raise

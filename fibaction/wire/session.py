@@ -41,8 +41,8 @@ from contextlib import contextmanager
 from anyio import current_effective_deadline, get_cancelled_exc_class
 from anyio.abc import TaskGroup
 
+from fibaction._budget import ByteBudget
 from fibaction._log import clean_logger
-from fibaction._tasks import Background
 from fibaction._text import excerpt
 from fibaction.abc import Endpoint
 from fibaction.exceptions import (
@@ -92,6 +92,7 @@ class Session:
         endpoints: Mapping[str, Endpoint],
         settings: ServerSettings,
         owners: Owners,
+        memory: ByteBudget,
         clients_of: Callable[[str], list[str]],
         entered: Callable[[Session], None],
     ) -> None:
@@ -104,7 +105,9 @@ class Session:
         self._entered = entered
         self._left = False
         self._is_ended = False
-        self._goals = SessionGoals(self.client, owners, settings.limits, link, self._answering)
+        self._goals = SessionGoals(
+            self.client, owners, settings.limits, memory, link, self._answering
+        )
         self._waiting: dict[int, RequestSubscription] = {}
         self._handlers = RequestHandlers(endpoints, self.client.endpoint, clients_of, self._say)
         self._tasks: TaskGroup
@@ -112,16 +115,17 @@ class Session:
     async def run(self) -> ActionError:
         """Serve the client until the connection ends; return the error that ended it."""
         try:
-            async with Background() as self._tasks:
-                self._goals.tasks = self._tasks
-                error = await self._link.run(self._handle, self._goals.next_frames)
-                if self._is_ended or isinstance(
-                    error, ProtocolError | AuthenticationFailed | LimitReached
-                ):
-                    await self._link.say_last(encode(goodbye_of(error)))
-                return error
+            error = await self._link.run(self._handle, self._goals.next_frames, self._start)
+            if self._is_ended or isinstance(
+                error, ProtocolError | AuthenticationFailed | LimitReached
+            ):
+                await self._link.say_last(encode(goodbye_of(error)))
+            return error
         finally:
             self._goals.release(left=self._left)
+
+    def _start(self, tasks: TaskGroup) -> None:
+        self._tasks = self._goals.tasks = tasks
 
     async def drain(self) -> None:
         """Wait until the client was told of every goal that has ended, and say goodbye."""
@@ -132,7 +136,7 @@ class Session:
     def end(self, error: ActionError) -> None:
         """End the connection, and tell the client why; it may follow its goals on another one."""
         self._is_ended = True
-        self._goals.release(left=self._left)
+        self._goals.lose()
         self._link.end(error)
 
     # Messages that arrive
@@ -195,9 +199,11 @@ class Session:
     def _begin(self, message: Request) -> None:
         limits = self._settings.limits
         is_full = len(self._waiting) >= limits.requests
-        if self._admits(message, too_much(limits) if is_full else ""):
+        limit = too_much(limits) if is_full else self._handlers.limit_for(message)
+        if self._admits(message, limit):
             subscription = RequestSubscription(message.id, getattr(message, "credit", 0))
             self._waiting[message.id] = subscription
+            self._handlers.begin(message, subscription)
             self._tasks.start_soon(self._answer, message, subscription)
 
     async def _answer(self, message: Request, subscription: RequestSubscription) -> None:

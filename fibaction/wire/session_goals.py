@@ -2,18 +2,30 @@
 
 Most goals need no task here: `offer_goal` often has an answer at once, and what there is to tell is
 fetched by the link, which asks `next_frames` when the line can take more. A goal whose stream has
-news is *ready*, and the ready goals take turns.
+news is *ready*, and the ready goals take turns. A write ends when it is large enough, or has taken
+long enough, so that other connections have their turn.
+
+A goal that waits, for the answer of its endpoint or for a permission, counts with its bytes against
+`Limits.memory`, and, together with those of other connections, against `Limits.total_memory`.
+
+A goal may be sent again. If another client has sent it before, this one becomes an observer: it
+needs the permission to observe before anything is told, and the executor does not wait for it. The
+endpoint tells it by `GoalStream.own`; behind a gateway, which has one client for all of its
+clients, `Owners` knows it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
 from contextlib import AbstractContextManager
-from typing import TypeAlias
+from time import perf_counter
+from typing import Any, TypeAlias
 
 from anyio.abc import TaskGroup
 
+from fibaction._budget import ByteBudget
 from fibaction._notify import Notifier
+from fibaction._tasks import SLICE
 from fibaction.abc import Endpoint, GoalStream
 from fibaction.exceptions import GoalRejected, UnknownGoal
 from fibaction.goals import GoalID
@@ -24,11 +36,13 @@ from fibaction.wire.messages import Follow, Received, SendGoal
 from fibaction.wire.ownership import Owners
 from fibaction.wire.session_client import SessionClient
 from fibaction.wire.settings import Limits
-from fibaction.wire.subscriptions import GoalSubscription
+from fibaction.wire.subscriptions import GoalSubscription, HeldGoals
 
 GoalRequest: TypeAlias = SendGoal | Follow
 Answering: TypeAlias = Callable[[GoalRequest], AbstractContextManager[None]]
 """Turns any error of a block into the answer to a request."""
+Waiting: TypeAlias = Coroutine[Any, Any, None]
+"""The rest of the way to the answer of a request, which takes time."""
 
 
 def too_much(limits: Limits) -> str:
@@ -47,20 +61,24 @@ class SessionGoals:
         client: SessionClient,
         owners: Owners,
         limits: Limits,
+        memory: ByteBudget,
         link: Link,
         answering: Answering,
     ) -> None:
+        """Let `memory` count the bytes of goals that wait, over all connections."""
         self.tasks: TaskGroup
         self._client = client
         self._owners = owners
         self._limits = limits
+        self._memory = memory
         self._link = link
         self._answering = answering
-        self._open: dict[int, GoalSubscription] = {}
+        self._held = HeldGoals()
+        self._open = self._held.calls
         self._follows: dict[bytes, int] = {}  # the number of them for each goal
         self._ready: dict[GoalSubscription, None] = {}
         self._on_news = self._tell  # made once, and not for each goal
-        self._held = 0  # bytes of goals that are being decided upon
+        self._undecided = 0  # bytes of goals that wait
         self._told = Notifier()
 
     def limit_for(self, message: GoalRequest) -> str:
@@ -81,19 +99,24 @@ class SessionGoals:
 
     def begin(self, message: GoalRequest) -> None:
         """Send or follow a goal for the client."""
-        subscription = GoalSubscription(
-            message.id, message.goal_id, message.credit, self._on_news, self._client.max_frame
-        )
+        subscription = GoalSubscription(message, self._held, self._on_news, self._client.max_frame)
         self._open[message.id] = subscription
         self._follows[message.goal_id] = self._follows.get(message.goal_id, 0) + 1
         if type(message) is Follow:
             self.tasks.start_soon(self._follow, message, subscription)
-        elif self._client.is_trusted:
-            # No permission has to be waited for, so most goals need no task here.
-            with self._answering(message):
-                self._offer(message, subscription, self._client.find(message.action))
-        else:
-            self.tasks.start_soon(self._send_goal, message, subscription)
+            return
+        with self._answering(message):
+            size = self._checked_size(message)
+            waiting: Waiting | None
+            if self._client.is_trusted:
+                # No permission has to be waited for, so most goals need no task here.
+                waiting = self._offer(message, subscription, self._client.find(message.action))
+            else:
+                waiting = self._send_goal(message, subscription)
+            if waiting is not None:
+                self._undecided += size
+                self._memory.take(size)
+                self.tasks.start_soon(self._wait, message, size, waiting)
 
     def received(self, message: Received) -> None:
         """Note that the client has the end of a goal, or does not wait for it any longer."""
@@ -108,65 +131,122 @@ class SessionGoals:
         if request in self._open:
             self._end(self._open[request])
 
+    def lose(self) -> None:
+        """Leave all goals to the next connection of their client: this one ends."""
+        self._held.is_lost = True
+        self._told.notify()
+
     def release(self, *, left: bool) -> None:
         """Leave all goals: the connection has ended. `left` says that the client said goodbye."""
-        for subscription in tuple(self._open.values()):
-            if subscription.stream is not None:
-                self._remove(subscription)
-                self._give_up(subscription, left=left)
+        self._owners.lose(self._held, left=left)
         self._told.notify()
 
     async def drain(self) -> None:
         """Wait until the client was told of every goal that has ended, or the link has ended."""
-        while self._link.is_open and any(
-            subscription.has_end_to_tell for subscription in self._open.values()
-        ):
-            await self._told.wait()
+        for subscription in tuple(self._open.values()):
+            while self._link.is_open and subscription.has_end_to_tell:
+                await self._told.wait()
+
+    # To send a goal
+
+    def _checked_size(self, message: SendGoal) -> int:
+        """Return the bytes of a goal, if it may wait.
+
+        Raises:
+            GoalRejected: Too many bytes are waiting.
+        """
+        size = len(message.goal)
+        if self._undecided + size > self._limits.memory:
+            raise GoalRejected(f"too many bytes at once: the limit is {self._limits.memory}")
+        if not self._memory.has_room(size):
+            raise GoalRejected(
+                f"too many bytes at once: the limit of all clients is {self._memory.limit}"
+            )
+        return size
+
+    async def _wait(self, message: SendGoal, size: int, waiting: Waiting) -> None:
+        with self._answering(message):
+            try:
+                await waiting
+            finally:
+                self._undecided -= size
+                self._memory.give_back(size)
 
     async def _send_goal(self, message: SendGoal, subscription: GoalSubscription) -> None:
-        with self._answering(message):
-            endpoint = await self._client.endpoint(message.action, Permission.SEND)
-            self._offer(message, subscription, endpoint)
+        endpoint = await self._client.endpoint(message.action, Permission.SEND)
+        waiting = self._offer(message, subscription, endpoint)
+        if waiting is not None:
+            await waiting
 
-    def _offer(self, message: SendGoal, subscription: GoalSubscription, endpoint: Endpoint) -> None:
-        size = len(message.goal)
-        if self._held + size > self._limits.memory:
-            raise GoalRejected(f"too many bytes at once: the limit is {self._limits.memory}")
+    def _offer(
+        self, message: SendGoal, subscription: GoalSubscription, endpoint: Endpoint
+    ) -> Waiting | None:
+        """Offer a goal to its endpoint; return what is left to wait for, if anything is."""
         goal_id, feedback = GoalID(message.goal_id), message.credit is not None
-        ended = self._ended(goal_id, message.goal)
+        ended = self._owners.ended(goal_id, self._client.sender.owner, message.goal)
         if ended is not None:
             # The goal is sent again, because the answer was lost. Its server may have forgotten it
             # by now, and must not run it twice.
             ended.seek(0)
-            self._begin_stream(subscription, endpoint, ended, own=True)
-            return
+            return self._begin_sent(message, subscription, endpoint, ended)
         offered = endpoint.offer_goal(
             goal_id, message.goal, feedback=feedback, sender=self._client.sender
         )
         if isinstance(offered, GoalStream):
-            self._begin_stream(subscription, endpoint, offered, own=True, goal=message.goal)
-        else:
-            self._held += size
-            self.tasks.start_soon(self._await_answer, message, subscription, endpoint, offered)
+            return self._begin_sent(message, subscription, endpoint, offered)
+        return self._await_answer(message, subscription, endpoint, offered)
 
     async def _await_answer(
         self,
         message: SendGoal,
         subscription: GoalSubscription,
         endpoint: Endpoint,
-        offered: Awaitable[GoalStream],
+        offered: Coroutine[Any, Any, GoalStream],
     ) -> None:
-        with self._answering(message):
-            try:
-                stream = await offered
-            finally:
-                self._held -= len(message.goal)
-            self._begin_stream(subscription, endpoint, stream, own=True, goal=message.goal)
+        waiting = self._begin_sent(message, subscription, endpoint, await offered)
+        if waiting is not None:
+            await waiting
+
+    def _begin_sent(
+        self,
+        message: SendGoal,
+        subscription: GoalSubscription,
+        endpoint: Endpoint,
+        stream: GoalStream,
+    ) -> Waiting | None:
+        """Begin to tell a goal that was sent; return the wait for a permission, if one is needed.
+
+        If another client has sent the goal before, this one observes it.
+        """
+        owner = self._client.sender.owner
+        own = stream.own and self._owners.own(subscription, stream, owner, message.goal)
+        if not own:
+            stream.hold(False)
+            if not self._client.is_trusted:
+                return self._observe(message, subscription, endpoint, stream)
+        self._begin(subscription, endpoint, stream, own=own)
+        return None
+
+    async def _observe(
+        self,
+        message: SendGoal,
+        subscription: GoalSubscription,
+        endpoint: Endpoint,
+        stream: GoalStream,
+    ) -> None:
+        try:
+            await self._client.endpoint(message.action, Permission.OBSERVE)
+        except BaseException:
+            stream.close()
+            raise
+        self._begin(subscription, endpoint, stream, own=False)
+
+    # To follow a goal
 
     async def _follow(self, message: Follow, subscription: GoalSubscription) -> None:
         with self._answering(message):
-            goal_id = GoalID(message.goal_id)
-            own = message.own and self._owners.is_own(goal_id, self._client.session)
+            goal_id, owner = GoalID(message.goal_id), self._client.sender.owner
+            own = message.own and self._owners.is_own(goal_id, owner)
             permission = Permission.SEND if own else Permission.OBSERVE
             endpoint = await self._client.endpoint(message.action, permission)
             stream: GoalStream | None
@@ -174,45 +254,42 @@ class SessionGoals:
                 stream = await endpoint.feedback(goal_id, after=message.after, own=own)
             except UnknownGoal:
                 # Its server has forgotten the goal, but its client has not been told the end yet.
-                stream = self._ended(goal_id) if own else None
+                stream = self._owners.ended(goal_id, owner) if own else None
                 if stream is None:
                     raise
                 if message.after is not None:
                     stream.seek(message.after)
-            self._begin_stream(subscription, endpoint, stream, own=own)
+            own = own and self._owners.own(subscription, stream, owner)
+            self._begin(subscription, endpoint, stream, own=own)
 
-    def _ended(self, goal_id: GoalID, goal: bytes | None = None) -> GoalStream | None:
-        """Return the stream of this client's goal that has ended on an earlier connection."""
-        stream = self._owners.ended(goal_id, self._client.session, goal)
-        if stream is None or any(
-            subscription.stream is stream for subscription in self._open.values()
-        ):
-            return None
-        return stream
+    # To tell
 
-    def _begin_stream(
+    def _begin(
         self,
         subscription: GoalSubscription,
         endpoint: Endpoint,
         stream: GoalStream,
         *,
         own: bool,
-        goal: bytes | None = None,
     ) -> None:
-        own = own and self._owners.own(stream, self._client.session, goal)
         subscription.begin(endpoint, stream, own=own)
         if not (own or subscription.is_wanted):
             self._end(subscription)
 
     def _tell(self, subscription: GoalSubscription) -> None:
-        self._ready[subscription] = None
-        self._link.wake_writer()
+        if self._link.is_open:
+            self._ready[subscription] = None
+            self._link.wake_writer()
 
     def next_frames(self) -> list[bytes]:
         """Return frames about goals: some of each in turn, as many as fill one write."""
         frames: list[bytes] = []
         size = 0
+        slice_end = perf_counter() + SLICE
         while self._ready and size < CHUNK:
+            # Without any frame, the line would take it that there is nothing more to tell.
+            if frames and perf_counter() >= slice_end:
+                break
             subscription = next(iter(self._ready))
             del self._ready[subscription]
             more = subscription.next_frames()
@@ -228,25 +305,11 @@ class SessionGoals:
 
     def _end(self, subscription: GoalSubscription) -> None:
         """Forget a goal whose end was told, or which has no end to tell."""
-        self._remove(subscription)
-        self._ready.pop(subscription, None)
-        if subscription.stream is not None:
-            subscription.leave()
-            self._owners.end(subscription.stream)
-
-    def _remove(self, subscription: GoalSubscription) -> None:
-        """Count a subscription as no longer open."""
         del self._open[subscription.request]
         left = self._follows.pop(subscription.goal_id) - 1
         if left:
             self._follows[subscription.goal_id] = left
-
-    def _give_up(self, subscription: GoalSubscription, *, left: bool) -> None:
-        """Leave a goal to its owner's next connection: this one has ended."""
-        assert subscription.stream is not None
-        assert subscription.endpoint is not None
-        subscription.leave()
-        if subscription.own:
-            self._owners.adopt(subscription.endpoint, subscription.stream, left=left)
-        else:
-            self._owners.end(subscription.stream)
+        self._ready.pop(subscription, None)
+        if subscription.stream is not None:
+            subscription.leave()
+            self._owners.end(subscription)

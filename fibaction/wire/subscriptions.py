@@ -7,20 +7,31 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from anyio import CancelScope
+
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.exceptions import ActionError
-from fibaction.goals import Outcome
+from fibaction.goals import GoalID, Outcome
 from fibaction.states import GoalStatus
+from fibaction.wire.channel import CHUNK
 from fibaction.wire.codec import encode
 from fibaction.wire.errors import failed, failure_of, fitting, sendable
-from fibaction.wire.messages import Ended, Feedback, Following, StatusChanged
+from fibaction.wire.messages import (
+    Ended,
+    Feedback,
+    Follow,
+    Following,
+    SendGoal,
+    StatusChanged,
+)
 
 MOST_CREDIT = 2**31
 """The most credit that is counted: enough for every client."""
 PIECE = 64
-"""Feedback messages of one goal that are sent before the next goal has its turn."""
+"""Feedback messages of one goal that are sent before the next goal has its turn, if they are small;
+of large ones fewer are sent, so that they have about the size of a write."""
 
 logger = clean_logger("fibaction.wire")
 
@@ -77,15 +88,44 @@ class RequestSubscription(Subscription):
             await self._more.wait()
 
 
+class HeldGoals:
+    """The calls by which one client follows goals over one connection, by their requests; those of
+    its own goals are kept here for a while after the connection has ended.
+    """
+
+    __slots__ = ("calls", "is_lost", "wait")
+
+    def __init__(self) -> None:
+        self.calls: dict[int, GoalSubscription] = {}
+        self.is_lost = False
+        """True if the connection has ended."""
+        self.wait = CancelScope()
+        """The wait for the client after that, which ends if there is nothing left to wait for."""
+
+    def has(self, call: GoalSubscription) -> bool:
+        """Return whether the call is here, and has begun to follow its goal."""
+        return call.stream is not None and self.calls.get(call.request) is call
+
+    def forget(self, call: GoalSubscription) -> None:
+        """Remove a call of a connection that has ended."""
+        self.calls.pop(call.request, None)
+        if not self.calls:
+            self.wait.cancel()
+
+
 class GoalSubscription(Subscription):
     """One goal that the client follows; calls `ready` when `next_frames` has something to send."""
 
     __slots__ = (
+        "_has_omitted",
         "_max_frame",
         "_opening",
+        "_piece",
+        "_place",
         "_ready",
         "endpoint",
         "goal_id",
+        "held",
         "is_wanted",
         "own",
         "stream",
@@ -94,14 +134,15 @@ class GoalSubscription(Subscription):
 
     def __init__(
         self,
-        request: int,
-        goal_id: bytes,
-        credit: int | None,
+        message: SendGoal | Follow,
+        held: HeldGoals,
         ready: Callable[[GoalSubscription], None],
         max_frame: int,
     ) -> None:
-        super().__init__(request, credit)
-        self.goal_id = goal_id
+        super().__init__(message.id, message.credit)
+        self.goal_id = message.goal_id
+        self.held = held
+        """The calls of the same connection."""
         self.stream: GoalStream | None = None
         self.endpoint: Endpoint | None = None
         self.own = False
@@ -113,6 +154,9 @@ class GoalSubscription(Subscription):
         self._ready = ready
         self._max_frame = max_frame
         self._opening = b""
+        self._piece = PIECE
+        self._place = 0
+        self._has_omitted = False
 
     def begin(self, endpoint: Endpoint, stream: GoalStream, *, own: bool) -> None:
         """Begin to follow the goal by a stream."""
@@ -123,7 +167,7 @@ class GoalSubscription(Subscription):
         )
         self._opening = encode(following)
         if self.closed:
-            stream.close()
+            self._close(stream)
         self._tell()
 
     def add(self, count: int) -> None:
@@ -131,10 +175,14 @@ class GoalSubscription(Subscription):
         self._tell()
 
     def close(self) -> None:
+        if self.stream is not None and not self.closed:
+            self._close(self.stream)
         super().close()
-        if self.stream is not None:
-            self.stream.close()
         self._tell()
+
+    def _close(self, stream: GoalStream) -> None:
+        self._place = stream.cursor  # what comes later is not wanted, so it is not counted as lost
+        stream.close()
 
     @property
     def is_observed(self) -> bool:
@@ -150,7 +198,8 @@ class GoalSubscription(Subscription):
         """Stop: there is nothing more to tell."""
         assert self.stream is not None
         self.told = True
-        self.stream.news.on_next = None
+        if self.stream.news.on_next == self._tell:  # else another call has taken the stream over
+            self.stream.news.on_next = None
 
     def _tell(self) -> None:
         if self.stream is not None and not self.told:
@@ -179,31 +228,48 @@ class GoalSubscription(Subscription):
         if self._opening:
             opening, self._opening = self._opening, b""
             return [opening]
+        updates = stream.take(min(self.credit, self._piece))
         frames: list[bytes] = []
-        for update in stream.take(min(self.credit, PIECE)):
+        size = 0
+        for update in updates:
             if isinstance(update, FeedbackItem):
-                frames.append(encode(Feedback(request, update.number, update.payload)))
+                frame = encode(Feedback(request, update.number, update.payload))
+                frames.append(frame)
+                size += len(frame)
+                if size >= CHUNK and self._goes_back(stream, update.number):
+                    break
             elif isinstance(update, GoalStatus):
                 return [encode(StatusChanged(request, update))]
             else:
                 return self._end(stream, update)
+        # A stream that cannot go back gives large messages one at a time from now on.
+        self._piece = 1 if size >= CHUNK else PIECE
         if max(map(len, frames), default=0) > self._max_frame:
             frames = self._fitting(frames)
         self.credit -= len(frames)
         return frames
 
+    def _goes_back(self, stream: GoalStream, number: int) -> bool:
+        """Let the stream go on behind that number, if it can; return whether it does."""
+        stream.seek(number)
+        return stream.cursor == number
+
     def _fitting(self, frames: list[bytes]) -> list[bytes]:
         """Return the frames that fit; the client sees from the numbers that some are missing."""
-        logger.warning(
-            "feedback of a goal is left out: its client takes messages of %d bytes at most",
-            self._max_frame,
-        )
+        if not self._has_omitted:
+            self._has_omitted = True
+            logger.warning(
+                "feedback of goal %s is left out: its client takes messages of %d bytes at most",
+                GoalID(self.goal_id),
+                self._max_frame,
+            )
         self._tell()  # there may be more after these
         return [frame for frame in frames if len(frame) <= self._max_frame]
 
     def _end(self, stream: GoalStream, end: Outcome[bytes]) -> list[bytes]:
         self.leave()
-        ended = Ended(self.request, end.status, end.result, sendable(end.reason), stream.cursor)
+        place = self._place if self.closed else stream.cursor
+        ended = Ended(self.request, end.status, end.result, sendable(end.reason), place)
         frame = encode(ended)
         if len(frame) > self._max_frame:
             self._fail()

@@ -20,7 +20,7 @@ from fibaction.exceptions import (
     LimitReached,
     ProtocolError,
 )
-from fibaction.wire.channel import Line
+from fibaction.wire.channel import Channel, Line
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import FIRST_FRAME, FrameReader
 from fibaction.wire.link import Link, naming
@@ -45,6 +45,7 @@ class WireServer:
         """The task group of the connections."""
         self.memory = ByteBudget(settings.limits.total_memory)
         """The bytes that all connections hold together, see `Limits.total_memory`."""
+        self._turn = anyio.Lock()  # of the lines that have much to handle
         self._endpoints = endpoints
         self._settings = settings
         self._owners = Owners(tasks, grace=settings.grace, then=settings.orphans)
@@ -67,6 +68,8 @@ class WireServer:
 
     async def serve(self, line: Line) -> None:
         """Serve one client until its connection ends."""
+        if isinstance(line, Channel):
+            line.share_turns(self._turn)
         try:
             await self._serve(line)
         except Exception as exc:
@@ -85,7 +88,13 @@ class WireServer:
             return
         link = Link(line, heartbeat, limits.queue)
         session = Session(
-            link, self._endpoints, self._settings, self._owners, self._clients_of, self._entered
+            link,
+            self._endpoints,
+            self._settings,
+            self._owners,
+            self.memory,
+            self._clients_of,
+            self._entered,
         )
         self._sessions[session] = None
         self._unknown[session] = anyio.current_time() + limits.handshake
@@ -147,7 +156,7 @@ class WireServer:
                     for session in tuple(self._sessions):
                         tasks.start_soon(session.drain)
         finally:  # asyncio can cancel the task itself, which no scope shields
-            self._owners.close()
+            await self._owners.aclose()
 
 
 @asynccontextmanager

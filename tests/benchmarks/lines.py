@@ -40,12 +40,13 @@ class End:
     async def run(self) -> None:
         await self._line.run(self._on_frames, self._next_frames)
 
-    def _on_frames(self, frames: list[bytes]) -> None:
+    def _on_frames(self, frames: list[bytes]) -> list[bytes]:
         if self._echoes:
             self.send(frames)
         else:
             self._arrived += len(frames)
             self._news.notify()
+        return []
 
     def _next_frames(self) -> list[bytes]:
         frames, self._queue = self._queue, []

@@ -93,13 +93,46 @@ def test_names_are_completed_as_they_are_begun(
     assert offered(["send_goal", "many"], "") == []
 
 
-def test_what_cannot_be_typed_is_not_offered(monkeypatch: pytest.MonkeyPatch) -> None:
+HOSTILE = [
+    *("a\nplain,b", "a b", "$(touch x)", "`touch x`", "${HOME}", "*", "a;b", "a&b", "a|b", "a>b"),
+    *(
+        "~root",
+        "'",
+        '"',
+        "\\",
+        "!!",
+        "#a",
+        "a{b,c}",
+        "[a]",
+        "-x",
+        "a\x1b[2J",
+        "a\u202e",
+        "ü",
+        "x" * 201,
+    ),
+    *("a:b", "a,b", "=ls", "(a)", "\0", "\ud800", "x" * 201),
+]
+
+
+def test_names_that_a_shell_would_change_are_not_offered(monkeypatch: pytest.MonkeyPatch) -> None:
+    good = [ActionInfo("d"), ActionInfo("/arm/pick_up2", "arm/action/Pick")]
+
     async def hostile(_: str) -> list[ActionInfo]:
-        return [ActionInfo("a\nplain,b"), ActionInfo("c", "a/action/B\x1b"), ActionInfo("d")]
+        wrong = [ActionInfo(name) for name in HOSTILE]
+        return [*wrong, *good, *[ActionInfo("c", name) for name in HOSTILE]]
 
     monkeypatch.setattr(completion, "actions_at", hostile)
 
-    assert completion.reachable("tcp://robot") == [ActionInfo("d")]
+    assert completion.reachable("tcp://robot") == good
+
+
+def test_the_names_of_many_actions_are_offered_in_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def many(_: str) -> list[ActionInfo]:
+        return [ActionInfo(f"a{number}") for number in range(completion.MOST + 1)]
+
+    monkeypatch.setattr(completion, "actions_at", many)
+
+    assert len(completion.reachable("tcp://robot")) == completion.MOST
 
 
 def test_what_is_reachable_is_listed(tcp: str) -> None:

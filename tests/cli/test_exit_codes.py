@@ -108,15 +108,17 @@ def test_what_a_verb_returns_is_the_exit_code() -> None:
 
 SAID = "no\x1b[2J\nGoal finished with status: SUCCEEDED"
 CLEANED = "no\\x1b[2J Goal finished with status: SUCCEEDED"
+QUOTED = "no\\x1b[2J\\x0aGoal finished with status: SUCCEEDED"
+"""As an error of the library quotes it."""
 
 
 def test_what_a_server_says_in_an_error_cannot_control_the_terminal(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    for error in (GoalRejected(SAID), ConnectionLost(SAID)):
+    for error, cleaned in ((GoalRejected(SAID), QUOTED), (ConnectionLost(SAID), CLEANED)):
         failure = failure_of(error)
         failure.show()
-        assert CLEANED in failure.message
+        assert cleaned in failure.message
         assert failure.message == str(error).replace(SAID, CLEANED)
         assert capsys.readouterr().err == f"Error: {failure.message}\n"
 
@@ -151,7 +153,7 @@ def test_the_last_words_of_a_server_are_one_clean_line(invoke: Invoke) -> None:
         said.result()
 
     assert result.exit_code == ExitCode.UNREACHABLE
-    assert CLEANED in result.stderr
+    assert QUOTED in result.stderr
     assert result.stderr.count("\n") == 1
 
 

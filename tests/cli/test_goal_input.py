@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import msgspec
 import pytest
 from hypothesis import example, given
@@ -30,6 +32,7 @@ POSE = msgspec.json.schema(Pose)
         ("[1, 2.5, .inf]", [1, 2.5, float("inf")]),
         ("hello", "hello"),
         ("{1: a}", {1: "a"}),
+        ("[0x1F, 1_000, 1:30, -7, 1e3, 1.5]", [31, 1000, 90, -7, 1e3, 1.5]),
     ],
 )
 def test_yaml_and_json_text_is_read(text: str, goal: object) -> None:
@@ -49,7 +52,19 @@ def test_a_goal_is_checked_and_completed_by_the_schema() -> None:
         ("x: \x07", "the goal is not valid YAML: unacceptable character"),
         ("x: !!python/name:os.system", "the goal is not valid YAML (line 1, column 4): could not"),
         ("[" * 100_000, "the goal is not valid YAML: "),
-        ("x: &a [*a]", "the goal cannot be encoded: "),
+        ("x: &a [*a]", "the goal is not valid YAML (line 1, column 8): aliases such as *name"),
+        (
+            "a: &a [0]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in pairwise("abcdefgh")),
+            "the goal is not valid YAML (line 2, column 8): aliases such as *name are",
+        ),
+        ("x: " + "9" * 101, "the goal is not valid YAML (line 1, column 4): a number with more"),
+        ("x: 1" + ":59" * 100_000, "the goal is not valid YAML (line 1, column 4): a number with"),
+        ("x: " + "9" * 101 + ".5", "the goal is not valid YAML (line 1, column 4): a number with"),
+        ("x: !!int ''", "the goal is not valid YAML: "),
+        ("x: !!bool x", "the goal is not valid YAML: "),
+        ("x: !!timestamp x", "the goal is not valid YAML: "),
+        (r'{"frame": "\ud800"}', "the goal cannot be encoded: 'utf-8' codec can't encode"),
+        ("frame: \udc80", "the goal is not valid YAML: unacceptable character"),
         ("{? [1] : 2}", "the goal is not valid YAML"),
         ("{x: {? 2026-01-01 : 1, ? !!binary aGk= : 2}}", "goal.x must be a number"),
     ],

@@ -7,20 +7,29 @@ import re
 
 import pytest
 
-from fibaction._log import clean_logger
 from fibaction.cli.logs import CleanFormatter, log_connection, log_events, log_with_time
 
 
-def test_records_of_the_user_are_not_changed() -> None:
-    record = logging.makeLogRecord({"name": "robot", "msg": "%s", "args": ("gone\n\x1b[2J",)})
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("fibaction.wire", "log: gone\\x0a\\x1b[2J"),
+        ("fibaction_transports.tcp", "log: gone\\x0a\\x1b[2J"),
+        ("robot", "log: gone\n\x1b[2J"),
+    ],
+)
+def test_records_of_fibaction_are_cleaned_and_those_of_the_user_are_not(
+    name: str, line: str
+) -> None:
+    record = logging.makeLogRecord({"name": name, "msg": "%s", "args": ("gone\n\x1b[2J",)})
 
-    assert CleanFormatter("log: %(message)s").format(record) == "log: gone\n\x1b[2J"
+    assert CleanFormatter("log: %(message)s").format(record) == line
 
 
 def test_a_traceback_in_the_log_keeps_its_lines_and_is_cleaned() -> None:
     error = ZeroDivisionError("by nothing\x1b[2J\nat all")
     record = logging.makeLogRecord(
-        {"name": "robot", "msg": "it failed", "exc_info": (type(error), error, None)}
+        {"name": "fibaction", "msg": "it failed", "exc_info": (type(error), error, None)}
     )
 
     assert (
@@ -36,9 +45,9 @@ def test_events_are_logged_with_their_time_and_the_log_is_restored(
     monkeypatch.setattr(files, "level", logging.NOTSET)
     before = (root.level, root.handlers[:])
     with log_with_time():
-        clean_logger("fibaction.any").info("nothing is served yet")
+        logging.getLogger("fibaction.any").info("nothing is served yet")
         log_events()
-        clean_logger("fibaction.any").info("an event\x1b")
+        logging.getLogger("fibaction.any").info("an event\x1b")
         files.warning("1 change detected")
         (line,) = capsys.readouterr().err.splitlines()
 

@@ -245,8 +245,8 @@ def test_the_goal_comes_from_one_place(invoke: Invoke, tcp: str, tmp_path: Path)
         (["fibonacci"], "Error: goal.order is missing"),
         (["fibonacci", "ordr: 1"], 'Error: goal has no field "ordr"; did you mean order?'),
         (["fibonacci", "{order: 1"], "Error: the goal is not valid YAML (line 1, column "),
-        (["fibonacci", '{"order": 99999999999999999999}'], "Error: the goal cannot be sent: "),
-        (["words", '{"words": "\\ud800"}'], "Error: the goal cannot be sent: "),
+        (["fibonacci", '{"order": 99999999999999999999}'], "Error: the goal cannot be encoded: "),
+        (["words", '{"words": "\\ud800"}'], "Error: the goal cannot be encoded: "),
         (
             ["fibonacci", "x/action/Y", "order: 1"],
             "Error: the action /fibonacci is of the type arduinobot_msgs/action/Fibonacci, not x/",

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import os
+import pty
 import signal
+import subprocess
+import sys
+import termios
+import tty
 from signal import SIGINT, SIGTERM
 
 import anyio
 import anyio.lowlevel
 import pytest
 
-from fibaction.cli import signals
-from tests.processes import PATIENCE
+from fibaction.cli import INTERRUPTED, signals
+from tests.processes import PATIENCE, ended, lines_until
 
 
 @pytest.mark.asyncio
@@ -86,3 +91,108 @@ async def test_a_signal_ends_what_would_go_on_for_ever(number: signal.Signals) -
 @pytest.mark.asyncio
 async def test_what_ends_by_itself_was_not_interrupted() -> None:
     assert not await signals.until_interrupted(lambda: anyio.lowlevel.checkpoint())
+
+
+# While something computes
+
+COMPUTING = """
+import anyio
+from fibaction.cli.exit_codes import run
+from fibaction.cli.signals import stop_signals, until_interrupted, SignalReceiver
+
+async def compute(shielded=False):
+    print("computing", flush=True)
+    while True:
+        pass
+
+async def verb():
+    await compute()
+
+async def watch():
+    await until_interrupted(compute)
+
+async def send():
+    with SignalReceiver(lambda: print("left running", flush=True)):
+        await compute()
+
+async def serve():
+    async with stop_signals():
+        await compute()
+"""
+
+
+def computing(verb: str) -> list[str]:
+    return [sys.executable, "-c", f"{COMPUTING}\nrun({verb}, uvloop={verb == 'serve'})"]
+
+
+@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
+@pytest.mark.parametrize("verb", ["verb", "watch", "send"])
+def test_one_signal_ends_a_verb_that_computes(verb: str, number: signal.Signals) -> None:
+    process = subprocess.Popen(computing(verb), stdout=subprocess.PIPE, text=True)
+    lines_until("computing", process)
+    process.send_signal(number)
+
+    code, out, _ = ended(process)
+
+    assert code == (-SIGTERM if (verb, number) == ("verb", SIGTERM) else INTERRUPTED)
+    assert out == ("left running\n" if verb == "send" else "")
+
+
+@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
+def test_the_second_signal_ends_a_server_that_computes(number: signal.Signals) -> None:
+    process = subprocess.Popen(computing("serve"), stdout=subprocess.PIPE, text=True)
+    lines_until("computing", process)
+    while process.poll() is None:  # the first one at once, the second after `SAME_SIGNAL`
+        process.send_signal(number)
+        try:
+            process.wait(signals.SAME_SIGNAL)
+        except subprocess.TimeoutExpired:
+            continue
+
+    assert ended(process).code == -number
+
+
+@pytest.mark.asyncio
+async def test_a_signal_that_is_taken_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    alarms: list[float] = []
+    monkeypatch.setattr(signal, "setitimer", lambda _, seconds: alarms.append(seconds))
+    monkeypatch.setattr(signal, "getitimer", lambda _: alarms[-1:] or [0])
+    with signals.SignalReceiver() as receiver:
+        signal.raise_signal(SIGTERM)
+        signal.raise_signal(SIGINT)
+        await receiver.next()
+
+    assert alarms == [signals.GRACE, 0, 0]
+
+
+@pytest.mark.asyncio
+async def test_the_exit_restores_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    codes: list[int] = []
+    monkeypatch.setattr(os, "_exit", codes.append)
+    master, slave = pty.openpty()
+    with os.fdopen(slave, "w") as terminal:
+        for name, stream in (("stdin", terminal), ("stdout", None), ("stderr", terminal)):
+            monkeypatch.setattr(sys, f"__{name}__", stream)
+        before = termios.tcgetattr(terminal)
+        with signals.SignalReceiver(lambda: codes.append(0)):
+            tty.setraw(terminal)
+            signal.raise_signal(signal.SIGALRM)
+        assert termios.tcgetattr(terminal) == before
+        monkeypatch.undo()
+    written = os.read(master, 1000)
+    os.close(master)
+
+    assert codes == [0, INTERRUPTED]
+    assert written.endswith(b"\x1b[?25h")
+
+
+@pytest.mark.asyncio
+async def test_the_exit_needs_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    codes: list[int] = []
+    monkeypatch.setattr(os, "_exit", codes.append)
+    for name in ("stdin", "stdout", "stderr"):
+        monkeypatch.setattr(sys, f"__{name}__", None)
+    with signals.SignalReceiver():
+        signal.raise_signal(signal.SIGALRM)
+
+    assert codes == [INTERRUPTED]

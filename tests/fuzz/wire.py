@@ -19,6 +19,7 @@ from typing import Any
 import anyio
 
 from fibaction import ActionServer
+from fibaction._budget import ByteBudget
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
 from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.channel import Channel
@@ -82,6 +83,7 @@ async def serve(data: bytes) -> None:
             {"fibonacci": server},
             TERMS,
             Owners(tasks, grace=0),
+            ByteBudget(2**20),
             clients_of=lambda action: [],
             entered=lambda session: None,
         )

@@ -183,6 +183,55 @@ def test_a_message_that_contains_itself_is_rejected(lift: Path) -> None:
     )
 
 
+def chain(folder: Path, length: int, *fields: str) -> str:
+    """Write messages, each of which nests the next one in these fields. Return the first name."""
+    for level in range(length):
+        nested = "".join(f"M{level + 1}{field}\n" for field in fields)
+        write(folder / f"M{level}.msg", nested if level < length - 1 else "int32 x\n")
+    return "M0"
+
+
+def test_messages_that_are_nested_in_two_ways_are_read_once(lift: Path) -> None:
+    first = chain(lift.parent, 16, " a", " b")
+    action = read_action(with_goal(lift, f"{first} a"))
+
+    assert [message.class_name for message in action.messages()][:2] == ["M15", "M14"]
+    assert len(action.messages()) == 16 + 3
+
+
+@pytest.mark.parametrize("fields", [(" a", " b"), ("[2] a",)])
+def test_a_message_of_too_many_messages_is_an_error(fields: tuple[str, ...], lift: Path) -> None:
+    first = chain(lift.parent, 90, *fields)
+    with_goal(lift, f"{first} a")
+
+    assert error(lift) == (
+        f"{lift.parent / 'M73.msg'}:{len(fields)}:"
+        f" expected at most 100,000 messages in one, found 131,071"
+    )
+
+
+def test_arrays_that_are_empty_by_default_have_no_size(lift: Path) -> None:
+    first = chain(lift.parent, 90, "[] a", "[<=5] b")
+
+    assert len(read_action(with_goal(lift, f"{first} a")).messages()) == 90 + 3
+
+
+def test_messages_that_nest_too_deeply_are_an_error(lift: Path) -> None:
+    first = chain(lift.parent, 600, " a")
+    with_goal(lift, f"# deep\n{first} a")
+
+    text = "expected at most 100 levels of messages, found more"
+    assert error(lift) == f"{lift.parent / 'M99.msg'}:1: {text}"
+    with_goal(lift, "M560 b\nM520 b2\nM490 c\n")
+    assert error(lift) == f"{lift.parent / 'M498.msg'}:1: {text}"
+
+
+def test_a_hundred_levels_of_messages_are_allowed(lift: Path) -> None:
+    first = chain(lift.parent, 100, " a")
+
+    assert len(read_action(with_goal(lift, f"{first} a")).messages()) == 103
+
+
 def test_classes_of_messages_with_one_name_have_the_package_in_theirs() -> None:
     action = read_action(FILES / "robot_msgs/action/PickUp.action")
 

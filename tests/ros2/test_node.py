@@ -194,6 +194,7 @@ class Kept(list[str]):
     warning = error = list[str].append
 
 
+@pytest.mark.promise("ERROR-5")
 def test_a_text_becomes_one_line_of_the_log_of_ros(
     ros: RosNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import AsyncGenerator
+from typing import Any
 
 import anyio
 import msgspec
@@ -77,13 +78,13 @@ def stubborn(goal: GoalHandle[str]) -> None:
     raise CancelRejected(goal.request)
 
 
-def server(name: str, executor: object, **settings: object) -> ActionServer[str, float, str]:
+def server(name: str, executor: Any, **settings: Any) -> ActionServer[str, float, str]:
     action = Action(name, goal=str, feedback=float, result=str)
-    return ActionServer(action, executor, **settings)  # type: ignore[arg-type]  # as given below
+    return ActionServer(action, executor, **settings)
 
 
 async def run_server() -> None:
-    servers = [
+    servers: list[ActionServer[Any, Any, Any]] = [
         ActionServer(STRICT, never),
         server("failing", failing),
         server("grouping", grouping),

@@ -26,7 +26,7 @@ from fibaction import (
 )
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.wire.codec import encode
-from fibaction.wire.frames import MAX_FRAME, header
+from fibaction.wire.frames import FIRST_FRAME, MAX_FRAME, header
 from fibaction.wire.link import Link
 from fibaction.wire.messages import VERSION, Goodbye, Hello, Ping, SendGoal, Welcome, Why
 from fibaction.wire.settings import Limits
@@ -90,7 +90,7 @@ async def scene(
 
 
 def too_long(length: int, looks_like: str = "") -> str:
-    text = f"frame of {length} bytes exceeds the limit of {MAX_FRAME} bytes"
+    text = f"frame of {length} bytes exceeds the limit of {FIRST_FRAME} bytes"
     return f"{text}: this looks like {looks_like}" if looks_like else text
 
 
@@ -99,7 +99,7 @@ def too_long(length: int, looks_like: str = "") -> str:
     [
         (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", too_long(0x47455420, "HTTP: check the port")),
         (b"\xff\xff\xff\xff", too_long(2**32 - 1)),
-        (struct.pack(">I", MAX_FRAME + 1), too_long(MAX_FRAME + 1)),
+        (struct.pack(">I", FIRST_FRAME + 1), too_long(FIRST_FRAME + 1)),
         (
             b"\x16\x03\x01\x02\x00\x01\x00",
             too_long(0x16030102, "TLS: use tls:// at both ends, or at neither"),
@@ -113,7 +113,17 @@ async def test_a_length_beyond_the_limit_is_not_waited_for(data: bytes, problem:
         await here.ends(peer, problem)
 
 
+async def test_a_length_beyond_the_limit_after_the_hello_is_not_waited_for() -> None:
+    async with scene() as here, raw(here.url) as peer:
+        await peer.say(HELLO)
+        await peer.stream.send(struct.pack(">I", MAX_FRAME + 1))
+        limit = f"frame of {MAX_FRAME + 1} bytes exceeds the limit of {MAX_FRAME} bytes"
+        await here.ends(peer, limit)
+
+
 NO_MESSAGE = "invalid client message: "
+DEPTH = 4000
+"""Arrays in arrays: more than Python's limit of recursion, and fewer than the bytes of a Hello."""
 
 WRONG = {
     "nothing": (b"", NO_MESSAGE + "Input data was truncated"),
@@ -133,10 +143,10 @@ WRONG = {
     "a credit of 2**31": (pack(23, 1, 2**31), NO_MESSAGE + "Expected `int` <= 2147483647"),
     "a credit of 2**63": (pack(17, 1, NAME, ID, GOAL, 2**63), NO_MESSAGE + "Expected `int` <= "),
     "bad UTF-8": (b"\x93\x15\x01\xa2\xff\xff", NO_MESSAGE),
-    "deep nesting": (b"\x91" * 100_000, NO_MESSAGE),
-    "deep nesting in a field": (b"\x93\x15\x01" + b"\x91" * 100_000, NO_MESSAGE),
+    "deep nesting": (b"\x91" * DEPTH, NO_MESSAGE),
+    "deep nesting in a field": (b"\x93\x15\x01" + b"\x91" * DEPTH, NO_MESSAGE),
     "deep nesting in a field that is ignored": (
-        b"\x93\x18\x01" + b"\x91" * 100_000 + b"\xc0",
+        b"\x93\x18\x01" + b"\x91" * DEPTH + b"\xc0",
         NO_MESSAGE,
     ),
     "something behind it": (encode(Ping()) + b"\x00", NO_MESSAGE),

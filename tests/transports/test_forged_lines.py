@@ -81,6 +81,7 @@ async def test_the_page_shows_the_log_that_is_tested() -> None:
     assert line in Path(__file__).with_name("log_victim.py").read_text()
 
 
+@pytest.mark.promise("ERROR-5")
 @pytest.mark.parametrize("size", [0, MB], ids=["short", "long"])
 async def test_no_goal_writes_a_line_of_its_own(size: int) -> None:
     text = NASTY + "\nforged: x\x1b" * (size // 10)
@@ -137,6 +138,7 @@ LAST_WORDS: dict[str, Callable[[SendGoal, str], list[FromServer]]] = {
 }
 
 
+@pytest.mark.promise("ERROR-5")
 @pytest.mark.parametrize("last", LAST_WORDS)
 @pytest.mark.parametrize("size", [0, MB], ids=["short", "long"])
 async def test_no_server_writes_a_line_of_its_own(last: str, size: int) -> None:

@@ -190,7 +190,7 @@ async def test_a_client_sends_something_as_often_as_its_server_wants() -> None:
         await anyio.sleep(20)
         pings = [at for at, frames in server.channel.writes if encode(Ping()) in frames]
         assert len(pings) >= 10
-        assert all(after - at <= 2 for at, after in pairwise(pings))
+        assert all(after - at < 2.1 for at, after in pairwise(pings))
 
 
 async def test_a_heartbeat_is_never_longer_than_the_own_one() -> None:

@@ -347,13 +347,17 @@ class Running:
         self.to_say: list[list[bytes]] = []
         self.error: Exception | None = None
 
+    def on_frames(self, frames: list[bytes]) -> list[bytes]:
+        self.heard += frames
+        return []
+
     def next_frames(self) -> list[bytes]:
         return self.to_say.pop(0) if self.to_say else []
 
     async def run(self) -> None:
         with anyio.fail_after(5):
             try:
-                await self.channel.run(self.heard.extend, self.next_frames)
+                await self.channel.run(self.on_frames, self.next_frames)
             except Exception as exc:
                 self.error = exc
 
@@ -384,7 +388,7 @@ async def test_what_hear_raises_ends_the_run_and_is_not_wrapped() -> None:
     running = Running(framed(b"1"), framed(b"2"))
     wrong = ProtocolError("no such message")
 
-    def on_frames(frames: list[bytes]) -> None:
+    def on_frames(frames: list[bytes]) -> list[bytes]:
         running.heard.extend(frames)
         raise wrong
 
@@ -392,6 +396,63 @@ async def test_what_hear_raises_ends_the_run_and_is_not_wrapped() -> None:
         await running.channel.run(on_frames, running.next_frames)
     assert caught.value is wrong
     assert running.heard == [b"1"]
+
+
+async def test_frames_that_are_given_back_come_again_in_a_later_turn_and_nothing_is_read() -> None:
+    running = Running(framed(b"1", b"2", b"3"), framed(b"4"))
+    turns: list[tuple[int, list[bytes], int]] = []
+    turn = 0
+
+    def on_frames(frames: list[bytes]) -> list[bytes]:
+        turns.append((turn, frames, len(running.stream.asked)))
+        return frames[1:]
+
+    async def count_turns() -> None:
+        nonlocal turn
+        while True:
+            await anyio.lowlevel.checkpoint()
+            turn += 1
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(count_turns)
+        with anyio.fail_after(5), pytest.raises(ConnectionLost):
+            await running.channel.run(on_frames, running.next_frames)
+        tasks.cancel_scope.cancel()
+    assert [frames for _, frames, _ in turns] == [[b"1", b"2", b"3"], [b"2", b"3"], [b"3"], [b"4"]]
+    assert [asked for *_, asked in turns] == [1, 1, 1, 2]
+    assert len({turn for turn, *_ in turns}) >= 3
+
+
+async def test_channels_that_share_turns_handle_their_rests_one_after_the_other() -> None:
+    turns: list[int] = []
+    turn, lock = 0, anyio.Lock()
+    busy = [Running(framed(b"1", b"2", b"3", b"4")) for _ in range(5)]
+
+    def on_frames(frames: list[bytes]) -> list[bytes]:
+        if len(frames) < 4:
+            turns.append(turn)
+        return frames[1:]
+
+    async def run(running: Running) -> None:
+        with pytest.raises(ConnectionLost):
+            await running.channel.run(on_frames, running.next_frames)
+
+    async def count_turns() -> None:
+        nonlocal turn
+        while True:
+            await anyio.lowlevel.checkpoint()
+            turn += 1
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(count_turns)
+        with anyio.fail_after(5):
+            async with anyio.create_task_group() as running:
+                for one in busy:
+                    one.channel.share_turns(lock)
+                    running.start_soon(run, one)
+        tasks.cancel_scope.cancel()
+    assert len(turns) == 15
+    assert max(turns.count(one) for one in turns) <= 2  # tasks and turns begin in any order
 
 
 async def test_a_write_that_fails_ends_the_run() -> None:

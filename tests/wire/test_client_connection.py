@@ -38,6 +38,7 @@ from fibaction.wire.messages import (
     CancelAnswered,
     CancelGoals,
     Close,
+    Credit,
     Done,
     Ended,
     Failed,
@@ -703,7 +704,7 @@ async def test_statuses_are_watched_to_their_end() -> None:
             assert info.stamp == 6
             assert await statuses.receive() is None
         statuses.close()
-        assert await server.hear_all() == []  # there is nothing to close
+        assert await server.hear_all() == [Credit(asked.id, 2)]  # there is nothing to close
 
 
 @pytest.mark.parametrize("is_early", [True, False])

@@ -53,7 +53,6 @@ from fibaction.wire.messages import (
     Ended,
     Failed,
     Feedback,
-    Finished,
     Follow,
     Following,
     GoalChanged,
@@ -199,10 +198,11 @@ async def test_feedback_over_the_clients_limit_is_left_out_and_costs_no_credit()
         with logged() as lines:
             await client.send(1, credit=2)
             assert [message.number for message in await client.hear_all()] == [1, 3]
-        text = "feedback of a goal is left out: its client takes messages of 1024 bytes at most"
-        assert {(line.levelno, line.getMessage()) for line in lines} == {(logging.WARNING, text)}
-        await client.say(Credit(1, 1))  # it takes credit to find out that the next is too large
-        assert await client.hear_all() == [ended(1, fib.Result([]), 4)]
+            await client.say(Credit(1, 1))  # it takes credit to find out that the next is too large
+            assert await client.hear_all() == [ended(1, fib.Result([]), 4)]
+        limit = "its client takes messages of 1024 bytes at most"
+        text = f"feedback of goal {A.hex()} is left out: {limit}"
+        assert [(line.levelno, line.getMessage()) for line in lines] == [(logging.WARNING, text)]
 
 
 async def test_feedback_of_exactly_the_clients_limit_is_told() -> None:
@@ -230,7 +230,7 @@ WHOLE = len(encode(Rejected(1, "no arm")))
 
 
 @pytest.mark.parametrize("error", [GoalRejected, ServerNotFound])
-@pytest.mark.parametrize("limit", [*range(LEAST_FRAME, LEAST_FRAME + 4), 1500])
+@pytest.mark.parametrize("limit", [*range(LEAST_FRAME, LEAST_FRAME + 4), 1300])
 async def test_an_error_is_cut_to_the_clients_limit_between_two_letters(
     error: Callable[[str], Exception], limit: int
 ) -> None:
@@ -827,11 +827,11 @@ async def test_credit_is_given_in_batches_of_half_a_window(window: int, batch: i
 async def test_credit_for_statuses_is_given_in_batches_of_half_a_window(
     window: int, batch: int
 ) -> None:
+    """Also if they are not read: a slow reader must not delay the others."""
     async with reached(settings=with_window(window)) as (connection, server):
-        statuses, call_id = await watched(connection, server)
-        await server.say(*(GoalChanged(call_id, A, n, EXECUTING, 0) for n in range(window)))
+        _, call_id = await watched(connection, server)
         for count in range(1, window + 1):
-            assert (await statuses.receive()).stamp == count - 1
+            await server.say(GoalChanged(call_id, A, count, EXECUTING, 0))
             assert await credit_of(server, call_id) == [batch] * (count % batch == 0)
 
 
@@ -858,12 +858,9 @@ async def test_no_credit_is_given_after_the_end_nor_after_the_stream_was_closed(
             goal.hold(False)
             assert await server.hear_all() == [Close(call_id)]
         statuses, call_id = await watched(connection, server)
+        statuses.close()
         await server.say(*(GoalChanged(call_id, A, number, EXECUTING, 0) for number in range(4)))
-        await server.say(Finished(call_id))
-        await settled()
-        assert [(await statuses.receive()).stamp for _ in range(4)] == [0, 1, 2, 3]
-        assert await statuses.receive() is None
-        assert await server.hear_all() == []
+        assert await server.hear_all() == [Close(call_id)]
 
 
 BEYOND: dict[str, tuple[list[int], str]] = {
@@ -883,17 +880,6 @@ async def test_feedback_out_of_order_or_beyond_the_credit_is_the_servers_error(
             await tell(server, call_id, *numbers)
             with pytest.raises(ProtocolError, match=f"^{WHERE}: {text}$"):
                 await outcome_of(goal)
-
-
-async def test_statuses_beyond_the_credit_are_the_servers_error() -> None:
-    async with reached() as (connection, server):
-        statuses, call_id = await watched(connection, server)
-        await server.say(*(GoalChanged(call_id, A, n, EXECUTING, 0) for n in range(WINDOW + 1)))
-        await settled()
-        for _ in range(WINDOW):
-            await statuses.receive()
-        with pytest.raises(ProtocolError, match="more messages than credit"):
-            await statuses.receive()
 
 
 async def test_of_the_latest_feedback_only_the_newest_is_kept() -> None:

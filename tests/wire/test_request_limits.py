@@ -2,38 +2,57 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio
 import pytest
 
+from fibaction.testing import ScriptedServer
+from fibaction.wire.auth import AccessPolicy, Permission
 from fibaction.wire.messages import (
+    Actions,
+    AskPeers,
     CancelAnswered,
     CancelGoals,
     Close,
+    Credit,
     Ended,
     Failed,
+    Feedback,
+    Finished,
     Follow,
     Following,
+    ListActions,
+    Peers,
     Received,
     Rejected,
+    Watching,
+    WatchStatus,
     Why,
 )
 from fibaction.wire.settings import Limits
 from tests import fibonacci as fib
+from tests.fibonacci import FIBONACCI
 from tests.wire.ends import (
     ANN,
+    ANY,
     BOB,
+    GOAL,
     A,
     B,
+    C,
     feedback,
     follow,
     held,
     kinds,
+    real,
     running,
     send,
     serving,
 )
+from tests.wire.memory import settled
 
 pytestmark = pytest.mark.anyio
 
@@ -103,3 +122,242 @@ async def test_a_call_that_wants_the_end_only_counts_until_the_end() -> None:
         assert kinds(heard[2]) == [Ended]
         assert kinds(heard[4]) == [CancelAnswered]
         await client.ask(follow(None, own=False, request=5), Following)
+
+
+# The bytes of goals that wait for an answer
+
+
+class Deciding:
+    """What decides upon goals, or upon the permission to send them, when the test says so."""
+
+    def __init__(self) -> None:
+        self.go = anyio.Event()
+
+    async def on_goal(self, _goal: Any) -> None:
+        await self.go.wait()
+
+    async def authorize(self, *_: Any) -> bool:
+        await self.go.wait()
+        return True
+
+
+@pytest.mark.parametrize("by", ["on_goal", "authorize"])
+async def test_goals_of_one_client_wait_within_its_limit_of_memory(by: str) -> None:
+    """A permission that is waited for counts as well as a decision."""
+    deciding = Deciding()
+    server = running(fib.Result([]), on_goal=deciding.on_goal)
+    access = AccessPolicy(authorize=deciding.authorize) if by == "authorize" else None
+    async with serving(server, access=access, limits=Limits(memory=2 * len(GOAL))) as served:
+        client, other = await served.greet(ANN), await served.greet(BOB)
+        rejected = Rejected(3, f"too many bytes at once: the limit is {2 * len(GOAL)}")
+        messages = [send(1, A, None), send(2, B, None), send(3, C, None)]
+        assert await client.ask_all(*messages) == [rejected]
+        assert await other.ask_all(send(3, C, None)) == []
+        deciding.go.set()
+        heard = await client.hear_by_id()
+        assert [kinds(heard[request]) for request in (1, 2)] == [[Following, Ended]] * 2
+        await client.send(3, C, None)
+
+
+@pytest.mark.parametrize("by", ["on_goal", "authorize"])
+async def test_goals_of_all_clients_wait_within_one_limit_of_memory(by: str) -> None:
+    deciding = Deciding()
+    server = running(fib.Result([]), on_goal=deciding.on_goal)
+    access = AccessPolicy(authorize=deciding.authorize) if by == "authorize" else None
+    limits = Limits(total_memory=2 * len(GOAL))
+    async with serving(server, access=access, limits=limits) as served:
+        clients = [await served.greet(session) for session in (ANN, BOB, b"cem" * 5 + b"!")]
+        for client, goal_id in zip(clients[:2], (A, B), strict=True):
+            assert await client.ask_all(send(1, goal_id, None)) == []
+        text = f"too many bytes at once: the limit of all clients is {2 * len(GOAL)}"
+        assert await clients[2].ask_all(send(1, C, None)) == [Rejected(1, text)]
+        clients[0].channel.cut()  # what it sent is given up
+        await settled()
+        assert await clients[2].ask_all(send(2, C, None)) == []
+        deciding.go.set()
+        assert kinds(await clients[2].hear_all()) == [Following, Ended]
+        assert served.wire.memory.used == 0
+
+
+# A goal that another client has sent
+
+
+def only(*permissions: Permission, is_async: bool) -> AccessPolicy:
+    """What lets clients do that, and nothing else."""
+
+    async def authorize(_peer: Any, _action: str, permission: Permission) -> bool:
+        await anyio.lowlevel.checkpoint()
+        return permission in permissions
+
+    if is_async:
+        return AccessPolicy(authorize=authorize)
+    return AccessPolicy(authorize=lambda _, __, permission: permission in permissions)
+
+
+@pytest.mark.parametrize("is_async", [False, True])
+@pytest.mark.parametrize("decides", [False, True])
+async def test_a_goal_of_another_client_is_told_to_its_sender_only_if_it_may_observe(
+    is_async: bool, decides: bool
+) -> None:
+    async def on_goal(_goal: Any) -> None:
+        await anyio.lowlevel.checkpoint()
+
+    server = running(
+        *feedback(1), anyio.Event(), fib.Result([]), on_goal=on_goal if decides else None
+    )
+    access = only(Permission.SEND, is_async=is_async)
+    async with serving(server, access=access) as served:
+        ann, bob = await served.greet(ANN), await served.greet(BOB)
+        assert kinds(await ann.ask_all(send(1))) == [Following, Feedback]
+        text = "this client may not observe at the action 'fibonacci'"
+        assert await bob.ask_all(send(1)) == [Failed(1, Why.FORBIDDEN, text)]
+        assert kinds(await ann.ask_all(send(2))) == [Following, Feedback]
+
+
+async def test_a_goal_of_another_client_is_told_to_a_sender_that_may_observe() -> None:
+    access = only(Permission.SEND, Permission.OBSERVE, is_async=True)
+    async with serving(running(*feedback(1), anyio.Event()), access=access) as served:
+        ann, bob = await served.greet(ANN), await served.greet(BOB)
+        assert kinds(await ann.ask_all(send(1))) == [Following, Feedback]
+        assert kinds(await bob.ask_all(send(1))) == [Following, Feedback]
+        await bob.say(Received(1))  # as an observer may say before the end
+        assert kinds(await bob.ask_all(send(1))) == [Following, Feedback]
+
+
+@pytest.mark.parametrize("is_behind_a_gateway", [False, True])
+async def test_a_goal_that_another_client_sends_too_waits_for_its_own_client_only(
+    is_behind_a_gateway: bool,
+) -> None:
+    steps = (*feedback(*range(50)), fib.Result([]))
+    server = running(*steps, feedback_window=4, stall_timeout=1000)
+    async with real(server=server) as remote, serving() as served:
+        served.endpoints["fibonacci"] = remote if is_behind_a_gateway else server
+        ann, bob = await served.greet(ANN), await served.greet(BOB)
+        await ann.say(send(1, credit=1))
+        await ann.hear_all()
+        await bob.ask_all(send(1, credit=0))
+        await ann.say(Credit(1, ANY))
+        *told, end = await ann.hear_all()
+        assert [message.number for message in told] == list(range(2, 51))
+        assert isinstance(end, Ended)
+
+
+# Requests that concern all goals, and the statuses
+
+
+WATCHED = (
+    "this connection follows the statuses of the action 'fibonacci' already; close that request"
+    " first"
+)
+
+
+async def test_a_connection_follows_the_statuses_of_an_action_once_at_a_time() -> None:
+    async with serving(held()) as served:
+        client, other = await served.greet(ANN), await served.greet(BOB)
+        await client.ask(WatchStatus(1, "fibonacci", 1), Watching)
+        again = WatchStatus(2, "fibonacci", 1)
+        assert await client.ask(again, Failed) == Failed(2, Why.LIMIT, WATCHED)
+        await other.ask(WatchStatus(1, "fibonacci", 1), Watching)
+        # One that was closed does not count, also if its end is still to come.
+        await client.say(Close(1), WatchStatus(3, "fibonacci", 1), WatchStatus(4, "fibonacci", 1))
+        heard = await client.hear_by_id()
+        assert {request: kinds(messages) for request, messages in heard.items()} == {
+            1: [Finished],
+            3: [Watching],
+            4: [Failed],
+        }
+        await client.say(Close(3))
+        await client.hear(Finished)
+        await client.ask(WatchStatus(5, "fibonacci", 1), Watching)
+
+
+async def test_statuses_that_cannot_be_followed_do_not_count() -> None:
+    async with serving(held()) as served:
+        client = await served.greet()
+        for request in range(3):
+            failed = await client.ask(WatchStatus(request, "swim", 1), Failed)
+            assert failed.why == Why.SERVER_NOT_FOUND
+
+
+class Counting(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
+    """A server that counts what is asked of it at the same time, and answers when told to."""
+
+    def __init__(self) -> None:
+        super().__init__(FIBONACCI, [anyio.Event()])
+        self.now = {"cancel": 0, "status": 0}
+        self.most = dict(self.now)
+        self.go = anyio.Event()
+
+    @asynccontextmanager
+    async def counted(self, kind: str) -> AsyncGenerator[None, None]:
+        self.now[kind] += 1
+        self.most[kind] = max(self.most[kind], self.now[kind])
+        await self.go.wait()
+        yield
+        self.now[kind] -= 1
+
+    async def cancel_goals(self, *args: Any, **kwargs: Any) -> Any:
+        async with self.counted("cancel"):
+            return await super().cancel_goals(*args, **kwargs)
+
+    async def status(self) -> Any:
+        async with self.counted("status"):
+            return await super().status()
+
+
+async def test_a_client_has_one_cancel_of_several_goals_and_one_list_at_work() -> None:
+    server = Counting()
+    async with serving(server) as served:
+        client, other = await served.greet(ANN), await served.greet(BOB)
+        several = [(None, None), (A, 7), (bytes(16), None)]
+        await client.ask_all(
+            *(CancelGoals(i, "fibonacci", *which) for i, which in enumerate(several * 3)),
+            *(
+                message
+                for i in range(10, 20)
+                for message in (WatchStatus(i, "fibonacci", 1), Close(i))
+            ),
+        )
+        assert await client.ask_all(ListActions(30), AskPeers(31, "fibonacci")) == []
+        assert server.now == {"cancel": 1, "status": 1}
+        await other.say(CancelGoals(1, "fibonacci", None, None))
+        await client.say(*(CancelGoals(i, "fibonacci", A, 0) for i in range(40, 43)))
+        await settled()
+        assert server.now == {"cancel": 5, "status": 1}  # those of another, and of one goal each
+        server.go.set()
+        heard = await client.hear_by_id()
+        assert kinds(await other.hear_all()) == [CancelAnswered]
+        assert server.most == {"cancel": 5, "status": 1}
+        told = {request: kinds(messages) for request, messages in heard.items()}
+        assert told == {
+            **{request: [CancelAnswered] for request in (*range(9), *range(40, 43))},
+            **{request: [Watching, Finished] for request in range(10, 20)},
+            30: [Actions],
+            31: [Peers],
+        }
+
+
+async def test_a_request_that_waits_for_its_turn_goes_with_its_connection() -> None:
+    server = Counting()
+    async with serving(server) as served:
+        client = await served.greet()
+        await client.say(*(CancelGoals(i, "fibonacci", None, None) for i in range(3)))
+        await client.say(WatchStatus(4, "fibonacci", 1))
+        await settled()
+        client.channel.cut()
+        await settled()
+        server.go.set()
+        assert await (await served.greet()).is_served()
+        assert server.most == {"cancel": 1, "status": 1}
+
+
+async def test_a_long_list_is_read_as_far_as_there_is_credit() -> None:
+    server = held()
+    async with serving(server) as served:
+        client = await served.greet()
+        await client.say(*(send(i, bytes([i] * 16), None) for i in range(1, 51)))
+        await client.hear_all()
+        assert (await client.ask(WatchStatus(99, "fibonacci", 10), Watching)).known == 50
+        assert len(await client.hear_all()) == 10
+        await client.say(Credit(99, 100))
+        assert len(await client.hear_all()) == 40

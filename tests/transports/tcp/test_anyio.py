@@ -42,7 +42,7 @@ def test_whoever_connects_is_served_in_a_task_of_its_own() -> None:
         async def echo(line: Line) -> None:
             served.append(line.peer)
             with pytest.raises(ConnectionLost):
-                await line.run(lambda frames: None, list)
+                await line.run(lambda frames: [], list)
             await line.aclose()
             if len(served) == 2:
                 done.set()

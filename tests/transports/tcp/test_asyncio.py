@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio  # noqa: TID251  # what is tested is for asyncio only
+import itertools
 import socket
 import struct
 from collections.abc import AsyncGenerator, Callable
@@ -17,10 +18,17 @@ import sniffio
 from anyio.abc import SocketAttribute
 
 from fibaction.exceptions import ConnectionLost, ProtocolError
-from fibaction.wire.channel import CHUNK, Line
+from fibaction.wire.channel import CHUNK, SLICE, Line
 from fibaction.wire.frames import FrameReader, framed
 from fibaction_transports.tcp import _asyncio
-from fibaction_transports.tcp._asyncio import ProtocolLine, accept, dial_tcp, dial_unix, on_asyncio
+from fibaction_transports.tcp._asyncio import (
+    BATCH,
+    ProtocolLine,
+    accept,
+    dial_tcp,
+    dial_unix,
+    on_asyncio,
+)
 
 pytestmark = pytest.mark.asyncio
 
@@ -41,13 +49,13 @@ class End:
         self.to_say: list[list[bytes]] = []
         self.fetched = 0
         self.error: Exception | None = None
-        self.on_frames: Callable[[list[bytes]], None] = self.heard.extend
+        self.on_frames: Callable[[list[bytes]], list[bytes] | None] = self.heard.extend
         self._scope = anyio.CancelScope()
         self.ended = anyio.Event()
 
-    def _on_frames(self, frames: list[bytes]) -> None:
+    def _on_frames(self, frames: list[bytes]) -> list[bytes]:
         self.pieces += 1
-        self.on_frames(frames)
+        return self.on_frames(frames) or []
 
     def next_frames(self) -> list[bytes]:
         self.fetched += 1
@@ -252,6 +260,103 @@ async def test_who_does_not_read_stops_the_writing_and_who_reads_again_is_progre
         assert end.line.progress == len(wanted)
 
 
+def giving_back(end: End, most: int = 1) -> None:
+    """Let an end handle so many frames at once, and give the others back."""
+
+    def on_frames(frames: list[bytes]) -> list[bytes]:
+        end.heard += frames[:most]
+        return frames[most:]
+
+    end.on_frames = on_frames
+
+
+async def test_frames_that_are_given_back_come_again_one_turn_later_and_nothing_is_read() -> None:
+    async with beside_a_socket() as (end, peer):
+        giving_back(end)
+        peer.send(framed([b"1", b"2", b"3"]))
+        await until(lambda: end.heard)
+        peer.send(framed([b"4"]))
+        for handled in (1, 2, 3):
+            assert end.pieces == len(end.heard) == handled
+            assert end.line._transport.is_reading() == (handled == 3)
+            await anyio.lowlevel.checkpoint()
+        await until(lambda: len(end.heard) == 4)
+        assert end.heard == [b"1", b"2", b"3", b"4"]
+
+
+async def test_lines_with_frames_left_take_turns_one_in_each_turn_of_the_loop() -> None:
+    async with listening() as (address, ends):
+        peers = [socket.create_connection(address) for _ in range(3)]
+        await until(lambda: len(ends) == 3)
+        async with anyio.create_task_group() as tasks:
+            for end, peer in zip(ends, peers, strict=True):
+                giving_back(end)
+                peer.send(framed([b"1", b"2", b"3"]))
+                tasks.start_soon(end.run)
+            await until(lambda: all(end.heard for end in ends))
+            while (handled := sum(end.pieces for end in ends)) < 9:
+                await anyio.lowlevel.checkpoint()
+                assert sum(end.pieces for end in ends) <= handled + 1
+                assert max(end.pieces for end in ends) - min(end.pieces for end in ends) <= 1
+            tasks.cancel_scope.cancel()
+        for peer in peers:
+            peer.close()
+
+
+async def test_a_line_that_no_longer_runs_handles_no_rest() -> None:
+    async with beside_a_socket() as (end, peer):
+        giving_back(end)
+        peer.send(framed([b"1", b"2", b"3"]))
+        await until(lambda: end.heard)
+        end.stop()
+        await end.ended.wait()
+        heard = len(end.heard)
+        for _ in range(5):
+            await anyio.lowlevel.checkpoint()
+        assert len(end.heard) == heard < 3
+        assert not end.line._transport.is_reading()
+
+
+async def test_an_error_in_the_rest_is_the_end() -> None:
+    async with beside_a_socket() as (end, peer):
+        wrong = ProtocolError("no such message")
+
+        def on_frames(frames: list[bytes]) -> list[bytes]:
+            if frames == [b"2"]:
+                raise wrong
+            return frames[1:]
+
+        end.on_frames = on_frames
+        peer.send(framed([b"1", b"2"]))
+        await end.ended.wait()
+        assert end.error is wrong
+
+
+async def test_frames_that_arrived_before_it_runs_may_be_given_back_as_well() -> None:
+    async with listening() as (address, ends):
+        with socket.create_connection(address) as peer:
+            peer.send(framed([b"1", b"2"]))
+            await until(lambda: ends and ends[0].line._early)
+            end = ends[0]
+            giving_back(end)
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(end.run)
+                await until(lambda: len(end.heard) == 2)
+                peer.send(framed([b"3"]))
+                await until(lambda: len(end.heard) == 3)
+                end.stop()
+
+
+async def test_writing_ends_after_a_slice_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = itertools.count(step=SLICE / 2)
+    async with pair() as (one, other):
+        monkeypatch.setattr(_asyncio, "perf_counter", lambda: next(times))
+        one.to_say = [[b"%d" % number] for number in range(6)]
+        one.line.wake_writer(at_once=True)
+        assert len(one.to_say) == 4
+        await until(lambda: len(other.heard) == 6)
+
+
 async def test_what_hear_raises_is_the_end_and_nothing_more_is_heard() -> None:
     async with pair() as (one, other):
         wrong = ProtocolError("no such message")
@@ -406,32 +511,70 @@ class _NoName(asyncio.Transport):
         pass
 
 
-async def test_what_cannot_be_taken_over_after_it_was_accepted_is_closed(
+async def test_a_connection_that_fails_as_it_is_accepted_is_closed_and_harms_no_other(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    loop = asyncio.get_running_loop()
+    take_over = loop.connect_accepted_socket
+    failed: list[socket.socket] = []
+
+    async def connect_accepted_socket(factory: Any, accepted: socket.socket) -> Any:
+        if not failed:
+            failed.append(accepted)
+            raise OSError("no more")
+        return await take_over(factory, accepted)
+
+    monkeypatch.setattr(loop, "connect_accepted_socket", connect_accepted_socket)
+    async with listening() as (address, ends):
+        with socket.create_connection(address), socket.create_connection(address):
+            await until(lambda: len(ends) == 1)
+    assert failed[0].fileno() == -1
+    assert [record.getMessage() for record in caplog.records] == [
+        "a connection was lost as it was accepted: no more"
+    ]
+
+
+async def test_a_connection_that_is_being_accepted_is_closed_with_the_server(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    taken: list[socket.socket] = []
+
+    async def connect_accepted_socket(factory: Any, accepted: socket.socket) -> Any:
+        taken.append(accepted)
+        await anyio.sleep_forever()
+
+    loop = asyncio.get_running_loop()
+    monkeypatch.setattr(loop, "connect_accepted_socket", connect_accepted_socket)
+    async with listening() as (address, ends):
+        with socket.create_connection(address):
+            await until(lambda: taken)
+    assert taken[0].fileno() == -1
+    assert ends == []
+
+
+async def test_clients_that_come_together_are_accepted_together_so_many_in_a_turn(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     loop = asyncio.get_running_loop()
-    closed: list[bool] = []
+    turns: list[int] = []
+    turn = 0
 
-    async def fail(_: object, accepted: socket.socket) -> None:
-        closed.append(accepted.fileno() == -1)
-        refused.append(accepted)
-        raise OSError("no more")
+    async def connect_accepted_socket(factory: Any, accepted: socket.socket) -> Any:
+        turns.append(turn)
+        await anyio.sleep_forever()
 
-    refused: list[socket.socket] = []
-    monkeypatch.setattr(loop, "connect_accepted_socket", fail)
-
-    async def never(line: Line) -> None:
-        raise AssertionError("nobody is served")
-
-    async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
-        part = listener.listeners[0]
-        port = part.extra(SocketAttribute.local_port)
-        with socket.create_connection(("127.0.0.1", port)):
-            async with anyio.create_task_group() as tasks:
-                with anyio.fail_after(5), pytest.raises(OSError, match="no more"):
-                    await accept(part, FrameReader, never, tasks)
-    assert closed == [False]
-    assert refused[0].fileno() == -1
+    monkeypatch.setattr(loop, "connect_accepted_socket", connect_accepted_socket)
+    count = 2 * BATCH + 1
+    async with listening() as (address, _):
+        peers = [socket.create_connection(address) for _ in range(count)]
+        with anyio.fail_after(5):
+            while len(turns) < count:
+                await anyio.lowlevel.checkpoint()
+                turn += 1
+        for peer in peers:
+            peer.close()
+    assert max(turns.count(one) for one in turns) == BATCH
+    assert len(set(turns)) == 3
 
 
 async def test_on_a_loop_of_somebody_else_addresses_are_tried_one_after_the_other(

@@ -25,6 +25,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import Limits
 from fibaction_transports.tcp import TcpTransport, TlsFiles, _tls
 from fibaction_transports.tcp._tls import TlsChannel, TlsListener
@@ -179,7 +180,7 @@ async def test_what_a_server_says_instead_of_its_first_message_is_a_refusal_or_a
     error.reason = reason  # type: ignore[assignment]  # as OpenSSL leaves it, if it has none
     stream: Any = _Failing(socket.AF_INET, None, error)
     with pytest.raises(kind, match=text) as caught:
-        await TlsChannel(stream, "robot", 1000).receive()
+        await TlsChannel(stream, "robot", FrameReader()).receive()
     assert type(caught.value) is kind
     assert caught.value.__cause__ is error
 

@@ -13,20 +13,27 @@ from __future__ import annotations
 import asyncio  # noqa: TID251  # this module is for asyncio only; `on_asyncio` says whether it is
 import os
 import socket
+from collections import deque
 from collections.abc import Callable, Coroutine, Sequence
 from contextvars import copy_context
+from time import perf_counter
 from typing import Any, cast
 
 import anyio.lowlevel
 from anyio.abc import Listener, SocketAttribute, TaskGroup
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction.exceptions import ConnectionLost
-from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames
+from fibaction.wire.channel import CHUNK, SLICE, Line, NextFrames, OnFrames
 from fibaction.wire.frames import FrameReader, framed
 
+BATCH = 16
+"""Connections that are accepted in one turn of the event loop: each costs the next turns more."""
 NEXT_ADDRESS = 0.25
 """Seconds after which a host is tried at its next address, too: as RFC 8305 recommends."""
+
+logger = clean_logger("fibaction.wire")
 
 
 def on_asyncio() -> bool:
@@ -37,6 +44,34 @@ def on_asyncio() -> bool:
         return False
 
 
+class _Turns:
+    """The lines that have frames left to handle: each turn of the event loop, one of them goes on.
+
+    However many lines there are, they delay the others together as little as one would.
+    """
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._waiting: deque[ProtocolLine] = deque()
+
+    def add(self, line: ProtocolLine) -> None:
+        self._waiting.append(line)
+        if len(self._waiting) == 1:
+            self._schedule()
+
+    def _schedule(self) -> None:
+        self._loop.call_soon(self._next, context=self._waiting[0].context)
+
+    def _next(self) -> None:
+        line = self._waiting[0]
+        line.go_on()
+        self._waiting.popleft()
+        if line.has_rest:
+            self._waiting.append(line)
+        if self._waiting:
+            self._schedule()
+
+
 class ProtocolLine(asyncio.BufferedProtocol, Line):
     """One connection.
 
@@ -45,13 +80,17 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
     filled and read in one turn.
     """
 
-    def __init__(self, reader: FrameReader, buffer: memoryview, peer: str = "") -> None:
+    def __init__(
+        self, reader: FrameReader, buffer: memoryview, peer: str = "", turns: _Turns | None = None
+    ) -> None:
         self.peer = peer
         self._reader = reader
         self._buffer = buffer
+        self._turns = turns or _Turns()
         self._transport: asyncio.Transport
         self._loop = asyncio.get_running_loop()
-        self._context = copy_context()
+        self.context = copy_context()
+        self._rest: list[bytes] = []
         self._on_frames: OnFrames | None = None
         self._next_frames: NextFrames
         self._early = b""
@@ -74,20 +113,21 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
             self._write()
         elif not self._is_due:
             self._is_due = True
-            self._loop.call_soon(self._write, context=self._context)
+            self._loop.call_soon(self._write, context=self.context)
 
     async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
         self._on_frames, self._next_frames = on_frames, next_frames
-        if self._early:
-            self._receive(self._early)
-        self._transport.resume_reading()
+        if self._early and self._error is None:
+            self._handle(self._early)
+        if not self._rest:
+            self._transport.resume_reading()
         self.wake_writer()
         try:
             while self._error is None:
                 await self._changed.wait()
         finally:
-            if not self._transport.is_closing():
-                self._transport.pause_reading()
+            self._rest = []
+            self._pause_reading()
         raise self._error
 
     async def send(self, frames: Sequence[bytes]) -> None:
@@ -106,6 +146,7 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
 
     def _write(self) -> None:
         self._is_due = False
+        size, ends = 0, perf_counter() + SLICE
         try:
             while self._error is None and not self._is_full:
                 self._is_fetching = True
@@ -116,19 +157,41 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
                 data = framed(frames)
                 self._written += len(data)
                 self._transport.write(data)
-                if len(data) >= CHUNK:  # other lines have their turn
+                size += len(data)
+                if size >= CHUNK or perf_counter() >= ends:  # other lines have their turn
                     self.wake_writer()
                     break
         except Exception as exc:
             self._end(exc)
 
-    def _receive(self, data: bytes) -> None:
-        if self._error is None:
-            assert self._on_frames is not None
-            try:
-                self._on_frames(self._reader.feed(data))
-            except Exception as exc:
-                self._end(exc)
+    def _handle(self, data: bytes | None) -> None:
+        """Handle what has arrived, or the rest of what had arrived before."""
+        assert self._on_frames is not None
+        try:
+            frames = self._rest if data is None else self._reader.feed(data)
+            self._rest = self._on_frames(frames)
+        except Exception as exc:
+            self._end(exc)
+        else:
+            if self._rest and data is not None:
+                self._pause_reading()
+                self._turns.add(self)
+
+    @property
+    def has_rest(self) -> bool:
+        """True if frames have arrived that are not handled yet."""
+        return bool(self._rest) and self._error is None
+
+    def go_on(self) -> None:
+        """Handle frames that have arrived in an earlier turn."""
+        if self.has_rest:
+            self._handle(None)
+            if not (self._rest or self._transport.is_closing()):
+                self._transport.resume_reading()
+
+    def _pause_reading(self) -> None:
+        if not self._transport.is_closing():
+            self._transport.pause_reading()
 
     def _end(self, error: Exception) -> None:
         if self._error is None:
@@ -152,8 +215,8 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         if self._on_frames is None:
             self._early += data
             self._transport.pause_reading()
-        else:
-            self._receive(data)
+        elif self._error is None:
+            self._handle(data)
 
     def eof_received(self) -> bool:
         how = "in the middle of a message" if self._reader.is_within_frame else "its side"
@@ -213,25 +276,42 @@ async def accept(
 ) -> None:
     """Serve each client that connects in a task of its own, until accepting fails.
 
+    Clients that come at the same time are accepted together, `BATCH` in a turn of the event loop.
+
     Raises:
         OSError: A connection could not be accepted.
     """
     loop = _loop()
     listening = listener.extra(SocketAttribute.raw_socket)
-    buffer = _buffer()
-    while True:
-        accepted, _ = await loop.sock_accept(listening)
+    buffer, turns = _buffer(), _Turns()
+
+    async def begin(accepted: socket.socket) -> None:
         try:
             if accepted.family != socket.AF_UNIX:
                 # asyncio sets it only where the socket names its protocol, which this one does not.
                 accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             made = await loop.connect_accepted_socket(
-                lambda: ProtocolLine(new_reader(), buffer), accepted
+                lambda: ProtocolLine(new_reader(), buffer, turns=turns), accepted
             )
-        except BaseException:
+        except BaseException as exc:
             accepted.close()
-            raise
-        tasks.start_soon(serve, made[1])
+            if not isinstance(exc, Exception):
+                raise
+            logger.warning("a connection was lost as it was accepted: %s", exc)
+        else:
+            await serve(made[1])
+
+    while True:
+        accepted, _ = await loop.sock_accept(listening)
+        tasks.start_soon(begin, accepted)
+        for _ in range(BATCH - 1):
+            try:
+                accepted, _ = listening.accept()
+            except BlockingIOError:
+                break
+            accepted.setblocking(False)
+            tasks.start_soon(begin, accepted)
+        await anyio.lowlevel.checkpoint()  # it need not have waited
 
 
 def _buffer() -> memoryview:

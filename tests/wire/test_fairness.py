@@ -1,0 +1,146 @@
+"""The turns that the messages of one connection leave to all others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import count
+from typing import Any
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+from fibaction.exceptions import ConnectionLost, ProtocolError
+from fibaction.wire import link as module
+from fibaction.wire.channel import CHUNK, SLICE, Line, NextFrames, OnFrames
+from fibaction.wire.link import Link
+from fibaction.wire.messages import ListActions
+from tests.wire.ends import BOB, held, serving
+from tests.wire.memory import LONG, settled
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+@pytest.fixture
+def slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each look at the clock takes half a slice."""
+    times = count(step=SLICE / 2)
+    monkeypatch.setattr(module, "perf_counter", lambda: next(times))
+
+
+class Handed(Line):
+    """A line whose frames a test hands over."""
+
+    peer = "the peer"
+
+    def __init__(self) -> None:
+        self.on_frames: OnFrames
+        self.next_frames: NextFrames
+
+    def wake_writer(self, *, at_once: bool = False) -> None:
+        pass
+
+    async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
+        self.on_frames, self.next_frames = on_frames, next_frames
+        await anyio.sleep_forever()
+
+    async def send(self, frames: Any) -> None:
+        raise AssertionError
+
+    async def aclose(self) -> None:
+        raise AssertionError
+
+
+async def running(handle: Callable[[bytes], None], tasks: Any) -> tuple[Handed, Link]:
+    line = Handed()
+    link = Link(line, LONG)
+    tasks.start_soon(link.run, handle)
+    await settled()
+    return line, link
+
+
+@pytest.mark.usefixtures("slow")
+async def test_after_a_slice_the_rest_of_the_frames_goes_back_to_the_line() -> None:
+    heard: list[bytes] = []
+    frames = [b"%d" % number for number in range(5)]
+    async with anyio.create_task_group() as tasks:
+        line, _ = await running(heard.append, tasks)
+        rest = line.on_frames(frames)
+        assert heard == frames[:2]
+        assert rest == frames[2:]
+        while rest:
+            rest = line.on_frames(rest)
+        assert heard == frames
+        tasks.cancel_scope.cancel()
+
+
+async def test_a_frame_is_handled_in_each_turn_however_slow_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    times = count(step=2 * SLICE)
+    monkeypatch.setattr(module, "perf_counter", lambda: next(times))
+    heard: list[bytes] = []
+    async with anyio.create_task_group() as tasks:
+        line, _ = await running(heard.append, tasks)
+        assert line.on_frames([b"1", b"2"]) == [b"2"]
+        assert line.on_frames([b"2"]) == []
+        assert heard == [b"1", b"2"]
+        tasks.cancel_scope.cancel()
+
+
+async def test_after_the_end_nothing_is_handled_and_nothing_comes_back() -> None:
+    heard: list[bytes] = []
+
+    async with anyio.create_task_group() as tasks:
+
+        def handle(frame: bytes) -> None:
+            heard.append(frame)
+            link.end(ConnectionLost("enough"))
+
+        line, link = await running(handle, tasks)
+        assert line.on_frames([b"1", b"2"]) == []
+        assert line.on_frames([b"3"]) == []
+        assert heard == [b"1"]
+
+
+async def test_an_error_of_a_frame_ends_the_link() -> None:
+    def handle(frame: bytes) -> None:
+        raise ProtocolError("no such message")
+
+    async with anyio.create_task_group() as tasks:
+        line, link = await running(handle, tasks)
+        with pytest.raises(ProtocolError):
+            line.on_frames([b"1", b"2"])
+        assert not link.is_open
+
+
+async def test_the_queue_is_written_in_pieces() -> None:
+    async with anyio.create_task_group() as tasks:
+        line, link = await running(lambda frame: None, tasks)
+        sent = [bytes([number]) * (CHUNK // 4) for number in range(10)]
+        for frame in sent[:9]:
+            link.post(frame)
+        await link.send(lambda: sent[9])
+        writes: list[list[bytes]] = []
+        while frames := line.next_frames():
+            writes.append(frames)
+        assert [len(frames) for frames in writes] == [4, 4, 2]
+        assert [frame for frames in writes for frame in frames] == sent
+        assert (link._queued, link._posted) == (0, 0)
+        tasks.cancel_scope.cancel()
+
+
+@pytest.mark.usefixtures("slow")
+async def test_a_flood_of_requests_lets_other_clients_have_their_turns() -> None:
+    async with serving(held()) as served:
+        busy, other = await served.greet(), await served.greet(BOB)
+        await busy.say(*(ListActions(number) for number in range(500)))
+        assert await other.is_served()
+        heard = busy.channel._incoming.frames  # so far
+        assert len(heard) < 250
+        assert len(await busy.hear_all()) == 500

@@ -1,0 +1,258 @@
+"""The statuses at the client: one call for each action, however many follow it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction.abc import StatusStream
+from fibaction.action import ActionInfo
+from fibaction.exceptions import ConnectionLost, LimitReached
+from fibaction.goals import GoalID
+from fibaction.states import GoalStatus
+from fibaction.wire import remote_statuses
+from fibaction.wire.messages import (
+    Close,
+    Credit,
+    Failed,
+    Finished,
+    GoalChanged,
+    Watching,
+    WatchStatus,
+    Why,
+)
+from fibaction.wire.settings import Limits
+from tests.wire.ends import (
+    AWAY,
+    EXECUTING,
+    GOAL,
+    SUCCEEDED,
+    WINDOW,
+    Network,
+    endpoint_of,
+    held,
+    reached,
+    real,
+    watched,
+)
+from tests.wire.memory import Peer, Running, settled
+
+pytestmark = pytest.mark.anyio
+
+UNKNOWN = GoalStatus.UNKNOWN
+OTHER = ActionInfo("other")
+
+
+def change(
+    call_id: int, stamp: int, status: GoalStatus = EXECUTING, dropped: int = 0
+) -> GoalChanged:
+    return GoalChanged(call_id, bytes([stamp] * 16), stamp, status, dropped)
+
+
+async def numbers(statuses: StatusStream, count: int) -> list[int]:
+    with anyio.fail_after(5):
+        return [info.goal_id[0] async for info in _next(statuses, count)]
+
+
+async def _next(statuses: StatusStream, count: int) -> Any:
+    for _ in range(count):
+        info = await statuses.receive()
+        assert info is not None
+        yield info
+
+
+async def follow(connection: Any) -> Any:
+    with anyio.fail_after(5):
+        return await endpoint_of(connection).status()
+
+
+async def heard(server: Peer) -> list[Any]:
+    return [message for message in await server.hear_all() if not isinstance(message, Credit)]
+
+
+async def told(server: Peer, *messages: Any) -> None:
+    await server.say(*messages)
+    await settled()
+
+
+async def test_a_follower_that_comes_later_begins_with_what_is_known_by_then() -> None:
+    async with reached() as (connection, server):
+        first, call_id = await watched(connection, server, known=3)
+        await told(server, *(change(call_id, stamp) for stamp in (1, 2, 3)))
+        await told(server, change(call_id, 1, SUCCEEDED), change(call_id, 2, UNKNOWN))
+        second = await follow(connection)
+        assert (first.known, second.known) == (3, 2)
+        assert [info.stamp for info in await second.listed()] == [1, 3]  # the active ones last
+        await told(server, change(call_id, 3, SUCCEEDED))
+        assert await numbers(second, 1) == [3]
+        assert await numbers(first, 6) == [1, 2, 3, 1, 2, 3]
+        assert await heard(server) == []
+
+
+async def test_a_follower_that_comes_during_the_list_has_all_of_it() -> None:
+    async with reached() as (connection, server):
+        _, call_id = await watched(connection, server, known=3)
+        await told(server, change(call_id, 1))
+        second = await follow(connection)
+        assert second.known == 3
+        async with Running(second.listed) as listing:
+            assert not listing.is_done
+            await told(server, *(change(call_id, stamp) for stamp in (2, 3, 4)))
+            assert [info.stamp for info in await listing.answer()] == [1, 2, 3]
+        assert await numbers(second, 1) == [4]
+
+
+async def test_followers_that_come_at_once_wait_for_one_answer() -> None:
+    async with reached() as (connection, server):
+        async with (
+            Running(lambda: follow(connection)) as one,
+            Running(lambda: follow(connection)) as other,
+        ):
+            asked = await server.hear(WatchStatus)
+            assert await server.hear_all() == []
+            await told(server, Watching(asked.id, 2), change(asked.id, 1))
+            streams = [await one.answer(), await other.answer()]
+        assert [stream.known for stream in streams] == [2, 2]
+        assert [await numbers(stream, 1) for stream in streams] == [[1], [1]]
+
+
+async def test_the_last_follower_closes_the_call_and_the_next_opens_another() -> None:
+    async with reached() as (connection, server):
+        first, call_id = await watched(connection, server)
+        second = await follow(connection)
+        first.close()
+        first.close()
+        assert await heard(server) == []
+        second.close()
+        assert await heard(server) == [Close(call_id)]
+        # Its end has not come yet, and what comes late is not for the next.
+        third, another = await watched(connection, server)
+        assert another != call_id
+        await told(server, change(call_id, 1), Finished(call_id), change(another, 2))
+        assert await numbers(third, 1) == [2]
+        assert await second.receive() is None
+
+
+async def test_a_follower_that_gives_up_before_the_answer_leaves_the_call_to_the_others() -> None:
+    async with reached() as (connection, server):
+        async with Running(lambda: follow(connection)) as other:
+            asked = await server.hear(WatchStatus)
+            async with Running(lambda: follow(connection)):
+                pass
+            assert await server.hear_all() == []
+            await server.say(Watching(asked.id, 0))
+            await other.answer()
+        async with Running(lambda: connection.endpoint(OTHER).status()):
+            asked = await server.hear(WatchStatus)
+        assert await server.hear_all() == [Close(asked.id)]
+
+
+async def test_an_error_and_an_end_are_for_all_followers() -> None:
+    async with reached() as (connection, server):
+        streams, call_id = [(first := await watched(connection, server))[0]], first[1]
+        streams.append(await follow(connection))
+        await told(server, change(call_id, 1), Failed(call_id, Why.LIMIT, "no more"))
+        for stream in streams:
+            assert await numbers(stream, 1) == [1]
+            for read in (stream.receive, stream.listed):
+                stream.known = 9
+                with pytest.raises(LimitReached, match="no more"):
+                    await read()
+        streams, call_id = [(first := await watched(connection, server))[0]], first[1]
+        streams.append(await follow(connection))
+        await told(server, change(call_id, 1), Finished(call_id))
+        for stream in streams:
+            assert await numbers(stream, 1) == [1]
+            assert await stream.receive() is None
+            assert await stream.listed() == []
+        await watched(connection, server)
+
+
+async def test_a_follower_can_be_failed_alone() -> None:
+    async with reached() as (connection, server):
+        first, call_id = await watched(connection, server)
+        second = await follow(connection)
+        first.fail(ConnectionLost("a test says so"))
+        with pytest.raises(ConnectionLost, match="a test says so"):
+            await first.receive()
+        await told(server, change(call_id, 1))
+        assert await numbers(second, 1) == [1]
+
+
+async def test_a_follower_that_comes_without_a_connection_waits_for_the_next() -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        first, call_id = await watched(connection, server, known=1)
+        await told(server, change(call_id, 1))
+        network.refusal = AWAY
+        server.channel.cut()
+        await settled()
+        async with Running(lambda: follow(connection)) as asking:
+            network.refusal = None
+            server = await network.accept()
+            assert await server.hear(WatchStatus) == WatchStatus(call_id, "fibonacci", WINDOW)
+            assert not asking.is_done
+            await told(server, Watching(call_id, 1), change(call_id, 2))
+            second = await asking.answer()
+        assert [info.stamp for info in await second.listed()] == [2]
+        assert await numbers(first, 2) == [1, 2]
+
+
+async def test_a_list_that_may_be_incomplete_is_asked_for_again() -> None:
+    """The server has left changes out, for example that it has forgotten a goal."""
+    async with reached() as (connection, server):
+        first, call_id = await watched(connection, server, known=2)
+        await told(server, change(call_id, 1), change(call_id, 2), change(call_id, 3, dropped=4))
+        async with Running(lambda: follow(connection)) as asking:
+            closing, asked = await heard(server)
+            assert (closing, asked) == (Close(call_id), WatchStatus(asked.id, "fibonacci", WINDOW))
+            await told(server, Finished(call_id), Watching(asked.id, 1), change(asked.id, 3))
+            second = await asking.answer()
+        assert [info.stamp for info in await second.listed()] == [3]
+        assert await numbers(first, 4) == [1, 2, 3, 3]  # it hears the list once more
+        await told(server, change(asked.id, 5, dropped=2))
+        assert (first.dropped, second.dropped) == (6, 2)
+
+
+async def test_a_slow_follower_loses_the_oldest_changes_and_delays_no_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(remote_statuses, "UNREAD", 3)
+    async with reached() as (connection, server):
+        slow, call_id = await watched(connection, server, known=1)
+        fast = await follow(connection)
+        for stamp in range(1, 8):
+            await told(server, change(call_id, stamp))
+            assert await numbers(fast, 1) == [stamp]
+        assert (slow.dropped, fast.dropped) == (3, 0)
+        assert await slow.listed() == []
+        assert await numbers(slow, 4) == [4, 5, 6, 7]
+
+
+async def test_a_server_cannot_make_its_client_remember_ever_more_goals(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(remote_statuses, "MOST_GOALS", 3)
+    async with reached() as (connection, server):
+        _, call_id = await watched(connection, server, known=2**62)
+        await told(server, *(change(call_id, stamp) for stamp in range(1, 8)))
+        late = await follow(connection)
+        assert await numbers(late, 3) == [5, 6, 7]
+
+
+async def test_a_connection_follows_the_statuses_of_an_action_once() -> None:
+    """All who follow them at its end share that, in the order in which they come and go."""
+    async with real(server=held(), limits=Limits(requests=3)) as endpoint:
+        goal_ids = [GoalID.random() for _ in range(3)]
+        for goal_id in goal_ids:
+            await endpoint.send_goal(goal_id, GOAL)
+        streams = [await endpoint.status() for _ in range(20)]
+        for stream in streams:
+            assert {info.goal_id for info in await stream.listed()} == set(goal_ids)
+        for stream in streams:
+            stream.close()
+        for _ in range(20):
+            with await endpoint.status() as stream:
+                assert {info.goal_id for info in await stream.listed()} == set(goal_ids)
