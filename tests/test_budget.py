@@ -32,7 +32,7 @@ def test_a_budget_counts_what_is_over_its_limit() -> None:
     assert budget.is_over
 
 
-def test_a_budget_is_not_over_at_its_limit():
+def test_a_budget_is_not_over_at_its_limit() -> None:
     budget = ByteBudget(10)
 
     budget.take(10)
@@ -40,7 +40,7 @@ def test_a_budget_is_not_over_at_its_limit():
     assert not budget.is_over
 
 
-def test_bytes_count_as_long_as_anything_references_them():
+def test_bytes_count_as_long_as_anything_references_them() -> None:
     budget = ByteBudget(10)
     counted = CountedBytes(budget, 4)
     other = counted
@@ -52,7 +52,7 @@ def test_bytes_count_as_long_as_anything_references_them():
     assert budget.used == 0
 
 
-def test_bytes_that_become_others_count_anew():
+def test_bytes_that_become_others_count_anew() -> None:
     budget = ByteBudget(10)
     counted = CountedBytes(budget, 4)
 
