@@ -15,7 +15,7 @@ from fibaction.wire.channel import CHUNK
 from fibaction.wire.codec import FromClient, encode
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.link import Link
-from fibaction.wire.messages import Follow, SendGoal
+from fibaction.wire.messages import AwaitServer, Done, Follow, SendGoal
 from fibaction.wire.remote_goal import RemoteGoal
 from fibaction.wire.remote_statuses import RemoteStatuses, StatusWatch
 
@@ -73,14 +73,16 @@ class OpenCalls:
         Raises:
             ActionError: As for `ask`.
         """
-        self._check()
-        watch = before = self._watches.get(action)
-        if watch is None or not watch.is_complete:
-            watch = StatusWatch(next(self._ids), action, self._window, self.post)
-            if before is not None and not before.is_over:
-                watch.take_over(before)
-            self._watches[action] = watch
-            self._start(watch)
+        while True:
+            self._check()
+            watch = self._watch_of(action)
+            if not watch.is_answered:
+                break
+            # All that the server has told before this answer is known then: a goal that this client
+            # has sent, for example.
+            await self.ask(lambda call_id: AwaitServer(call_id, action), Done)
+            if watch is self._watches.get(action) and watch.is_complete:
+                break
         statuses = watch.follow()
         try:
             await watch.answered()
@@ -88,6 +90,17 @@ class OpenCalls:
             statuses.close()
             raise
         return statuses
+
+    def _watch_of(self, action: str) -> StatusWatch:
+        """Return the open watch of an action, or open one."""
+        watch = before = self._watches.get(action)
+        if watch is None or not watch.is_complete:
+            watch = StatusWatch(next(self._ids), action, self._window, self.post)
+            if before is not None and not before.is_over:
+                watch.take_over(before)
+            self._watches[action] = watch
+            self._start(watch)
+        return watch
 
     def post(self, message: FromClient) -> None:
         """Send a small message, if there is a connection."""

@@ -171,6 +171,21 @@ async def test_every_change_of_a_status_is_told_in_order_along_legal_edges(reach
     ]
 
 
+@pytest.mark.promise("STATUS-7")
+async def test_followers_of_the_statuses_come_and_go_by_themselves(reach: Reach) -> None:
+    async with reach(ActionServer(FIBONACCI, forever)) as client:
+        with await client.endpoint.status() as first:
+            goal = await client.send_goal(Goal(1))
+            with await client.endpoint.status() as second:
+                assert [info.goal_id for info in await second.listed()] == [goal.goal_id]
+            with await client.endpoint.status() as third:
+                assert [info.goal_id for info in await client.goals()] == [goal.goal_id]
+                await goal.cancel()
+                for statuses in (first, third):
+                    while await next_of(statuses, goal.goal_id) is not GoalStatus.CANCELED:
+                        pass
+
+
 async def next_of(statuses: StatusStream, goal_id: bytes) -> GoalStatus:
     while (info := await statuses.receive()) is not None:
         if info.goal_id == goal_id:

@@ -14,8 +14,10 @@ from fibaction.goals import GoalID
 from fibaction.states import GoalStatus
 from fibaction.wire import remote_statuses
 from fibaction.wire.messages import (
+    AwaitServer,
     Close,
     Credit,
+    Done,
     Failed,
     Finished,
     GoalChanged,
@@ -63,9 +65,13 @@ async def _next(statuses: StatusStream, count: int) -> Any:
         yield info
 
 
-async def follow(connection: Any) -> Any:
-    with anyio.fail_after(5):
-        return await endpoint_of(connection).status()
+async def follow(connection: Any, server: Peer) -> Any:
+    """Follow the statuses that another follower in this process follows already."""
+    async with Running(endpoint_of(connection).status) as asking:
+        (asked,) = await heard(server)
+        assert isinstance(asked, AwaitServer)
+        await server.say(Done(asked.id))
+        return await asking.answer()
 
 
 async def heard(server: Peer) -> list[Any]:
@@ -82,7 +88,7 @@ async def test_a_follower_that_comes_later_begins_with_what_is_known_by_then() -
         first, call_id = await watched(connection, server, known=3)
         await told(server, *(change(call_id, stamp) for stamp in (1, 2, 3)))
         await told(server, change(call_id, 1, SUCCEEDED), change(call_id, 2, UNKNOWN))
-        second = await follow(connection)
+        second = await follow(connection, server)
         assert (first.known, second.known) == (3, 2)
         assert [info.stamp for info in await second.listed()] == [1, 3]  # the active ones last
         await told(server, change(call_id, 3, SUCCEEDED))
@@ -95,7 +101,7 @@ async def test_a_follower_that_comes_during_the_list_has_all_of_it() -> None:
     async with reached() as (connection, server):
         _, call_id = await watched(connection, server, known=3)
         await told(server, change(call_id, 1))
-        second = await follow(connection)
+        second = await follow(connection, server)
         assert second.known == 3
         async with Running(second.listed) as listing:
             assert not listing.is_done
@@ -107,8 +113,8 @@ async def test_a_follower_that_comes_during_the_list_has_all_of_it() -> None:
 async def test_followers_that_come_at_once_wait_for_one_answer() -> None:
     async with reached() as (connection, server):
         async with (
-            Running(lambda: follow(connection)) as one,
-            Running(lambda: follow(connection)) as other,
+            Running(endpoint_of(connection).status) as one,
+            Running(endpoint_of(connection).status) as other,
         ):
             asked = await server.hear(WatchStatus)
             assert await server.hear_all() == []
@@ -121,7 +127,7 @@ async def test_followers_that_come_at_once_wait_for_one_answer() -> None:
 async def test_the_last_follower_closes_the_call_and_the_next_opens_another() -> None:
     async with reached() as (connection, server):
         first, call_id = await watched(connection, server)
-        second = await follow(connection)
+        second = await follow(connection, server)
         first.close()
         first.close()
         assert await heard(server) == []
@@ -137,9 +143,9 @@ async def test_the_last_follower_closes_the_call_and_the_next_opens_another() ->
 
 async def test_a_follower_that_gives_up_before_the_answer_leaves_the_call_to_the_others() -> None:
     async with reached() as (connection, server):
-        async with Running(lambda: follow(connection)) as other:
+        async with Running(endpoint_of(connection).status) as other:
             asked = await server.hear(WatchStatus)
-            async with Running(lambda: follow(connection)):
+            async with Running(endpoint_of(connection).status):
                 pass
             assert await server.hear_all() == []
             await server.say(Watching(asked.id, 0))
@@ -152,7 +158,7 @@ async def test_a_follower_that_gives_up_before_the_answer_leaves_the_call_to_the
 async def test_an_error_and_an_end_are_for_all_followers() -> None:
     async with reached() as (connection, server):
         streams, call_id = [(first := await watched(connection, server))[0]], first[1]
-        streams.append(await follow(connection))
+        streams.append(await follow(connection, server))
         await told(server, change(call_id, 1), Failed(call_id, Why.LIMIT, "no more"))
         for stream in streams:
             assert await numbers(stream, 1) == [1]
@@ -161,7 +167,7 @@ async def test_an_error_and_an_end_are_for_all_followers() -> None:
                 with pytest.raises(LimitReached, match="no more"):
                     await read()
         streams, call_id = [(first := await watched(connection, server))[0]], first[1]
-        streams.append(await follow(connection))
+        streams.append(await follow(connection, server))
         await told(server, change(call_id, 1), Finished(call_id))
         for stream in streams:
             assert await numbers(stream, 1) == [1]
@@ -173,7 +179,7 @@ async def test_an_error_and_an_end_are_for_all_followers() -> None:
 async def test_a_follower_can_be_failed_alone() -> None:
     async with reached() as (connection, server):
         first, call_id = await watched(connection, server)
-        second = await follow(connection)
+        second = await follow(connection, server)
         first.fail(ConnectionLost("a test says so"))
         with pytest.raises(ConnectionLost, match="a test says so"):
             await first.receive()
@@ -189,10 +195,10 @@ async def test_a_follower_that_comes_without_a_connection_waits_for_the_next() -
         network.refusal = AWAY
         server.channel.cut()
         await settled()
-        async with Running(lambda: follow(connection)) as asking:
+        async with Running(endpoint_of(connection).status) as asking:
             network.refusal = None
             server = await network.accept()
-            assert await server.hear(WatchStatus) == WatchStatus(call_id, "fibonacci", WINDOW)
+            assert await heard(server) == [WatchStatus(call_id, "fibonacci", WINDOW)]
             assert not asking.is_done
             await told(server, Watching(call_id, 1), change(call_id, 2))
             second = await asking.answer()
@@ -200,12 +206,32 @@ async def test_a_follower_that_comes_without_a_connection_waits_for_the_next() -
         assert await numbers(first, 2) == [1, 2]
 
 
+async def test_a_follower_has_what_the_server_has_told_before_its_sign() -> None:
+    async with reached() as (connection, server):
+        first, call_id = await watched(connection, server, known=0)
+        async with Running(endpoint_of(connection).status) as asking:
+            (asked,) = await heard(server)
+            await told(server, change(call_id, 1), Done(asked.id))
+            second = await asking.answer()
+        assert [info.stamp for info in await second.listed()] == [1]
+        # It may take another call, if this one ends meanwhile.
+        async with Running(endpoint_of(connection).status) as asking:
+            (asked,) = await heard(server)
+            first.close()
+            second.close()
+            await server.say(Done(asked.id))
+            closing, opening = await heard(server)
+            assert closing == Close(call_id)
+            await server.say(Watching(opening.id, 0))
+            assert (await asking.answer()).known == 0
+
+
 async def test_a_list_that_may_be_incomplete_is_asked_for_again() -> None:
     """The server has left changes out, for example that it has forgotten a goal."""
     async with reached() as (connection, server):
         first, call_id = await watched(connection, server, known=2)
         await told(server, change(call_id, 1), change(call_id, 2), change(call_id, 3, dropped=4))
-        async with Running(lambda: follow(connection)) as asking:
+        async with Running(endpoint_of(connection).status) as asking:
             closing, asked = await heard(server)
             assert (closing, asked) == (Close(call_id), WatchStatus(asked.id, "fibonacci", WINDOW))
             await told(server, Finished(call_id), Watching(asked.id, 1), change(asked.id, 3))
@@ -222,7 +248,7 @@ async def test_a_slow_follower_loses_the_oldest_changes_and_delays_no_other(
     monkeypatch.setattr(remote_statuses, "UNREAD", 3)
     async with reached() as (connection, server):
         slow, call_id = await watched(connection, server, known=1)
-        fast = await follow(connection)
+        fast = await follow(connection, server)
         for stamp in range(1, 8):
             await told(server, change(call_id, stamp))
             assert await numbers(fast, 1) == [stamp]
@@ -238,7 +264,7 @@ async def test_a_server_cannot_make_its_client_remember_ever_more_goals(
     async with reached() as (connection, server):
         _, call_id = await watched(connection, server, known=2**62)
         await told(server, *(change(call_id, stamp) for stamp in range(1, 8)))
-        late = await follow(connection)
+        late = await follow(connection, server)
         assert await numbers(late, 3) == [5, 6, 7]
 
 

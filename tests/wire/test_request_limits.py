@@ -14,6 +14,7 @@ from fibaction.wire.auth import AccessPolicy, Permission
 from fibaction.wire.messages import (
     Actions,
     AskPeers,
+    AwaitServer,
     CancelAnswered,
     CancelGoals,
     Close,
@@ -393,3 +394,18 @@ async def test_a_long_list_is_read_as_far_as_there_is_credit() -> None:
         assert len(await client.hear_all()) == 10
         await client.say(Credit(99, 100))
         assert len(await client.hear_all()) == 40
+
+
+async def test_statuses_that_wait_for_room_go_with_their_connection() -> None:
+    server = held()
+    async with serving(server, limits=Limits(queue=1)) as served:
+        client = await served.greet()
+        client.channel.stop_reading()
+        await client.say(AwaitServer(1, "fibonacci"), AwaitServer(2, "fibonacci"))
+        await settled()
+        await client.say(WatchStatus(3, "fibonacci", 1))
+        await settled()
+        assert server._runs._statuses
+        client.channel.cut()
+        await settled()
+        assert not server._runs._statuses

@@ -45,6 +45,7 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
+from fibaction.wire.ownership import EndOnly
 from fibaction.wire.settings import ClientSettings
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
@@ -577,10 +578,49 @@ async def test_goals_of_lost_connections_are_released_a_few_at_a_time(
     assert len(set(turns)) > 10
 
 
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_all_goals_are_let_go_if_the_task_that_closes_the_server_is_canceled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("fibaction._slices.SLICE", 0)
+    ids = [bytes([number] * 16) for number in range(1, 21)]
+    server = running(*feedback(*range(100)), fib.Result([]), feedback_window=4)
+    async with serving(server) as served:
+        client = await served.greet()
+        await client.say(*(send(number, goal_id, 1) for number, goal_id in enumerate(ids)))
+        await client.hear_all()
+        closing = asyncio.create_task(served.wire._owners.aclose())
+        for _ in range(3):
+            await anyio.lowlevel.checkpoint()
+        closing.cancel()
+        await asyncio.wait([closing])
+        assert closing.cancelled()
+        streams = [await server.feedback(GoalID(goal_id)) for goal_id in ids]
+        await settled()
+        assert all(stream.status is SUCCEEDED for stream in streams)
+
+
+async def test_the_end_of_a_goal_can_be_told_once_more_without_its_feedback() -> None:
+    async with running(*feedback(1, 2), fib.Result([])) as server:
+        stream = await server.send_goal(GOAL_ID, GOAL)
+        outcome = await stream.outcome()
+        assert len(stream.take(2) or stream.take(2)) == 1
+        stream.seek(2)
+        end = EndOnly(stream)
+        for cursor, place, dropped in ((0, 0, 2), (9, 2, 0)):
+            end.seek(cursor)
+            assert (end.cursor, end.dropped) == (place, dropped)
+        end.hold(True)
+        end.close()
+        end.fail(ConnectionLost("it is over anyway"))
+        assert (end.take(), end.known_outcome(), end.cursor) == ((outcome,), outcome, 2)
+        assert (end.goal_id, end.stamp, end.status) == (GOAL_ID, stream.stamp, SUCCEEDED)
+
+
 async def test_a_server_can_close_while_it_releases_the_goals_of_a_lost_connection(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("fibaction._tasks.SLICE", 0)
+    monkeypatch.setattr("fibaction._slices.SLICE", 0)
     for turns in range(30):  # at each of which another part of them is released
         server = running(*feedback(*range(100)), fib.Result([]), feedback_window=4)
         async with serving(server) as served:
