@@ -15,16 +15,18 @@ complain with a RuntimeError.
 
 from __future__ import annotations
 
-import asyncio  # noqa: TID251  # anyio has no tasks outside of its groups
 from collections.abc import Awaitable, Callable
 from contextvars import copy_context
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from anyio import CancelScope, Event, create_task_group, get_cancelled_exc_class, move_on_after
 from anyio.abc import TaskGroup
 
 from fibaction._notify import Notifier
+
+if TYPE_CHECKING:
+    import asyncio  # noqa: TID251  # anyio has no tasks outside of its groups
 
 LAST_TURNS = 0.1
 """Seconds for tasks that were left behind to end, if they can: a few turns of the event loop."""
@@ -108,6 +110,8 @@ def _single(group: BaseExceptionGroup[BaseException] | None) -> BaseException | 
 def _start_outside(function: Callable[[], Awaitable[None]], name: str) -> None:
     """Run an async function in a task that no task waits for. It must not raise."""
     if _on_asyncio():
+        import asyncio  # noqa: TID251  # anyio has no tasks outside of its groups
+
         task = asyncio.get_running_loop().create_task(_awaited(function), name=name)
         _outside.add(task)
         task.add_done_callback(_outside.discard)
@@ -121,7 +125,7 @@ async def _awaited(function: Callable[[], Awaitable[None]]) -> None:
     await function()
 
 
-def waker() -> Callable[[], None]:
+def waker() -> Callable[[], object]:
     """Return a function that makes this task resume with an error even if scopes shield its wait.
 
     It is for code that never resumes what has been waiting. It has no effect on a task of asyncio
@@ -129,12 +133,18 @@ def waker() -> Callable[[], None]:
     has a nursery open.
     """
     if _on_asyncio():
+        import asyncio  # noqa: TID251  # anyio cannot resume a task against its scopes
+
         task = asyncio.current_task()
         assert task is not None
-        return task.cancel
+        return partial(_cancel, task)
     import trio
 
     return partial(_abort, trio.lowlevel.current_task())
+
+
+def _cancel(task: asyncio.Task[Any]) -> None:
+    task.cancel()
 
 
 def _abort(task: Any) -> None:
@@ -149,6 +159,8 @@ def _raise_woken() -> None:
 
 def _on_asyncio() -> bool:
     """Return whether the caller is a task of asyncio, not of trio as a guest of asyncio's loop."""
+    import asyncio  # noqa: TID251  # anyio does not tell
+
     try:
         return asyncio.current_task() is not None
     except RuntimeError:

@@ -90,7 +90,7 @@ class Check:
         Raises:
             SchemaError: The search takes too many steps, or nests too deeply.
         """
-        while isinstance(schema, dict):
+        while is_map(schema):
             self.spend()
             if "$ref" in schema:
                 schema = self.target(schema["$ref"])
@@ -116,7 +116,8 @@ class Check:
         likely = [part for part in parts if _may_fit(_Visit(self, value, part))]
         if len(likely) == 1:  # nearly always, and then it does not matter how large the value is
             return likely[0]
-        return next((part for part in likely if _fits(_Visit(self, value, part))), {})
+        fitting = (part for part in likely if _fits(_Visit(self, value, part)))
+        return next(fitting, cast("Any", {}))
 
 
 class _Visit(NamedTuple):
@@ -170,7 +171,7 @@ def _may_fit(visit: _Visit) -> bool:
         return any(_may_fit(visit.by(part)) for part in schema["anyOf"])
     if "type" in schema and not COMPARISONS["type"](value, schema["type"]):
         return False
-    known = schema.get("properties", {}) if is_map(value) else {}
+    known: dict[str, Any] = schema.get("properties", {}) if is_map(value) else {}
     check.spend(len(known))
     only = ((name, only_value(part)) for name, part in known.items() if name in value)
     return all(tag is None or _equal(check, value[name], tag[0]) for name, tag in only)

@@ -47,7 +47,7 @@ def _multiple_of(value: Any, unit: Any) -> bool:
     if isinstance(value, int) and isinstance(unit, int):
         return value % unit == 0
     try:
-        return (value / unit).is_integer()
+        return float(value / unit).is_integer()
     except OverflowError:  # a float cannot tell
         return True
 

@@ -129,8 +129,8 @@ class Schema:
             step = step.replace("~1", "/").replace("~0", "~")
             if is_map(found) and step in found:
                 found = found[step]
-            elif isinstance(found, list) and step.isdecimal() and int(step[:9]) < len(found):
-                found = cast("list[Any]", found)[int(step[:9])]
+            elif is_list(found) and step.isdecimal() and int(step[:9]) < len(found):
+                found = list(found)[int(step[:9])]
             else:
                 raise SchemaError(f"refers to {quoted(reference)}, which is not in it")
         return found

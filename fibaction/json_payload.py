@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import base64
 import datetime
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import islice
 from typing import Any, cast
@@ -112,7 +112,7 @@ class JsonCodec:
             return data, msgspec.msgpack.encode(data)
 
     @contextmanager
-    def _errors(self) -> Iterator[None]:
+    def _errors(self) -> Generator[None, None, None]:
         try:
             yield
         except PayloadError:
@@ -145,11 +145,17 @@ def _is_deeper(data: Any, levels: int) -> bool:
 
 def _completed(check: Check, value: Any, schema: Any) -> Any:
     """Return the value with the defaults of fields that are missing."""
-    if not (is_map(value) or isinstance(value, list)):
+    if not (is_map(value) or is_list(value)):
         return value
     schema = check.resolved(schema, value)
-    if isinstance(value, list):
-        return [_completed(check, *pair) for pair in _items(value, schema)]
+    if is_map(value):
+        return _completed_fields(check, value, schema)
+    return [_completed(check, *pair) for pair in _items(value, schema)]
+
+
+def _completed_fields(
+    check: Check, value: dict[Any, Any], schema: dict[str, Any]
+) -> dict[Any, Any]:
     known = schema.get("properties", {})
     whole: dict[Any, Any] = {}
     check.spend(len(known))
@@ -183,7 +189,7 @@ def _converted(check: Check, value: Any, schema: Any) -> Any:
     if is_map(value):
         known, rest = schema.get("properties", {}), _part(schema, "additionalProperties")
         return {name: _converted(check, value[name], known.get(str(name), rest)) for name in value}
-    if isinstance(value, list):
+    if is_list(value):
         return [_converted(check, *pair) for pair in _items(value, schema)]
     if isinstance(value, str) and schema.get("contentEncoding") == "base64":
         return base64.b64decode(value)
@@ -192,7 +198,7 @@ def _converted(check: Check, value: Any, schema: Any) -> Any:
     return value
 
 
-def _items(value: list[Any], schema: dict[str, Any]) -> Iterator[tuple[Any, Any]]:
+def _items(value: Collection[Any], schema: dict[str, Any]) -> Iterator[tuple[Any, Any]]:
     """Yield the items of a list, each with its schema."""
     first, rest = schema.get("prefixItems", []), _part(schema, "items")
     for index, item in enumerate(value):

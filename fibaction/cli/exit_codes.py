@@ -13,7 +13,6 @@ from typing import IO, Any, NoReturn, cast
 
 import click
 
-from fibaction.cli import exit_at_once
 from fibaction.cli.escape import clean, clean_lines
 from fibaction.exceptions import (
     ActionError,
@@ -127,13 +126,17 @@ def run(
     options = {"use_uvloop": uvloop and find_spec("uvloop") is not None}
     exits = signal.getsignal(signal.SIGINT) is signal.default_int_handler and not uvloop
     if exits:  # the event loop's own handler would wait for a task that computes
-        signal.signal(signal.SIGINT, exit_at_once)
+        signal.signal(signal.SIGINT, _exit_at_once)
     try:
         code = anyio.run(partial(verb, *arguments, **settings), backend_options=options)
     finally:
         if exits:
             signal.signal(signal.SIGINT, signal.default_int_handler)
     raise click.exceptions.Exit(code)
+
+
+def _exit_at_once(_number: int, _frame: object) -> None:
+    os._exit(ExitCode.INTERRUPTED)
 
 
 @contextmanager

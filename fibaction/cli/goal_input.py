@@ -50,7 +50,8 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
-            self._reject("aliases such as *name are not supported", self.peek_event().start_mark)
+            mark = cast("Any", self).peek_event().start_mark
+            self._reject("aliases such as *name are not supported", mark)
         return super().compose_node(parent, index)
 
     def construct_number(self, node: yaml.ScalarNode) -> int | float:

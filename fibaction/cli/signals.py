@@ -26,7 +26,7 @@ from typing import Any, Self
 import anyio
 
 from fibaction._tasks import Background
-from fibaction.cli import INTERRUPTED
+from fibaction.cli.exit_codes import ExitCode
 
 SAME_SIGNAL = 0.1
 """Seconds within which a second signal counts as the first again: some programs, such as `timeout`,
@@ -35,7 +35,7 @@ GRACE = 1.0
 """Seconds for the event loop to take a signal: longer than a short computation, for example the
 printing of a large message."""
 _SCREEN_OFF = "\x1b[?1049l\x1b[?1000l\x1b[?1003l\x1b[?1006l\x1b[?2004l\x1b[?25h"
-"""What a terminal needs after a program with a screen: its lines, no mouse, a cursor."""
+"""Escape sequences that end a screen: they restore the lines and the cursor, without the mouse."""
 
 
 class SignalReceiver:
@@ -82,7 +82,7 @@ class SignalReceiver:
         with suppress(Exception):  # the computation may be within the same stream
             self._terminal.restore()
             self._last_words()
-        os._exit(INTERRUPTED)
+        os._exit(ExitCode.INTERRUPTED)
 
 
 class _Terminal:

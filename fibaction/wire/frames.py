@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from struct import Struct
+from typing import Protocol
 
 from fibaction._budget import ByteBudget
 from fibaction.exceptions import LimitReached, ProtocolError
@@ -145,23 +146,30 @@ class FrameReader:
         return bool(self._buffer)
 
 
-class FrameMemory:
-    """The memory of the incomplete frames of all connections of a server.
+class Holder(Protocol):
+    """A part that holds a large frame."""
 
-    When there is too little, the reader that holds the most is given up: so a peer that begins many
-    large messages, and completes none, does not keep out those of others.
+    def give_up(self) -> None:
+        """Let go of the frame, at the cost of the connection."""
+
+
+class FrameMemory:
+    """The memory of the large frames of all connections of a server, read or written.
+
+    When there is too little, the part that holds the most is given up: so a peer that begins many
+    large messages and completes none, or that takes none, does not keep out those of others.
     """
 
     def __init__(self, budget: ByteBudget) -> None:
         """Share a budget, also with other things."""
         self._budget = budget
-        self._held: dict[FrameReader, int] = {}
+        self._held: dict[Holder, int] = {}
 
-    def hold(self, reader: FrameReader, size: int) -> None:
-        """Note that a reader holds so many bytes now; give up readers if all hold too much."""
-        more = size - self._held.pop(reader, 0)
+    def hold(self, holder: Holder, size: int) -> None:
+        """Note that a part holds so many bytes now; give up parts if all hold too much."""
+        more = size - self._held.pop(holder, 0)
         if size:
-            self._held[reader] = size
+            self._held[holder] = size
         self._budget.take(more)
         while more > 0 and self._held and not self._budget.has_room():
             max(self._held, key=self._held.__getitem__).give_up()

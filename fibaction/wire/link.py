@@ -46,6 +46,7 @@ from fibaction._slices import SLICE
 from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
 from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.codec import encode
+from fibaction.wire.frames import UNCOUNTED, FrameMemory
 from fibaction.wire.heartbeat import Heartbeat
 from fibaction.wire.messages import Ping
 
@@ -59,7 +60,14 @@ PING = encode(Ping())
 class Link:
     """One connection, from its first byte to its last."""
 
-    def __init__(self, line: Line, heartbeat: float, high_water: int = HIGH_WATER) -> None:
+    def __init__(
+        self,
+        line: Line,
+        heartbeat: float,
+        high_water: int = HIGH_WATER,
+        memory: FrameMemory | None = None,
+    ) -> None:
+        """Count large frames in a memory, if one is given, while they are written."""
         self.peer = line.peer
         self.heartbeat = Heartbeat(line.peer, heartbeat)
         self._line = line
@@ -72,6 +80,8 @@ class Link:
         self._posted = 0  # bytes of the queue that have not waited for room
         self._writing = self._writing_posted = 0  # of those
         self._writes = 0
+        self._memory = memory
+        self._is_counted = False
         self._has_said = self._has_heard = True  # since the last step of `_watch`
         self._error: ActionError | None = None
         self._scope = CancelScope()
@@ -174,6 +184,7 @@ class Link:
                 self._scope.cancel()
             tasks.start_soon(guarded, self._watch)
             await guarded(lambda: self._line.run(on_frames, self._next_frames))
+        self._count([])
         assert self._error is not None
         # It is kept, and the frames of its traceback have a message that may be large.
         return self._error.with_traceback(None)
@@ -197,7 +208,21 @@ class Link:
                 self._writing_posted += is_posted * len(frame)
             frames += self._source()
         self._is_writing = bool(frames)
+        self._count(frames)
         return frames
+
+    def _count(self, frames: list[bytes]) -> None:
+        """Count the frames that are being written, if they are large."""
+        if self._memory is not None and (frames or self._is_counted):
+            size = max(0, sum(map(len, frames)) - UNCOUNTED)
+            if size or self._is_counted:
+                self._is_counted = size > 0
+                self._memory.hold(self, size)
+
+    def give_up(self) -> None:
+        """End the connection: the peer does not take a large message, whose memory is needed."""
+        self._count([])
+        self.end(ConnectionLost(f"{self.peer} takes too long for a large message at a busy server"))
 
     async def _watch(self) -> None:
         heartbeat, progress = self.heartbeat, self._progress

@@ -38,8 +38,8 @@ class Limits(msgspec.Struct, frozen=True):
     memory: int = 64 * 2**20
     """Bytes of goals that are being decided upon, for one connection."""
     total_memory: int = 256 * 2**20
-    """Bytes of goals that are being decided upon, and of large messages of which a part has
-    arrived, over all connections."""
+    """Bytes of goals that are being decided upon, and of large messages that are being read or
+    written, over all connections."""
     queue: int = 2**20
     """Bytes that wait to be written to one connection; answers wait while there are more."""
     handshake: float = 5.0

@@ -87,7 +87,7 @@ class WireServer:
             link = Link(line, heartbeat)
             await link.say_last(encode(Goodbye(reason, Why.LIMIT)))
             return
-        link = Link(line, heartbeat, limits.queue)
+        link = Link(line, heartbeat, limits.queue, self._frames)
         session = Session(
             link,
             self._endpoints,

@@ -22,7 +22,9 @@ from fibaction.wire.messages import (
     CancelGoals,
     Close,
     Credit,
+    Finished,
     Follow,
+    GoalChanged,
     ListActions,
     Ping,
     Received,
@@ -42,6 +44,7 @@ GOALS = 10_000
 START, END = "<!-- costs: made by python -m tests.benchmarks.costs -->", "<!-- end of costs -->"
 IDLE = 0.001
 """Seconds of the processor that an idle server uses in 50 ms, at most."""
+CHANGED = 40  # the tag of GoalChanged
 SAME = goal_id()
 SHORT, LONG = FIBONACCI.goal.encode(Goal(1)), FIBONACCI.goal.encode(Goal(20))
 
@@ -63,7 +66,7 @@ class Kind(NamedTuple):
 KINDS = [
     Kind("`Ping`", lambda id: Ping(), 2000, 200),
     Kind("`Credit`, `Close`, `Received` of no request", lambda id: Credit(id, MOST), 2000, 200),
-    Kind("`ListActions`", ListActions, 500, 1500),
+    Kind("`ListActions`, of 12 actions", ListActions, 500, 1500),
     Kind("`AskPeers`, with 3 connections", lambda id: AskPeers(id, "deaf"), 500, 1500),
     Kind("`AwaitServer`", lambda id: AwaitServer(id, "deaf"), 500, 1500),
     Kind(
@@ -120,19 +123,28 @@ class Cost(NamedTuple):
     """Bytes that the server holds more than before, after the answer."""
 
 
-async def cost_of(kind: Kind, server: Server, raw: Raw) -> Cost:
+async def cost_of(kind: Kind, server: Server, raw: Raw, goals: int) -> Cost:
     """Send messages of a kind, and return the cost of each."""
-    await send(kind, raw, max(1, kind.times // 4))  # the first ones fill caches and free lists
+    # The first messages fill caches and free lists.
+    await send(kind, raw, max(1, kind.times // 4), goals)
     await rest(server)
     before = await server.reset()
-    await send(kind, raw, kind.times)
+    await send(kind, raw, kind.times, goals)
     after = await rest(server)
     held = max(0, after.memory - before.memory)
     return Cost(after.cpu * 1e6 / kind.times, held / kind.times)
 
 
-async def send(kind: Kind, raw: Raw, times: int) -> None:
+async def send(kind: Kind, raw: Raw, times: int, goals: int) -> None:
     """Send so many messages, and end their goals and statuses."""
+    if kind.name.startswith("`WatchStatus`"):
+        for id in [next(raw.ids) for _ in range(times)]:
+            seen = raw.counts[CHANGED]
+            await raw.say(kind.make(id))
+            await raw.count(GoalChanged, seen + goals)
+            await raw.say(Close(id))
+            await raw.hear(Finished, id)
+        return
     ids = [next(raw.ids) for _ in range(times)]
     for start in range(0, len(ids), 100):
         piece = ids[start : start + 100]
@@ -140,8 +152,6 @@ async def send(kind: Kind, raw: Raw, times: int) -> None:
         await raw.fence()
         if kind.makes_goals:
             await raw.say(*map(Received, piece))
-        elif kind.name.startswith("`WatchStatus`"):
-            await raw.say(*map(Close, piece))
     await raw.fence()
 
 
@@ -163,7 +173,7 @@ async def measure(goals: int) -> dict[str, Cost]:
         async with target.dial() as sender, target.dial() as raw:
             await hold(sender, "deaf", goals)
             for kind in KINDS:
-                found[kind.name] = await cost_of(kind, server, raw)
+                found[kind.name] = await cost_of(kind, server, raw, goals)
     return found
 
 
@@ -178,6 +188,19 @@ def table(costs: dict[str, Cost], goals: int) -> str:
     return "\n".join(lines)
 
 
+def with_table(page: str, made: str) -> str:
+    """Return the page with this table between its markers.
+
+    Raises:
+        ValueError: The markers are missing.
+    """
+    before, found, rest = page.partition(START)
+    _, closed, after = rest.partition(END)
+    if not (found and closed):
+        raise ValueError("the page has no part for the costs of messages")
+    return f"{before}{START}\n\n{made}\n\n{END}{after}"
+
+
 def main() -> None:
     """Print the table, or write it."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.costs")
@@ -188,9 +211,7 @@ def main() -> None:
     print(made)
     if arguments.write:
         page = PAGE.read_text(encoding="utf-8")
-        before, _, rest = page.partition(START)
-        _, _, after = rest.partition(END)
-        PAGE.write_text(f"{before}{START}\n\n{made}\n\n{END}{after}", encoding="utf-8")
+        PAGE.write_text(with_table(page, made), encoding="utf-8")
 
 
 if __name__ == "__main__":

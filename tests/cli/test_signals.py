@@ -15,7 +15,8 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from fibaction.cli import INTERRUPTED, signals
+from fibaction.cli import signals
+from fibaction.cli.exit_codes import ExitCode
 from tests.processes import PATIENCE, ended, lines_until
 
 
@@ -134,7 +135,7 @@ def test_one_signal_ends_a_verb_that_computes(verb: str, number: signal.Signals)
 
     code, out, _ = ended(process)
 
-    assert code == (-SIGTERM if (verb, number) == ("verb", SIGTERM) else INTERRUPTED)
+    assert code == (-SIGTERM if (verb, number) == ("verb", SIGTERM) else ExitCode.INTERRUPTED)
     assert out == ("left running\n" if verb == "send" else "")
 
 
@@ -182,7 +183,7 @@ async def test_the_exit_restores_the_terminal(monkeypatch: pytest.MonkeyPatch) -
     written = os.read(master, 1000)
     os.close(master)
 
-    assert codes == [0, INTERRUPTED]
+    assert codes == [0, ExitCode.INTERRUPTED]
     assert written.endswith(b"\x1b[?25h")
 
 
@@ -195,4 +196,4 @@ async def test_the_exit_needs_no_terminal(monkeypatch: pytest.MonkeyPatch) -> No
     with signals.SignalReceiver():
         signal.raise_signal(signal.SIGALRM)
 
-    assert codes == [INTERRUPTED]
+    assert codes == [ExitCode.INTERRUPTED]

@@ -3,10 +3,11 @@
     make attack          # all, for 20 s each; or: python -m tests.hostile --seconds 60 NAME ...
 
 Server, honest client and attacker are processes of their own. For each attack it prints the honest
-client's latencies in milliseconds, the longest turn of the server's event loop in milliseconds of
-the processor, and the peak of its memory above the idle server, with its bound. It fails if a bound
-is broken, if the latency at the 99th percentile is over 100 ms, or if SIGTERM does not end the
-server in time. With `--seconds 0` each attack is as short as in `make test`.
+client's latencies in milliseconds; the longest turn of the server's event loop, and the longest
+garbage collection, which is a part of a turn, in milliseconds of the processor; and the peak of the
+server's memory above the idle one, with its bound. It fails if a bound is broken, if the latency at
+the 99th percentile is over 100 ms, or if SIGTERM does not end the server in time. With
+`--seconds 0` each attack is as short as in `make test`.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from tests.hostile.verdict import faults
 P99 = 0.1
 """Seconds that the honest client's goals take at the 99th percentile, at most."""
 HEAD = (
-    f"{'attack':46} {'goals':>6} {'p50':>7} {'p99':>7} {'max':>7} {'turn':>7} {'MiB':>5}"
+    f"{'attack':46} {'goals':>6} {'p50':>7} {'p99':>7} {'max':>7} {'turn':>6} {'gc':>6} {'MiB':>5}"
     f" {'bound':>5} {'stop':>5}  ok"
 )
 
@@ -34,7 +35,8 @@ def row(name: str, found: Figures) -> str:
     """Return the figures of an attack as a line of the table."""
     times = " ".join(f"{found.latency(part) * 1000:7.1f}" for part in (0.5, 0.99, 1))
     return (
-        f"{name:46} {len(found.latencies):6} {times} {found.reading.longest * 1000:7.1f}"
+        f"{name:46} {len(found.latencies):6} {times} {found.reading.longest * 1000:6.1f}"
+        f" {found.reading.collecting * 1000:6.1f}"
         f" {found.above:5.0f} {ATTACKS[name].above:5} {found.stopped:5.1f} "
     )
 

@@ -17,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trio.testing import MockClock
 
+from fibaction._budget import ByteBudget
 from fibaction.exceptions import (
     ConnectionLost,
     GoalRejected,
@@ -37,6 +38,7 @@ from fibaction.wire.frames import (
     LEAST_FRAME,
     MAX_FRAME,
     UNCOUNTED,
+    FrameMemory,
     FrameReader,
     header,
 )
@@ -786,6 +788,53 @@ async def test_the_parts_of_large_messages_share_a_limit_over_all_connections() 
         await settled()
         assert served.wire.memory.used == 0
         assert kinds(one.heard) == [Welcome]
+
+
+async def test_large_messages_that_clients_do_not_take_share_that_limit() -> None:
+    go, large = anyio.Event(), fib.Result([0] * 3 * UNCOUNTED)
+    limits = Limits(total_memory=5 * UNCOUNTED)  # of two such results, and not of three
+    async with serving(scripted(go, large), limits=limits) as served:
+        clients = [await served.greet(bytes([number]) * 16) for number in range(1, 4)]
+        for number, client in enumerate(clients, 1):
+            await client.send(1, bytes([number] * 16), credit=None)
+            client.channel.stop_reading()
+        go.set()
+        await settled()
+        lost = [client for client in clients if client.channel.is_cut]
+        assert len(lost) == 1
+        assert 4 * UNCOUNTED < served.wire.memory.used <= limits.total_memory
+        assert await (await served.greet()).is_served()
+        for client in clients:
+            client.channel.go_on_reading()
+        for client in clients:
+            assert kinds(await client.hear_all()) == ([] if client in lost else [Ended])
+        assert served.wire.memory.used == 0
+
+
+async def test_a_link_that_is_given_up_gives_its_memory_back_and_ends() -> None:
+    budget = ByteBudget(UNCOUNTED)
+    memories = FrameMemory(budget)
+    ends = [memory.pair() for _ in range(2)]
+    links = [Link(end, LONG, memory=memories) for end, _ in ends]
+    errors: list[Any] = []
+
+    async def run(link: Link) -> None:
+        errors.append(await link.run(lambda frame: None))
+
+    async with anyio.create_task_group() as tasks:
+        for (_, other), link, size in zip(ends, links, (2, 1.5), strict=True):
+            other.stop_reading()
+            link.post(bytes(int(size * UNCOUNTED)))
+            tasks.start_soon(run, link)
+            await settled()
+        assert str(errors[0]) == "the client takes too long for a large message at a busy server"
+        assert isinstance(errors[0], ConnectionLost)
+        assert budget.used == UNCOUNTED // 2
+        ends[1][1].go_on_reading()
+        await settled()
+        assert budget.used == 0
+        assert links[1].is_open
+        links[1].end(ConnectionLost("enough"))
 
 
 # What a client keeps of a goal

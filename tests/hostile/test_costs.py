@@ -1,0 +1,42 @@
+"""The cost of one message of each kind: bounded, and shown on the page."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from fibaction.wire.codec import encode
+from tests.benchmarks.costs import END, KINDS, START, measure, table, with_table
+from tests.benchmarks.pages import PAGE
+
+GOALS = 300
+"""Active goals at the server, which make only the requests about all goals dearer."""
+
+
+@pytest.mark.asyncio
+async def test_no_message_costs_more_than_its_limit() -> None:
+    found = await measure(GOALS)
+
+    assert [
+        f"{kind.name}: {found[kind.name].microseconds:.0f} microseconds"
+        for kind in KINDS
+        if found[kind.name].microseconds > kind.most + GOALS * kind.most_for_each
+    ] == []
+
+
+def test_each_kind_of_message_has_about_a_hundred_bytes_or_less() -> None:
+    assert max(len(encode(kind.make(2**62))) for kind in KINDS) <= 110
+
+
+def test_the_table_of_the_page_has_each_kind() -> None:
+    part = PAGE.read_text(encoding="utf-8").partition(START)[2].partition(END)[0]
+
+    assert re.findall(r"^\| (`.*?) \| [\d,]+ \| [\d,]+ \|$", part, re.MULTILINE) == [
+        kind.name for kind in KINDS
+    ]
+
+
+def test_a_page_without_the_marks_is_an_error() -> None:
+    with pytest.raises(ValueError, match="no part for the costs"):
+        with_table("# Comparisons\n", table({}, 1))
