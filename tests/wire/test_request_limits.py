@@ -10,10 +10,10 @@ from typing import Any
 import anyio
 import pytest
 
+from fibaction._slices import SLICE
 from fibaction.testing import ScriptedServer
 from fibaction.wire import session_goals
 from fibaction.wire.auth import AccessPolicy, Permission
-from fibaction.wire.channel import SLICE
 from fibaction.wire.messages import (
     Actions,
     AskPeers,
