@@ -21,8 +21,12 @@ feedback of the meantime is there when it comes back. One task for each lost con
   still has the feedback and the outcome, also if the server has forgotten the goal. If the client
   asks more often than there are lost calls, it gets the outcome alone. A goal that is *sent* again
   is compared by its digest, so that another goal of the same ID is rejected.
-- The client does not come back: the streams are closed, and the goal runs on without them
+- The client does not come back in time: the streams are closed, and the goal runs on without them
   (`"keep"`), or is canceled (`"cancel"`). A client that has said goodbye is not waited for.
+
+The goals that are kept for all lost clients together have a limit, or one client could lose its
+connection over and over, each time with as many goals as it may have. The goals that were lost
+first are then given up before their time.
 
 A connection may have ten thousand goals. To lose it takes one step, `is_lost`, whatever their
 number; what is to be done for each of them is done in slices, between which others have their turn.
@@ -76,13 +80,24 @@ class Owners:
     """The owners of the goals of one server, and the calls by which they follow them."""
 
     def __init__(
-        self, tasks: TaskGroup, *, grace: float, then: Literal["keep", "cancel"] = "keep"
+        self,
+        tasks: TaskGroup,
+        *,
+        grace: float,
+        then: Literal["keep", "cancel"] = "keep",
+        limit: int,
     ) -> None:
-        """Wait `grace` seconds for a client, and then keep its goals running or cancel them."""
+        """Wait `grace` seconds for a client, and then keep its goals running or cancel them.
+
+        At most `limit` goals are kept for lost clients: the oldest are given up sooner.
+        """
         self._tasks = tasks
         self._grace = grace
         self._then = then
+        self._limit = limit
         self._owned: dict[GoalID, _Owned] = {}
+        self._lost: dict[HeldGoals, int] = {}  # with their goals, in the order of their loss
+        self._lost_goals = 0
         self._has_closed = False
 
     def is_own(self, goal_id: GoalID, owner: bytes) -> bool:
@@ -168,7 +183,16 @@ class Owners:
                 if held.has(call):
                     self._end_lost(call)
         elif held.calls:
+            self._lost[held] = len(held.calls)
+            self._lost_goals += len(held.calls)
+            while self._lost_goals > self._limit:
+                oldest = next(iter(self._lost))
+                self._forget(oldest)
+                oldest.wait.cancel()
             self._tasks.start_soon(self._wait, held, left)
+
+    def _forget(self, held: HeldGoals) -> None:
+        self._lost_goals -= self._lost.pop(held, 0)
 
     async def aclose(self) -> None:
         """End all entries: the server closes."""
@@ -198,6 +222,7 @@ class Owners:
             await slices.pause()
         with held.wait:
             await sleep_until(grace_over)
+        self._forget(held)
         canceled = 0
         for call in tuple(held.calls.values()):
             if held.has(call):

@@ -31,6 +31,9 @@ class Limits(msgspec.Struct, frozen=True):
     """Goals that one connection may follow at the same time."""
     follows: int = 100
     """Times that one connection may follow one goal at the same time."""
+    lost: int = 10_000
+    """Goals that are kept for clients whose connections are lost, over all of them; those that were
+    lost first are given up sooner."""
     requests: int = 1000
     """Requests that one connection may wait for at the same time, beside its goals."""
     frame: int = MAX_FRAME

@@ -49,7 +49,9 @@ class WireServer:
         self._turn = anyio.Lock()  # of the lines that have much to handle
         self._endpoints = endpoints
         self._settings = settings
-        self._owners = Owners(tasks, grace=settings.grace, then=settings.orphans)
+        self._owners = Owners(
+            tasks, grace=settings.grace, then=settings.orphans, limit=settings.limits.lost
+        )
         self._sessions: dict[Session, None] = {}  # in the order of their arrival
         self._unknown: dict[Session, float] = {}  # have not said hello; the end of their time
         self._has_unknown = Notifier()

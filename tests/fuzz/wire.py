@@ -82,7 +82,7 @@ async def serve(data: bytes) -> None:
             link,
             {"fibonacci": server},
             TERMS,
-            Owners(tasks, grace=0),
+            Owners(tasks, grace=0, limit=100),
             ByteBudget(2**20),
             clients_of=lambda action: [],
             entered=lambda session: None,

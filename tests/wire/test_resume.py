@@ -46,7 +46,7 @@ from fibaction.wire.messages import (
     Why,
 )
 from fibaction.wire.ownership import EndOnly
-from fibaction.wire.settings import ClientSettings
+from fibaction.wire.settings import ClientSettings, Limits
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.virtual_time import in_virtual_time
@@ -236,6 +236,28 @@ async def test_an_end_is_kept_as_long_as_its_client_has_to_come_back(
         assert not any("canceling" in line.getMessage() for line in lines)
         late = await served.greet()
         assert (await late.ask(follow(1), Failed)).why == Why.UNKNOWN_GOAL
+
+
+@in_virtual_time()
+async def test_of_the_ends_for_lost_clients_those_that_were_lost_first_are_given_up_over_a_limit() -> (
+    None
+):
+    server = running(fib.Result([]), result_timeout=0)
+    limits = Limits(heartbeat=LONG, lost=3)
+    async with serving(server, limits=limits, grace=50) as served:
+        names = [bytes([number]) * 16 for number in range(1, 5)]
+        for name in names:
+            client = await served.greet(name)
+            await client.send(1, name)
+            await client.hear_all()
+            client.channel.cut()
+            await settled()
+        answers: list[type] = []
+        for name in names:
+            client = await served.greet(name)
+            await client.say(Follow(1, "fibonacci", name, None, own=True, credit=0))
+            answers += kinds(await client.hear_all())[:1]
+        assert answers == [Failed, Following, Following, Following]
 
 
 # At the server: a goal that goes on
