@@ -123,7 +123,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._executor = executor
         self._log = log
         self._stall_timeout = stall_timeout
-        self._owner = handle._goal.sender.owner
+        self._owner = log.goal.sender.owner
         self._result: bytes | None = None
         # The context variables of the call that sent the goal, as a task of its own would have.
         self._context = copy_context()
