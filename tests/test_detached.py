@@ -7,6 +7,7 @@ import anyio
 import pytest
 from anyio.abc import TaskGroup
 
+from fibaction import _detached
 from fibaction._detached import DetachedGroup, waker
 
 pytestmark = pytest.mark.anyio
@@ -138,3 +139,13 @@ async def test_the_complaint_about_an_abandoned_task_is_dropped_and_other_errors
             async with anyio.create_task_group() as owner:
                 detached(owner, complains, fails).has_abandoned = True
     assert isinstance(caught.value.exceptions[0], KeyError)
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_the_end_of_the_event_loop_ends_a_detached_group_and_its_owner() -> None:
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as owner:
+            detached(owner)
+            await anyio.wait_all_tasks_blocked()
+            for task in tuple(_detached._outside):
+                task.cancel()

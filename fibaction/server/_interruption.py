@@ -42,6 +42,8 @@ from typing import Any, Generic, NoReturn, TypeVar
 
 from anyio import CancelScope, TaskHandle, current_effective_deadline, get_cancelled_exc_class
 
+from fibaction.server._turns import Turns
+
 T = TypeVar("T")
 
 SLICE = 0.005
@@ -79,10 +81,13 @@ class CancelOnce:
         "on_wait",
         "rest",
         "steps",
+        "turns",
         "wake",
     )
 
-    def __init__(self, on_wait: Callable[[], None]) -> None:
+    def __init__(self, on_wait: Callable[[], None], turns: Turns | None = None) -> None:
+        self.turns = turns or Turns()
+        """The turns of all executors of the server that do not wait."""
         self._task: TaskHandle[None] | CancelScope | None = None
         self.rest = CancelScope(shield=True)
         self.is_spent = False

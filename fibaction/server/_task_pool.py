@@ -32,6 +32,7 @@ from fibaction._detached import DetachedGroup, waker
 from fibaction._notify import Notifier
 from fibaction.server._fair_queue import FairQueue
 from fibaction.server._interruption import SLICE, CancelOnce
+from fibaction.server._turns import Turns
 
 GRACE = 1.0
 """Seconds after `close()` until jobs are abandoned: for clean-up that is shielded from being
@@ -59,6 +60,7 @@ class TaskPool:
         self._is_coming = True  # a task was woken or started for the next job, or will be
         self._slice_end = 0.0
         self._on_wait = self._call  # one bound method for all scopes
+        self._turns = Turns()
         self._closed = False
         self._tasks: TaskGroup
         self._group = DetachedGroup(
@@ -97,7 +99,7 @@ class TaskPool:
             if self._idle:
                 self._idle.pop().notify()
             else:
-                scopes = CancelOnce(self._on_wait)
+                scopes = CancelOnce(self._on_wait, self._turns)
                 scopes.run_by(self._tasks.start_soon(self._work, scopes, name=self._name))
 
     async def _work(self, scopes: CancelOnce) -> None:

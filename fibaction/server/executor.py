@@ -102,6 +102,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         "_executor",
         "_is_interrupted",
         "_log",
+        "_owner",
         "_result",
         "_scopes",
         "_stall_timeout",
@@ -122,6 +123,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._executor = executor
         self._log = log
         self._stall_timeout = stall_timeout
+        self._owner = log.goal.sender.owner
         self._result: bytes | None = None
         # The context variables of the call that sent the goal, as a task of its own would have.
         self._context = copy_context()
@@ -237,7 +239,11 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             step = items.__anext__()
 
     async def _pause(self) -> None:
-        await checkpoint()
+        assert self._scopes is not None
+        if self._steps.pending or self._log.is_full:
+            await checkpoint()
+        else:  # its slice is over
+            await self._scopes.turns.pause(self._owner)
         if self._log.is_full:
             await self._log.wait_for_room(self._stall_timeout)
 
