@@ -38,6 +38,12 @@ RESET = struct.pack("ii", 1, 0)
 """Of SO_LINGER: closing resets the connection."""
 
 
+@pytest.fixture(autouse=True)
+def time_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no slice end, however busy the machine is; tests of slices have clocks of their own."""
+    monkeypatch.setattr(_asyncio, "perf_counter", lambda: 0.0)
+
+
 class End:
     """One end of a connection: what it hears, and what it has to say."""
 

@@ -261,6 +261,10 @@ async def test_who_does_not_begin_with_tls_is_not_waited_for(heard: Hearing) -> 
     transport = TcpTransport(port=0, tls=TlsFiles(cert=pems().cert), limits=limits)
     async with serve(new_server(), transport) as (url,), raw(url) as peer:
         await heard.until(f"{peer.name}: no TLS: it took too long to shake hands")
+        with anyio.fail_after(5), pytest.raises(anyio.EndOfStream):
+            await peer.stream.receive()
+        for _ in range(10):  # the server has done with it
+            await anyio.lowlevel.checkpoint()
 
 
 async def test_clients_that_begin_and_say_nothing_keep_no_other_out(heard: Hearing) -> None:

@@ -95,8 +95,9 @@ class TlsListener(TLSListener):
                 logger.warning(
                     "%s: no TLS: it took too long while %d others began", peer, self.most
                 )
-            elif wrapped is not None:
-                await handler(wrapped)
+            if wrapped is None:
+                return
+            await handler(wrapped)
 
         await self.listener.serve(begin, task_group)
 
