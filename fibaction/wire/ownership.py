@@ -40,7 +40,7 @@ from anyio.abc import TaskGroup
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._slices import Slices
-from fibaction.abc import Endpoint, GoalStream, GoalUpdate
+from fibaction.abc import GoalStream, GoalUpdate
 from fibaction.exceptions import ActionError, GoalRejected
 from fibaction.goals import GoalID, Outcome
 from fibaction.server.goal_record import digest_of
@@ -201,8 +201,11 @@ class Owners:
         canceled = 0
         for call in tuple(held.calls.values()):
             if held.has(call):
-                self._end_lost(call)
-                canceled += self._cancels(call)
+                if self._cancels(call):
+                    self._tasks.start_soon(self._cancel, call)
+                    canceled += 1
+                else:
+                    self._end_lost(call)
             await slices.pause()
         if canceled:
             logger.info("canceling the goals of a client that has not come back: %d", canceled)
@@ -218,29 +221,30 @@ class Owners:
             _stream_of(call).hold(False)  # the executor waits for the last call alone
 
     def _cancels(self, call: GoalSubscription) -> bool:
-        """Cancel the goal of a call that was given up, if that is to be; return whether it is."""
-        stream = _stream_of(call)
-        is_canceled = (
+        """Return whether the goal of a lost call is to be canceled: no other call follows it."""
+        return (
             self._then == "cancel"
+            and not self._has_closed
             and call.own
-            and stream.goal_id not in self._owned
-            and not stream.status.is_terminal
+            and self._owned[GoalID(call.goal_id)].calls == (call,)
+            and not _stream_of(call).status.is_terminal
         )
-        if is_canceled:
-            assert call.endpoint is not None
-            self._tasks.start_soon(self._cancel, call.endpoint, stream.goal_id)
-        return is_canceled
 
     def _end_lost(self, call: GoalSubscription) -> None:
         call.held.forget(call)
         call.leave()
         self.end(call)
 
-    async def _cancel(self, endpoint: Endpoint, goal_id: GoalID) -> None:
+    async def _cancel(self, call: GoalSubscription) -> None:
+        """Cancel the goal of a lost call, which holds its executor until then."""
+        assert call.endpoint is not None
+        goal_id = GoalID(call.goal_id)
         try:
-            await endpoint.cancel_goals(goal_id)
+            await call.endpoint.cancel_goals(goal_id)
         except Exception as exc:  # an endpoint may be foreign code
             logger.warning("goal %s could not be canceled: %s", goal_id, exc)
+        if call.held.has(call):  # else the client has come back meanwhile
+            self._end_lost(call)
 
 
 def _stream_of(call: GoalSubscription) -> GoalStream:

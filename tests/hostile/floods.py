@@ -61,7 +61,7 @@ async def flood(target: Target, kind: str, connections: int, messages: int = MES
 
     async def one(raw: Raw) -> None:
         for _ in range(2):
-            ids = [next(raw.ids) for _ in range(messages // connections // 2)]
+            ids = [next(raw.ids) for _ in range(max(50, messages // connections // 2))]
             await raw.write(packed(*map(make, ids)))
             await raw.fence()
             if kind.startswith("SendGoal"):
@@ -81,7 +81,7 @@ async def flood_unread(target: Target, kind: str) -> None:
 
 
 for _kind in KINDS:
-    for _connections in (1, 3, 10, 50):
+    for _connections in (1, 3, 10, 50, 300):
         attack(f"{_kind} x {_connections}", above=96, long=True)(
             partial(flood, kind=_kind, connections=_connections)
         )

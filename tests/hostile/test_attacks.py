@@ -8,18 +8,7 @@ from tests.hostile.arena import figures_of
 from tests.hostile.attacks import ATTACKS
 from tests.hostile.verdict import faults
 
-PENDING = {
-    "goals that nobody follows",
-    "large goals accepted",
-    "large goals at once",
-    "large results",
-    "large results unread",
-    "large feedback unread",
-    "large feedback unfollowed",
-    "goals of 16 million values, unknown field",
-}
-"""Attacks that the server does not withstand yet."""
-SHORT = [name for name, attack in ATTACKS.items() if not attack.is_long and name not in PENDING]
+SHORT = [name for name, attack in ATTACKS.items() if not attack.is_long]
 
 
 @pytest.mark.asyncio

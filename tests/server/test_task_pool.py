@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from contextvars import copy_context
 from functools import partial
 from itertools import pairwise
-from typing import Any, NoReturn
+from typing import Any
 
 import anyio
 import anyio.lowlevel
@@ -303,13 +303,14 @@ async def test_the_owner_ends_without_a_job_that_does_not_end(
     seen: list[str] = []
     all_scopes: list[CancelOnce] = []
 
-    async def refuses() -> NoReturn:
+    async def refuses() -> str:
         with anyio.CancelScope(shield=is_waiting):
             while True:
                 try:
                     await anyio.sleep(1)
                 except BaseException as exc:
                     seen.append(type(exc).__name__)
+        raise AssertionError("it ended")
 
     async def job(scopes: CancelOnce) -> None:
         all_scopes.append(scopes)

@@ -304,6 +304,29 @@ async def test_lines_with_frames_left_take_turns_one_in_each_turn_of_the_loop() 
             peer.close()
 
 
+async def test_of_many_lines_with_news_in_one_turn_the_later_ones_handle_one_frame_each(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(_asyncio, "NEWS", 1e-9)  # used up by one line
+    async with listening() as (address, ends), anyio.create_task_group() as tasks:
+        peers = [socket.create_connection(address) for _ in range(3)]
+        await until(lambda: len(ends) == 3)
+        for end in ends:
+            tasks.start_soon(end.run)
+        for numbers in (b"123", b"456"):
+            await until(lambda: all(end.line._transport.is_reading() for end in ends))
+            for peer in peers:
+                peer.send(framed(bytes([number]) for number in numbers))
+            before = len(ends[0].heard)
+            await until(lambda before=before: any(len(end.heard) > before for end in ends))  # type: ignore[misc]  # bound here, for now
+            assert sorted(len(end.heard) - before for end in ends) == [1, 1, 3]
+            await until(lambda before=before: all(len(end.heard) == before + 3 for end in ends))  # type: ignore[misc]  # as above
+        assert all(b"".join(end.heard) == b"123456" for end in ends)
+        tasks.cancel_scope.cancel()
+    for peer in peers:
+        peer.close()
+
+
 async def test_a_line_that_no_longer_runs_handles_no_rest() -> None:
     async with beside_a_socket() as (end, peer):
         giving_back(end)

@@ -34,6 +34,9 @@ BATCH = 16
 NEXT_ADDRESS = 0.25
 """Seconds after which a host is tried at its next address, too: as RFC 8305 recommends."""
 
+NEWS = 0.005
+"""Seconds of a turn of the event loop in which lines handle as much news as a slice takes."""
+
 logger = clean_logger("fibaction.wire")
 
 
@@ -48,12 +51,29 @@ def on_asyncio() -> bool:
 class _Turns:
     """The lines that have frames left to handle: each turn of the event loop, one of them goes on.
 
-    However many lines there are, they delay the others together as little as one would.
+    However many lines there are, they delay the others together as little as one would. So they do
+    if many have news in one turn: after `NEWS` seconds each handles one frame, and waits.
     """
 
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._waiting: deque[ProtocolLine] = deque()
+        self._used = 0.0
+        """Seconds of this turn in which news were handled."""
+
+    @property
+    def is_used_up(self) -> bool:
+        """True if the time for news is over in this turn."""
+        return self._used >= NEWS
+
+    def use(self, seconds: float) -> None:
+        """Count the time in which a line has handled news."""
+        if not self._used:
+            self._loop.call_soon(self._begin)  # before the sockets of the next turn
+        self._used += seconds
+
+    def _begin(self) -> None:
+        self._used = 0.0
 
     def add(self, line: ProtocolLine) -> None:
         self._waiting.append(line)
@@ -168,12 +188,18 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
     def _handle(self, data: bytes | None) -> None:
         """Handle what has arrived, or the rest of what had arrived before."""
         assert self._on_frames is not None
+        began = perf_counter()
         try:
             frames = self._rest if data is None else self._reader.feed(data)
-            self._rest = self._on_frames(frames)
+            if data is not None and self._turns.is_used_up:
+                self._rest = self._on_frames(frames[:1]) + frames[1:]
+            else:
+                self._rest = self._on_frames(frames)
         except Exception as exc:
             self._end(exc)
         else:
+            if data is not None:
+                self._turns.use(perf_counter() - began)
             if self._rest and data is not None:
                 self._pause_reading()
                 self._turns.add(self)
