@@ -10,6 +10,7 @@ from typing import Any
 import anyio
 import pytest
 
+from fibaction._slices import SLICE
 from fibaction.testing import ScriptedServer
 from fibaction.wire import session_goals
 from fibaction.wire.auth import AccessPolicy, Permission
@@ -428,7 +429,7 @@ async def test_statuses_that_wait_for_room_go_with_their_connection() -> None:
 
 async def test_a_write_ends_when_it_has_taken_a_slice(monkeypatch: pytest.MonkeyPatch) -> None:
     """So that the goals of one connection leave the others their turns."""
-    times = count(step=session_goals.SLICE / 2)  # each look at the clock takes half a slice
+    times = count(step=SLICE / 2)  # each look at the clock takes half a slice
     monkeypatch.setattr(session_goals, "perf_counter", lambda: next(times))
     async with serving(held()) as served:
         client = await served.greet()
