@@ -20,13 +20,15 @@ TIMES = "×"  # noqa: RUF001  # the sign of a product, in text
 
 CONNECTION = 192 * KIB
 """Bytes of one connection: its tasks and buffers, those of TLS, and a message of 64 KiB of which a
-part has arrived. `tests/test_memory_bound.py` measures this number and the next five."""
+part has arrived. `tests/test_memory_bound.py` measures this number and the next six."""
 GOAL = 2 * KIB
 """Bytes of one goal that a connection sends or follows."""
 AUTHORIZING = 8 * KIB
 """Bytes of it in addition, while an async `authorize` decides."""
 REQUEST = 12 * KIB
 """Bytes of one other request that waits."""
+LISTED = 512
+"""Bytes of one goal in an answer that lists all goals; each connection has one at a time."""
 ACTIVE = 12 * KIB
 """Bytes of one undecided or active goal at the server, beside its bytes and your executor's."""
 RESULT = 8 * KIB
@@ -110,9 +112,9 @@ class Bound:
     def of_a_connection(self) -> int:
         """The most that one connection can take, beside what all share."""
         limits = self.limits
-        return (
-            CONNECTION + OVERFULL * limits.queue + limits.goals * GOAL + limits.requests * REQUEST
-        )
+        buffers = CONNECTION + OVERFULL * limits.queue
+        answer = LISTED * self.max_goals
+        return buffers + answer + limits.goals * GOAL + limits.requests * REQUEST
 
     @property
     def shared(self) -> int:
@@ -158,6 +160,7 @@ def memory_part() -> str:
                     f"{OVERFULL} {TIMES} `queue`",
                     f"{_bytes(GOAL)} {TIMES} `goals`",
                     f"{_bytes(REQUEST)} {TIMES} `requests`",
+                    f"{LISTED} B {TIMES} `max_goals`",
                 ),
             ),
             (

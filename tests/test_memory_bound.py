@@ -165,6 +165,20 @@ async def test_a_request_that_waits_takes_less_than_the_page_says() -> None:
     assert 500 < each < page.REQUEST
 
 
+async def test_an_answer_that_lists_all_goals_takes_less_than_the_page_says() -> None:
+    async with serving(interrupt_on_cancel=False) as connected:
+        client, other = await connected(), await connected()
+        await client.send(*sends(1000, ENDLESS))
+        await other.send(CancelGoals(1, NAME, None, None))
+        before = await settled()
+        tracemalloc.reset_peak()
+        await other.send(CancelGoals(2, NAME, None, None))
+        await settled()
+        each = (tracemalloc.get_traced_memory()[1] - before) / 1000
+
+    assert 100 < each < page.LISTED
+
+
 async def test_a_result_takes_less_than_the_page_says() -> None:
     async with serving(max_results=500) as connected:
         client = await connected()

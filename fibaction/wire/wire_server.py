@@ -138,6 +138,7 @@ class WireServer:
             if self._unknown.pop(session, None) is not None:
                 # The line may have been held up, so the client may try again.
                 session.end(LimitReached(f"it has not said hello within {handshake:g} s"))
+            del session  # the next one may come late, and what this one holds is to be freed
 
     def _entered(self, session: Session) -> None:
         """Note that a client was let in; end its earlier connection."""

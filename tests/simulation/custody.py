@@ -58,10 +58,15 @@ def left_for_clients(server: WireServer) -> Iterator[str]:
 
 
 def left_without_clients(server: WireServer, actions: ActionServer[Any, Any, Any]) -> Iterator[str]:
-    """Yield the tables that are not empty although all clients have left, and no goal is active."""
+    """Yield the tables and the counters that are not empty although all clients have left, no goal
+    is active, and all results have expired.
+    """
     runs, admission = actions._runs, actions._admission
     tables: dict[str, Sized] = {
         "connections": server._sessions,
+        "connections without a hello": server._unknown,
+        "sessions": server._latest,
+        "large messages": server._frames._held,
         "owners": server._owners._owned,
         "active goals": runs._runs,
         "goals of the registry": runs._registry._active,
@@ -70,3 +75,5 @@ def left_without_clients(server: WireServer, actions: ActionServer[Any, Any, Any
         "followers of statuses": runs._statuses._cursors,
     }
     yield from (f"{len(table)} {name}" for name, table in tables.items() if len(table))
+    counters = {"messages": server.memory.used, "goals": runs._registry.budget.used}
+    yield from (f"{count} bytes of {name}" for name, count in counters.items() if count)

@@ -140,3 +140,13 @@ def a_client_decides_when_it_counts_as_dead(real: Any) -> Any:
         real(self, 3600.0 if peer_interval == Limits().heartbeat else peer_interval, *rest)
 
     return agree
+
+
+@mistake(ByteBudget, "give_back", 6, 14, 20)
+def a_counter_of_bytes_only_grows(_real: Any) -> Any:
+    """Count the bytes of goals that wait, and never give them back."""
+
+    def give_back(self: ByteBudget, size: int) -> None:
+        pass
+
+    return give_back

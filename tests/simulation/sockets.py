@@ -76,6 +76,7 @@ class Socket(asyncio.Transport):
         if not self._is_lost:
             self._is_lost = True
             self._stream.close_now()
+            self._stream.forget_callbacks()  # as a real transport forgets its protocol
             self._soon(self._protocol.connection_lost, error)
 
     # What the protocol calls

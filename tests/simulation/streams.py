@@ -232,6 +232,10 @@ class SimulatedStream(ByteStream):
                 way.arrived.notify()
                 way.room.notify()
 
+    def forget_callbacks(self) -> None:
+        """Drop the callbacks of `sockets`."""
+        self._incoming.on_arrival = self._outgoing.on_room = _do_nothing
+
     @property
     def ways(self) -> tuple[Way, Way]:
         """The incoming and the outgoing way."""

@@ -66,6 +66,18 @@ def test_a_goal_that_nobody_reads_ends_for_a_client_with_a_window_of_one() -> No
     check(simulate(Scenario(0, "calm", ServerPlan(), (client,))))
 
 
+def test_the_last_client_that_said_hello_is_not_kept_after_it_has_left() -> None:
+    # The task that waits for hellos kept it, and what its goals hold counted until the next one.
+    work = Work(100, "busy", steps=5, size=500)
+    attacks = (
+        Attack(6.0, "send", work, count=40, credit=1000),
+        Attack(6.5, "wrong message", work, target=2),
+    )
+    plan = HostilePlan("hostile-0", Weather(buffer=700), attacks, reads="never")
+    honest = ClientPlan("client-0", Weather(), deeds=(Deed(0.0, "send", Work(1)),))
+    check(simulate(Scenario(0, "calm", ServerPlan(), (honest,), hostile=(plan,), calls_back=True)))
+
+
 # The same again
 
 

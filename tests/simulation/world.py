@@ -370,6 +370,7 @@ class World:
         hub, server = self.hub, self._server
         give_up_at = current_time() + EMPTY_WITHIN
         while left := list(left_without_clients(hub, server)):
+            gc.collect()  # bytes are counted until the last that has them is collected
             if current_time() >= give_up_at:
                 self.record.fail("rest", f"left when all clients have gone: {left}")
                 return
