@@ -3,9 +3,9 @@
     python docs/build.py
 
 First the parts that are generated from the code are written: docs/states.svg, and the marked parts
-of docs/concepts.md and docs/protocol.md. Then the site is built strictly, and the built pages are
-checked: a link or an anchor without a target, or a resource from another site, is a fault. The exit
-code is 1 if there are faults.
+of docs/concepts.md, docs/protocol.md and docs/howto/secure.md. Then the site is built strictly, and
+the built pages are checked: a link or an anchor without a target, or a resource from another site,
+is a fault. The exit code is 1 if there are faults.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from pathlib import Path
 from concepts_parts import errors_part, states_part
 from page_parts import with_parts
 from protocol_parts import descriptions_part, limits_part, messages_part
+from secure_parts import limits_part as all_limits_part
+from secure_parts import memory_part
 from site_links import problems
 from states_picture import diagram
 
@@ -35,6 +37,7 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
         "descriptions": descriptions_part,
         "limits": limits_part,
     },
+    "howto/secure.md": {"limits": all_limits_part, "memory": memory_part},
 }
 """Function that makes the part between each pair of markers, by page."""
 

@@ -97,7 +97,7 @@ def _message(kind: type[msgspec.Struct], digits: str) -> str:
 def _fields(kind: type[msgspec.Struct], title: str = "Field") -> str:
     described = types.type_info(kind)
     assert isinstance(described, types.StructType)
-    docs = _docs_of_fields(kind)
+    docs = docs_of_fields(kind)
     rows: list[list[str]] = []
     for field in described.fields:
         default = "" if field.required else f"`{_shown(_default(field))}`"
@@ -114,7 +114,7 @@ def _default(field: types.Field) -> object:
     return field.default if field.default_factory is msgspec.NODEFAULT else field.default_factory()
 
 
-def _docs_of_fields(kind: type) -> dict[str, str]:
+def docs_of_fields(kind: type) -> dict[str, str]:
     """Return the docstring of each field in the source; empty for a field without one."""
     (described,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     assert isinstance(described, ast.ClassDef)

@@ -125,7 +125,7 @@ async def _awaited(function: Callable[[], Awaitable[None]]) -> None:
     await function()
 
 
-def waker() -> Callable[[], None]:
+def waker() -> Callable[[], object]:
     """Return a function that makes this task resume with an error even if scopes shield its wait.
 
     It is for code that never resumes what has been waiting. It has no effect on a task of asyncio

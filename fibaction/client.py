@@ -13,14 +13,15 @@ Following and leaving a goal: see `client_goal`.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
-from contextlib import AbstractAsyncContextManager, suppress
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from operator import index
 from typing import Generic
 
 import anyio
 from anyio import get_cancelled_exc_class
 
+from fibaction._own_thread import OwnThread
 from fibaction.abc import Endpoint
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.client_goal import LEAVE_TIMEOUT, ClientGoal, SendingGoal
@@ -30,12 +31,17 @@ from fibaction.goals import CancelAnswer, GoalID, GoalInfo
 
 
 class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
-    """A client of one action at one endpoint, which need not be closed."""
+    """A client of one action at one endpoint, which need not be closed.
+
+    It belongs to one event loop: what waits raises `RuntimeError` in another thread, for this class
+    as for `ClientGoal`.
+    """
 
     def __init__(self, endpoint: Endpoint, action: Action[GoalT, FeedbackT, ResultT]) -> None:
         self.endpoint = endpoint
         """The endpoint that the goals are sent to."""
         self.action = action
+        self._thread = OwnThread()
         self._blocks: set[SendingGoal[FeedbackT, ResultT]] = set()
 
     def send_goal(
@@ -74,7 +80,9 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         """Send a goal, and return its result.
 
         `on_feedback`, sync or async, is called with each feedback. A cancellation of the calling
-        task, or an exception of `on_feedback`, cancels the goal.
+        task, or an exception of `on_feedback`, cancels the goal. If feedback was lost, for example
+        with a connection, the number of lost messages is logged as a warning of
+        `fibaction.client`, unless the server's policy is `feedback="latest"`.
 
         Raises:
             GoalRejected, ServerNotFound, ConnectionLost, AuthenticationFailed, ProtocolError,
@@ -89,6 +97,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
                     answer = on_feedback(feedback)
                     if isinstance(answer, Awaitable):
                         await answer
+                sent.feedback.warn_of_loss()
             return await sent.result()
 
     async def attach(
@@ -106,6 +115,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         """
         _check_is_id(goal_id)
         after = None if after is None else index(after)
+        self._thread.check()
         stream = await self.endpoint.feedback(goal_id, after=after)
         return ClientGoal(self.endpoint, self.action, stream)
 
@@ -125,6 +135,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         if goal_id is not None:
             _check_is_id(goal_id)
         before = None if before is None else index(before)
+        self._thread.check()
         return await self.endpoint.cancel_goals(goal_id, before)
 
     async def goals(self) -> list[GoalInfo]:
@@ -134,6 +145,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
             TransportError: As for `ClientGoal.cancel`.
         """
+        self._thread.check()
         with await self.endpoint.status() as statuses:
             return await statuses.listed()
 
@@ -152,7 +164,13 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
             TransportError: As for `ClientGoal.cancel`.
         """
-        return events_of(self.endpoint, self.action.feedback, feedback=feedback)
+        return self._events(feedback)
+
+    @asynccontextmanager
+    async def _events(self, feedback: bool) -> AsyncGenerator[Events[FeedbackT], None]:
+        self._thread.check()
+        async with events_of(self.endpoint, self.action.feedback, feedback=feedback) as events:
+            yield events
 
     async def wait_for_server(self, timeout: float | None = None) -> None:
         """Wait until the action is served.
@@ -161,6 +179,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             ServerNotFound: It was not served within `timeout` seconds (None: no limit).
             TransportError: The connection ended for good, or the server does not answer.
         """
+        self._thread.check()
         with anyio.move_on_after(timeout):
             return await self.endpoint.wait_for_server()
         raise ServerNotFound(f"the action {self.action.name!r} was not served within {timeout:g} s")
@@ -179,6 +198,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
     async def _send(
         self, goal: GoalT, goal_id: GoalID, *, feedback: bool = True
     ) -> ClientGoal[FeedbackT, ResultT]:
+        self._thread.check()
         payload = self.action.goal.encode(goal)
         try:
             stream = await self.endpoint.send_goal(goal_id, payload, feedback=feedback)

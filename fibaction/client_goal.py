@@ -30,6 +30,7 @@ from typing import Any, Generic
 import anyio
 
 from fibaction._log import clean_logger
+from fibaction._own_thread import OwnThread
 from fibaction._text import excerpt
 from fibaction.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.action import Action, Codec, FeedbackT, ResultT
@@ -47,7 +48,8 @@ logger = clean_logger("fibaction.client")
 class FeedbackReader(Generic[FeedbackT]):
     """The feedback of one goal, for `async for`; the iteration ends when the goal does."""
 
-    def __init__(self, stream: GoalStream, codec: Codec[FeedbackT]) -> None:
+    def __init__(self, stream: GoalStream, codec: Codec[FeedbackT], thread: OwnThread) -> None:
+        self._thread = thread
         self._stream = stream
         self._codec = codec
         self._reader: int | None = None
@@ -66,6 +68,7 @@ class FeedbackReader(Generic[FeedbackT]):
             TransportError: As for `ClientGoal.outcome`.
             ProtocolError: The feedback is not of its type.
         """
+        self._thread.check()
         if not self._holding:
             self._holding = True
             self._stream.hold(True)
@@ -89,6 +92,17 @@ class FeedbackReader(Generic[FeedbackT]):
             self._holding = False
             self._stream.hold(False)
 
+    def warn_of_loss(self) -> None:
+        """Log the number of messages that were lost, if the server's policy is to lose none."""
+        stream = self._stream
+        if stream.dropped and not stream.latest:
+            logger.warning(
+                "goal %s: %d feedback messages were lost, with a connection or because they were"
+                " not read in time",
+                stream.goal_id,
+                stream.dropped,
+            )
+
     def __del__(self) -> None:
         # The executor must not wait for a reader that no longer exists.
         self._stream.close()
@@ -100,7 +114,8 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
     def __init__(
         self, endpoint: Endpoint, action: Action[Any, FeedbackT, ResultT], stream: GoalStream
     ) -> None:
-        self.feedback = FeedbackReader(stream, action.feedback)
+        self._thread = OwnThread()
+        self.feedback = FeedbackReader(stream, action.feedback, self._thread)
         """The feedback, for `async for`. While it is not read, the server keeps the newest."""
         self._endpoint = endpoint
         self._codec = action.result
@@ -143,6 +158,7 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
                 than this client's limit.
             ProtocolError: The result is not of its type.
         """
+        self._thread.check()
         if self._outcome is None:
             self.feedback.release()
             raw = await self._stream.outcome()
@@ -177,10 +193,12 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
             AuthenticationFailed: This client lacks the permission to cancel.
             TransportError: The server has too many requests of this client already.
         """
+        self._thread.check()
         return await self._endpoint.cancel_goals(self.goal_id)
 
     def close(self) -> None:
         """Stop reading feedback. The goal goes on, and `outcome()` still works."""
+        self._thread.check()
         self._stream.close()
 
     def __repr__(self) -> str:

@@ -52,6 +52,8 @@ __all__ = [
     "newest_active_first",
 ]
 
+MOST_GOALS = 10_000
+"""Goals that a monitor keeps; each costs time at every snapshot."""
 SPAN = 5.0
 """Seconds over which a rate is measured: a shorter span flickers, a longer one is late."""
 
@@ -109,7 +111,10 @@ def newest_active_first(info: GoalInfo) -> tuple[bool, int]:
 
 
 class Monitor(ActionListener):
-    """Keeps the state of all actions and goals, for `snapshot`."""
+    """Keeps the state of all actions and goals, for `snapshot`.
+
+    Of more than `MOST_GOALS` goals it keeps those that it has heard of last.
+    """
 
     def __init__(
         self,
@@ -195,6 +200,8 @@ class Monitor(ActionListener):
             self._goals.pop(key, None)
         elif goal is None:
             self._goals[key] = _GoalState(event)
+            if len(self._goals) > MOST_GOALS:
+                del self._goals[next(iter(self._goals))]
         else:
             goal.merge(event)
 
@@ -222,7 +229,7 @@ class Monitor(ActionListener):
             infos = await client.goals()
         except ActionError:
             return  # `follow_action` reports it
-        for info in infos:
+        for info in sorted(infos, key=newest_active_first)[:MOST_GOALS]:
             self.on_event(action, info)
         for key in before - {GoalKey(action, info.goal_id) for info in infos}:
             self._goals.pop(key, None)

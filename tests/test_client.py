@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import anyio
@@ -487,3 +488,68 @@ async def test_leaving_a_client_cancels_a_goal_that_is_being_sent_by_its_id() ->
             await client.leave()
             assert endpoint.cancels == [goal_id]
             tasks.cancel_scope.cancel()
+
+
+# Lost feedback
+
+
+class LossyStream(BrokenStream):
+    """A goal that has ended, and whose feedback was lost."""
+
+    dropped = 7
+
+    def __init__(self, *, latest: bool) -> None:
+        super().__init__()
+        self.latest = latest
+
+    def take(self, limit: int = 1) -> list[GoalUpdate]:
+        return [self.known_outcome()]
+
+    def known_outcome(self) -> Outcome[bytes]:
+        return Outcome(GoalStatus.SUCCEEDED, FIBONACCI.result.encode(Result([1])))
+
+
+@pytest.mark.parametrize("latest", [False, True])
+async def test_a_call_logs_how_much_feedback_was_lost_unless_that_is_the_policy(
+    latest: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    stream = LossyStream(latest=latest)
+    assert await client_of(Broken(stream)).call(Goal(1), on_feedback=print) == Result([1])
+    lost = f"goal {stream.goal_id}: 7 feedback messages were lost"
+    assert (lost in caplog.text) is not latest
+
+
+# Threads
+
+
+async def test_a_client_in_another_thread_is_told_which_one_is_its_own() -> None:
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), Result([3])]) as server:
+        client = client_of(server)
+        goal = await client.send_goal(Goal(1))
+        uses: list[Callable[[], Awaitable[object]]] = [
+            lambda: client.call(Goal(1)),
+            lambda: _awaited(client.send_goal(Goal(1))),
+            lambda: client.attach(goal.goal_id),
+            client.cancel_goals,
+            client.goals,
+            client.events().__aenter__,
+            client.wait_for_server,
+            goal.result,
+            goal.outcome,
+            goal.cancel,
+            goal.feedback.__anext__,
+        ]
+
+        async def use_all() -> None:
+            for use in uses:
+                with pytest.raises(RuntimeError, match=r"anyio\.from_thread\.run\(client\.call"):
+                    await use()
+            with pytest.raises(RuntimeError, match="belongs to the event loop of thread"):
+                goal.close()
+
+        await anyio.to_thread.run_sync(anyio.run, use_all)
+        assert await goal.result() == Result([3])
+
+
+async def _awaited(sending: Awaitable[object]) -> object:
+    return await sending

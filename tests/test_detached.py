@@ -104,7 +104,7 @@ async def test_the_owner_leaves_overdue_tasks_behind() -> None:
 
 async def test_the_end_of_the_wait_of_an_overdue_task_is_waited_for() -> None:
     ended: list[str] = []
-    wakers: list[Callable[[], None]] = []
+    wakers: list[Callable[[], object]] = []
 
     async def job() -> None:
         wakers.append(waker())

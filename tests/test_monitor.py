@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import anyio
+import msgspec
 import pytest
 
 import fibaction._action_listener
@@ -115,6 +116,17 @@ def test_feedback_of_goals_beyond_the_most_is_forgotten() -> None:
     assert the_goal(monitor).latest is None
     monitor.on_event("one", feedback(2))
     assert the_goal(monitor).latest == 20
+
+
+def test_the_latest_of_very_many_goals_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fibaction.monitor.MOST_GOALS", 2)
+    monitor = Monitor()
+    monitor.on_actions([ONE], "")
+    ids = [GoalID.random() for _ in range(3)]
+    for goal_id in ids:
+        monitor.on_event("one", msgspec.structs.replace(info(2), goal_id=goal_id))
+
+    assert {goal.info.goal_id for goal in monitor.snapshot().goals} == set(ids[1:])
 
 
 def test_a_rate_is_that_of_the_last_seconds() -> None:

@@ -12,7 +12,7 @@ from fibaction.cli.action_names import shown
 from fibaction.cli.completion import ACTION
 from fibaction.cli.escape import excerpt
 from fibaction.cli.exit_codes import ExitCode, Failure, message_of, run
-from fibaction.cli.goal_lookup import ActionClients, find_goal, goal_digits, goals_of
+from fibaction.cli.goal_lookup import MOST_AT_ONCE, ActionClients, find_goal, goal_digits, goals_of
 from fibaction.cli.goal_table import GoalRow
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import note, say, say_json
@@ -119,14 +119,16 @@ async def cancel_many(url: str, name: str | None, before: int | None, *, as_json
         mine = (row for row in rows if row.action == action)
         meant = [row.info.goal_id for row in mine if _is_meant(row, before)]
         try:
-            answer = await client.cancel_goals(before=before)
+            async with limit:
+                answer = await client.cancel_goals(before=before)
         except ActionError as exc:
-            note(f"The goals of {shown(action)} are not canceled: {message_of(exc)}")
+            note(f"The goals of {excerpt(shown(action))} are not canceled: {message_of(exc)}")
             codes.add(ExitCode.UNREACHABLE)
             return
         found += len({*meant, *(info.goal_id for info in answer.goals_canceling)})
         codes.add(_print_answer(action, meant, answer, as_json))
 
+    limit = anyio.CapacityLimiter(MOST_AT_ONCE)
     async with connect(url) as connection:
         clients = await ActionClients(connection, name).now()
         rows = await goals_of(clients)
@@ -174,4 +176,4 @@ def _print_goal(
     elif status is not None:
         say(f"Canceling the goal {goal_id} of {excerpt(shown(action))}")
     else:
-        note(f"The goal {goal_id} of {shown(action)} is not canceled: {why}")
+        note(f"The goal {goal_id} of {excerpt(shown(action))} is not canceled: {why}")

@@ -16,6 +16,9 @@ from fibaction.exceptions import ActionError
 from fibaction.goals import GoalID
 from fibaction.monitor import AnyClient
 
+MOST_AT_ONCE = 100
+"""Actions that are asked at the same time: a server limits the requests of a connection."""
+
 
 class ActionClients:
     """A client for each action that is served, or for the one that the user names."""
@@ -70,10 +73,12 @@ async def goals_of(clients: Mapping[str, AnyClient]) -> list[GoalRow]:
 
     async def ask(name: str, client: AnyClient) -> None:
         try:
-            rows.extend(GoalRow(name, info) for info in await client.goals())
+            async with limit:
+                rows.extend(GoalRow(name, info) for info in await client.goals())
         except ActionError as exc:
             errors.append(exc)
 
+    limit = anyio.CapacityLimiter(MOST_AT_ONCE)
     async with anyio.create_task_group() as tasks:
         for name, client in clients.items():
             tasks.start_soon(ask, name, client)

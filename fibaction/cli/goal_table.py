@@ -96,8 +96,9 @@ def in_columns(
         table = _cells(rows, digits, now, actions=actions)
     spare = None if width is None else width - _width(table)
     if spare is not None and spare < 0:
-        table = [_narrowed(cells, table, -spare, actions=actions) for cells in table]
-    return [_joined(cells, _widths(table)) for cells in table]
+        table = _narrowed(table, -spare, actions=actions)
+    widths = _widths(table)
+    return [_joined(cells, widths) for cells in table]
 
 
 def in_color(rows: Sequence[GoalRow], lines: Sequence[str]) -> list[Text]:
@@ -160,18 +161,17 @@ def _width(table: Sequence[Sequence[str]]) -> int:
     return sum(widths) + len(GAP) * (len(widths) - 1)
 
 
-def _narrowed(
-    cells: Sequence[str], table: Sequence[Sequence[str]], excess: int, *, actions: bool
-) -> list[str]:
-    """Return the cells, with the client and then the action shortened by the excess."""
+def _narrowed(table: list[list[str]], excess: int, *, actions: bool) -> list[list[str]]:
+    """Return the table, with the clients and then the actions shortened by the excess."""
     widths = _widths(table)
-    narrowed = list(cells)
+    narrowed = [list(cells) for cells in table]
     # The client first: people look for the name of the action.
     for column in (-1, 1) if actions else (-1,):
         room = max(widths[column] - excess, SHORT)
         excess -= widths[column] - room
-        if len(narrowed[column]) > room:
-            narrowed[column] = narrowed[column][: room - 1] + "…"
+        for cells in narrowed:
+            if len(cells[column]) > room:
+                cells[column] = cells[column][: room - 1] + "…"
     return narrowed
 
 

@@ -95,7 +95,7 @@ class CancelOnce:
         """The function that is called when the coroutine inside begins to wait."""
         self.steps: Steps[Any] | None = None
         """The coroutine that runs in these scopes now; None if none does."""
-        self.wake: Callable[[], None] | None = None
+        self.wake: Callable[[], object] | None = None
         """The function that ends a wait of the task even if scopes shield it; None if none can."""
 
     def run_by(self, task: TaskHandle[None] | CancelScope) -> None:

@@ -106,7 +106,9 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         try:
             request = self._decode(offer.goal)
             if self._on_goal is not None:
-                asking = self._callbacks.ask("on_goal", self._on_goal, request, GoalRejected)
+                asking = self._callbacks.ask(
+                    "on_goal", self._on_goal, request, GoalRejected, about=goal_id
+                )
                 if asking is not None:
                     return self._accept_later(offer, request, asking)
             return self._accept(offer, request)
@@ -180,6 +182,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
     async def _decided(self, goal_id: GoalID) -> None:
         """Wait until the goal is decided; return at once if it is not undecided."""
         while self._registry.is_undecided(goal_id):
+            self._callbacks.check_not_within("on_goal", goal_id, "cancels, or sends again,")
             await self._decisions.setdefault(goal_id, Notifier()).wait()
 
     def _tell_decision(self, goal_id: GoalID) -> None:
@@ -228,9 +231,12 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         if not goal.status.is_active:
             return None  # it has ended since it was chosen
         if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
+            self._callbacks.check_not_within("on_cancel", goal.goal_id, "cancels")
             handle = self._runs.handle_of(goal)
             try:
-                asking = self._callbacks.ask("on_cancel", self._on_cancel, handle, CancelRejected)
+                asking = self._callbacks.ask(
+                    "on_cancel", self._on_cancel, handle, CancelRejected, about=goal.goal_id
+                )
             except CancelRejected as exc:
                 cancellation.reject(exc.reason)
                 return None

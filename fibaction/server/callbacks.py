@@ -22,8 +22,9 @@ This module does not depend on goals; its caller carries out the answers.
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable, Coroutine, Generator
+from collections.abc import Awaitable, Callable, Coroutine, Generator, Hashable
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, TypeAlias, TypeVar
 
 from anyio import CancelScope, current_effective_deadline, get_cancelled_exc_class
@@ -40,6 +41,9 @@ _Rejection: TypeAlias = type[GoalRejected] | type[CancelRejected]
 
 SERVER_STOPPING = "the server is stopping"
 CANCELED_ELSEWHERE = "it awaited a task or future that was canceled elsewhere"
+
+_running: ContextVar[tuple[tuple[object, str, Hashable], ...]] = ContextVar("_running", default=())
+"""The async callbacks that this code is called by: of which server, its name, and about what."""
 
 logger = clean_logger("fibaction.server")
 
@@ -62,9 +66,10 @@ class Callbacks:
         callback: Callback[T],
         argument: T,
         rejection: _Rejection,
+        about: Hashable = None,
     ) -> Coroutine[Any, Any, None] | None:
-        """Call the callback of that name; return None if it accepts, or a coroutine that waits for
-        its answer.
+        """Call the callback of that name about a goal; return None if it accepts, or a coroutine
+        that waits for its answer.
 
         Raises:
             GoalRejected, CancelRejected: The type is that of `rejection`, here or in the coroutine:
@@ -76,13 +81,34 @@ class Callbacks:
                 # Added here, so that `stop` reaches it even before the coroutine begins.
                 scope = CancelScope()
                 self._waiting.add(scope)
-                return self._wait(scope, name, answer, rejection)
+                return self._wait(scope, name, answer, rejection, about)
             _check(name, answer, rejection)
         return None
 
+    def check_not_within(self, name: str, about: Hashable, act: str) -> None:
+        """Raise an error if this is called by an async callback of that name about that goal.
+
+        A caller that waits for the answer of a callback calls this. If it were the callback itself,
+        it would wait for ever.
+
+        Raises:
+            RuntimeError: It is called by that callback, or by a task that the callback has started.
+        """
+        if (self, name, about) in _running.get():
+            raise RuntimeError(
+                f"{name} {act} the goal that it decides upon, and would wait for itself: do it"
+                f" after {name} has returned"
+            )
+
     async def _wait(
-        self, scope: CancelScope, name: str, awaitable: Awaitable[object], rejection: _Rejection
+        self,
+        scope: CancelScope,
+        name: str,
+        awaitable: Awaitable[object],
+        rejection: _Rejection,
+        about: Hashable,
     ) -> None:
+        token = _running.set((*_running.get(), (self, name, about)))
         try:
             with self._failures_as(rejection, name):
                 if scope.cancel_called:  # stopped before this coroutine began
@@ -95,6 +121,7 @@ class Callbacks:
                     raise rejection(SERVER_STOPPING)
         finally:
             self._waiting.discard(scope)
+            _running.reset(token)
 
     @contextmanager
     def _failures_as(self, rejection: _Rejection, name: str) -> Generator[None, None, None]:

@@ -221,10 +221,9 @@ class GoalRegistry:
         goal.status = outcome.status
         goal.outcome = outcome
         goal.ended_at = stamp
-        size = len(outcome.result or b"") + len(outcome.reason)
-        if goal.held is not None:
-            goal.held.resize(size)
-            self._kept_bytes += size
+        assert goal.held is not None
+        goal.held.resize(len(outcome.result or b"") + len(outcome.reason))
+        self._kept_bytes += goal.held.size
         del self._active[goal.goal_id]
         self._ended.put(goal.goal_id, goal, now)
         self._listing = None
@@ -274,8 +273,8 @@ class GoalRegistry:
 
     def _forget(self, goal: GoalRecord) -> None:
         """Let go of the outcome. Lists of goals may reference the record for a long time."""
-        if goal.held is not None:
-            self._kept_bytes -= goal.held.size
+        assert goal.held is not None
+        self._kept_bytes -= goal.held.size
         goal.outcome = goal.held = None
         self._listing = None
 

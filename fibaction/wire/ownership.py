@@ -224,6 +224,7 @@ class Owners:
         """Return whether the goal of a lost call is to be canceled: no other call follows it."""
         return (
             self._then == "cancel"
+            and not self._has_closed
             and call.own
             and self._owned[GoalID(call.goal_id)].calls == (call,)
             and not _stream_of(call).status.is_terminal

@@ -106,3 +106,9 @@ def test_a_picture_has_the_active_goals_first_and_says_what_is_left_out() -> Non
     assert lines[8] == "10 active, 10 ended; 13 not shown"
     away = picture(screen, [], "gone\x1b", actions=True).plain.splitlines()
     assert away[1] == "The server is away: gone\\x1b"
+
+
+def test_the_time_for_a_table_grows_with_its_rows() -> None:
+    rows = [GoalRow("a", GoalInfo(GoalID.random(), 1, GoalStatus.EXECUTING, 0, "x" * 200))] * 50_000
+
+    assert len(in_columns(rows, actions=True, width=80, now=0)) == 50_001

@@ -28,6 +28,7 @@ FILES = {
     "Makefile",
     "PKG-INFO",
     "README.md",
+    "SECURITY.md",
     "pyproject.toml",
     "zensical.toml",
 }

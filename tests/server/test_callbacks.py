@@ -9,9 +9,11 @@ from typing import Any
 import anyio
 import pytest
 
+from fibaction import ActionServer, CancelAnswer, GoalHandle, GoalID, GoalStatus
 from fibaction.exceptions import CancelRejected, GoalRejected
 from fibaction.server.callbacks import CANCELED_ELSEWHERE, SERVER_STOPPING, Callbacks
-from tests.executors import Mute
+from tests.executors import Items, Mute
+from tests.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.asyncio
 
@@ -375,3 +377,83 @@ async def test_a_cancellation_from_elsewhere_is_a_failure_on_each_backend(backen
 
     # In a thread, as this one has a loop of asyncio's.
     await anyio.to_thread.run_sync(partial(anyio.run, main, backend=backend))
+
+
+# Callbacks that act upon the goal that they decide upon
+
+
+def goal_of(order: int) -> bytes:
+    return FIBONACCI.goal.encode(Goal(order))
+
+
+@pytest.mark.parametrize("act", ["cancels", "sends again"])
+@pytest.mark.parametrize("by_a_task", [False, True], ids=["itself", "by a task"])
+async def test_an_on_goal_that_would_wait_for_itself_rejects_and_says_so(
+    act: str, by_a_task: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    goal_id = GoalID.random()
+
+    async def wait_for_itself() -> None:
+        if act == "cancels":
+            await server.cancel_goals(goal_id)
+        else:
+            await server.send_goal(goal_id, goal_of(1))
+
+    async def on_goal(goal: Goal) -> None:
+        await server.cancel_goals()  # all goals that are accepted
+        await server.cancel_goals(GoalID.random())
+        if by_a_task:
+            await asyncio.create_task(wait_for_itself())
+        else:
+            await wait_for_itself()
+
+    with anyio.fail_after(5):
+        async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
+            with pytest.raises(GoalRejected) as caught:
+                await server.send_goal(goal_id, goal_of(1))
+    text = "on_goal cancels, or sends again, the goal that it decides upon, and would wait for"
+    assert f"on_goal failed: RuntimeError: {text} itself: do it after on_goal" in (
+        caught.value.reason
+    )
+    assert text in caplog.text
+
+
+async def test_an_on_cancel_that_cancels_its_goal_again_rejects_and_says_so() -> None:
+    async def on_cancel(goal: GoalHandle[Goal]) -> None:
+        await server.cancel_goals(goal.goal_id)
+
+    async def waits(goal: GoalHandle[Goal]) -> Items:
+        await anyio.sleep_forever()
+        yield Result([])
+
+    with anyio.fail_after(5):
+        async with ActionServer(FIBONACCI, waits, on_cancel=on_cancel) as server:
+            stream = await server.send_goal(GoalID.random(), goal_of(1))
+            answer = await server.cancel_goals(stream.goal_id)
+            assert "on_cancel cancels the goal that it decides upon" in answer.reason
+            assert stream.status is not GoalStatus.CANCELING
+
+
+async def test_a_task_that_on_goal_has_started_may_act_upon_the_goal_once_it_is_decided() -> None:
+    decided = anyio.Event()
+    answers: list[CancelAnswer] = []
+
+    async def cancel_later(goal_id: GoalID) -> None:
+        await decided.wait()
+        answers.append(await server.cancel_goals(goal_id))
+
+    async def on_goal(goal: Goal) -> None:
+        tasks.start_soon(cancel_later, goal_id)
+
+    async def waits(goal: GoalHandle[Goal]) -> Items:
+        await anyio.sleep_forever()
+        yield Result([])
+
+    with anyio.fail_after(5):
+        async with ActionServer(FIBONACCI, waits, on_goal=on_goal) as server:
+            goal_id = GoalID.random()
+            async with anyio.create_task_group() as tasks:
+                stream = await server.send_goal(goal_id, goal_of(1))
+                decided.set()
+            assert (await stream.outcome()).status is GoalStatus.CANCELED
+    assert answers[0].accepted

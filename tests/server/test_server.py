@@ -735,11 +735,16 @@ async def test_a_goal_that_is_being_decided_is_canceled_by_its_id_once_it_is_acc
         assert answer.return_code in (CancelCode.NONE, CancelCode.GOAL_TERMINATED)
 
 
-async def test_goals_are_canceled_side_by_side_and_rejections_are_told() -> None:
-    def on_cancel(goal: GoalHandle[Goal]) -> None:
+@pytest.mark.parametrize("late", [False, True], ids=["sync", "async"])
+async def test_goals_are_canceled_side_by_side_and_rejections_are_told(late: bool) -> None:
+    def decide(goal: GoalHandle[Goal]) -> None:
         if goal.request.order == 1:
             raise CancelRejected("not this one")
 
+    async def decide_later(goal: GoalHandle[Goal]) -> None:
+        decide(goal)
+
+    on_cancel: Any = decide_later if late else decide
     executor = Held()
     async with ActionServer(FIBONACCI, executor, on_cancel=on_cancel) as server:
         streams = [await server.send_goal(GoalID.random(), packed(order)) for order in range(3)]
@@ -931,6 +936,27 @@ async def test_a_stop_that_is_itself_canceled_while_it_kills_ends_every_goal() -
     assert reasons == {"server stopped"}
 
 
+async def test_a_goal_that_ends_while_others_are_killed_keeps_its_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Ends:
+        """Ends the other goals in the pause after the first one was killed."""
+
+        async def pause(self) -> None:
+            left = tuple(server._runs._runs.values())
+            if len(left) < 3:
+                for run in left:
+                    server._runs._finish(run, Ending(EndKind.RESULT, result([])))
+                    run.execution.kill()
+
+    monkeypatch.setattr(runs, "Slices", Ends)
+    async with ActionServer(FIBONACCI, Stubborn(), shutdown_timeout=0) as server:
+        streams = await start_many(server, 3)
+        await server.stop()
+        statuses = [(await stream.outcome()).status.name for stream in streams]
+    assert statuses == ["ABORTED", "SUCCEEDED", "SUCCEEDED"]
+
+
 # Expiry
 
 
@@ -1058,6 +1084,24 @@ async def test_goals_that_are_being_decided_count() -> None:
 
 def budget_of(server: ActionServer[Any, Any, Any]) -> ByteBudget:
     return server._runs._registry.budget
+
+
+async def test_as_many_results_are_forgotten_for_a_goal_as_it_needs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(runs, "MOST_AT_ONCE", 1)
+    async with ActionServer(FIBONACCI, fibonacci, max_bytes=200) as server:
+        for _ in range(20):
+            await (await server.send_goal(GoalID.random(), packed(1))).outcome()
+        with await server.status() as statuses:
+            assert 4 < statuses.known < 20
+        held = budget_of(server)
+        held.take(150)  # a large goal, say
+        stream = await server.send_goal(GoalID.random(), packed(1))
+        assert (await stream.outcome()).status is GoalStatus.SUCCEEDED
+        with await server.status() as statuses:
+            assert statuses.known < 4
+        held.give_back(150)
 
 
 @pytest.mark.promise("ACCEPT-14", "RESULT-9")

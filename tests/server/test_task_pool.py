@@ -310,7 +310,7 @@ async def test_the_owner_ends_without_a_job_that_does_not_end(
                     await anyio.sleep(1)
                 except BaseException as exc:
                     seen.append(type(exc).__name__)
-        raise AssertionError("it has ended by itself")
+        raise AssertionError("it ended")
 
     async def job(scopes: CancelOnce) -> None:
         all_scopes.append(scopes)

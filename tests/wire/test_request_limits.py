@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from itertools import count
 from typing import Any
 
 import anyio
 import pytest
 
+from fibaction._slices import SLICE
 from fibaction.testing import ScriptedServer
+from fibaction.wire import session_goals
 from fibaction.wire.auth import AccessPolicy, Permission
 from fibaction.wire.messages import (
     Actions,
@@ -230,6 +233,19 @@ async def test_a_goal_of_another_client_is_told_to_its_sender_only_if_it_may_obs
         assert kinds(await ann.ask_all(send(2))) == [Following, Feedback]
 
 
+async def test_a_goal_that_two_send_at_once_is_told_to_one_if_the_other_may_not_observe() -> None:
+    deciding = Deciding()
+    access = only(Permission.SEND, is_async=False)
+    server = running(*feedback(1), anyio.Event(), on_goal=deciding.on_goal)
+    async with serving(server, access=access) as served:
+        ann, bob = await served.greet(ANN), await served.greet(BOB)
+        assert await ann.ask_all(send(1)) == []
+        assert await bob.ask_all(send(1)) == []
+        deciding.go.set()
+        assert kinds(await bob.hear_all()) == [Failed]
+        assert kinds(await ann.ask_all()) == [Following, Feedback]
+
+
 async def test_a_goal_of_another_client_is_told_to_a_sender_that_may_observe() -> None:
     access = only(Permission.SEND, Permission.OBSERVE, is_async=True)
     async with serving(running(*feedback(1), anyio.Event()), access=access) as served:
@@ -409,3 +425,15 @@ async def test_statuses_that_wait_for_room_go_with_their_connection() -> None:
         client.channel.cut()
         await settled()
         assert not server._runs._statuses
+
+
+async def test_a_write_ends_when_it_has_taken_a_slice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that the goals of one connection leave the others their turns."""
+    times = count(step=SLICE / 2)  # each look at the clock takes half a slice
+    monkeypatch.setattr(session_goals, "perf_counter", lambda: next(times))
+    async with serving(held()) as served:
+        client = await served.greet()
+        before = len(client.channel.writes)
+        await client.say(*(send(i, bytes([i] * 16), None) for i in range(1, 41)))
+        assert kinds(await client.hear_all()) == [Following] * 40
+        assert max(len(frames) for _, frames in client.channel.writes[before:]) <= 4
