@@ -3,10 +3,11 @@
     make attack          # all, for 20 s each; or: python -m tests.hostile --seconds 60 NAME ...
 
 Server, honest client and attacker are processes of their own. For each attack it prints the honest
-client's latencies in milliseconds; the longest turn of the server's event loop, and the longest
-garbage collection, which is a part of a turn, in milliseconds of the processor; and the peak of the
-server's memory above the idle one, with its bound. It fails if a bound is broken, if the latency at
-the 99th percentile is over 100 ms, or if SIGTERM does not end the server in time. With
+client's latencies in milliseconds; at their 99th percentile the work of the server meanwhile, in
+milliseconds of the processor, which other programs do not change; the longest turn of the server's
+event loop, and the longest garbage collection, which is a part of a turn, in the same; and the peak
+of the server's memory above the idle one, with its bound. It fails if a bound is broken, if the
+latency at the 99th percentile is over 100 ms, or if SIGTERM does not end the server in time. With
 `--seconds 0` each attack is as short as in `make test`.
 """
 
@@ -26,8 +27,8 @@ from tests.hostile.verdict import faults
 P99 = 0.1
 """Seconds that the honest client's goals take at the 99th percentile, at most."""
 HEAD = (
-    f"{'attack':46} {'goals':>6} {'p50':>7} {'p99':>7} {'max':>7} {'turn':>6} {'gc':>6} {'MiB':>5}"
-    f" {'bound':>5} {'stop':>5}  ok"
+    f"{'attack':46} {'goals':>6} {'p50':>7} {'p99':>7} {'max':>7} {'work':>6} {'turn':>6}"
+    f" {'gc':>6} {'MiB':>5} {'bound':>5} {'stop':>5}  ok"
 )
 
 
@@ -35,7 +36,8 @@ def row(name: str, found: Figures) -> str:
     """Return the figures of an attack as a line of the table."""
     times = " ".join(f"{found.latency(part) * 1000:7.1f}" for part in (0.5, 0.99, 1))
     return (
-        f"{name:46} {len(found.latencies):6} {times} {found.reading.longest * 1000:6.1f}"
+        f"{name:46} {len(found.latencies):6} {times} {found.work_of(0.99) * 1000:6.1f}"
+        f" {found.reading.longest * 1000:6.1f}"
         f" {found.reading.collecting * 1000:6.1f}"
         f" {found.above:5.0f} {ATTACKS[name].above:5} {found.stopped:5.1f} "
     )

@@ -88,12 +88,21 @@ class Server:
                 await anyio.sleep(0.01)
         return monotonic() - begun - waited, self._process.exitcode
 
+    @property
+    def cpu(self) -> float:
+        """The seconds of the processor that the server has used."""
+        return self._scheduled(0)
+
     def _waited(self) -> float:
         """Return the seconds in which the process was ready to run, and others ran."""
+        return self._scheduled(1)
+
+    def _scheduled(self, field: int) -> float:
         try:
-            return int(Path(f"/proc/{self._process.pid}/schedstat").read_text().split()[1]) / 1e9
-        except (OSError, IndexError):  # it has ended
+            fields = Path(f"/proc/{self._process.pid}/schedstat").read_text().split()
+        except OSError:  # it has ended
             return 0.0
+        return int(fields[field]) / 1e9 if fields else 0.0
 
 
 def environment() -> dict[str, str]:
@@ -154,6 +163,9 @@ class Figures(NamedTuple):
     """MiB of memory at the peak, above those before the attack."""
     latencies: list[float]
     """Seconds of each goal of the honest client, in order of length."""
+    work: list[float]
+    """Seconds of the processor that the server has used from the sending of each of these goals to
+    its end, in order of length: the latency on a machine that does nothing else, or more."""
     stopped: float
     """Seconds from SIGTERM to the end of the server."""
     code: int | None
@@ -162,21 +174,35 @@ class Figures(NamedTuple):
 
     def latency(self, quantile: float) -> float:
         """Return the latency that this part of the goals did not exceed."""
-        return self.latencies[min(len(self.latencies) - 1, int(len(self.latencies) * quantile))]
+        return _quantile(self.latencies, quantile)
+
+    def work_of(self, quantile: float) -> float:
+        """Return the work of the server that this part of the goals did not exceed."""
+        return _quantile(self.work, quantile)
 
 
-async def be_honest(client: Honest, latencies: list[float]) -> None:
+def _quantile(values: list[float], quantile: float) -> float:
+    return values[min(len(values) - 1, int(len(values) * quantile))]
+
+
+async def be_honest(
+    client: Honest, server: Server, latencies: list[float], work: list[float]
+) -> None:
     """Send goals one after another, and check that each ends rightly."""
     while True:
-        begun = perf_counter()
+        begun, used = perf_counter(), server.cpu
         result = await client.call(Goal(5))
         latencies.append(perf_counter() - begun)
+        work.append(server.cpu - used)
         assert result.sequence == [0, 1, 1, 2, 3, 5]
         await anyio.sleep(0.002)
 
 
 async def repeat(attack: Attack, target: Target, waves: list[float]) -> None:
-    """Attack again and again; a server that closes a connection ends the wave only."""
+    """Attack again and again; a server that closes a connection ends the wave only.
+
+    The short form pauses between waves, since it has to end soon on a busy machine, too.
+    """
     while True:
         try:
             await attack.wave(target)
@@ -205,15 +231,17 @@ async def figures_of(name: str, seconds: float = 0.0, *, looks: bool = False) ->
     settings = msgspec.structs.replace(attack.settings, looks=looks)
     token = "hostile" if "tokens" in settings.wire else ""
     latencies: list[float] = []
+    work: list[float] = []
     with started(settings) as server, ExitStack() as stack:
         with anyio.fail_after(PATIENCE + 4 * seconds):
             async with anyio.create_task_group() as attacking:
                 async with honest_client(server, settings) as client:
                     async with anyio.create_task_group() as honest:
-                        honest.start_soon(be_honest, client, latencies)
+                        honest.start_soon(be_honest, client, server, latencies, work)
                         await until(lambda: len(latencies) >= 5)
                         idle = (await server.reset()).memory
                         latencies.clear()
+                        work.clear()
                         if seconds:
                             stack.enter_context(attacked(name, server.url, token))
                             await anyio.sleep(seconds)
@@ -228,4 +256,4 @@ async def figures_of(name: str, seconds: float = 0.0, *, looks: bool = False) ->
                 stopped, code = await server.stop(SHUTDOWN + 10)
                 attacking.cancel_scope.cancel()
         above = (reading.peak - idle) / 2**20
-        return Figures(reading, above, sorted(latencies), stopped, code, server.log)
+        return Figures(reading, above, sorted(latencies), sorted(work), stopped, code, server.log)

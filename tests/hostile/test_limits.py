@@ -62,7 +62,7 @@ async def limited(
         yield Target(running.url)
         latencies: list[float] = []
         async with honest_client(running, settings) as client, anyio.create_task_group() as tasks:
-            tasks.start_soon(be_honest, client, latencies)
+            tasks.start_soon(be_honest, client, running, latencies, [])
             await until(lambda: len(latencies) >= 3)
             tasks.cancel_scope.cancel()
         stopped, code = await running.stop(SHUTDOWN + 10)

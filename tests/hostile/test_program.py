@@ -13,7 +13,7 @@ from tests.hostile.meter import Reading
 from tests.hostile.verdict import faults
 
 READING = Reading(0.01, 0, 100, 1.0, 40 * 2**20, 40 * 2**20, 0.0, "")
-FIGURES = Figures(READING, 1.0, [0.001, 0.002, 0.003], 0.1, 0, "2026-01-01 a: line\n")
+FIGURES = Figures(READING, 1.0, [0.001, 0.002, 0.003], [0.001], 0.1, 0, "2026-01-01 a: line\n")
 
 
 def test_the_help_is_laid_out_and_says_what_there_is(

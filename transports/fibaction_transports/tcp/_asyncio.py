@@ -34,7 +34,7 @@ BATCH = 16
 NEXT_ADDRESS = 0.25
 """Seconds after which a host is tried at its next address, too: as RFC 8305 recommends."""
 
-NEWS = 0.005
+NEWS = 0.001
 """Seconds of a turn of the event loop in which lines handle as much news as a slice takes."""
 
 logger = clean_logger("fibaction.wire")
