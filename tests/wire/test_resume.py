@@ -239,9 +239,7 @@ async def test_an_end_is_kept_as_long_as_its_client_has_to_come_back(
 
 
 @in_virtual_time()
-async def test_of_the_ends_for_lost_clients_those_that_were_lost_first_are_given_up_over_a_limit() -> (
-    None
-):
+async def test_over_a_limit_the_ends_that_were_lost_first_are_given_up_first() -> None:
     server = running(fib.Result([]), result_timeout=0)
     limits = Limits(heartbeat=LONG, lost=3)
     async with serving(server, limits=limits, grace=50) as served:
