@@ -85,7 +85,7 @@ async def large_goals_over_many(target: Target, action: str, size: int) -> None:
 attack("large goals undecided", above=96, memory=16 * MIB)(
     partial(large_goals, action="slow", goals=30, size=4 * MIB)
 )
-attack("large goals undecided over many", above=96, memory=16 * MIB, total_memory=32 * MIB)(
+attack("large goals undecided over many", above=160, memory=16 * MIB, total_memory=32 * MIB)(
     partial(large_goals_over_many, action="slow", size=4 * MIB)
 )
 attack("large goals undecided, default limits", above=320, long=True)(
@@ -226,6 +226,7 @@ attack("bombs", above=96)(bombs)
 
 async def many_values(target: Target, action: str, size: int) -> None:
     """Send goals of as many small values as a frame takes: they cost the most to decode."""
+    size = target.size(size // 2, size)
     goal = b"\x81\xa1a\xdd" + size.to_bytes(4, "big") + b"\x90" * size
     async with target.dial() as raw:
         for _ in range(3):
