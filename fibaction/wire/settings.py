@@ -36,8 +36,9 @@ class Limits(msgspec.Struct, frozen=True):
     lost first are given up sooner."""
     requests: int = 1000
     """Requests that one connection may wait for at the same time, beside its goals."""
-    frame: int = MAX_FRAME
-    """Bytes of the largest message; at least 1024."""
+    frame: int = 2**20
+    """Bytes of the largest message of a client; at least 1024. A goal is decoded in one piece, and
+    all other clients wait meanwhile: with a type of numbers some 25 ms for each MiB."""
     memory: int = 64 * 2**20
     """Bytes of goals that are being decided upon, for one connection."""
     total_memory: int = 256 * 2**20
@@ -155,8 +156,11 @@ def client_settings(given: WireKeywords) -> ClientSettings:
     Raises:
         ValueError: A value is out of range.
     """
-    limits = given.get("limits") or Limits()
-    return ClientSettings(max_frame=limits.frame, **_fields_of(ClientSettings, given))
+    limits = given.get("limits")
+    fields = _fields_of(ClientSettings, given)
+    if limits is not None:
+        fields["max_frame"] = limits.frame
+    return ClientSettings(**fields)
 
 
 def server_settings(given: WireKeywords) -> ServerSettings:

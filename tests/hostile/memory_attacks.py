@@ -7,8 +7,9 @@ from functools import partial
 import anyio
 import msgspec
 
-from fibaction.wire.frames import MAX_FRAME, header
+from fibaction.wire.frames import header
 from fibaction.wire.messages import CancelGoals, Close, Goodbye, ListActions, Received
+from fibaction.wire.settings import Limits
 from tests.hostile.attack import MIB, attack, goal_id, sending
 from tests.hostile.goal_attacks import ticking
 from tests.hostile.raw_client import Raw, Target, each, packed
@@ -16,7 +17,7 @@ from tests.hostile.victim import GROW, Sized
 
 FORGED = "\r\n2026-01-01 00:00:00,000 fibaction.wire: FORGED \x1b[2J\u2028FORGED"
 """A text that makes a line of its own, where it is not cleaned."""
-LARGE = MAX_FRAME - 1000
+LARGE = Limits().frame - 1000
 SMALL = {"max_bytes": 32 * MIB}
 
 
@@ -234,10 +235,10 @@ async def many_values(target: Target, action: str, size: int) -> None:
         await raw.fence()
 
 
-attack("goals of 16 million values, unknown field", above=128)(
+attack("goals of a million values, unknown field", above=128)(
     partial(many_values, action="fibonacci", size=LARGE)
 )
-attack("goals of 16 million values", above=1500, long=True)(
+attack("goals of a million values", above=1500, long=True)(
     partial(many_values, action="echo", size=LARGE)
 )
 

@@ -26,7 +26,7 @@ from fibaction import (
 )
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.wire.codec import encode
-from fibaction.wire.frames import FIRST_FRAME, MAX_FRAME, header
+from fibaction.wire.frames import FIRST_FRAME, header
 from fibaction.wire.link import Link
 from fibaction.wire.messages import VERSION, Goodbye, Hello, Ping, SendGoal, Welcome, Why
 from fibaction.wire.settings import Limits
@@ -116,8 +116,9 @@ async def test_a_length_beyond_the_limit_is_not_waited_for(data: bytes, problem:
 async def test_a_length_beyond_the_limit_after_the_hello_is_not_waited_for() -> None:
     async with scene() as here, raw(here.url) as peer:
         await peer.say(HELLO)
-        await peer.stream.send(struct.pack(">I", MAX_FRAME + 1))
-        limit = f"frame of {MAX_FRAME + 1} bytes exceeds the limit of {MAX_FRAME} bytes"
+        most = Limits().frame
+        await peer.stream.send(struct.pack(">I", most + 1))
+        limit = f"frame of {most + 1} bytes exceeds the limit of {most} bytes"
         await here.ends(peer, limit)
 
 

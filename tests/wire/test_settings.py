@@ -6,14 +6,15 @@ import pytest
 from hypothesis import given, strategies
 
 from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
-from fibaction.wire.settings import ClientSettings, Limits
+from fibaction.wire.settings import ClientSettings, Limits, client_settings
 
 NAMES = Limits.__struct_fields__
 
 
 def test_the_default_limits_let_a_usual_client_work() -> None:
     limits = Limits()
-    assert limits.frame == MAX_FRAME
+    assert limits.frame == 2**20
+    assert client_settings({}).max_frame == MAX_FRAME
     assert limits.queue <= limits.frame <= limits.memory
     assert all(0 < getattr(limits, name) < math.inf for name in NAMES)
 
