@@ -10,7 +10,7 @@ from time import process_time
 import anyio
 import pytest
 import trio.testing
-from hypothesis import given, strategies
+from hypothesis import example, given, strategies
 
 from fibaction._budget import ByteBudget
 from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
@@ -838,12 +838,14 @@ a_follower = strategies.integers(0, 3)
         max_size=60,
     ),
 )
+@example(1, [("follow", 0), ("append", 0), ("take", 0), ("take", 1)])
 def test_a_log_is_full_exactly_if_a_holding_follower_is_a_window_behind(
     window: int, steps: list[tuple[str, int]]
 ) -> None:
     async def check() -> None:
         log = new_log(window)
         streams = [log.follow(own=True), log.follow(own=True), log.follow(), log.follow()]
+        everyone = set(streams)
         for step, number in steps:
             stream = streams[number]
             match step:
@@ -866,7 +868,6 @@ def test_a_log_is_full_exactly_if_a_holding_follower_is_a_window_behind(
             behind = [log.count - one.cursor for one in everyone if one.holding]
             assert log.is_full is (max(behind, default=-1) >= window)
 
-    everyone: set[FeedbackCursor] = set()
     anyio.run(check)
 
 
