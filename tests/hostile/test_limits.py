@@ -11,6 +11,7 @@ import msgspec
 import pytest
 
 from fibaction import Limits
+from fibaction.states import GoalStatus
 from fibaction.wire.frames import header
 from fibaction.wire.messages import (
     Ended,
@@ -39,6 +40,7 @@ TESTED = {
     "connections",
     "goals",
     "follows",
+    "lost",
     "requests",
     "frame",
     "memory",
@@ -52,12 +54,14 @@ TESTED = {
 
 @asynccontextmanager
 async def limited(
-    server: dict[str, Any] | None = None, **limits: int | float
+    server: dict[str, Any] | None = None,
+    wire: dict[str, Any] | None = None,
+    **limits: int | float,
 ) -> AsyncGenerator[Target, None]:
     """Start a server with these limits. When the block ends, it answers an honest client, and ends
     in time.
     """
-    settings = Settings(limits=limits, server=server or {})
+    settings = Settings(limits=limits, server=server or {}, wire=wire or {})
     with started(settings) as running, anyio.fail_after(PATIENCE):
         yield Target(running.url)
         latencies: list[float] = []
@@ -105,6 +109,20 @@ async def test_one_follow_too_many_of_a_goal_fails() -> None:
         assert isinstance(answers[0], Following)
         assert isinstance(answers[-1], Failed)
         assert answers[-1].why == Why.LIMIT
+
+
+async def test_goals_of_lost_connections_are_given_up_when_they_are_too_many() -> None:
+    orphans = {"orphans": "cancel", "grace": 1000.0}
+    async with limited(wire=orphans, lost=1) as target, target.dial() as other:
+        goals = []
+        for number in range(3):
+            async with target.dial(session=bytes([number]) * 32) as raw:
+                goals.append(await begun(raw, sending(1, "forever", ONE)))
+        for id, goal in enumerate(goals[:2], 1):
+            await other.say(Follow(id, "forever", goal.goal_id, None, False, None))
+            assert (await other.hear(Ended, id)).status is GoalStatus.CANCELED
+        await other.say(Follow(3, "forever", goals[2].goal_id, None, False, None))
+        assert (await other.hear(Following, 3)).status is GoalStatus.EXECUTING
 
 
 async def test_one_request_too_many_fails() -> None:
