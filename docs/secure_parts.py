@@ -22,7 +22,7 @@ CONNECTION = 192 * KIB
 """Bytes of one connection: its tasks and buffers, those of TLS, and a message of 64 KiB of which a
 part has arrived. `tests/test_memory_bound.py` measures this number and the next six."""
 GOAL = 2 * KIB
-"""Bytes of one goal that a connection sends or follows."""
+"""Bytes of one goal that a connection sends or follows, or that is kept for a lost client."""
 AUTHORIZING = 8 * KIB
 """Bytes of it in addition, while an async `authorize` decides."""
 REQUEST = 12 * KIB
@@ -38,6 +38,7 @@ WHAT_HAPPENS = {
     "connections": "the oldest one that has said nothing is ended, otherwise the new one",
     "goals": "a goal is rejected; following one raises `LimitReached`",
     "follows": "following raises `LimitReached`",
+    "lost": "those that were lost first are given up sooner",
     "requests": "the call raises `LimitReached`",
     "frame": "the connection ends",
     "memory": "the goal is rejected",
@@ -119,7 +120,7 @@ class Bound:
     @property
     def shared(self) -> int:
         """The most that all connections together can take in addition."""
-        goals = self.max_goals * ACTIVE + self.max_results * RESULT
+        goals = self.max_goals * ACTIVE + self.max_results * RESULT + self.limits.lost * GOAL
         return self.limits.total_memory + self.max_bytes + goals
 
     @property
@@ -134,6 +135,7 @@ TIGHT = Bound(
         connections=20,
         goals=20,
         follows=4,
+        lost=100,
         requests=10,
         frame=64 * KIB,
         memory=256 * KIB,
@@ -171,6 +173,7 @@ def memory_part() -> str:
                     "`max_bytes`",
                     f"{_bytes(ACTIVE)} {TIMES} `max_goals`",
                     f"{_bytes(RESULT)} {TIMES} `max_results`",
+                    f"{_bytes(GOAL)} {TIMES} `lost`",
                 ),
             ),
             (

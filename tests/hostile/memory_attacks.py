@@ -7,7 +7,7 @@ from functools import partial
 import anyio
 import msgspec
 
-from fibaction.wire.frames import header
+from fibaction.wire.frames import MAX_FRAME, header
 from fibaction.wire.messages import CancelGoals, Close, Goodbye, ListActions, Received
 from fibaction.wire.settings import Limits
 from tests.hostile.attack import MIB, attack, goal_id, sending
@@ -39,10 +39,10 @@ async def unfinished(target: Target, connections: int, size: int, *, hello: bool
 attack("large frames before the token")(
     partial(unfinished, connections=100, size=16 * MIB, hello=False)
 )
-attack("unfinished frames", above=96, total_memory=32 * MIB)(
+attack("unfinished frames", above=96, total_memory=32 * MIB, frame=MAX_FRAME)(
     partial(unfinished, connections=20, size=8 * MIB, hello=True)
 )
-attack("unfinished frames, default limits", above=320, long=True)(
+attack("unfinished frames of 16 MiB", above=320, long=True, frame=MAX_FRAME)(
     partial(unfinished, connections=100, size=16 * MIB, hello=True)
 )
 
@@ -83,26 +83,31 @@ async def large_goals_over_many(target: Target, action: str, size: int) -> None:
         await each(raws, one)
 
 
-attack("large goals undecided", above=96, memory=16 * MIB)(
+attack("large goals undecided", above=96, memory=16 * MIB, frame=MAX_FRAME)(
     partial(large_goals, action="slow", goals=30, size=4 * MIB)
 )
-attack("large goals undecided over many", above=160, memory=16 * MIB, total_memory=32 * MIB)(
-    partial(large_goals_over_many, action="slow", size=4 * MIB)
-)
-attack("large goals undecided, default limits", above=320, long=True)(
+attack(
+    "large goals undecided over many",
+    above=160,
+    memory=16 * MIB,
+    total_memory=32 * MIB,
+    frame=MAX_FRAME,
+)(partial(large_goals_over_many, action="slow", size=4 * MIB))
+attack("large goals of 15 MiB undecided", above=320, long=True, frame=MAX_FRAME)(
     partial(large_goals_over_many, action="slow", size=15 * MIB)
 )
 attack(
     "large goals while authorize waits",
     above=96,
     memory=16 * MIB,
+    frame=MAX_FRAME,
     authorize="later",
     wire={"tokens": {"honest": "honest", "hostile": "hostile"}},
 )(partial(large_goals, action="echo", goals=30, size=4 * MIB))
-attack("large goals accepted", above=96, server=SMALL)(
+attack("large goals accepted", above=96, server=SMALL, frame=MAX_FRAME)(
     partial(large_goals, action="hold", goals=30, size=4 * MIB)
 )
-attack("large goals at once", above=128, server=SMALL)(
+attack("large goals at once", above=128, server=SMALL, frame=MAX_FRAME)(
     partial(large_goals, action="echo", goals=20, size=15 * MIB)
 )
 
@@ -166,7 +171,7 @@ async def texts(target: Target, size: int) -> None:
 
 
 attack("forged texts")(partial(texts, size=0))
-attack("texts of 10 MB", above=128)(partial(texts, size=10_000_000))
+attack("texts of 10 MB", above=128, frame=MAX_FRAME)(partial(texts, size=10_000_000))
 
 
 async def unknown_actions(target: Target, size: int) -> None:

@@ -145,13 +145,13 @@ async def test_a_frame_that_is_too_long_ends_the_connection_when_it_is_announced
 
 
 async def test_a_goal_is_rejected_while_those_that_are_decided_upon_hold_too_many_bytes() -> None:
-    async with limited(memory=2 * MIB) as target, target.dial() as raw:
+    async with limited(memory=2 * MIB, frame=4 * MIB) as target, target.dial() as raw:
         await raw.say(*(sending(id, "slow", payload(MIB)) for id in range(1, 4)))
         assert isinstance(await raw.answer(3), Rejected)
 
 
 async def test_goals_of_all_connections_that_are_decided_upon_have_a_limit_in_bytes() -> None:
-    async with limited(memory=4 * MIB, total_memory=4 * MIB) as target:
+    async with limited(memory=4 * MIB, total_memory=4 * MIB, frame=4 * MIB) as target:
         async with target.dial_many(4) as raws:
             goal = sending(1, "slow", payload(int(1.5 * MIB)))
             for raw in raws[:2]:
@@ -167,7 +167,7 @@ async def test_goals_of_all_connections_that_are_decided_upon_have_a_limit_in_by
 
 
 async def test_large_frames_of_all_connections_that_have_arrived_in_part_have_a_limit() -> None:
-    async with limited(total_memory=4 * MIB) as target:
+    async with limited(total_memory=4 * MIB, frame=4 * MIB) as target:
         async with target.dial_many(4) as raws:
             for raw in raws:
                 await raw.hear(Welcome)

@@ -31,7 +31,10 @@ async def test_one_active_goal_of_the_server_too_many_is_rejected() -> None:
 
 
 async def test_a_goal_is_rejected_while_the_accepted_ones_hold_too_many_bytes() -> None:
-    async with limited(server={"max_bytes": 4 * MIB}) as target, target.dial() as raw:
+    async with (
+        limited(server={"max_bytes": 4 * MIB}, frame=2 * MIB) as target,
+        target.dial() as raw,
+    ):
         answers = []
         for id in range(1, 6):
             await raw.say(sending(id, "hold", payload(MIB), None))
@@ -41,7 +44,10 @@ async def test_a_goal_is_rejected_while_the_accepted_ones_hold_too_many_bytes() 
 
 
 async def test_results_that_are_too_large_together_are_forgotten() -> None:
-    async with limited(server={"max_bytes": 4 * MIB}) as target, target.dial() as raw:
+    async with (
+        limited(server={"max_bytes": 4 * MIB}, frame=2 * MIB) as target,
+        target.dial() as raw,
+    ):
         goal = GROW.goal.encode(Sized(MIB))
         names = [goal_id() for _ in range(8)]
         for id, name in enumerate(names, 1):

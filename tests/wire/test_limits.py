@@ -768,7 +768,7 @@ async def test_before_a_client_is_known_little_is_held_of_it() -> None:
 
 async def test_the_parts_of_large_messages_share_a_limit_over_all_connections() -> None:
     hello = encode(Hello(VERSION, LONG))
-    limits = Limits(total_memory=2 * UNCOUNTED)
+    limits = Limits(total_memory=2 * UNCOUNTED, frame=MAX_FRAME)
     async with serving(held(), limits=limits) as served:
         one, other = fed(served), fed(served)
         for stream in (one, other):
