@@ -291,7 +291,11 @@ async def test_frames_that_are_given_back_come_again_one_turn_later_and_nothing_
         assert end.heard == [b"1", b"2", b"3", b"4"]
 
 
-async def test_lines_with_frames_left_take_turns_one_in_each_turn_of_the_loop() -> None:
+async def test_lines_with_frames_left_share_a_slice_of_each_turn_of_the_loop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = itertools.count()
+    monkeypatch.setattr(_asyncio, "perf_counter", lambda: float(next(clock)))  # one uses all of it
     async with listening() as (address, ends):
         peers = [socket.create_connection(address) for _ in range(3)]
         await until(lambda: len(ends) == 3)
@@ -332,6 +336,31 @@ async def test_of_many_lines_with_news_in_one_turn_the_later_ones_handle_one_fra
         tasks.cancel_scope.cancel()
     for peer in peers:
         peer.close()
+
+
+async def test_lines_that_have_ended_take_no_turn_of_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = itertools.count()
+    monkeypatch.setattr(_asyncio, "perf_counter", lambda: float(next(clock)))  # one uses all of it
+    async with listening() as (address, ends):
+        peers = [socket.create_connection(address) for _ in range(20)]
+        await until(lambda: len(ends) == 20)
+        async with anyio.create_task_group() as tasks:
+            for end, peer in zip(ends, peers, strict=True):
+                giving_back(end)
+                peer.send(framed([b"1", b"2", b"3", b"4"]))
+                tasks.start_soon(end.run)
+            await until(lambda: all(end.heard for end in ends))
+            *lost, last = ends
+            for end in lost:
+                end.line.connection_lost(None)
+            for _ in range(4):
+                await anyio.lowlevel.checkpoint()
+            assert len(last.heard) == 4
+            tasks.cancel_scope.cancel()
+        for peer in peers:
+            peer.close()
 
 
 async def test_a_line_that_no_longer_runs_handles_no_rest() -> None:

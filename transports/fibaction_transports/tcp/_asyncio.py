@@ -13,7 +13,6 @@ from __future__ import annotations
 import asyncio  # noqa: TID251  # this module is for asyncio only; `on_asyncio` says whether it is
 import os
 import socket
-from collections import deque
 from collections.abc import Callable, Coroutine, Sequence
 from contextvars import copy_context
 from time import perf_counter
@@ -49,7 +48,8 @@ def on_asyncio() -> bool:
 
 
 class _Turns:
-    """The lines that have frames left to handle: each turn of the event loop, one of them goes on.
+    """The lines that have frames left to handle: together they have one slice of each turn of the
+    event loop, and go on one after another.
 
     However many lines there are, they delay the others together as little as one would. So they do
     if many have news in one turn: after `NEWS` seconds each handles one frame, and waits.
@@ -57,7 +57,9 @@ class _Turns:
 
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
-        self._waiting: deque[ProtocolLine] = deque()
+        self._context = copy_context()
+        self._waiting: dict[ProtocolLine, None] = {}
+        self._is_due = False
         self._used = 0.0
         """Seconds of this turn in which news were handled."""
 
@@ -76,19 +78,32 @@ class _Turns:
         self._used = 0.0
 
     def add(self, line: ProtocolLine) -> None:
-        self._waiting.append(line)
-        if len(self._waiting) == 1:
-            self._schedule()
+        """Let the line go on in a later turn."""
+        self._waiting[line] = None
+        self._schedule()
+
+    def discard(self, line: ProtocolLine) -> None:
+        """Remove a line that has ended, so that the others do not wait for it."""
+        self._waiting.pop(line, None)
 
     def _schedule(self) -> None:
-        self._loop.call_soon(self._next, context=self._waiting[0].context)
+        if not self._is_due:
+            self._is_due = True
+            self._loop.call_soon(self._next, context=self._context)
 
     def _next(self) -> None:
-        line = self._waiting[0]
-        line.go_on()
-        self._waiting.popleft()
-        if line.has_rest:
-            self._waiting.append(line)
+        self._is_due = False
+        ends = perf_counter() + SLICE
+        for _ in range(len(self._waiting)):
+            line = next(iter(self._waiting), None)
+            if line is None:
+                break
+            del self._waiting[line]
+            line.context.run(line.go_on)
+            if line.has_rest:
+                self._waiting[line] = None
+            if perf_counter() >= ends:
+                break
         if self._waiting:
             self._schedule()
 
@@ -148,6 +163,7 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
                 await self._changed.wait()
         finally:
             self._rest = []
+            self._turns.discard(self)
             self._pause_reading()
         raise self._error
 
@@ -223,6 +239,7 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
     def _end(self, error: Exception) -> None:
         if self._error is None:
             self._error = error
+        self._turns.discard(self)
         self._changed.notify()
 
     # Called by the event loop
