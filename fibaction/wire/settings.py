@@ -22,6 +22,10 @@ HEARTBEAT = 1.0
 """Seconds between heartbeats, both ways, if nothing else is set."""
 
 
+_SECONDS = ("handshake", "heartbeat")
+"""The limits that are times, and may be any number."""
+
+
 class Limits(msgspec.Struct, frozen=True):
     """Limits of one server; a client that reaches one gets an error, and other clients do not."""
 
@@ -56,12 +60,15 @@ class Limits(msgspec.Struct, frozen=True):
         """Check the values.
 
         Raises:
+            TypeError: One that counts things or bytes is not a whole number.
             ValueError: One of them is not positive or not finite, or `frame` is too small.
         """
         for name in self.__struct_fields__:
             value = getattr(self, name)
             if not 0 < value < math.inf:
                 raise ValueError(f"the limit of {name} is finite and more than 0, not {value}")
+            if name not in _SECONDS and not isinstance(value, int):
+                raise TypeError(f"the limit of {name} is a whole number, not {value!r}")
         if self.frame < LEAST_FRAME:
             raise ValueError(f"the limit of frame is at least {LEAST_FRAME}, not {self.frame}")
 

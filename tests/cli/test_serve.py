@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import re
 import signal
 import socket
 import subprocess
+import weakref
 from contextlib import suppress
 from pathlib import Path
 from signal import SIGINT, SIGTERM
@@ -191,3 +193,21 @@ async def test_each_change_of_a_goal_is_logged_and_that_it_is_forgotten_is_not(
         for name, _, message in caplog.record_tuples
         if name == serve.__name__
     ] == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
+
+
+class Cycle:
+    """An object that only the garbage collector frees."""
+
+    def __init__(self) -> None:
+        self.me = self
+
+
+def test_garbage_is_collected_less_often_while_goals_run_and_as_before_afterwards() -> None:
+    before = gc.get_threshold()
+    with serve.rare_collections():
+        assert gc.get_threshold() > before
+        gone = weakref.ref(Cycle())
+        gc.collect()
+        assert gone() is None  # what has been made since then is collected
+    assert gc.get_threshold() == before
+    assert gc.get_freeze_count() == 0

@@ -184,7 +184,9 @@ async def unknown_actions(target: Target, size: int) -> None:
 
 
 attack("forged names of actions")(partial(unknown_actions, size=0))
-attack("names of actions of 10 MB", above=128)(partial(unknown_actions, size=10_000_000))
+attack("names of actions of 10 MB", above=128, frame=MAX_FRAME)(
+    partial(unknown_actions, size=10_000_000)
+)
 
 
 async def goodbyes(target: Target, size: int) -> None:
@@ -195,7 +197,7 @@ async def goodbyes(target: Target, size: int) -> None:
 
 
 attack("forged goodbyes")(partial(goodbyes, size=0))
-attack("goodbyes of 10 MB", above=128)(partial(goodbyes, size=10_000_000))
+attack("goodbyes of 10 MB", above=128, frame=MAX_FRAME)(partial(goodbyes, size=10_000_000))
 
 
 # Bombs of MessagePack, as messages and as goals

@@ -40,7 +40,7 @@ from tests.transports.log_victim import NASTY, STRICT, never
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs/howto/secure.md"
 RECORD = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} (fibaction\.\w+|robot): \S")
-MB = 10**6
+LONG = 500_000
 
 pytestmark = pytest.mark.asyncio
 
@@ -82,7 +82,7 @@ async def test_the_page_shows_the_log_that_is_tested() -> None:
 
 
 @pytest.mark.promise("ERROR-5")
-@pytest.mark.parametrize("size", [0, MB], ids=["short", "long"])
+@pytest.mark.parametrize("size", [0, LONG], ids=["short", "long"])
 async def test_no_goal_writes_a_line_of_its_own(size: int) -> None:
     text = NASTY + "\nforged: x\x1b" * (size // 10)
     with victim("serve") as process:
@@ -140,7 +140,7 @@ LAST_WORDS: dict[str, Callable[[SendGoal, str], list[FromServer]]] = {
 
 @pytest.mark.promise("ERROR-5")
 @pytest.mark.parametrize("last", LAST_WORDS)
-@pytest.mark.parametrize("size", [0, MB], ids=["short", "long"])
+@pytest.mark.parametrize("size", [0, LONG], ids=["short", "long"])
 async def test_no_server_writes_a_line_of_its_own(last: str, size: int) -> None:
     text = NASTY + "\nforged: x\x1b" * (size // 10)
     answers = hostile_answers(text)
@@ -178,7 +178,7 @@ async def test_no_server_writes_a_line_of_its_own(last: str, size: int) -> None:
 
 
 async def test_rejected_goals_leave_nothing_behind() -> None:
-    goals, names = 20, [f"{number}{'x' * MB}" for number in range(20)]
+    goals, names = 20, [f"{number}{'x' * LONG}" for number in range(20)]
     payloads = [msgspec.msgpack.encode({name: 1}) for name in names]
     async with serve(ActionServer(STRICT, never), "tcp://127.0.0.1:0") as (url,):
         async with raw(url) as client:
@@ -202,4 +202,4 @@ async def test_rejected_goals_leave_nothing_behind() -> None:
                 finally:
                     tracemalloc.stop()
                     gc.enable()
-    assert kept < MB
+    assert kept < LONG

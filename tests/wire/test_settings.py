@@ -57,3 +57,9 @@ def test_limits_do_not_change() -> None:
     limits = Limits()
     with pytest.raises(AttributeError):
         limits.goals = 1  # type: ignore[misc]  # that is what is refused
+
+
+@pytest.mark.parametrize("name", ["frame", "goals"])
+def test_a_limit_that_counts_is_a_whole_number(name: str) -> None:
+    with pytest.raises(TypeError, match=f"^the limit of {name} is a whole number, not 10000.0$"):
+        Limits(**{name: 1e4})  # type: ignore[arg-type]  # what a user may write
