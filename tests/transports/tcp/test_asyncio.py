@@ -21,7 +21,7 @@ from fibaction._slices import SLICE
 from fibaction.exceptions import ConnectionLost, ProtocolError
 from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.frames import FrameReader, framed
-from fibaction_transports.tcp import _asyncio
+from fibaction_transports.tcp import _asyncio, _line_turns
 from fibaction_transports.tcp._asyncio import (
     BATCH,
     ProtocolLine,
@@ -41,7 +41,8 @@ RESET = struct.pack("ii", 1, 0)
 @pytest.fixture(autouse=True)
 def time_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no slice end, however busy the machine is; tests of slices have clocks of their own."""
-    monkeypatch.setattr(_asyncio, "perf_counter", lambda: 0.0)
+    for module in (_asyncio, _line_turns):
+        monkeypatch.setattr(module, "perf_counter", lambda: 0.0)
 
 
 class End:
@@ -267,6 +268,13 @@ async def test_who_does_not_read_stops_the_writing_and_who_reads_again_is_progre
         assert end.line.progress == len(wanted)
 
 
+def use_up_each_slice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a line use up the whole slice whenever it handles anything."""
+    clock = itertools.count()
+    for module in (_asyncio, _line_turns):
+        monkeypatch.setattr(module, "perf_counter", lambda: float(next(clock)))
+
+
 def giving_back(end: End, most: int = 1) -> None:
     """Let an end handle so many frames at once, and give the others back."""
 
@@ -294,8 +302,7 @@ async def test_frames_that_are_given_back_come_again_one_turn_later_and_nothing_
 async def test_lines_with_frames_left_share_a_slice_of_each_turn_of_the_loop(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    clock = itertools.count()
-    monkeypatch.setattr(_asyncio, "perf_counter", lambda: float(next(clock)))  # one uses all of it
+    use_up_each_slice(monkeypatch)
     async with listening() as (address, ends):
         peers = [socket.create_connection(address) for _ in range(3)]
         await until(lambda: len(ends) == 3)
@@ -317,8 +324,7 @@ async def test_lines_with_frames_left_share_a_slice_of_each_turn_of_the_loop(
 async def test_of_many_lines_with_news_in_one_turn_the_later_ones_handle_one_frame_each(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    clock = itertools.count()
-    monkeypatch.setattr(_asyncio, "perf_counter", lambda: float(next(clock)))  # one uses all of it
+    use_up_each_slice(monkeypatch)
     async with listening() as (address, ends), anyio.create_task_group() as tasks:
         peers = [socket.create_connection(address) for _ in range(3)]
         await until(lambda: len(ends) == 3)
@@ -341,8 +347,7 @@ async def test_of_many_lines_with_news_in_one_turn_the_later_ones_handle_one_fra
 async def test_lines_that_have_ended_take_no_turn_of_the_others(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    clock = itertools.count()
-    monkeypatch.setattr(_asyncio, "perf_counter", lambda: float(next(clock)))  # one uses all of it
+    use_up_each_slice(monkeypatch)
     async with listening() as (address, ends):
         peers = [socket.create_connection(address) for _ in range(20)]
         await until(lambda: len(ends) == 20)
