@@ -28,6 +28,7 @@ import pyte
 import pytest
 from click.testing import CliRunner, Result
 
+from fibaction.cli import signals
 from fibaction.cli.app import cli
 from tests.cli.robot_module import MODULE
 from tests.processes import PATIENCE, Finished, ended, lines_until
@@ -215,6 +216,21 @@ def started() -> Iterator[Start]:
         process.kill()
         with process:
             process.communicate()
+
+
+@pytest.fixture(autouse=True)
+def signals_of_its_own(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Leave no handler of a signal, and no alarm, to the next test; both could end this process.
+
+    Nor may a busy machine do so, on which the event loop takes a signal late.
+    """
+    monkeypatch.setattr(signals, "GRACE", 60.0)
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
+    before = [signal.getsignal(number) for number in numbers]
+    yield
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    for number, handler in zip(numbers, before, strict=True):
+        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session")
