@@ -64,7 +64,8 @@ def _keep_for_ever(coroutine: object) -> None:
     then, an `await` in a loop would fail at once, again and again: the process would never end.
     """
     _kept.append(coroutine)
-    if sys.implementation.name == "cpython":  # others do not close what is left at their end
+    # Others do not close what is left at their end.
+    if sys.implementation.name == "cpython":  # pragma: no branch  # as it is wherever tests run
         from ctypes import py_object, pythonapi
 
         pythonapi.Py_IncRef(py_object(coroutine))
@@ -271,4 +272,4 @@ class _GivenUp(Coroutine[Any, Any, T]):
         """Do nothing: the coroutine must not be closed."""
 
     def __await__(self) -> Generator[Any, Any, T]:
-        raise NotImplementedError  # it is driven by `Steps`
+        raise NotImplementedError  # pragma: no cover  # it is driven by `Steps`

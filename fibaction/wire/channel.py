@@ -52,6 +52,13 @@ class Line(ABC):
         write, as an optimisation that an implementation may ignore.
         """
 
+    def share_turns(self, turn: anyio.Lock) -> None:  # noqa: B027  # a line may have its own way
+        """Handle the rest of what has arrived with that lock, which all lines of a server have.
+
+        However many of them are busy, they delay the others together as little as one would. Does
+        nothing for a line that shares its turns in another way.
+        """
+
     @abstractmethod
     async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
         """Call `on_frames` with what arrives, and send what `next_frames` returns.
@@ -89,10 +96,6 @@ class Channel(Line):
     _turn: anyio.Lock | None = None
 
     def share_turns(self, turn: anyio.Lock) -> None:
-        """Handle the rest of what has arrived with that lock, which all lines of a server have.
-
-        However many of them are busy, they delay the others together as little as one would.
-        """
         self._turn = turn
 
     @abstractmethod

@@ -20,7 +20,7 @@ from fibaction.exceptions import (
     LimitReached,
     ProtocolError,
 )
-from fibaction.wire.channel import Channel, Line
+from fibaction.wire.channel import Line
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import FIRST_FRAME, FrameMemory, FrameReader
 from fibaction.wire.link import Link, naming
@@ -71,8 +71,7 @@ class WireServer:
 
     async def serve(self, line: Line) -> None:
         """Serve one client until its connection ends."""
-        if isinstance(line, Channel):
-            line.share_turns(self._turn)
+        line.share_turns(self._turn)
         try:
             await self._serve(line)
         except Exception as exc:

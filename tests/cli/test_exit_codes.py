@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import importlib.util
+import signal
 import socket
 import sys
 from collections.abc import Awaitable, Callable
@@ -213,3 +214,18 @@ def test_of_the_errors_of_a_group_that_for_the_user_comes_out(
 ) -> None:
     with pytest.raises(expected), report_errors():
         raise ExceptionGroup("tasks", [ExceptionGroup("tasks", errors)])
+
+
+def test_ctrl_c_exits_at_once_where_nothing_has_to_be_cleaned_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    codes: list[int] = []
+    monkeypatch.setattr("os._exit", codes.append)
+
+    async def verb() -> int:
+        signal.raise_signal(signal.SIGINT)
+        return 0
+
+    with pytest.raises(click.exceptions.Exit):
+        exit_codes.run(verb)
+    assert codes == [ExitCode.INTERRUPTED]

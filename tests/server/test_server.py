@@ -9,7 +9,8 @@ import tracemalloc
 from collections.abc import AsyncIterator, Coroutine, Iterator
 from contextlib import suppress
 from functools import partial
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import anyio
 import pytest
@@ -37,6 +38,7 @@ from fibaction.abc import FeedbackItem, GoalStream, StatusStream
 from fibaction.goals import Sender
 from fibaction.server import runs
 from fibaction.server._interruption import CancelOnce
+from fibaction.server._turns import Turns
 from fibaction.server.goal_record import Ending, EndKind
 from fibaction.server.runs import EXPIRY_STEP, RECENT_TIME
 from tests.executors import Items
@@ -315,6 +317,39 @@ async def test_a_stop_of_a_server_that_is_itself_canceled_leaves_no_caller_waiti
             assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
     assert not executor.is_clean
     assert "did not stop in time" in caplog.text
+
+
+async def test_an_executor_that_does_not_end_when_killed_is_abandoned_and_its_goal_named(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("fibaction.server._task_pool.GRACE", 0.01)
+
+    async def refuses(goal: GoalHandle[Goal]) -> AsyncIterator[Feedback | Result]:
+        while True:
+            try:
+                yield Feedback([])
+                await anyio.sleep(1)
+            except BaseException:  # the mistake that is tested
+                continue
+
+    goal_id = GoalID.random()
+    with anyio.fail_after(5):
+        async with ActionServer(FIBONACCI, refuses, shutdown_timeout=0.01) as server:  # type: ignore[arg-type]  # an iterator is all that its executor needs to say
+            stream = await server.send_goal(goal_id, packed(1))
+            assert await stream.receive() is not None
+
+    assert (await stream.outcome()).status is GoalStatus.ABORTED
+    (line,) = [text for text in caplog.messages if "is abandoned" in text]
+    assert str(goal_id) in line
+
+
+async def test_only_a_coroutine_that_runs_is_given_up() -> None:
+    scopes = CancelOnce(lambda: None, Turns())
+    scopes.abandon()
+    given_up: list[str] = []
+    scopes.steps = cast("Any", SimpleNamespace(give_up=lambda: given_up.append("it")))
+    scopes.abandon()
+    assert given_up == ["it"]
 
 
 async def test_no_goal_is_accepted_while_the_server_stops() -> None:

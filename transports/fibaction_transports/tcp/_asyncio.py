@@ -169,10 +169,9 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
 
     def go_on(self) -> None:
         """Handle frames that have arrived in an earlier turn."""
-        if self.has_rest:
-            self._handle(None)
-            if not (self._rest or self._transport.is_closing()):
-                self._transport.resume_reading()
+        self._handle(None)
+        if not (self._rest or self._transport.is_closing()):
+            self._transport.resume_reading()
 
     def _pause_reading(self) -> None:
         if not self._transport.is_closing():

@@ -63,10 +63,10 @@ class LineTurns:
     def _next(self) -> None:
         self._is_due = False
         ends = perf_counter() + SLICE
-        for _ in range(len(self._waiting)):
-            line = next(iter(self._waiting), None)
-            if line is None:
-                break
+        left = len(self._waiting)
+        while self._waiting and left:  # a line may end others
+            left -= 1
+            line = next(iter(self._waiting))
             del self._waiting[line]
             line.context.run(line.go_on)
             if line.has_rest:
