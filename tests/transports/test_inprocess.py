@@ -19,6 +19,7 @@ from fibaction import (
     serve,
 )
 from fibaction.abc import Endpoint
+from fibaction.goals import Sender
 from fibaction.urls import transport_for
 from fibaction_transports import inprocess
 from fibaction_transports.inprocess import InProcessTransport
@@ -157,6 +158,19 @@ async def test_an_endpoint_hands_everything_on() -> None:
             first = await (await endpoint.status()).receive()
             assert first is not None
             assert first.goal_id == stream.goal_id
+
+
+async def test_a_gateway_names_the_owner_of_a_goal_and_any_other_sender_is_its_connection() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    async with serve(server, "inproc://owned"), connect("inproc://owned") as connection:
+        endpoint, goal = connection.endpoint(FIBONACCI.info), FIBONACCI.goal.encode(Goal(1))
+        theirs, own = GoalID.random(), GoalID.random()
+        ann = Sender("ann", b"ann")
+        assert (await endpoint.send_goal(theirs, goal, sender=ann)).own
+        assert (await server.send_goal(theirs, goal, sender=ann)).own
+        assert not (await endpoint.send_goal(theirs, goal)).own
+        assert (await endpoint.send_goal(own, goal)).own
+        assert not (await server.send_goal(own, goal, sender=ann)).own
 
 
 async def test_a_place_that_is_not_used_any_more_is_forgotten() -> None:
