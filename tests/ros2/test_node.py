@@ -163,7 +163,7 @@ async def test_a_call_that_fails_because_ros_was_shut_down_is_none(
     assert str(ros.error) == "rclpy was shut down"
     ros.warn("a goal\nended")
     ros.complain("it is bad")
-    assert caplog.messages[-2:] == ["a goal ended", "it is bad"]
+    assert caplog.messages[-2:] == ["a goal\\x0aended", "it is bad"]
 
 
 async def test_a_node_that_is_not_spun_can_be_used_and_left(ros: RosNode) -> None:
@@ -195,7 +195,7 @@ class Kept(list[str]):
 
 
 @pytest.mark.promise("ERROR-5")
-def test_a_text_becomes_one_line_of_the_log_of_ros(
+async def test_a_text_becomes_one_line_of_the_log_of_ros(
     ros: RosNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ros, "_logger", kept := Kept())
