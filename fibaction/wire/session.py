@@ -234,6 +234,9 @@ class Session:
             if not isinstance(exc, Exception) and current_effective_deadline() == -math.inf:
                 raise
             self._fail(message, exc)
+            # Since Python 3.12 the frames of a context manager make a cycle with the error, which
+            # would keep the message until the garbage collector runs.
+            exc.__traceback__ = None
 
     def _fail(self, message: GoalRequest | Request, exc: BaseException) -> None:
         is_goal = isinstance(message, SendGoal | Follow)
