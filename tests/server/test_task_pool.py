@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from contextvars import copy_context
 from functools import partial
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import anyio
@@ -19,6 +20,8 @@ from fibaction.server._interruption import MOST_KILLS, SLICE, CancelOnce, Steps
 from fibaction.server._task_pool import GRACE, MOST_IDLE, TaskPool
 from tests.processes import PATIENCE
 from tests.refusing import REFUSING, SHUTDOWN_TIMEOUT
+
+ROOT = Path(__file__).resolve().parents[2]
 
 pytestmark = pytest.mark.anyio
 
@@ -341,7 +344,7 @@ async def test_a_job_without_steps_is_left_behind_as_it_is(monkeypatch: pytest.M
 async def test_a_program_ends_in_spite_of_executors_that_do_not(backend: str) -> None:
     command = [sys.executable, "-m", "tests.refusing", backend]
     with anyio.fail_after(PATIENCE):
-        run = await anyio.run_process(command, check=False)
+        run = await anyio.run_process(command, check=False, cwd=ROOT)
     code, out, err = run.returncode, run.stdout.decode(), run.stderr.decode()
     assert code == 0, err
     found = json.loads(out)
