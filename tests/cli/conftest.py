@@ -28,7 +28,7 @@ import pyte
 import pytest
 from click.testing import CliRunner, Result
 
-from fibaction.cli import signals
+from fibaction.cli import serve, signals
 from fibaction.cli.app import cli
 from tests.cli.robot_module import MODULE
 from tests.processes import PATIENCE, Finished, ended, lines_until
@@ -220,11 +220,11 @@ def started() -> Iterator[Start]:
 
 @pytest.fixture(autouse=True)
 def signals_of_its_own(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Leave no handler of a signal, and no alarm, to the next test; both could end this process.
-
-    Nor may a busy machine do so, on which the event loop takes a signal late.
+    """Let nothing end this process that is to end one of the command: no handler of a signal, no
+    alarm, and no end of the last seconds is left to the next test.
     """
     monkeypatch.setattr(signals, "GRACE", 60.0)
+    monkeypatch.setattr(serve, "LAST_SECONDS", 3600.0)
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
     before = [signal.getsignal(number) for number in numbers]
     yield
