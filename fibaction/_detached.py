@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 from anyio import CancelScope, Event, create_task_group, get_cancelled_exc_class, move_on_after
 from anyio.abc import TaskGroup
 
+from fibaction._asyncio_task import asyncio_task
 from fibaction._notify import Notifier
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ def _single(group: BaseExceptionGroup[BaseException] | None) -> BaseException | 
 
 def _start_outside(function: Callable[[], Awaitable[None]], name: str) -> None:
     """Run an async function in a task that no task waits for. It must not raise."""
-    if _on_asyncio():
+    if asyncio_task() is not None:
         import asyncio  # noqa: TID251  # anyio has no tasks outside of its groups
 
         task = asyncio.get_running_loop().create_task(_awaited(function), name=name)
@@ -132,19 +133,12 @@ def waker() -> Callable[[], object]:
     that waits for a task which cannot be canceled, nor on a task of trio that waits for a thread or
     has a nursery open.
     """
-    if _on_asyncio():
-        import asyncio  # noqa: TID251  # anyio cannot resume a task against its scopes
-
-        task = asyncio.current_task()
-        assert task is not None
-        return partial(_cancel, task)
+    task = asyncio_task()
+    if task is not None:
+        return task.cancel
     import trio
 
     return partial(_abort, trio.lowlevel.current_task())
-
-
-def _cancel(task: asyncio.Task[Any]) -> None:
-    task.cancel()
 
 
 def _abort(task: Any) -> None:
@@ -155,13 +149,3 @@ def _abort(task: Any) -> None:
 
 def _raise_woken() -> None:
     raise RuntimeError("this task was abandoned")
-
-
-def _on_asyncio() -> bool:
-    """Return whether the caller is a task of asyncio, not of trio as a guest of asyncio's loop."""
-    import asyncio  # noqa: TID251  # anyio does not tell
-
-    try:
-        return asyncio.current_task() is not None
-    except RuntimeError:
-        return False

@@ -1,4 +1,4 @@
-"""Background tasks of a block of code, and long work that lets other tasks run."""
+"""Background tasks of a block of code."""
 
 from __future__ import annotations
 

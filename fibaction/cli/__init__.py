@@ -5,13 +5,12 @@ No other part of fibaction imports it.
 
 from __future__ import annotations
 
-import os
 import sys
+
+from fibaction.cli.ctrl_c import INTERRUPTED, exit_at_once
 
 NEEDED = ("click", "rich", "yaml")
 """The modules that the extra brings."""
-INTERRUPTED = 130
-"""`ExitCode.INTERRUPTED`, whose module needs the extra."""
 
 
 def main() -> None:
@@ -32,15 +31,6 @@ def main() -> None:
                 signal.signal(signal.SIGINT, exit_at_once)
     except KeyboardInterrupt:  # in the moments in which a verb begins or ends
         sys.exit(INTERRUPTED)
-
-
-def exit_at_once(_number: int, _frame: object) -> None:
-    """Handle SIGINT where nothing has to be cleaned up.
-
-    A `KeyboardInterrupt` in the middle of an import or of the interpreter's exit would be a
-    traceback.
-    """
-    os._exit(INTERRUPTED)
 
 
 def _run() -> None:

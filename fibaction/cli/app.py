@@ -16,7 +16,7 @@ from typing import Any
 
 import click
 
-from fibaction.cli import exit_at_once
+from fibaction.cli.ctrl_c import exit_at_once
 from fibaction.cli.escape import clean
 from fibaction.cli.exit_codes import ExitCode, debugging, report_errors
 from fibaction.cli.logs import CleanFormatter

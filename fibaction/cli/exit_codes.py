@@ -13,6 +13,7 @@ from typing import IO, Any, NoReturn, cast
 
 import click
 
+from fibaction.cli import ctrl_c
 from fibaction.cli.escape import clean, clean_lines
 from fibaction.exceptions import (
     ActionError,
@@ -43,7 +44,7 @@ class ExitCode(IntEnum):
     """There is no such server or action, or the connection was lost."""
     BUG = 70
     """`EX_SOFTWARE` of `sysexits.h`: an error of fibaction itself."""
-    INTERRUPTED = 130
+    INTERRUPTED = ctrl_c.INTERRUPTED
     """As of a program that SIGINT has ended: Ctrl-C where no goal was to be canceled."""
 
 
@@ -126,17 +127,13 @@ def run(
     options = {"use_uvloop": uvloop and find_spec("uvloop") is not None}
     exits = signal.getsignal(signal.SIGINT) is signal.default_int_handler and not uvloop
     if exits:  # the event loop's own handler would wait for a task that computes
-        signal.signal(signal.SIGINT, _exit_at_once)
+        signal.signal(signal.SIGINT, ctrl_c.exit_at_once)
     try:
         code = anyio.run(partial(verb, *arguments, **settings), backend_options=options)
     finally:
         if exits:
             signal.signal(signal.SIGINT, signal.default_int_handler)
     raise click.exceptions.Exit(code)
-
-
-def _exit_at_once(_number: int, _frame: object) -> None:
-    os._exit(ExitCode.INTERRUPTED)
 
 
 @contextmanager

@@ -160,7 +160,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         """
         self.pending = False
         """True if a cancellation was sent and has not arrived."""
-        self._coroutine = coroutine
+        self._coroutine: Coroutine[Any, Any, T] | _GivenUp[T] = coroutine
         self._scopes = scopes
         self._context = context
         self._on_given_up = on_given_up
@@ -251,7 +251,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         return current_effective_deadline() == -math.inf
 
 
-class _GivenUp(Coroutine[Any, Any, T]):
+class _GivenUp(Generic[T]):
     """In place of a coroutine that was given up: it returns a value at once."""
 
     def __init__(self, value: T) -> None:
@@ -260,16 +260,8 @@ class _GivenUp(Coroutine[Any, Any, T]):
     def send(self, value: object) -> NoReturn:
         raise StopIteration(self._value)
 
-    def throw(
-        self,
-        typ: type[BaseException] | BaseException,
-        val: BaseException | object = None,
-        tb: TracebackType | None = None,
-    ) -> NoReturn:
+    def throw(self, error: BaseException) -> NoReturn:
         raise StopIteration(self._value)
 
     def close(self) -> None:
         """Do nothing: the coroutine must not be closed."""
-
-    def __await__(self) -> Generator[Any, Any, T]:
-        raise NotImplementedError  # pragma: no cover  # it is driven by `Steps`

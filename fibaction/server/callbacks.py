@@ -29,6 +29,7 @@ from typing import Any, TypeAlias, TypeVar
 
 from anyio import CancelScope, current_effective_deadline, get_cancelled_exc_class
 
+from fibaction._asyncio_task import asyncio_task
 from fibaction._log import clean_logger
 from fibaction._text import excerpt
 from fibaction.exceptions import CancelRejected, GoalRejected, text_of
@@ -162,10 +163,5 @@ async def _awaited(awaitable: Awaitable[object]) -> object:
 
 def _is_canceled() -> bool:
     """Return whether this task itself was canceled, outside of scopes, as only asyncio can do."""
-    import asyncio  # noqa: TID251  # anyio does not tell
-
-    try:
-        task = asyncio.current_task()
-    except RuntimeError:  # not asyncio's loop: it is trio, and not as a guest
-        return False
+    task = asyncio_task()
     return task is not None and task.cancelling() > 0

@@ -15,7 +15,8 @@ from typing import Any
 import click
 import pytest
 
-from fibaction.cli import app, exit_at_once
+from fibaction.cli import app
+from fibaction.cli.ctrl_c import exit_at_once
 from fibaction.cli.exit_codes import ExitCode
 from tests.cli.conftest import Invoke, Run
 

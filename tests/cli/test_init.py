@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 import fibaction.cli
-from fibaction.cli import INTERRUPTED, app
+from fibaction.cli import app
+from fibaction.cli.ctrl_c import INTERRUPTED, exit_at_once
 from fibaction.cli.exit_codes import ExitCode
 from fibaction_transports import _command
 from tests.cli.conftest import Run
@@ -90,7 +91,7 @@ def test_ctrl_c_in_the_moment_in_which_a_verb_begins_ends_as_shells_expect(
         fibaction_main()
 
     assert exit.value.code == INTERRUPTED == ExitCode.INTERRUPTED
-    assert signal.getsignal(signal.SIGINT) is fibaction.cli.exit_at_once, "the exit takes time, too"
+    assert signal.getsignal(signal.SIGINT) is exit_at_once, "the exit takes time, too"
 
 
 def test_the_handler_of_a_verb_that_has_ended_stays(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,7 +107,7 @@ def test_the_handler_of_a_verb_that_has_ended_stays(monkeypatch: pytest.MonkeyPa
 def test_ctrl_c_without_a_verb_exits_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     codes: list[int] = []
     monkeypatch.setattr(os, "_exit", codes.append)
-    fibaction.cli.exit_at_once(signal.SIGINT, None)
+    exit_at_once(signal.SIGINT, None)
 
     assert codes == [INTERRUPTED]
 

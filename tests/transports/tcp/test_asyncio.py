@@ -28,7 +28,6 @@ from fibaction_transports.tcp._asyncio import (
     accept,
     dial_tcp,
     dial_unix,
-    on_asyncio,
 )
 
 pytestmark = pytest.mark.asyncio
@@ -700,26 +699,3 @@ async def test_without_sniffio_nothing_has_to_be_known(monkeypatch: pytest.Monke
     async with pair() as (one, other):
         one.say(b"1")
         await until(lambda: other.heard)
-
-
-async def test_whether_it_is_asyncio_is_known_everywhere() -> None:
-    found: dict[str, bool] = {}
-
-    async def look(where: str) -> None:
-        found[where] = on_asyncio()
-
-    def elsewhere() -> None:
-        found["nowhere"] = on_asyncio()
-        anyio.run(look, "trio", backend="trio")
-
-    await look("asyncio")
-    await anyio.to_thread.run_sync(elsewhere)
-    done = anyio.Event()
-
-    def callback() -> None:
-        found["a guest"] = on_asyncio()
-        done.set()
-
-    asyncio.get_running_loop().call_soon(callback)
-    await done.wait()
-    assert found == {"nowhere": False, "asyncio": True, "trio": False, "a guest": False}

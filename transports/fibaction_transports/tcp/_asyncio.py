@@ -10,7 +10,7 @@ times as much.
 
 from __future__ import annotations
 
-import asyncio  # noqa: TID251  # this module is for asyncio only; `on_asyncio` says whether it is
+import asyncio  # noqa: TID251  # this module is for asyncio only
 import os
 import socket
 from collections.abc import Callable, Coroutine, Sequence
@@ -36,14 +36,6 @@ NEXT_ADDRESS = 0.25
 
 
 logger = clean_logger("fibaction.wire")
-
-
-def on_asyncio() -> bool:
-    """Return whether the caller is a task of asyncio, not of trio as a guest of asyncio's loop."""
-    try:
-        return asyncio.current_task() is not None
-    except RuntimeError:
-        return False
 
 
 class ProtocolLine(asyncio.BufferedProtocol, Line):

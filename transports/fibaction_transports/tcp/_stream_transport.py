@@ -12,6 +12,7 @@ import anyio
 from anyio.abc import Listener
 from anyio.streams.stapled import MultiListener
 
+from fibaction._asyncio_task import asyncio_task
 from fibaction._log import clean_logger
 from fibaction._tasks import Background
 from fibaction.exceptions import (
@@ -78,7 +79,7 @@ class StreamTransport(WireTransport):
                 await listener.aclose()
 
     async def _accept(self, listener: Listener[Any], server: WireServer) -> None:
-        plain = _asyncio.on_asyncio() and not isinstance(listener, TlsListener)
+        plain = asyncio_task() is not None and not isinstance(listener, TlsListener)
         accept = _asyncio.accept if plain else _anyio.accept
         while True:
             try:

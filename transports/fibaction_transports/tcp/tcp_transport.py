@@ -14,6 +14,7 @@ import anyio
 from anyio.abc import Listener, SocketAttribute
 from anyio.streams.tls import TLSStream
 
+from fibaction._asyncio_task import asyncio_task
 from fibaction.exceptions import TransportError
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.frames import FrameReader
@@ -92,7 +93,7 @@ class TcpTransport(StreamTransport):
 
     async def _connect(self) -> Line:
         reader = FrameReader(self.client_settings.max_frame)
-        if self._tls is None and _asyncio.on_asyncio():
+        if self._tls is None and asyncio_task() is not None:
             return await _asyncio.dial_tcp(self._host, self._port, reader, self.url)
         stream = await anyio.connect_tcp(self._host, self._port)
         stream.extra(SocketAttribute.raw_socket).setsockopt(

@@ -11,6 +11,7 @@ from urllib.parse import SplitResult, unquote
 import anyio
 from anyio.abc import Listener
 
+from fibaction._asyncio_task import asyncio_task
 from fibaction.exceptions import TransportError
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.frames import FrameReader
@@ -51,7 +52,7 @@ class UnixTransport(StreamTransport):
 
     async def _connect(self) -> Line:
         reader = FrameReader(self.client_settings.max_frame)
-        if _asyncio.on_asyncio():
+        if asyncio_task() is not None:
             return await _asyncio.dial_unix(self._path, reader, self.url)
         return StreamChannel(await anyio.connect_unix(self._path), self.url, reader)
 

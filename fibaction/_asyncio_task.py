@@ -1,0 +1,18 @@
+"""The task of asyncio that runs the caller, which anyio does not tell."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import asyncio  # noqa: TID251  # the one module that asks for it, for all
+
+
+def asyncio_task() -> asyncio.Task[Any] | None:
+    """Return the caller's task; None if it is one of trio, also as a guest of asyncio's loop."""
+    import asyncio  # noqa: TID251  # not imported with `fibaction`, since a program may be of trio
+
+    try:
+        return asyncio.current_task()
+    except RuntimeError:  # no loop of asyncio runs
+        return None

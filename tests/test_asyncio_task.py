@@ -1,0 +1,34 @@
+"""The task of asyncio that runs the caller."""
+
+import asyncio  # noqa: TID251  # it is what the test is about
+
+import anyio
+import anyio.to_thread
+import pytest
+
+from fibaction._asyncio_task import asyncio_task
+
+
+@pytest.mark.asyncio
+async def test_whether_it_is_asyncio_is_known_everywhere() -> None:
+    found: dict[str, bool] = {}
+
+    async def look(where: str) -> None:
+        found[where] = asyncio_task() is not None
+
+    def elsewhere() -> None:
+        found["nowhere"] = asyncio_task() is not None
+        anyio.run(look, "trio", backend="trio")
+
+    await look("asyncio")
+    await anyio.to_thread.run_sync(elsewhere)
+    done = anyio.Event()
+
+    def callback() -> None:
+        found["a guest"] = asyncio_task() is not None
+        done.set()
+
+    asyncio.get_running_loop().call_soon(callback)
+    await done.wait()
+    assert found == {"nowhere": False, "asyncio": True, "trio": False, "a guest": False}
+    assert asyncio_task() is asyncio.current_task()
