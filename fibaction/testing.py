@@ -17,7 +17,8 @@ from fibaction.client import ActionClient
 from fibaction.exceptions import GoalRejected, ProtocolError
 from fibaction.goals import Outcome
 from fibaction.server import ActionServer
-from fibaction.server.executor import Executor, GoalHandle
+from fibaction.server.executor import Executor
+from fibaction.server.goal_handle import GoalHandle
 
 
 class Trial(msgspec.Struct, Generic[FeedbackT, ResultT], frozen=True):

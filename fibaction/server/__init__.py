@@ -4,7 +4,8 @@
 goals and cancels; `runs` starts and ends executors; `registry` holds every goal and its rules.
 """
 
-from fibaction.server.executor import Executor, GoalHandle
+from fibaction.server.executor import Executor
+from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.server import ActionServer
 
 __all__ = ["ActionServer", "Executor", "GoalHandle"]

@@ -36,8 +36,8 @@ from fibaction.exceptions import CancelRejected, GoalRejected, ProtocolError
 from fibaction.goals import CancelAnswer, GoalID, Sender
 from fibaction.server.callbacks import SERVER_STOPPING, Callback, Callbacks
 from fibaction.server.cancellation import Cancellation
-from fibaction.server.executor import GoalHandle
 from fibaction.server.feedback_cursor import FeedbackCursor
+from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_record import GoalRecord
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.server.runs import Runs

@@ -42,51 +42,15 @@ from fibaction._log import clean_logger
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import GoalAborted, GoalCanceled, text_of
 from fibaction.server._interruption import CancelOnce, Steps
+from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_record import Ending, EndKind
-from fibaction.states import GoalStatus
 
 if TYPE_CHECKING:
-    from fibaction.goals import GoalID
     from fibaction.server.feedback_log import FeedbackLog
-    from fibaction.server.goal_record import GoalRecord
 
 T = TypeVar("T")
 
 logger = clean_logger("fibaction.server")
-
-
-class GoalHandle(Generic[GoalT]):
-    """One goal, as its executor sees it."""
-
-    __slots__ = ("_goal", "request")
-
-    def __init__(self, goal: GoalRecord, request: GoalT) -> None:
-        self.request = request
-        """The goal that the client sent."""
-        self._goal = goal
-
-    @property
-    def goal_id(self) -> GoalID:
-        """The goal's ID, made by the client."""
-        return self._goal.goal_id
-
-    @property
-    def stamp(self) -> int:
-        """Time of the acceptance: nanoseconds since 1970."""
-        return self._goal.stamp
-
-    @property
-    def status(self) -> GoalStatus:
-        """The goal's status now."""
-        return self._goal.status
-
-    @property
-    def cancel_requested(self) -> bool:
-        """True if the goal is to stop: its cancel was accepted, or the server ends it."""
-        return self._goal.status is GoalStatus.CANCELING or bool(self._goal.stop_reason)
-
-    def __repr__(self) -> str:
-        return f"<GoalHandle {self.goal_id} {self.status.name}>"
 
 
 Executor: TypeAlias = Callable[[GoalHandle[GoalT]], AsyncGenerator[FeedbackT | ResultT, None]]

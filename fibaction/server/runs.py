@@ -48,9 +48,10 @@ from fibaction.exceptions import UnknownGoal
 from fibaction.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.server._interruption import CancelOnce
 from fibaction.server._task_pool import TaskPool
-from fibaction.server.executor import Execution, Executor, GoalHandle
+from fibaction.server.executor import Execution, Executor
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
+from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord
 from fibaction.server.registry import GoalRegistry
 from fibaction.server.status_broadcast import StatusBroadcast, StatusCursor

@@ -25,8 +25,9 @@ from fibaction.exceptions import ServerNotFound
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
 from fibaction.server.admission import Admission, Offer
 from fibaction.server.callbacks import Callback
-from fibaction.server.executor import Executor, GoalHandle
+from fibaction.server.executor import Executor
 from fibaction.server.feedback_cursor import FeedbackCursor
+from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.registry import MAX_BYTES, MAX_GOALS, GoalRegistry
 from fibaction.server.runs import Runs
 from fibaction.server.status_broadcast import StatusCursor
