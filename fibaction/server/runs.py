@@ -48,6 +48,7 @@ from fibaction.exceptions import UnknownGoal
 from fibaction.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.server._interruption import CancelOnce
 from fibaction.server._task_pool import TaskPool
+from fibaction.server._watchdog import Watch
 from fibaction.server.executor import Execution, Executor
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
@@ -104,6 +105,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         window: int,
         latest: bool,
         stall_timeout: float,
+        watch: Watch,
     ) -> None:
         self._action = action
         self._executor = executor
@@ -111,6 +113,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._window = window
         self._latest = latest
         self._stall_timeout = stall_timeout
+        self._watch = watch
         self._runs: dict[GoalID, Run[GoalT, FeedbackT, ResultT]] = {}
         self._unread: WeakValueDictionary[GoalID, FeedbackLog] = WeakValueDictionary()
         self._recent: deque[tuple[float, FeedbackLog]] = deque(maxlen=RECENT_GOALS)
@@ -134,7 +137,9 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             goal, window=self._window, latest=self._latest, budget=self._registry.budget
         )
         handle = GoalHandle(goal, request)
-        execution = Execution(self._action, self._executor, handle, log, self._stall_timeout)
+        execution = Execution(
+            self._action, self._executor, handle, log, self._stall_timeout, self._watch
+        )
         run = self._runs[goal.goal_id] = Run(goal, log, execution)
         self._tell_status(run)
         self._pool.add(partial(self._run, run), goal.sender.owner)

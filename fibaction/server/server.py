@@ -23,6 +23,7 @@ from fibaction.abc import Endpoint
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import ServerNotFound
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
+from fibaction.server._watchdog import Watch
 from fibaction.server.admission import Admission, Offer
 from fibaction.server.callbacks import Callback
 from fibaction.server.executor import Executor
@@ -60,6 +61,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         max_goals: int = MAX_GOALS,
         max_bytes: int = MAX_BYTES,
         shutdown_timeout: float = 5.0,
+        watchdog: float = 1.0,
     ) -> None:
         """Set up a server; nothing runs yet.
 
@@ -88,6 +90,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 forgotten, and executors wait until their feedback is read.
             shutdown_timeout: Seconds that executors have for their clean-up when the server stops.
                 Then they are killed, and those that do not end are abandoned about a second later.
+            watchdog: Seconds that an executor may block the event loop before the log names its
+                goal and its line of code; 0 is never. The time at a debugger's breakpoint counts,
+                and so may the time for which the computer sleeps or is too busy.
 
         Raises:
             TypeError: The action is untyped, or the executor is not callable, is a coroutine
@@ -111,6 +116,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             ("max_goals", max_goals),
             ("max_bytes", max_bytes),
             ("shutdown_timeout", shutdown_timeout),
+            ("watchdog", watchdog),
         ):
             if not value >= 0:
                 raise ValueError(f"{name} is 0 or more, not {value}")
@@ -121,6 +127,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             max_goals=max_goals,
             max_bytes=max_bytes,
         )
+        self._watch = Watch(action.name, watchdog)
         self._runs = Runs(
             action,
             executor,
@@ -128,6 +135,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             window=feedback_window,
             latest=feedback == "latest",
             stall_timeout=stall_timeout,
+            watch=self._watch,
         )
         self._admission = Admission(
             action,
@@ -163,7 +171,12 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if not self.is_new:
             raise RuntimeError(f"{self!r} was started before; make another one")
         self._background = Background()
-        self._runs.open(await self._background.__aenter__())
+        self._watch.open()
+        try:
+            self._runs.open(await self._background.__aenter__())
+        except BaseException:
+            self._watch.close()
+            raise
         self._phase = "running"
         self._started.notify()
         return self
@@ -181,7 +194,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 async with create_task_group() as tasks:
                     tasks.start_soon(self.stop)
         finally:
-            await self._background.__aexit__(exc_type, exc, traceback)
+            try:
+                await self._background.__aexit__(exc_type, exc, traceback)
+            finally:
+                self._watch.close()
 
     async def stop(self) -> None:
         """Reject new goals, end all active ones, and answer every client that waits.
