@@ -147,7 +147,6 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
     def _given_up(self) -> Ending:
         """Tell in the log that the executor runs no further, and return the ending for its goal."""
         self._scopes = None
-        self._watch.end(self._steps)
         logger.error(
             "goal %s of action %r: its executor does not end though it was killed, and is"
             " abandoned; what it holds stays taken until this process ends",
