@@ -32,7 +32,7 @@ from fibaction.exceptions import (
     UnknownGoal,
 )
 from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
-from fibaction.server import ActionServer, Executor, GoalHandle
+from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
 from fibaction.states import GoalEvent, GoalStatus
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.settings import Limits
@@ -72,6 +72,7 @@ __all__ = [
     "Peer",
     "Permission",
     "ProtocolError",
+    "Schedule",
     "SendingGoal",
     "ServerFailed",
     "ServerNotFound",

@@ -1,4 +1,4 @@
-"""`Scheduler`: which accepted goals run, which wait, and which give way.
+"""`Scheduler`: the order in which accepted goals run, wait and give way.
 
 Theory of operation
 -------------------
@@ -18,9 +18,13 @@ A goal that is offered starts if a place is free, and waits if the queue has roo
 - `"reject"`: the goal is rejected.
 - `"preempt"`: the goal becomes the *successor* of one that runs, its predecessor. The predecessor
   is interrupted, and its successor starts when it has left, ahead of the queue. A successor that
-  has not started yet gives way to a newer one. With a priority, a goal preempts only goals that are
-  less urgent.
+  has not started yet gives way to a newer one, and goes back into the queue if there is room. With
+  a priority, a goal preempts only goals that are less urgent, and does not wait before.
 - `"replace"`: the newest waiting goal gives way.
+
+With `handover`, a predecessor is told of its successor first (`Act.TELL`), and interrupted only
+later. Meanwhile it can take its successor over (`take_over`): it leaves, and its executor and its
+place are the successor's. If the successor gives way or is canceled, the predecessor just goes on.
 
 A place is free again only when its goal has left, so a successor never runs beside the clean-up of
 its predecessor. A goal leaves once, whether it ended, was canceled while it waited, or was killed.
@@ -37,13 +41,11 @@ import math
 from collections.abc import Hashable
 from enum import Enum
 from heapq import heapify, heappop, heappush
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 from fibaction.goals import GoalID
+from fibaction.server._schedule_group import Entry, Group, Urgency
 from fibaction.server.schedule import Schedule
-
-_Urgency: TypeAlias = tuple[float, int]
-"""The place of a goal in the order of those that wait: smaller is first, and no two are equal."""
 
 
 class Act(Enum):
@@ -53,6 +55,8 @@ class Act(Enum):
     """Run the goal's executor."""
     END = "end"
     """End a goal that has not started, for the reason. It has left already."""
+    TELL = "tell"
+    """Tell the goal's executor that it has a successor, which it may take over."""
     INTERRUPT = "interrupt"
     """Interrupt the goal's executor for the reason; call `leave` when it has ended."""
     KILL = "kill"
@@ -71,50 +75,6 @@ class Busy(Exception):
     """A goal can neither run nor wait; the text says how many do."""
 
 
-class _Entry:
-    """A goal that runs or waits."""
-
-    __slots__ = ("goal_id", "group", "predecessor", "since", "successor", "urgency")
-
-    def __init__(self, goal_id: GoalID, group: _Group, urgency: _Urgency, now: float) -> None:
-        self.goal_id = goal_id
-        self.group = group
-        self.urgency = urgency
-        self.since = now
-        """The time of its arrival, of its start, or of its interruption: the latest of them."""
-        self.predecessor: _Entry | None = None
-        """The goal that is interrupted for this one."""
-        self.successor: _Entry | None = None
-        """The goal that starts when this one has left."""
-
-
-class _Group:
-    """The goals of one key."""
-
-    def __init__(self, key: Hashable) -> None:
-        self.key = key
-        self.running: dict[GoalID, _Entry] = {}  # in the order of their start
-        self.queue: dict[GoalID, _Entry] = {}  # in the order of their arrival
-        self.listed: _Urgency | None = None
-        """The goal with which the group stands in the order of groups; None if it does not."""
-        self._heap: list[tuple[_Urgency, _Entry]] = []
-
-    def add(self, entry: _Entry) -> None:
-        """Add a goal to the queue."""
-        self.queue[entry.goal_id] = entry
-        if len(self._heap) > 2 * len(self.queue) + 16:  # most are those of goals that have left
-            self._heap = [(one.urgency, one) for one in self.queue.values()]
-            heapify(self._heap)
-        else:
-            heappush(self._heap, (entry.urgency, entry))
-
-    def first(self) -> _Entry | None:
-        """Return the goal of the queue that starts next."""
-        while self._heap and self._heap[0][1].goal_id not in self.queue:
-            heappop(self._heap)
-        return self._heap[0][1] if self._heap else None
-
-
 class Scheduler:
     """The goals of one server that run and wait."""
 
@@ -122,15 +82,16 @@ class Scheduler:
         """Kill an interrupted executor that has not ended `kill_after` seconds later."""
         self._schedule = schedule
         self._kill_after = kill_after
-        self._groups: dict[Hashable, _Group] = {}
-        self._entries: dict[GoalID, _Entry] = {}
+        self._groups: dict[Hashable, Group] = {}
+        self._entries: dict[GoalID, Entry] = {}
         self._arrivals = 0
         self._running = 0
         # In the order of their times, so that the first is due first.
-        self._waiting: dict[GoalID, _Entry] = {}
-        self._timed: dict[GoalID, _Entry] = {}  # they run, and are not interrupted
-        self._interrupted: dict[GoalID, _Entry] = {}
-        self._heads: list[tuple[_Urgency, _Group]] = []
+        self._waiting: dict[GoalID, Entry] = {}
+        self._timed: dict[GoalID, Entry] = {}  # they run, and are not interrupted
+        self._told: dict[GoalID, Entry] = {}  # of these, those that may take over
+        self._interrupted: dict[GoalID, Entry] = {}
+        self._heads: list[tuple[Urgency, Group]] = []
 
     # Events
 
@@ -142,20 +103,23 @@ class Scheduler:
         Raises:
             Busy: It can do none of these, and was not taken.
         """
-        group = self._groups.get(key) or _Group(key)
+        if goal_id in self._entries:
+            raise Busy(f"busy: an earlier goal {goal_id} was killed, and has not ended yet")
+        group = self._groups.get(key) or Group(key)
         self._arrivals += 1
-        entry = _Entry(goal_id, group, (urgency, self._arrivals), now)
+        entry = Entry(goal_id, group, (urgency, self._arrivals), now)
         orders: list[Order] = []
+        has_room = len(group.queue) < self._schedule.queue
         if self._has_place(group):
             orders.append(self._start(entry, now))
-        elif len(group.queue) < self._schedule.queue:
+        elif (predecessor := self._predecessor(entry, has_room=has_room)) is not None:
+            orders += self._preempt(predecessor, entry, now)
+        elif has_room:
             self._wait(entry)
         elif self._schedule.when_full == "replace":
             newest = next(reversed(group.queue.values()))
             orders.append(self._give_way(newest, f"replaced by {goal_id}"))
             self._wait(entry)
-        elif (predecessor := self._predecessor(entry)) is not None:
-            orders += self._preempt(predecessor, entry, now)
         else:
             raise Busy(self._busy(group))
         self._groups[key] = group
@@ -177,53 +141,70 @@ class Scheduler:
     def take_over(self, goal_id: GoalID, now: float) -> GoalID | None:
         """Let the successor of a goal take its place, and the goal leave; return the successor.
 
-        Return None, and change nothing, if the goal has no successor.
+        Return None, and change nothing, if the goal has none that it may take over.
         """
-        entry = self._entries.get(goal_id)
-        successor = entry and entry.successor
-        if entry is None or successor is None:
+        entry = self._told.get(goal_id)
+        if entry is None:
             return None
+        successor = entry.successor
+        assert successor is not None
         self._remove(entry)
         successor.predecessor = None
         self._start(successor, now)
         return successor.goal_id
 
-    def due(self, now: float) -> list[Order]:
-        """Return the orders that are due because time has passed."""
-        rules, orders = self._schedule, []
-        while (entry := _first(self._waiting)) and entry.since + rules.queue_timeout <= now:
-            orders.append(self._give_way(entry, f"waited for {rules.queue_timeout:g} s"))
-        while (entry := _first(self._timed)) and entry.since + rules.run_timeout <= now:
-            orders.append(self._interrupt(entry, f"took longer than {rules.run_timeout:g} s", now))
-        while (entry := _first(self._interrupted)) and entry.since + self._kill_after <= now:
-            del self._interrupted[entry.goal_id]
-            orders.append(Order(Act.KILL, entry.goal_id))
+    def due(self, now: float, limit: int | None = None) -> list[Order]:
+        """Return orders that are due because time has passed, at most `limit`."""
+        orders: list[Order] = []
+        while len(orders) != limit and (order := self._next_order(now)) is not None:
+            orders.append(order)
         return orders
+
+    def _next_order(self, now: float) -> Order | None:
+        rules = self._schedule
+        if (entry := _first(self._waiting)) and entry.since + rules.queue_timeout <= now:
+            return self._give_way(entry, f"waited for {rules.queue_timeout:g} s")
+        if (entry := _first(self._timed)) and entry.since + rules.run_timeout <= now:
+            return self._interrupt(entry, f"took longer than {rules.run_timeout:g} s", now)
+        if (entry := _first(self._told)) and entry.told_at + rules.handover <= now:
+            assert entry.successor is not None
+            return self._interrupt(entry, f"preempted by {entry.successor.goal_id}", now)
+        if (entry := _first(self._interrupted)) and entry.since + self._kill_after <= now:
+            del self._interrupted[entry.goal_id]
+            return Order(Act.KILL, entry.goal_id)
+        return None
 
     # Queries
 
     @property
     def next_due(self) -> float:
         """The time at which `due` has orders; `math.inf` if time alone makes none."""
-        times = (
-            (self._waiting, self._schedule.queue_timeout),
-            (self._timed, self._schedule.run_timeout),
-            (self._interrupted, self._kill_after),
-        )
-        return min(
-            entry.since + seconds if (entry := _first(entries)) else math.inf
-            for entries, seconds in times
-        )
+        rules = self._schedule
+        due = math.inf
+        if entry := _first(self._waiting):
+            due = entry.since + rules.queue_timeout
+        if entry := _first(self._timed):
+            due = min(due, entry.since + rules.run_timeout)
+        if entry := _first(self._told):
+            due = min(due, entry.told_at + rules.handover)
+        if entry := _first(self._interrupted):
+            due = min(due, entry.since + self._kill_after)
+        return due
+
+    @property
+    def waiting(self) -> int:
+        """The number of goals that wait."""
+        return len(self._waiting)
 
     def successor(self, goal_id: GoalID) -> GoalID | None:
-        """Return the goal that starts when this one has left; None if none was preempting it."""
-        entry = self._entries.get(goal_id)
+        """Return the goal that this one may take over; None if there is none."""
+        entry = self._told.get(goal_id)
         return entry.successor.goal_id if entry and entry.successor else None
 
     def places(self) -> dict[GoalID, tuple[int, int]]:
         """Return the place of each waiting goal, from 1, and the number that wait for its key."""
         places: dict[GoalID, tuple[int, int]] = {}
-        groups: dict[Hashable, list[_Entry]] = {}
+        groups: dict[Hashable, list[Entry]] = {}
         for entry in self._waiting.values():
             groups.setdefault(entry.group.key, []).append(entry)
         for entries in groups.values():
@@ -235,13 +216,13 @@ class Scheduler:
 
     # Steps
 
-    def _has_place(self, group: _Group) -> bool:
+    def _has_place(self, group: Group) -> bool:
         concurrency, total = self._schedule.concurrency, self._schedule.total
         return (concurrency is None or len(group.running) < concurrency) and (
             total is None or self._running < total
         )
 
-    def _start(self, entry: _Entry, now: float) -> Order:
+    def _start(self, entry: Entry, now: float) -> Order:
         group = entry.group
         group.queue.pop(entry.goal_id, None)
         self._waiting.pop(entry.goal_id, None)
@@ -251,28 +232,30 @@ class Scheduler:
         self._push_head(group)
         return Order(Act.START, entry.goal_id)
 
-    def _wait(self, entry: _Entry) -> None:
+    def _wait(self, entry: Entry) -> None:
         entry.group.add(entry)
         self._waiting[entry.goal_id] = entry
         self._push_head(entry.group)
 
-    def _give_way(self, entry: _Entry, reason: str) -> Order:
+    def _give_way(self, entry: Entry, reason: str) -> Order:
         self._remove(entry)
         return Order(Act.END, entry.goal_id, reason)
 
-    def _remove(self, entry: _Entry) -> None:
+    def _remove(self, entry: Entry) -> None:
         goal_id, group = entry.goal_id, entry.group
         if group.running.pop(goal_id, None) is not None:
             self._running -= 1
         group.queue.pop(goal_id, None)
-        for entries in (self._waiting, self._timed, self._interrupted, self._entries):
+        for entries in (self._waiting, self._timed, self._told, self._interrupted, self._entries):
             entries.pop(goal_id, None)
         if entry.predecessor is not None:
             entry.predecessor.successor = None
+            self._told.pop(entry.predecessor.goal_id, None)
         if group.running or group.queue:
             self._push_head(group)
         elif entry.successor is None:
             self._groups.pop(group.key, None)
+            group.listed = None
 
     def _start_waiting(self, now: float) -> list[Order]:
         orders: list[Order] = []
@@ -292,59 +275,88 @@ class Scheduler:
                 self._push_head(group)
         return orders
 
-    def _push_head(self, group: _Group) -> None:
+    def _push_head(self, group: Group) -> None:
         """List the group by its first waiting goal, unless it is listed so."""
         first = group.first()
-        if first is not None and first.urgency != group.listed:
-            group.listed = first.urgency
-            heappush(self._heads, (first.urgency, group))
+        if first is None or first.urgency == group.listed:
+            return
+        group.listed = first.urgency
+        heappush(self._heads, (first.urgency, group))
+        if len(self._heads) > 2 * len(self._groups) + 16:  # most are out of date
+            self._heads = [head for head in self._heads if head[1].listed == head[0]]
+            heapify(self._heads)
 
     # Preempting
 
-    def _predecessor(self, entry: _Entry) -> _Entry | None:
+    def _predecessor(self, entry: Entry, *, has_room: bool) -> Entry | None:
         """Return the goal that is to give way to a new one; None if none may."""
-        if self._schedule.when_full != "preempt":
+        by_priority = self._schedule.priority is not None
+        if self._schedule.when_full != "preempt" or (has_room and not by_priority):
             return None
         running = entry.group.running.values()
-        by_priority = self._schedule.priority is not None
         free = [one for one in running if one.successor is None]
-        # With successors that may give way, if all that run have one.
-        least = min(
-            free or running,
-            key=lambda one: (-(one.successor or one).urgency[0], (one.successor or one).urgency[1])
-            if by_priority
-            else one.urgency[1:],
-            default=None,
-        )
-        if least is None or not by_priority:
-            return least
-        return least if entry.urgency[0] < (least.successor or least).urgency[0] else None
+        if not by_priority:
+            # The longest-running goal, or if all have successors, the one with the oldest.
+            if free:
+                return free[0]
+            return min(running, key=_successor_order, default=None)
+        # Also with successors that may give way, if all that run have one.
+        least = max(free or running, key=_least_urgent_first, default=None)
+        if least is None or entry.urgency[0] >= (least.successor or least).urgency[0]:
+            return None
+        return least
 
-    def _preempt(self, predecessor: _Entry, entry: _Entry, now: float) -> list[Order]:
+    def _preempt(self, predecessor: Entry, entry: Entry, now: float) -> list[Order]:
         reason = f"preempted by {entry.goal_id}"
         orders: list[Order] = []
-        if predecessor.successor is not None:
-            orders.append(self._give_way(predecessor.successor, reason))
+        earlier = predecessor.successor
         predecessor.successor, entry.predecessor = entry, predecessor
+        if earlier is not None:
+            earlier.predecessor = None
+            if len(entry.group.queue) < self._schedule.queue:
+                self._wait(earlier)
+            else:
+                orders.append(self._give_way(earlier, reason))
         self._waiting[entry.goal_id] = entry
-        if predecessor.goal_id in self._timed:
+        if predecessor.goal_id not in self._timed or predecessor.goal_id in self._told:
+            return orders  # it was interrupted, or told, because of an earlier goal
+        if self._schedule.handover:
+            self._told[predecessor.goal_id] = predecessor
+            predecessor.told_at = now
+            orders.append(Order(Act.TELL, predecessor.goal_id))
+        else:
             orders.append(self._interrupt(predecessor, reason, now))
         return orders
 
-    def _interrupt(self, entry: _Entry, reason: str, now: float) -> Order:
+    def _interrupt(self, entry: Entry, reason: str, now: float) -> Order:
         del self._timed[entry.goal_id]
+        self._told.pop(entry.goal_id, None)
         self._interrupted[entry.goal_id] = entry
         entry.since = now
         return Order(Act.INTERRUPT, entry.goal_id, reason)
 
-    def _busy(self, group: _Group) -> str:
+    def _busy(self, group: Group) -> str:
         limits = self._schedule
-        limit = limits.total if limits.concurrency is None else limits.concurrency
-        text = f"busy: {len(group.running)} of {limit} running"
-        if limits.total is not None and limits.concurrency is not None:
-            text += f" ({self._running} of {limits.total} in all)"
-        return f"{text}, {len(group.queue)} of {limits.queue} waiting"
+        waiting = f"{len(group.queue)} of {limits.queue} waiting"
+        in_all = f"{self._running} of {limits.total}"
+        if limits.concurrency is None:
+            return f"busy: {in_all} running, {waiting}"
+        text = f"busy: {len(group.running)} of {limits.concurrency} running"
+        if limits.total is not None:
+            text += f" ({in_all} in all)"
+        return f"{text}, {waiting}"
 
 
-def _first(entries: dict[GoalID, _Entry]) -> _Entry | None:
+def _successor_order(entry: Entry) -> int:
+    assert entry.successor is not None
+    return entry.successor.urgency[1]
+
+
+def _least_urgent_first(entry: Entry) -> tuple[float, int]:
+    """Return a key by which the least urgent goal is the largest, and of those the oldest."""
+    urgency, arrival = (entry.successor or entry).urgency
+    return urgency, -arrival
+
+
+def _first(entries: dict[GoalID, Entry]) -> Entry | None:
     return next(iter(entries.values()), None)
