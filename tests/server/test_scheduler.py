@@ -29,29 +29,32 @@ def rules_of(
     queue: int,
     when_full: Any,
     by_priority: bool,
-    **times: float,
+    *,
+    queue_timeout: float,
+    run_timeout: float,
+    handover: float,
 ) -> Schedule:
     """Return the nearest schedule that is valid."""
     if concurrency is None and total is None:
         queue, when_full = 0, "reject"
     if when_full == "replace" and not queue:
         when_full = "reject"
-    if when_full != "preempt":
-        times["handover"] = 0.0
     return Schedule(
         concurrency=concurrency,
         total=total,
         queue=queue,
         when_full=when_full,
         priority=(lambda _: 0) if by_priority else None,
-        **times,
+        queue_timeout=queue_timeout,
+        run_timeout=run_timeout,
+        handover=handover if when_full == "preempt" else 0.0,
     )
 
 
 class Fleet(RuleBasedStateMachine):
     """A scheduler beside a plain model: lists, and no data structures that could be wrong."""
 
-    rules: Schedule | None = None
+    schedule: Schedule | None = None
 
     @initialize(
         concurrency=st.none() | st.integers(1, 3),
@@ -74,7 +77,7 @@ class Fleet(RuleBasedStateMachine):
         run_timeout: float,
         handover: float,
     ) -> None:
-        self.rules = rules_of(
+        self.schedule = rules_of(
             concurrency,
             total,
             queue,
@@ -84,7 +87,7 @@ class Fleet(RuleBasedStateMachine):
             run_timeout=run_timeout,
             handover=handover,
         )
-        self.scheduler = Scheduler(self.rules, kill_after=KILL_AFTER)
+        self.scheduler = Scheduler(self.schedule, kill_after=KILL_AFTER)
         self.now = 0.0
         self.count = 0
         self.running: list[GoalID] = []  # in the order of their start
@@ -99,8 +102,8 @@ class Fleet(RuleBasedStateMachine):
 
     @property
     def limits(self) -> Schedule:
-        assert self.rules is not None
-        return self.rules
+        assert self.schedule is not None
+        return self.schedule
 
     def has_place(self, key: int) -> bool:
         at_key = sum(self.key[one] == key for one in self.running)
@@ -293,12 +296,12 @@ class Fleet(RuleBasedStateMachine):
 
     @invariant()
     def no_goal_waits_beside_a_free_place(self) -> None:
-        if self.rules is not None:
+        if self.schedule is not None:
             assert not any(self.has_place(self.key[one]) for one in self.queue)
 
     @invariant()
     def the_places_are_in_the_order_of_their_start(self) -> None:
-        if self.rules is None:
+        if self.schedule is None:
             return
         expected: dict[GoalID, tuple[int, int]] = {}
         for key in range(3):
@@ -314,7 +317,7 @@ class Fleet(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         """Check that every goal that waits runs in the end, and that nothing is left behind."""
-        if self.rules is None:
+        if self.schedule is None:
             return
         while self.running:
             self.end_one(self.running[-1])
