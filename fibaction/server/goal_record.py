@@ -72,7 +72,7 @@ class GoalRecord:
     def info(self) -> GoalInfo:
         """The goal as an entry of the status list."""
         return GoalInfo(
-            self.goal_id, self.stamp, self.status, self.feedback_count, self.sender.name
+            self.goal_id, self.stamp, self.status, self.feedback_count, str(self.sender)
         )
 
 
