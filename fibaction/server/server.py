@@ -8,7 +8,7 @@ as an `Endpoint`.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Coroutine
+from collections.abc import Awaitable, Coroutine
 from functools import partial
 from types import TracebackType
 from typing import Any, Generic, Literal, Self
@@ -23,6 +23,7 @@ from fibaction.abc import Endpoint
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import ServerNotFound
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
+from fibaction.server._sender_argument import GoalFunction
 from fibaction.server.admission import Admission, Offer
 from fibaction.server.callbacks import Callback
 from fibaction.server.dispatcher import Dispatcher
@@ -52,7 +53,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         action: Action[GoalT, FeedbackT, ResultT],
         executor: Executor[GoalT, FeedbackT, ResultT],
         *,
-        on_goal: Callback[GoalT] | None = None,
+        on_goal: GoalFunction[GoalT, Awaitable[None] | None] | None = None,
         on_cancel: Callback[GoalHandle[GoalT]] | None = None,
         interrupt_on_cancel: bool = True,
         feedback: Literal["every", "latest"] = "every",
@@ -70,8 +71,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         Args:
             action: The action that is served.
             executor: An async generator function, called with a `GoalHandle` for each goal.
-            on_goal: A function that is called with each goal of the right type, and raises
-                `GoalRejected` to reject it. Without it, every such goal is accepted.
+            on_goal: A function that is called with each goal of the right type, and with its
+                `Sender` if it has a second parameter, and raises `GoalRejected` to reject the goal.
+                Without it, every such goal is accepted.
             on_cancel: A function that is called with the `GoalHandle` of each goal to cancel, and
                 raises `CancelRejected` to reject the cancel. Without it, every cancel is accepted.
             interrupt_on_cancel: If true, an accepted cancel raises the backend's cancellation in
@@ -97,7 +99,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
         Raises:
             TypeError: The action is untyped, or the executor is not callable, is a coroutine
-                function, or is a generator function that is not async.
+                function, or is a generator function that is not async; or `on_goal` takes neither
+                one argument nor two.
             ValueError: A number is out of range, or `feedback` is not a policy.
         """
         if object in action.feedback.classes:

@@ -15,7 +15,16 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import ActionServer, CancelAnswer, GoalID, GoalStatus, ServerNotFound, connect, serve
+from fibaction import (
+    ActionServer,
+    CancelAnswer,
+    GoalID,
+    GoalStatus,
+    Sender,
+    ServerNotFound,
+    connect,
+    serve,
+)
 from fibaction.action import Action
 from fibaction.cli import send_goal
 from fibaction.cli.exit_codes import ExitCode, Failure
@@ -361,7 +370,7 @@ def deciding() -> tuple[ScriptedServer[Wait, Progress, Waited], anyio.Event, any
     asked, decide = anyio.Event(), anyio.Event()
     server = ScriptedServer(WAIT, [Waited(1.0)])
 
-    async def think(_: Wait) -> None:
+    async def think(_: Wait, __: Sender) -> None:
         asked.set()
         await decide.wait()
 

@@ -195,6 +195,26 @@ async def test_the_most_urgent_goal_starts_first_and_preempts_none(reach: Reach)
         assert bench.started == [15, 31, 51, 43, 27]
 
 
+@pytest.mark.promise("SCHEDULE-11")
+async def test_a_list_of_goals_tells_the_places_of_those_that_wait(reach: Reach) -> None:
+    bench = Bench()
+    schedule = Schedule(concurrency=1, queue=5, priority=lambda goal: goal.order)
+    async with reach(ActionServer(FIBONACCI, bench, schedule=schedule)) as client:
+        sent = await send(client, 1, 9, 5)
+        await begun(sent[0])
+        assert await places(client, sent) == [(0, 0), (2, 2), (1, 2)]
+        sent += await send(client, 7)
+        assert await places(client, sent) == [(0, 0), (3, 3), (1, 3), (2, 3)]
+        bench.let_go(1)
+        await begun(sent[2])
+        assert await places(client, sent) == [(0, 0), (2, 2), (0, 0), (1, 2)]
+
+
+async def places(client: Client, goals: list[Sent]) -> list[tuple[int, int]]:
+    told = {info.goal_id: (info.place, info.queue_length) for info in await client.goals()}
+    return [told[goal.goal_id] for goal in goals]
+
+
 # Giving way
 
 
@@ -423,7 +443,7 @@ FUNCTIONS: dict[str, tuple[Schedule, str]] = {
         "key failed: LookupError: no such arm",
     ),
     "a key that is not hashable": (
-        Schedule(concurrency=1, key=lambda goal: [goal.order]),
+        Schedule(concurrency=1, key=lambda goal: [goal.order]),  # type: ignore[arg-type]  # as below
         "key failed: TypeError: unhashable type: 'list'",
     ),
     "a priority that fails": (
@@ -431,7 +451,7 @@ FUNCTIONS: dict[str, tuple[Schedule, str]] = {
         "priority failed: LookupError: no such arm",
     ),
     "a priority that is not a number": (
-        Schedule(concurrency=1, priority=lambda goal: "high"),  # type: ignore[arg-type,return-value]  # as programs without types do
+        Schedule(concurrency=1, priority=lambda goal: "high"),  # type: ignore[arg-type]  # as programs without types do
         "priority failed: TypeError: it returned 'high', which is not a number",
     ),
     "a priority that has no order": (
