@@ -105,6 +105,12 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     client: str = ""
     """The client that sent the goal, for people to read: its `Sender` as text; empty if it is
     unknown."""
+    place: int = 0
+    """Place among the goals that wait, from 1: the next to start; 0 if the goal does not wait, or
+    if the transport does not carry it. `ActionClient.goals` tells it; an event does not, since the
+    places of all goals change with each start."""
+    queue_length: int = 0
+    """The number of goals that wait in the same queue; 0 with a place of 0."""
 
 
 class Outcome(msgspec.Struct, Generic[T], frozen=True):
