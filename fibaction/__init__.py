@@ -40,7 +40,7 @@ from fibaction.goals import (
     Outcome,
     Sender,
 )
-from fibaction.server import ActionServer, Executor, GoalHandle
+from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
 from fibaction.states import GoalEvent, GoalStatus
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.settings import Limits
@@ -80,6 +80,7 @@ __all__ = [
     "Peer",
     "Permission",
     "ProtocolError",
+    "Schedule",
     "Sender",
     "SendingGoal",
     "ServerFailed",
