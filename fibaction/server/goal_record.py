@@ -11,7 +11,7 @@ from fibaction._budget import CountedBytes
 from fibaction.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.states import INITIAL, GoalStatus
 
-NOT_WAITING = (0, 0)
+NO_PLACE = (0, 0)
 """The place of a goal that does not wait."""
 
 DIGEST_SIZE = 16
@@ -69,7 +69,7 @@ class GoalRecord:
         self.feedback_count = 0
         self.changed = 0
         """Number of the last published change of its status; 0 if no one follows the statuses."""
-        self.place = NOT_WAITING
+        self.place = NO_PLACE
         """Place among the goals that wait, from 1, and their number. It counts while the goal is
         ACCEPTED, and is brought up to date before a list of goals is made."""
         self.stop_reason = ""
@@ -78,7 +78,7 @@ class GoalRecord:
     @property
     def info(self) -> GoalInfo:
         """The goal as an entry of the status list."""
-        place, length = self.place if self.status is INITIAL else NOT_WAITING
+        place, length = self.place if self.status is INITIAL else NO_PLACE
         sender, count = str(self.sender), self.feedback_count
         return GoalInfo(self.goal_id, self.stamp, self.status, count, sender, place, length)
 

@@ -47,7 +47,7 @@ from fibaction.server.executor import Execution, Executor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_handle import GoalHandle, Succession
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.goal_record import NOT_WAITING, Ending, EndKind, GoalRecord
+from fibaction.server.goal_record import NO_PLACE, Ending, EndKind, GoalRecord
 from fibaction.server.registry import GoalRegistry
 from fibaction.states import GoalStatus
 
@@ -123,7 +123,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """Run the executor of a goal that waits, beginning in the next turn of the event loop."""
         run = self._runs[goal_id]
         run.is_waiting = False
-        run.goal.place = NOT_WAITING
+        run.goal.place = NO_PLACE
         self._pool.add(partial(self._run, run.execution), run.goal.sender.owner)
 
     async def _run(
