@@ -177,6 +177,19 @@ def test_active_goals_come_first_then_the_newest(monitor: Monitor) -> None:
     assert (the_action(monitor).active, the_action(monitor).ended) == (2, 2)
 
 
+def test_goals_that_wait_come_behind_those_that_run_and_the_next_to_start_first() -> None:
+    infos = [
+        GoalInfo(ID, 4, GoalStatus.ACCEPTED, 0, "", 2, 2),
+        GoalInfo(ID, 3, GoalStatus.ACCEPTED, 0, "", 1, 2),
+        GoalInfo(ID, 2, GoalStatus.EXECUTING),
+        GoalInfo(ID, 1, GoalStatus.EXECUTING),
+        GoalInfo(ID, 5, GoalStatus.SUCCEEDED),
+    ]
+    infos.sort(key=monitor_module.newest_active_first)
+
+    assert [info.stamp for info in infos] == [2, 1, 3, 4, 5]
+
+
 def test_an_action_and_a_server_are_away_until_they_are_back(monitor: Monitor) -> None:
     client = Served(counter("one")).connection.client(counter("one").action)
     monitor.on_action_lost("one", "stopped")

@@ -89,7 +89,7 @@ async def test_a_goal_that_waits_has_its_place() -> None:
     monitor.on_event("arm/pick", GoalInfo(third, 3, GoalStatus.ACCEPTED, 0, "me", 3, 11))
     async with shown(monitor) as pilot:
         assert "  waits, 3rd of 11  " in find(pilot, "33333333")
-        await pilot.press("f")
+        await pilot.press("down", "down", "f")  # it is behind the two that run
         await pilot.pause()
         assert find(pilot, f"/arm/pick {third} waits, 3rd of 11")
 
