@@ -105,12 +105,17 @@ class Snapshot(msgspec.Struct, frozen=True):
     """The reason why the server cannot be reached; empty if it can."""
     actions: list[ActionSnapshot]
     goals: list[GoalSnapshot]
-    """Active goals first, then ended ones, the newest first."""
+    """Goals in the order of `newest_active_first`."""
 
 
-def newest_active_first(info: GoalInfo) -> tuple[bool, int]:
-    """Return a key to sort goals by: active ones first, the newest first among each."""
-    return not info.status.is_active, -info.stamp
+def newest_active_first(info: GoalInfo) -> tuple[int, int]:
+    """Return a key to sort goals by: active ones, then those that wait for a place, then ended ones.
+
+    The newest are first, but among those that wait the next to start.
+    """
+    if info.place:
+        return 1, info.place
+    return (0 if info.status.is_active else 2), -info.stamp
 
 
 class Monitor(ActionListener):

@@ -106,10 +106,11 @@ def test_an_outcome_has_no_result_and_no_reason_unless_told() -> None:
     assert outcome.reason == ""
 
 
-def test_a_goal_has_had_no_feedback_and_its_client_is_not_known_unless_told() -> None:
+def test_a_goal_has_no_feedback_no_client_and_no_place_unless_told() -> None:
     info = GoalInfo(GOAL_ID, 1, GoalStatus.ACCEPTED)
     assert info.feedback_count == 0
     assert info.client == ""
+    assert (info.place, info.queue_length) == (0, 0)
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ class GoalRecord:
         self.feedback_count = 0
         self.changed = 0
         """Number of the last published change of its status; 0 if no one follows the statuses."""
-        self.place = NO_PLACE
+        self.place: tuple[int, int] = NO_PLACE
         """Place among the goals that wait, from 1, and their number. It counts while the goal is
         ACCEPTED, and is brought up to date before a list of goals is made."""
         self.stop_reason = ""

@@ -19,6 +19,7 @@ MODULES = [
     "tests.contract.test_feedback",
     "tests.contract.test_leaving",
     "tests.contract.test_scheduling",
+    "tests.contract.test_places",
     "tests.contract.test_senders",
 ]
 pytest.register_assert_rewrite(*MODULES)
@@ -38,6 +39,7 @@ NUMBER = "feedback is not numbered, so what was lost on the way cannot be counte
 PAST = "feedback of the past is not kept for those who come late"
 ERRORS = "ROS 2's answers have no field for an error"
 SENDER = "a request of ROS 2 does not name its client"
+PLACE = "a list of statuses has no field for the place of a goal"
 STOPPED = "a server that has stopped still rejects goals, as long as its node is there"
 
 EXCLUSIONS: dict[str, str] = {
@@ -79,6 +81,7 @@ EXCLUSIONS: dict[str, str] = {
     "test_a_watcher_of_all_goals_sees_the_feedback_of_one_that_ends_at_once": PAST,
     "test_two_clients_are_two_senders": SENDER,
     "test_the_sender_has_the_name_of_its_token_and_its_address": SENDER,
+    "test_a_goal_that_waits_is_listed_with_its_place": PLACE,
     "test_a_server_that_has_stopped_is_not_found": STOPPED,
     "test_every_error_of_the_table_is_shown_here": ERRORS,
     "test_an_error_of_an_endpoint_arrives_as_itself": ERRORS,
