@@ -109,7 +109,7 @@ class Snapshot(msgspec.Struct, frozen=True):
 
 
 def newest_active_first(info: GoalInfo) -> tuple[int, int]:
-    """Return a key to sort goals by: active ones, then those that wait for a place, then ended ones.
+    """Return a key to sort goals by: active ones, those that wait in a queue, then ended ones.
 
     The newest are first, but among those that wait the next to start.
     """
