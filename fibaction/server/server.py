@@ -104,8 +104,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
         Raises:
             TypeError: The action is untyped, or the executor is not callable, is a coroutine
-                function, or is a generator function that is not async; or `on_goal` takes neither
-                one argument nor two.
+                function, or is a generator function that is not async; `on_goal` takes neither
+                one argument nor two; or the schedule is not a `Schedule`.
             ValueError: A number is out of range, or `feedback` is not a policy.
         """
         if object in action.feedback.classes:
@@ -143,6 +143,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         )
         self._dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None = None
         if schedule is not None:
+            if not isinstance(schedule, Schedule):
+                raise TypeError(f"schedule is a Schedule, not {schedule!r}")
             self._dispatcher = Dispatcher(
                 schedule, self._runs, action=action.name, kill_after=shutdown_timeout
             )
