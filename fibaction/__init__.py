@@ -31,8 +31,16 @@ from fibaction.exceptions import (
     TransportError,
     UnknownGoal,
 )
-from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
-from fibaction.server import ActionServer, Executor, GoalHandle
+from fibaction.goals import (
+    ActionPeers,
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    Outcome,
+    Sender,
+)
+from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
 from fibaction.states import GoalEvent, GoalStatus
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.settings import Limits
@@ -72,6 +80,8 @@ __all__ = [
     "Peer",
     "Permission",
     "ProtocolError",
+    "Schedule",
+    "Sender",
     "SendingGoal",
     "ServerFailed",
     "ServerNotFound",

@@ -8,7 +8,7 @@ as an `Endpoint`.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Coroutine
+from collections.abc import Awaitable, Coroutine
 from functools import partial
 from types import TracebackType
 from typing import Any, Generic, Literal, Self
@@ -23,14 +23,18 @@ from fibaction.abc import Endpoint
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import ServerNotFound
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
+from fibaction.server._sender_argument import GoalFunction
 from fibaction.server._watchdog import Watch
 from fibaction.server.admission import Admission, Offer
 from fibaction.server.callbacks import Callback
+from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.executor import Executor
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.goal_handle import GoalHandle
+from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.registry import MAX_BYTES, MAX_GOALS, GoalRegistry
 from fibaction.server.runs import Runs
+from fibaction.server.schedule import Schedule
 from fibaction.server.status_broadcast import StatusCursor
 
 SERVER_STOPPED = "server stopped"
@@ -50,7 +54,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         action: Action[GoalT, FeedbackT, ResultT],
         executor: Executor[GoalT, FeedbackT, ResultT],
         *,
-        on_goal: Callback[GoalT] | None = None,
+        on_goal: GoalFunction[GoalT, Awaitable[None] | None] | None = None,
         on_cancel: Callback[GoalHandle[GoalT]] | None = None,
         interrupt_on_cancel: bool = True,
         feedback: Literal["every", "latest"] = "every",
@@ -61,6 +65,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         max_goals: int = MAX_GOALS,
         max_bytes: int = MAX_BYTES,
         shutdown_timeout: float = 5.0,
+        schedule: Schedule | None = None,
         watchdog: float = 1.0,
     ) -> None:
         """Set up a server; nothing runs yet.
@@ -68,8 +73,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         Args:
             action: The action that is served.
             executor: An async generator function, called with a `GoalHandle` for each goal.
-            on_goal: A function that is called with each goal of the right type, and raises
-                `GoalRejected` to reject it. Without it, every such goal is accepted.
+            on_goal: A function that is called with each goal of the right type, and with its
+                `Sender` if it has a second parameter, and raises `GoalRejected` to reject the goal.
+                Without it, every such goal is accepted.
             on_cancel: A function that is called with the `GoalHandle` of each goal to cancel, and
                 raises `CancelRejected` to reject the cancel. Without it, every cancel is accepted.
             interrupt_on_cancel: If true, an accepted cancel raises the backend's cancellation in
@@ -90,13 +96,16 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 forgotten, and executors wait until their feedback is read.
             shutdown_timeout: Seconds that executors have for their clean-up when the server stops.
                 Then they are killed, and those that do not end are abandoned about a second later.
+            schedule: The rules by which accepted goals run, wait and give way; None to run all of
+                them at once.
             watchdog: Seconds that an executor may block the event loop before the log names its
                 goal and its line of code; 0 is never. The time at a debugger's breakpoint counts,
                 and so may the time for which the computer sleeps or is too busy.
 
         Raises:
             TypeError: The action is untyped, or the executor is not callable, is a coroutine
-                function, or is a generator function that is not async.
+                function, or is a generator function that is not async; `on_goal` takes neither
+                one argument nor two; or the schedule is not a `Schedule`.
             ValueError: A number is out of range, or `feedback` is not a policy.
         """
         if object in action.feedback.classes:
@@ -127,20 +136,24 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             max_goals=max_goals,
             max_bytes=max_bytes,
         )
+        self._logs = GoalLogs(registry, window=feedback_window, latest=feedback == "latest")
         self._watch = Watch(action.name, watchdog)
         self._runs = Runs(
-            action,
-            executor,
-            registry,
-            window=feedback_window,
-            latest=feedback == "latest",
-            stall_timeout=stall_timeout,
-            watch=self._watch,
+            action, executor, registry, self._logs, stall_timeout=stall_timeout, watch=self._watch
         )
+        self._dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None = None
+        if schedule is not None:
+            if not isinstance(schedule, Schedule):
+                raise TypeError(f"schedule is a Schedule, not {schedule!r}")
+            self._dispatcher = Dispatcher(
+                schedule, self._runs, action=action.name, kill_after=shutdown_timeout
+            )
         self._admission = Admission(
             action,
             registry,
             self._runs,
+            self._logs,
+            self._dispatcher,
             on_goal=on_goal,
             on_cancel=on_cancel,
             interrupt_on_cancel=interrupt_on_cancel,
@@ -173,10 +186,14 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._background = Background()
         self._watch.open()
         try:
-            self._runs.open(await self._background.__aenter__())
+            tasks = await self._background.__aenter__()
         except BaseException:
             self._watch.close()
             raise
+        tasks.start_soon(self._logs.forget_expired, name=f"expiry of {self.action.name}")
+        self._runs.open(tasks)
+        if self._dispatcher is not None:
+            self._dispatcher.open(tasks)
         self._phase = "running"
         self._started.notify()
         return self
@@ -213,9 +230,12 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             return
         self._phase = "stopping"
         self._admission.close()
+        if self._dispatcher is not None:
+            self._dispatcher.close()
         try:
             await self._runs.stop(SERVER_STOPPED, self._shutdown_timeout)
         finally:
+            self._logs.close()
             self._phase = "stopped"
             logger.info("action server %r has stopped", self.action.name)
 
@@ -261,7 +281,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     ) -> FeedbackCursor:
         """See `Endpoint.feedback`."""
         self._check_running()
-        return self._runs.follow(goal_id, after=after, own=own)
+        return self._logs.follow(goal_id, after=after, own=own)
 
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None
@@ -273,7 +293,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     async def status(self) -> StatusCursor:
         """See `Endpoint.status`."""
         self._check_running()
-        return await self._runs.follow_statuses()
+        if self._dispatcher is not None:
+            self._dispatcher.note_places()
+        return await self._logs.follow_statuses()
 
     def _check_running(self) -> None:
         if self._phase not in ("running", "stopping"):

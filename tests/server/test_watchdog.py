@@ -369,7 +369,7 @@ async def run_goal(server: ActionServer[Goal, Feedback, Result]) -> GoalID:
             return goal.goal_id
 
 
-@pytest.mark.promise("EXECUTE-11")
+@pytest.mark.promise("EXECUTE-12")
 @pytest.mark.parametrize("executor", PLACES)
 async def test_an_executor_that_blocks_is_named_with_its_line_and_the_innermost_one(
     executor: str,
