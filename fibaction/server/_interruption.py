@@ -50,7 +50,7 @@ from fibaction.server._turns import Turns
 
 T = TypeVar("T")
 
-SLICE = 0.005
+EXECUTOR_SLICE = 0.005
 """Seconds that a task may run without awaiting before other tasks run: short for people and for
 heartbeats, long compared with a turn of the event loop (some 10 microseconds)."""
 
@@ -212,7 +212,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
             # trio resumes a task with an `outcome.Error`, and raises its exception further inside.
             self._by_outcome = True
             self._note_arrival(getattr(value, "error", None))
-        self.slice_end = perf_counter() + SLICE
+        self.slice_end = perf_counter() + EXECUTOR_SLICE
         try:
             return self._suspend(self._context.run(self._coroutine.send, value))
         finally:
@@ -227,7 +227,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         # With one argument it is the exception itself; the other two are deprecated.
         assert isinstance(typ, BaseException)
         self._note_arrival(typ)
-        self.slice_end = perf_counter() + SLICE
+        self.slice_end = perf_counter() + EXECUTOR_SLICE
         # A new cancellation, as of the task itself: a scope inside would absorb anyio's as its own.
         error = type(typ)() if self._arrived else typ
         try:
