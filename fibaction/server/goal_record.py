@@ -11,11 +11,11 @@ from fibaction._budget import CountedBytes
 from fibaction.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.states import INITIAL, GoalStatus
 
-DIGEST_SIZE = 16
-"""Bytes of a digest: enough that two payloads never have the same digest by chance."""
-
 NO_PLACE = (0, 0)
 """The place of a goal that does not wait."""
+
+DIGEST_SIZE = 16
+"""Bytes of a digest: enough that two payloads never have the same digest by chance."""
 
 
 def digest_of(payload: bytes) -> bytes:

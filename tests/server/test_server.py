@@ -89,6 +89,8 @@ class Held:
         ({"max_goals": -1}, "max_goals is 0 or more, not -1"),
         ({"max_bytes": -1}, "max_bytes is 0 or more, not -1"),
         ({"shutdown_timeout": -1}, "shutdown_timeout is 0 or more, not -1"),
+        ({"watchdog": -1}, "watchdog is 0 or more, not -1"),
+        ({"watchdog": math.nan}, "watchdog is 0 or more, not nan"),
     ],
 )
 def test_an_option_out_of_range_is_rejected_at_once(options: Any, text: str) -> None:
