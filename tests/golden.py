@@ -122,8 +122,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "932201b5746865206f72646572206973206e65676174697665",
     ),
     (
-        Failed(2, Why.SERVER_NOT_FOUND, "nobody serves it"),
-        "94230202b06e6f626f647920736572766573206974",
+        Failed(2, Why.SERVER_NOT_FOUND, "it is not served"),
+        "94230202b06974206973206e6f7420736572766564",
     ),
     (
         Feedback(1, 1, FEEDBACK),

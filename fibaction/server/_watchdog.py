@@ -36,7 +36,7 @@ from typing import Any, NamedTuple, Protocol
 
 from fibaction._log import clean_logger
 from fibaction.goals import GoalID
-from fibaction.server._interruption import SLICE, Current, Steps
+from fibaction.server._interruption import EXECUTOR_SLICE, Current, Steps
 from fibaction.server.goal_handle import GoalHandle
 
 CHECKS = 4
@@ -80,7 +80,7 @@ class Watch:
         """The step that runs now in the server's thread, of any server."""
         self._action = action
         self._limit = limit if limit < math.inf else 0
-        self._interval = min(max(limit / CHECKS, SLICE), TIMEOUT_MAX)
+        self._interval = min(max(limit / CHECKS, EXECUTOR_SLICE), TIMEOUT_MAX)
         self._active: dict[Steps[Any], Watched] = {}
         self._named: list[_Blocked] = []  # one at most; two threads may take it out
         self._thread = 0
@@ -167,7 +167,7 @@ class Watch:
 
 def _beginning(slice_end: float) -> float:
     """Return the time at which a step began."""
-    return slice_end - SLICE
+    return slice_end - EXECUTOR_SLICE
 
 
 # The thread

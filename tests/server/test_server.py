@@ -459,7 +459,7 @@ async def test_a_goal_that_was_not_decided_because_python_ends_is_decided_anew()
 def at_once(
     offered: GoalStream | Coroutine[Any, Any, GoalStream],
 ) -> GoalStream:
-    """What was offered, and need not be waited for."""
+    """Return the stream of a goal that was decided at once."""
     assert isinstance(offered, GoalStream)
     return offered
 
@@ -467,7 +467,7 @@ def at_once(
 def waited_for(
     offered: GoalStream | Coroutine[Any, Any, GoalStream],
 ) -> Coroutine[Any, Any, GoalStream]:
-    """What there is to wait for."""
+    """Return the coroutine that waits for the decision on a goal."""
     assert not isinstance(offered, GoalStream)
     return offered
 
@@ -857,7 +857,7 @@ async def test_an_executor_that_ends_as_canceled_unasked_is_aborted() -> None:
         yield Result([])
 
     if (await _backend()) == "trio":
-        return  # trio lets nobody make a cancellation of his own
+        return  # trio has no constructor of cancellations
     async with ActionServer(FIBONACCI, waits) as server:
         stream = await server.send_goal(GoalID.random(), packed(1))
         assert await stream.outcome() == Outcome(
@@ -872,7 +872,7 @@ async def _backend() -> str:
 
 
 async def turns_during(work: Coroutine[Any, Any, object]) -> int:
-    """How many turns another task has while that is done."""
+    """Return the number of turns that another task has during the work."""
     turns = 0
 
     async def take_turns() -> None:

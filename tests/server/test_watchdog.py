@@ -23,7 +23,7 @@ from anyio.lowlevel import checkpoint
 
 from fibaction import ActionClient, ActionServer, GoalHandle, GoalID
 from fibaction.server import _watchdog
-from fibaction.server._interruption import SLICE, CancelOnce, Steps
+from fibaction.server._interruption import EXECUTOR_SLICE, CancelOnce, Steps
 from fibaction.server._watchdog import ADVICE, CHECKS, POLL, Watch, Watchdog
 from tests.executors import Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -248,7 +248,8 @@ async def test_checks_are_made_more_often_while_a_step_blocks(bench: Bench) -> N
 
 
 @pytest.mark.parametrize(
-    ("limit", "interval"), [(1e-9, SLICE), (0.1, 0.1 / CHECKS), (1e300, threading.TIMEOUT_MAX)]
+    ("limit", "interval"),
+    [(1e-9, EXECUTOR_SLICE), (0.1, 0.1 / CHECKS), (1e300, threading.TIMEOUT_MAX)],
 )
 async def test_the_time_between_checks_has_bounds(
     limit: float, interval: float, bench: Bench
