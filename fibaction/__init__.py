@@ -31,7 +31,15 @@ from fibaction.exceptions import (
     TransportError,
     UnknownGoal,
 )
-from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
+from fibaction.goals import (
+    ActionPeers,
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    Outcome,
+    Sender,
+)
 from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
 from fibaction.states import GoalEvent, GoalStatus
 from fibaction.wire.auth import Peer, Permission
@@ -73,6 +81,7 @@ __all__ = [
     "Permission",
     "ProtocolError",
     "Schedule",
+    "Sender",
     "SendingGoal",
     "ServerFailed",
     "ServerNotFound",

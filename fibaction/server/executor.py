@@ -42,6 +42,7 @@ from fibaction._log import clean_logger
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import GoalAborted, GoalCanceled, text_of
 from fibaction.server._interruption import CancelOnce, Steps
+from fibaction.server._watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_record import Ending, EndKind
 
@@ -71,6 +72,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         "_scopes",
         "_stall_timeout",
         "_steps",
+        "_watch",
         "handle",
     )
 
@@ -81,12 +83,14 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         handle: GoalHandle[GoalT],
         log: FeedbackLog,
         stall_timeout: float,
+        watch: Watch,
     ) -> None:
         self.handle = handle
         self._action = action
         self._executor = executor
         self._log = log
         self._stall_timeout = stall_timeout
+        self._watch = watch
         self._owner = log.goal.sender.owner
         self._result: bytes | None = None
         # The context variables of the call that sent the goal, as a task of its own would have.
@@ -98,7 +102,16 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
     def run(self, scopes: CancelOnce) -> Awaitable[Ending]:
         """Run the executor to its end, and return its ending. To be called once."""
         self._scopes = scopes
-        self._steps = Steps(self._run(), scopes, self._context, self._given_up, self._spared)
+        watch = self._watch
+        self._steps = Steps(
+            self._run(),
+            scopes,
+            self._context,
+            self._given_up,
+            self._spared,
+            current=watch.current,
+        )
+        watch.begin(self._steps, self)
         if self._is_interrupted:
             self._steps.interrupt()
         return self._steps
@@ -144,6 +157,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             assert self._scopes is not None
             self._scopes.steps = None
             self._scopes = None
+            self._watch.end(self._steps)
             del self._steps  # it and this object reference each other
         if self._result is None:
             return self._failed(_Misuse("it ended without yielding a result"))
@@ -152,6 +166,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
     def _given_up(self) -> Ending:
         """Tell in the log that the executor runs no further, and return the ending for its goal."""
         self._scopes = None
+        self._watch.end(self._steps)
         logger.error(
             "goal %s of action %r: its executor does not end though it was killed, and is"
             " abandoned; what it holds stays taken until this process ends",

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Generator, Mapping
 from contextlib import contextmanager
+from itertools import islice
 from typing import Any, TypeAlias
 
 from anyio import CancelScope, Lock
@@ -159,6 +160,8 @@ class RequestHandlers:
                 statuses.dropped,
                 info.feedback_count,
                 info.client,
+                info.place,
+                info.queue_length,
             )
             await self._say(changed)
             await slices.pause()
@@ -168,7 +171,17 @@ class RequestHandlers:
         with CancelScope() as scope:
             subscription.stop_with(scope.cancel)
             await endpoint.wait_for_server()
-            await self._say(Done(message.id))
+            most = message.most_waiting
+            waiting = await self._waiting(endpoint, most) if most else []
+            await self._say(Done(message.id, waiting))
+
+    async def _waiting(self, endpoint: Endpoint, most: int) -> list[tuple[bytes, int, int]]:
+        """Return the ID, the place and the length of the queue of goals that wait."""
+        async with self._listing:
+            with await endpoint.status() as statuses:
+                infos = await statuses.listed()
+        waiting = (info for info in infos if info.place)
+        return [(bytes(one.goal_id), one.place, one.queue_length) for one in islice(waiting, most)]
 
     async def _ask_peers(self, message: AskPeers, _subscription: RequestSubscription) -> None:
         await self._find(message.action, Permission.OBSERVE)

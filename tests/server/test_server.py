@@ -89,6 +89,8 @@ class Held:
         ({"max_goals": -1}, "max_goals is 0 or more, not -1"),
         ({"max_bytes": -1}, "max_bytes is 0 or more, not -1"),
         ({"shutdown_timeout": -1}, "shutdown_timeout is 0 or more, not -1"),
+        ({"watchdog": -1}, "watchdog is 0 or more, not -1"),
+        ({"watchdog": math.nan}, "watchdog is 0 or more, not nan"),
     ],
 )
 def test_an_option_out_of_range_is_rejected_at_once(options: Any, text: str) -> None:
@@ -641,7 +643,7 @@ async def test_the_sender_of_a_goal_is_told_with_each_of_its_statuses() -> None:
             goal_id = GoalID.random()
             gate.open.set()
             stream = await waited_for(server.offer_goal(goal_id, packed(2), sender=ARM))
-            # Whoever sends it again has not sent it.
+            # A client that sends it again is not its sender.
             again = at_once(server.offer_goal(goal_id, packed(2), sender=LEG))
             assert again.stamp == stream.stamp
             await stream.outcome()
@@ -649,6 +651,23 @@ async def test_the_sender_of_a_goal_is_told_with_each_of_its_statuses() -> None:
         assert [info.client for info in told if info is not None] == ["the arm"] * 3
         with await server.status() as statuses:
             assert statuses.known == 1
+
+
+async def test_on_goal_and_the_executor_get_the_sender_of_a_goal() -> None:
+    seen: list[Sender] = []
+
+    def on_goal(goal: Goal, sender: Sender) -> None:
+        seen.append(sender)
+
+    async def execute(goal: GoalHandle[Goal]) -> Items:
+        seen.append(goal.sender)
+        yield Result([])
+
+    async with ActionServer(FIBONACCI, execute, on_goal=on_goal) as server:
+        for sender in (ARM, LEG):
+            stream = at_once(server.offer_goal(GoalID.random(), packed(2), sender=sender))
+            await stream.outcome()
+    assert seen == [ARM, ARM, LEG, LEG]
 
 
 @pytest.mark.promise("FEEDBACK-13")
