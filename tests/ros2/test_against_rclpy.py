@@ -35,6 +35,8 @@ async def ours(anyio_backend: str) -> AsyncGenerator[Behaviour, None]:
     servers = [
         behaviour.server("ours", result_timeout=60),
         behaviour.server("hasty", result_timeout=RESULT_TIMEOUT),
+        behaviour.server("choosy", schedule=Schedule(concurrency=1, when_full="preempt")),
+        behaviour.server("queued", schedule=Schedule(concurrency=1, queue=1)),
         behaviour.server("arm", schedule=Schedule(concurrency=1, when_full="preempt")),
         behaviour.server("line", schedule=Schedule(concurrency=1, queue=1)),
     ]
@@ -78,9 +80,9 @@ async def statuses_of(stock: Peer, goal: str, action: str = "ours") -> list[int]
     return said
 
 
-async def ended(stock: Peer, goal: str, status: int) -> None:
+async def ended(stock: Peer, goal: str, status: int, action: str = "ours") -> None:
     """Wait until the status topic has this status last."""
-    await eventually(lambda: statuses_of(stock, goal), lambda said: said[-1:] == [status])
+    await eventually(lambda: statuses_of(stock, goal, action), lambda said: said[-1:] == [status])
 
 
 async def feedback(stock: Peer, goal: str, sent: list[list[int]]) -> None:
@@ -191,6 +193,30 @@ async def test_a_late_subscriber_gets_the_last_list_of_statuses(stock: Peer) -> 
     lists = await eventually(lambda: stock.ask("statuses", action="ours"), len)
     assert len(lists) == 1
     assert [goal, SUCCEEDED] in lists[0]
+
+
+async def test_a_goal_that_a_newer_one_preempts_is_aborted(stock: Peer) -> None:
+    old = await accepted(stock, orders.WAITS, "choosy")
+    await ended(stock, old, EXECUTING, "choosy")
+
+    new = await accepted(stock, 3, "choosy")
+
+    assert await result(stock, new) == (SUCCEEDED, [0, 1, 1, 2])
+    assert await result(stock, old) == (ABORTED, [])
+    assert await statuses_of(stock, old, "choosy") == [ACCEPTED, EXECUTING, ABORTED]
+
+
+async def test_a_goal_that_waits_is_accepted_and_one_too_many_is_rejected(stock: Peer) -> None:
+    running = await accepted(stock, orders.WAITS, "queued")
+    waiting = await accepted(stock, 3, "queued")
+    assert not (await send(stock, 3, "queued"))["accepted"]
+    await ended(stock, running, EXECUTING, "queued")
+    assert await statuses_of(stock, waiting, "queued") == [ACCEPTED]
+
+    assert await stock.ask("cancel", goal=running) == {"code": NONE, "goals": [running]}
+
+    assert await result(stock, waiting) == (SUCCEEDED, [0, 1, 1, 2])
+    assert await statuses_of(stock, waiting, "queued") == [ACCEPTED, EXECUTING, SUCCEEDED]
 
 
 @pytest.mark.promise("EXECUTE-7", "RESULT-1")
