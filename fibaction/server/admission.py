@@ -56,6 +56,7 @@ class Offer(NamedTuple):
     goal: bytes
     feedback: bool
     sender: Sender
+    deadline: float
 
 
 class Admission(Generic[GoalT, FeedbackT, ResultT]):
@@ -160,7 +161,9 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
     def _accept(self, offer: Offer, request: GoalT) -> FeedbackCursor:
         if self._is_closed:
             raise GoalRejected(SERVER_STOPPING)
-        goal = self._registry.accept(offer.goal_id, stamp=time.time_ns(), sender=offer.sender)
+        goal = self._registry.accept(
+            offer.goal_id, stamp=time.time_ns(), sender=offer.sender, deadline=offer.deadline
+        )
         self._tell_decision(offer.goal_id)
         log = self._runs.start(goal, request)
         return log.follow(feedback=offer.feedback, own=True)
