@@ -21,6 +21,7 @@ from fibaction.exceptions import (
     GoalAborted,
     GoalCanceled,
     GoalRejected,
+    GoalTimeout,
     InvalidMessage,
     InvalidTransition,
     InvalidURL,
@@ -32,6 +33,7 @@ from fibaction.exceptions import (
     UnknownGoal,
 )
 from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
+from fibaction.retry import Retry
 from fibaction.server import ActionServer, Executor, GoalHandle
 from fibaction.states import GoalEvent, GoalStatus
 from fibaction.wire.auth import Peer, Permission
@@ -63,6 +65,7 @@ __all__ = [
     "GoalInfo",
     "GoalRejected",
     "GoalStatus",
+    "GoalTimeout",
     "InvalidMessage",
     "InvalidTransition",
     "InvalidURL",
@@ -72,6 +75,7 @@ __all__ = [
     "Peer",
     "Permission",
     "ProtocolError",
+    "Retry",
     "SendingGoal",
     "ServerFailed",
     "ServerNotFound",
