@@ -34,7 +34,7 @@ from fibaction.exceptions import (
 )
 from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
 from fibaction.retry import Retry
-from fibaction.server import ActionServer, Executor, GoalHandle
+from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
 from fibaction.states import GoalEvent, GoalStatus
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.settings import Limits
@@ -76,6 +76,7 @@ __all__ = [
     "Permission",
     "ProtocolError",
     "Retry",
+    "Schedule",
     "SendingGoal",
     "ServerFailed",
     "ServerNotFound",

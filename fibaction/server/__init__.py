@@ -6,6 +6,7 @@ goals and cancels; `runs` starts and ends executors; `registry` holds every goal
 
 from fibaction.server.executor import Executor
 from fibaction.server.goal_handle import GoalHandle
+from fibaction.server.schedule import Schedule
 from fibaction.server.server import ActionServer
 
-__all__ = ["ActionServer", "Executor", "GoalHandle"]
+__all__ = ["ActionServer", "Executor", "GoalHandle", "Schedule"]

@@ -28,6 +28,10 @@ where no cancellation arrives. Since `Steps` drives the coroutine, it can stop d
 the coroutine up after MOST_KILLS cancellations, or when `CancelOnce.abandon()` is called. To the
 task, the coroutine has then returned. The coroutine is kept for ever, because Python would
 otherwise close it, and run its clean-up in the middle of something else (`_keep_for_ever`).
+
+Giving up may leave scopes of the coroutine open, for which asyncio and trio end the task's group.
+So it is done at the end of a server only (`is_for_good`). Before that, a coroutine that survives
+MOST_KILLS cancellations is spared: it runs on, and gets no further one.
 """
 
 from __future__ import annotations
@@ -77,6 +81,7 @@ class CancelOnce:
     __slots__ = (
         "_task",
         "is_abandoned",
+        "is_for_good",
         "is_killed",
         "is_spent",
         "on_wait",
@@ -95,6 +100,8 @@ class CancelOnce:
         """True if the scopes are canceled, so that no other job can run in them."""
         self.is_killed = False
         """True if every `await` is canceled from now on."""
+        self.is_for_good = False
+        """True if a coroutine that survives being killed is given up."""
         self.is_abandoned = False
         """True if a coroutine was given up inside, whose own scopes are still open."""
         self.on_wait = on_wait
@@ -120,10 +127,16 @@ class CancelOnce:
         if self._task is not None:
             self._task.cancel()
 
-    def kill(self) -> None:
-        """Cancel every `await` from now on."""
+    def kill(self, *, for_good: bool = True) -> None:
+        """Cancel every `await` from now on; give a coroutine up that survives it, if `for_good`."""
         self.is_killed = True
+        self.is_for_good |= for_good
         self.interrupt()
+
+    def spare(self) -> None:
+        """Cancel nothing more, until `kill` is called again."""
+        self.is_killed = False
+        self.rest.shield = True
 
     def abandon(self) -> None:
         """Give up the coroutine inside, and end the wait of its task, if anything can."""
@@ -143,6 +156,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         "_coroutine",
         "_kills",
         "_on_given_up",
+        "_on_spared",
         "_scopes",
         "pending",
         "slice_end",
@@ -154,9 +168,10 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         scopes: CancelOnce,
         context: Context,
         on_given_up: Callable[[], T],
+        on_spared: Callable[[], None] = lambda: None,
     ) -> None:
         """Prepare to await the coroutine; `on_given_up` is called if it is given up, and returns a
-        value in place of the coroutine's.
+        value in place of the coroutine's. `on_spared` is called if it is spared.
         """
         self.pending = False
         """True if a cancellation was sent and has not arrived."""
@@ -164,6 +179,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         self._scopes = scopes
         self._context = context
         self._on_given_up = on_given_up
+        self._on_spared = on_spared
         self._arrived = False
         self._by_outcome = False
         self._kills = 0
@@ -232,7 +248,15 @@ class Steps(Generator[Any, Any, T], Generic[T]):
             elif self._scopes.is_killed:
                 self._kills += 1
                 if self._kills > MOST_KILLS:
-                    self.give_up()
+                    self._survive()
+
+    def _survive(self) -> None:
+        if self._scopes.is_for_good:
+            self.give_up()
+        else:
+            self._kills = 0
+            self._scopes.spare()
+            self._on_spared()
 
     def _suspend(self, waiting_for: Any) -> Any:
         self._scopes.on_wait()

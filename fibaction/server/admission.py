@@ -36,11 +36,14 @@ from fibaction.exceptions import CancelRejected, GoalRejected, ProtocolError
 from fibaction.goals import CancelAnswer, GoalID, Sender
 from fibaction.server.callbacks import SERVER_STOPPING, Callback, Callbacks
 from fibaction.server.cancellation import Cancellation
+from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.goal_handle import GoalHandle
+from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.goal_record import GoalRecord
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.server.runs import Runs
+from fibaction.server.scheduler import Busy
 from fibaction.states import GoalStatus
 
 MOST_AT_ONCE = 100
@@ -67,6 +70,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         action: Action[GoalT, FeedbackT, ResultT],
         registry: GoalRegistry,
         runs: Runs[GoalT, FeedbackT, ResultT],
+        logs: GoalLogs,
+        dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None,
         *,
         on_goal: Callback[GoalT] | None,
         on_cancel: Callback[GoalHandle[GoalT]] | None,
@@ -75,6 +80,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._action = action
         self._registry = registry
         self._runs = runs
+        self._logs = logs
+        self._dispatcher = dispatcher
         self._on_goal = on_goal
         self._on_cancel = on_cancel
         self._interrupt_on_cancel = interrupt_on_cancel
@@ -102,7 +109,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         if verdict is Verdict.WAIT:
             return self._offer_again(offer)
         if verdict is Verdict.REPEAT:
-            return self._runs.follow_again(goal_id, feedback=offer.feedback, sender=offer.sender)
+            return self._logs.follow_again(goal_id, feedback=offer.feedback, sender=offer.sender)
         self._check_room(goal_id)
         try:
             request = self._decode(offer.goal)
@@ -115,25 +122,21 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             return self._accept(offer, request)
         except GoalRejected as exc:
             raise self._reject(goal_id, exc.reason) from None
+        except Busy as exc:
+            raise self._reject_for_now(goal_id, str(exc)) from None
         except BaseException:
             self._withdraw(goal_id)
             raise
 
     def _check_room(self, goal_id: GoalID) -> None:
-        """Reject a new goal if the server is at a limit.
-
-        The rejection is not kept, so that the same goal may be accepted later.
-        """
+        """Reject a new goal if the server is at a limit."""
         busy = self._registry.busy
         if not busy and self._registry.budget.is_over:
-            while self._runs.expire(current_time()):
+            while self._logs.expire(current_time()):
                 pass
             busy = self._registry.busy
         if busy:
-            self._withdraw(goal_id)
-            name = self._action.name
-            logger.info("goal %s of action %r: rejected: %s", goal_id, name, busy)
-            raise GoalRejected(busy, goal_id=goal_id)
+            raise self._reject_for_now(goal_id, busy)
 
     async def _offer_again(self, offer: Offer) -> FeedbackCursor:
         await self._decided(offer.goal_id)
@@ -148,6 +151,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             return self._accept(offer, request)
         except GoalRejected as exc:
             raise self._reject(offer.goal_id, exc.reason) from None
+        except Busy as exc:
+            raise self._reject_for_now(offer.goal_id, str(exc)) from None
         except BaseException:
             self._withdraw(offer.goal_id)
             raise
@@ -161,11 +166,17 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
     def _accept(self, offer: Offer, request: GoalT) -> FeedbackCursor:
         if self._is_closed:
             raise GoalRejected(SERVER_STOPPING)
+        goal_id, sender, dispatcher = offer.goal_id, offer.sender, self._dispatcher
+        orders = () if dispatcher is None else dispatcher.offer(goal_id, request, sender)
         goal = self._registry.accept(
-            offer.goal_id, stamp=time.time_ns(), sender=offer.sender, deadline=offer.deadline
+            goal_id, stamp=time.time_ns(), sender=sender, deadline=offer.deadline
         )
-        self._tell_decision(offer.goal_id)
-        log = self._runs.start(goal, request)
+        self._tell_decision(goal_id)
+        log = self._runs.add(goal, request)
+        if dispatcher is None:
+            self._runs.begin(goal_id)
+        else:
+            dispatcher.carry_out(orders)
         return log.follow(feedback=offer.feedback, own=True)
 
     def _reject(self, goal_id: GoalID, reason: str) -> GoalRejected:
@@ -176,6 +187,15 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         name = self._action.name
         logger.info("goal %s of action %r: rejected: %s", goal_id, name, excerpt(reason))
         return GoalRejected(reason, goal_id=goal_id)
+
+    def _reject_for_now(self, goal_id: GoalID, busy: str) -> GoalRejected:
+        """Reject a goal for which there is no room, and return the error to raise.
+
+        The rejection is not kept, so that the same goal may be accepted later.
+        """
+        self._withdraw(goal_id)
+        logger.info("goal %s of action %r: rejected: %s", goal_id, self._action.name, busy)
+        return GoalRejected(busy, goal_id=goal_id)
 
     def _withdraw(self, goal_id: GoalID) -> None:
         """Forget a goal whose decision was canceled; a retry is decided anew."""
@@ -235,7 +255,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             return None  # it has ended since it was chosen
         if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
             self._callbacks.check_not_within("on_cancel", goal.goal_id, "cancels")
-            handle = self._runs.handle_of(goal)
+            handle = self._runs.handle_of(goal.goal_id)
             try:
                 asking = self._callbacks.ask(
                     "on_cancel", self._on_cancel, handle, CancelRejected, about=goal.goal_id

@@ -98,7 +98,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
     def run(self, scopes: CancelOnce) -> Awaitable[Ending]:
         """Run the executor to its end, and return its ending. To be called once."""
         self._scopes = scopes
-        self._steps = Steps(self._run(), scopes, self._context, self._given_up)
+        self._steps = Steps(self._run(), scopes, self._context, self._given_up, self._spared)
         if self._is_interrupted:
             self._steps.interrupt()
         return self._steps
@@ -112,10 +112,24 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             if self._scopes is not None:
                 self._steps.interrupt()
 
-    def kill(self) -> None:
-        """Cancel every `await` from now on, those of the clean-up included."""
+    def kill(self, *, for_good: bool = True) -> None:
+        """Cancel every `await` from now on, those of the clean-up included.
+
+        An executor that survives this is given up if `for_good`; otherwise it runs on.
+        """
         if self._scopes is not None:
-            self._scopes.kill()
+            self._scopes.kill(for_good=for_good)
+
+    def go_on_as(self, handle: GoalHandle[GoalT], log: FeedbackLog) -> None:
+        """Give all that the executor yields from now on to another goal.
+
+        Raises:
+            RuntimeError: It has yielded a result already.
+        """
+        if self._result is not None:
+            raise RuntimeError("take over a goal before the result of this one, not after it")
+        self.handle, self._log = handle, log
+        self._owner = log.goal.sender.owner
 
     async def _run(self) -> Ending:
         try:
@@ -146,6 +160,15 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         )
         return Ending(EndKind.FAILED, self._result, "the executor was abandoned")
 
+    def _spared(self) -> None:
+        """Tell in the log that the executor runs on."""
+        logger.error(
+            "goal %s of action %r: its executor does not end though it was killed, and runs on;"
+            " its place in the schedule stays taken until then",
+            self.handle.goal_id,
+            self._action.name,
+        )
+
     def _ended_by(self, exc: BaseException) -> Ending:
         # In a frame of its own: a traceback references its frames. If one of those also referenced
         # the exception, the cycle would keep the goal alive until the garbage collector runs.
@@ -171,8 +194,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         return cast("AsyncGenerator[FeedbackT | ResultT, None]", items)
 
     async def _consume(self, items: AsyncGenerator[FeedbackT | ResultT, None]) -> None:
-        feedback, result = self._action.feedback, self._action.result
-        log, steps = self._log, self._steps
+        feedback, result, steps = self._action.feedback, self._action.result, self._steps
         step = _first(items)
         while True:
             try:
@@ -185,6 +207,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             if self._result is not None:
                 raise _Misuse(f"it yielded {_a(item)} after its result")
             if feedback.holds(item):
+                log = self._log
                 log.append(feedback.encode(item))
                 if steps.pending or log.is_full or perf_counter() >= steps.slice_end:
                     try:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Generic
 
+from fibaction._notify import Notifier
 from fibaction.action import GoalT
 from fibaction.states import GoalStatus
 
@@ -12,15 +14,38 @@ if TYPE_CHECKING:
     from fibaction.server.goal_record import GoalRecord
 
 
+class Succession(ABC, Generic[GoalT]):
+    """The goals of a server that can be taken over by the executors of others."""
+
+    @abstractmethod
+    def successor(self, goal_id: GoalID) -> GoalHandle[GoalT] | None:
+        """Return the goal that this one may take over; None if there is none."""
+
+    @abstractmethod
+    def news_of(self, goal_id: GoalID) -> Notifier:
+        """Return the notifier of a new successor, and of the end of the goal."""
+
+    @abstractmethod
+    def take_over(self, goal_id: GoalID) -> GoalHandle[GoalT]:
+        """Let the executor of a goal go on as its successor, and return that.
+
+        Raises:
+            RuntimeError: There is none.
+        """
+
+
 class GoalHandle(Generic[GoalT]):
     """One goal, as its executor sees it."""
 
-    __slots__ = ("_goal", "request")
+    __slots__ = ("_goal", "_succession", "request")
 
-    def __init__(self, goal: GoalRecord, request: GoalT) -> None:
+    def __init__(
+        self, goal: GoalRecord, request: GoalT, succession: Succession[GoalT] | None = None
+    ) -> None:
         self.request = request
         """The goal that the client sent."""
         self._goal = goal
+        self._succession = succession
 
     @property
     def goal_id(self) -> GoalID:
@@ -48,6 +73,51 @@ class GoalHandle(Generic[GoalT]):
     def cancel_requested(self) -> bool:
         """True if the goal is to stop: its cancel was accepted, or the server ends it."""
         return self._goal.status is GoalStatus.CANCELING or bool(self._goal.stop_reason)
+
+    # The goal that comes next
+
+    @property
+    def successor(self) -> GoalHandle[GoalT] | None:
+        """The goal that preempts this one and can be taken over; None if there is none.
+
+        It needs a schedule with `when_full="preempt"` and `handover`. It may change at any `await`:
+        a newer goal takes the place of this successor, or a cancel ends it. After an interruption
+        it is None.
+        """
+        return None if self._succession is None else self._succession.successor(self.goal_id)
+
+    async def wait_for_successor(self) -> GoalHandle[GoalT]:
+        """Wait until there is a `successor`, and return it.
+
+        Raises:
+            RuntimeError: The goal has ended.
+        """
+        while (successor := self.successor) is None:
+            if self._goal.status.is_terminal:
+                raise RuntimeError(f"goal {self.goal_id} has ended, and gets no successor")
+            succession = self._succession
+            # Without a schedule nothing comes.
+            await (Notifier() if succession is None else succession.news_of(self.goal_id)).wait()
+        return successor
+
+    def take_over(self) -> GoalHandle[GoalT]:
+        """Go on as the successor, and return it: this goal ends as ABORTED, "preempted by <id>".
+
+        All that the executor yields from now on belongs to the successor:
+
+            async def drive(goal):
+                while not arrived(goal.request):
+                    if goal.successor is not None:
+                        goal = goal.take_over()
+                    yield Feedback(move_a_little(goal.request))
+                yield Result()
+
+        Raises:
+            RuntimeError: There is no `successor`, or the result was yielded already.
+        """
+        if self._succession is None:
+            raise RuntimeError(f"goal {self.goal_id} has no successor: the server has no schedule")
+        return self._succession.take_over(self.goal_id)
 
     def __repr__(self) -> str:
         return f"<GoalHandle {self.goal_id} {self.status.name}>"

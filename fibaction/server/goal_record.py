@@ -15,6 +15,9 @@ from fibaction.states import INITIAL, GoalStatus
 DIGEST_SIZE = 16
 """Bytes of a digest: enough that two payloads never have the same digest by chance."""
 
+NO_PLACE = (0, 0)
+"""The place of a goal that does not wait."""
+
 
 def digest_of(payload: bytes) -> bytes:
     """Return a digest of a goal, which tells a retry from another goal with the same ID.
@@ -36,6 +39,7 @@ class GoalRecord:
         "goal_id",
         "held",
         "outcome",
+        "place",
         "sender",
         "stamp",
         "status",
@@ -70,6 +74,9 @@ class GoalRecord:
         self.feedback_count = 0
         self.changed = 0
         """Number of the last published change of its status; 0 if no one follows the statuses."""
+        self.place = NO_PLACE
+        """The place among the goals that wait, from 1, and the number of them; zeros if the goal
+        does not wait, or if no observer has asked."""
         self.stop_reason = ""
         """The reason for which the server ends the goal by itself; empty if it does not."""
 

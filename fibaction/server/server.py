@@ -26,11 +26,14 @@ from fibaction.exceptions import ServerNotFound
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
 from fibaction.server.admission import Admission, Offer
 from fibaction.server.callbacks import Callback
+from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.executor import Executor
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.goal_handle import GoalHandle
+from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.registry import MAX_BYTES, MAX_GOALS, GoalRegistry
 from fibaction.server.runs import Runs
+from fibaction.server.schedule import Schedule
 from fibaction.server.status_broadcast import StatusCursor
 
 SERVER_STOPPED = "server stopped"
@@ -61,6 +64,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         max_goals: int = MAX_GOALS,
         max_bytes: int = MAX_BYTES,
         shutdown_timeout: float = 5.0,
+        schedule: Schedule | None = None,
     ) -> None:
         """Set up a server; nothing runs yet.
 
@@ -89,6 +93,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 forgotten, and executors wait until their feedback is read.
             shutdown_timeout: Seconds that executors have for their clean-up when the server stops.
                 Then they are killed, and those that do not end are abandoned about a second later.
+            schedule: The rules by which accepted goals run, wait and give way; None to run all of
+                them at once.
 
         Raises:
             TypeError: The action is untyped, or the executor is not callable, is a coroutine
@@ -122,18 +128,19 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             max_goals=max_goals,
             max_bytes=max_bytes,
         )
-        self._runs = Runs(
-            action,
-            executor,
-            registry,
-            window=feedback_window,
-            latest=feedback == "latest",
-            stall_timeout=stall_timeout,
-        )
+        self._logs = GoalLogs(registry, window=feedback_window, latest=feedback == "latest")
+        self._runs = Runs(action, executor, registry, self._logs, stall_timeout=stall_timeout)
+        self._dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None = None
+        if schedule is not None:
+            self._dispatcher = Dispatcher(
+                schedule, self._runs, action=action.name, kill_after=shutdown_timeout
+            )
         self._admission = Admission(
             action,
             registry,
             self._runs,
+            self._logs,
+            self._dispatcher,
             on_goal=on_goal,
             on_cancel=on_cancel,
             interrupt_on_cancel=interrupt_on_cancel,
@@ -164,7 +171,11 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if not self.is_new:
             raise RuntimeError(f"{self!r} was started before; make another one")
         self._background = Background()
-        self._runs.open(await self._background.__aenter__())
+        tasks = await self._background.__aenter__()
+        tasks.start_soon(self._logs.forget_expired, name=f"expiry of {self.action.name}")
+        self._runs.open(tasks)
+        if self._dispatcher is not None:
+            self._dispatcher.open(tasks)
         self._phase = "running"
         self._started.notify()
         return self
@@ -198,9 +209,12 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             return
         self._phase = "stopping"
         self._admission.close()
+        if self._dispatcher is not None:
+            self._dispatcher.close()
         try:
             await self._runs.stop(SERVER_STOPPED, self._shutdown_timeout)
         finally:
+            self._logs.close()
             self._phase = "stopped"
             logger.info("action server %r has stopped", self.action.name)
 
@@ -249,7 +263,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     ) -> FeedbackCursor:
         """See `Endpoint.feedback`."""
         self._check_running()
-        return self._runs.follow(goal_id, after=after, own=own)
+        return self._logs.follow(goal_id, after=after, own=own)
 
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None
@@ -261,7 +275,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     async def status(self) -> StatusCursor:
         """See `Endpoint.status`."""
         self._check_running()
-        return await self._runs.follow_statuses()
+        if self._dispatcher is not None:
+            self._dispatcher.note_places()
+        return await self._logs.follow_statuses()
 
     def _check_running(self) -> None:
         if self._phase not in ("running", "stopping"):

@@ -36,11 +36,11 @@ from fibaction import (
 from fibaction._budget import ByteBudget
 from fibaction.abc import FeedbackItem, GoalStream, StatusStream
 from fibaction.goals import Sender
-from fibaction.server import runs
+from fibaction.server import goal_logs, runs
 from fibaction.server._interruption import CancelOnce
 from fibaction.server._turns import Turns
+from fibaction.server.goal_logs import EXPIRY_STEP, RECENT_TIME
 from fibaction.server.goal_record import Ending, EndKind
-from fibaction.server.runs import EXPIRY_STEP, RECENT_TIME
 from tests.executors import Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.virtual_time import in_virtual_time
@@ -419,9 +419,9 @@ async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on() -> None:
     server_runs = server._runs
     run_goal = server_runs._run
 
-    async def run_and_catch(run: Any, scopes: CancelOnce) -> None:
+    async def run_and_catch(execution: Any, scopes: CancelOnce) -> None:
         with pytest.raises(SystemExit):
-            await run_goal(run, scopes)
+            await run_goal(execution, scopes)
         scope.cancel()
 
     server_runs._run = run_and_catch  # type: ignore[method-assign]  # see above
@@ -1020,7 +1020,7 @@ async def test_a_goal_that_ends_while_others_are_killed_keeps_its_end(
 async def test_many_goals_are_forgotten_in_several_turns_before_the_rest_is_listed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(runs, "MOST_AT_ONCE", 3)
+    monkeypatch.setattr(goal_logs, "MOST_AT_ONCE", 3)
     async with ActionServer(FIBONACCI, fibonacci, result_timeout=10) as server:
         with await server.status() as before:
             for _ in range(7):
@@ -1145,7 +1145,7 @@ def budget_of(server: ActionServer[Any, Any, Any]) -> ByteBudget:
 async def test_as_many_results_are_forgotten_for_a_goal_as_it_needs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(runs, "MOST_AT_ONCE", 1)
+    monkeypatch.setattr(goal_logs, "MOST_AT_ONCE", 1)
     async with ActionServer(FIBONACCI, fibonacci, max_bytes=200) as server:
         for _ in range(20):
             await (await server.send_goal(GoalID.random(), packed(1))).outcome()
@@ -1259,7 +1259,7 @@ def test_when_all_has_ended_and_is_forgotten_no_bytes_are_counted(
             streams.pop().close()
         budget = budget_of(server)
         server._runs._registry.expire(math.inf)
-        server._runs._recent.clear()
+        server._logs._recent.clear()
         gc.collect()
         assert budget.used == 0
 

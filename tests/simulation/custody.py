@@ -72,7 +72,7 @@ def left_without_clients(server: WireServer, actions: ActionServer[Any, Any, Any
         "goals of the registry": runs._registry._active,
         "undecided goals": runs._registry._undecided,
         "waits for decisions": admission._decisions,
-        "followers of statuses": runs._statuses._cursors,
+        "followers of statuses": actions._logs._statuses._cursors,
     }
     yield from (f"{len(table)} {name}" for name, table in tables.items() if len(table))
     counters = {"messages": server.memory.used, "goals": runs._registry.budget.used}

@@ -1,0 +1,202 @@
+"""`Dispatcher`: carries out a schedule: starts, ends, interrupts and kills goals when it is time.
+
+Theory of operation
+-------------------
+
+The `Scheduler` knows the rules, and returns orders; `Runs` can start and end goals. The dispatcher
+stands between them. `Admission` asks it for a place (`offer`) before it accepts a goal, and hands
+the orders back (`carry_out`) when the goal is accepted, so that no goal gives way to one that is
+rejected after all. `Runs` tells it when a goal has left (`_leave`), which frees the place.
+
+One task, `_keep_time`, waits for the next time at which an order is due. It is woken only if that
+time becomes earlier.
+
+It also implements `Succession`, by which an executor takes its successor over.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Iterable
+from typing import Any, Generic
+
+import anyio
+from anyio import current_time
+from anyio.abc import TaskGroup
+
+from fibaction._log import clean_logger
+from fibaction._notify import Notifier
+from fibaction._text import excerpt
+from fibaction.action import FeedbackT, GoalT, ResultT
+from fibaction.exceptions import GoalRejected, text_of
+from fibaction.goals import GoalID, Sender
+from fibaction.server.goal_handle import GoalHandle, Succession
+from fibaction.server.runs import Runs
+from fibaction.server.schedule import Schedule
+from fibaction.server.scheduler import Act, Order, Scheduler
+
+MOST_AT_ONCE = 200
+"""Orders that are carried out in one turn of the event loop when their time has come."""
+
+MANY, PLACES_TIME = 1000, 0.1
+"""If more goals wait than that, the seconds for which their places are not computed again."""
+
+logger = clean_logger("fibaction.server")
+
+
+class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
+    """The schedule of one server at work."""
+
+    def __init__(
+        self,
+        schedule: Schedule,
+        runs: Runs[GoalT, FeedbackT, ResultT],
+        *,
+        action: str,
+        kill_after: float,
+    ) -> None:
+        """Kill executors that have not ended `kill_after` seconds after they were interrupted."""
+        self._scheduler = Scheduler(schedule, kill_after=kill_after)
+        self._schedule = schedule
+        self._runs = runs
+        self._action = action
+        self._kill_after = kill_after
+        self._news = Notifier()
+        self._wake_at = math.inf
+        self._successor_news: dict[GoalID, Notifier] = {}
+        self._placed_at = -math.inf
+        self._is_closed = False
+        runs.on_left = self._leave
+        runs.succession = self
+
+    def open(self, tasks: TaskGroup) -> None:
+        """Keep time in a task of this group."""
+        tasks.start_soon(self._keep_time, name=f"schedule of {self._action}")
+
+    def close(self) -> None:
+        """Start no goals from now on: the server stops, and ends all of them."""
+        self._is_closed = True
+
+    # Goals
+
+    def offer(self, goal_id: GoalID, request: GoalT, sender: Sender) -> list[Order]:
+        """Find a place for a goal, and return the orders to carry out once it is accepted.
+
+        Raises:
+            Busy: There is no place to run or to wait.
+            GoalRejected: The function `key` or `priority` of the schedule has failed.
+        """
+        rules = self._schedule
+        key: Hashable = None
+        urgency = 0.0
+        if rules.key is not None:
+            key = self._answer("key", _hashable, rules.key, request, sender)
+        if rules.priority is not None:
+            urgency = self._answer("priority", _number, rules.priority, request, sender)
+        return self._scheduler.offer(goal_id, key=key, urgency=urgency, now=current_time())
+
+    def carry_out(self, orders: Iterable[Order]) -> None:
+        """Carry out the orders of the scheduler."""
+        if self._is_closed:
+            return
+        for act, goal_id, reason in orders:
+            if act is Act.START:
+                self._runs.begin(goal_id)
+            elif act is Act.TELL:
+                self._tell(goal_id)
+            elif act is Act.KILL:
+                self._runs.kill(goal_id, self._kill_after)
+            else:
+                self._runs.interrupt(goal_id, reason)
+        if self._scheduler.next_due < self._wake_at:
+            self._news.notify()
+
+    def _leave(self, goal_id: GoalID) -> None:
+        self._tell(goal_id)
+        self.carry_out(self._scheduler.leave(goal_id, current_time()))
+
+    async def _keep_time(self) -> None:
+        while True:
+            self._wake_at = self._scheduler.next_due
+            with anyio.CancelScope(deadline=self._wake_at):
+                await self._news.wait()
+            self.carry_out(self._scheduler.due(current_time(), MOST_AT_ONCE))
+
+    def _answer(
+        self,
+        name: str,
+        check: Callable[[Any], Any],
+        function: Callable[..., Any],
+        request: GoalT,
+        sender: Sender,
+    ) -> Any:
+        """Call a function of the schedule.
+
+        Raises:
+            GoalRejected: It raised an exception, or its answer cannot be used.
+        """
+        try:
+            return check(function(request))
+        except Exception as exc:
+            reason = f"{name} failed: {text_of(exc)}"
+            logger.error("action %r: %s", self._action, reason, exc_info=exc)
+            raise GoalRejected(reason) from exc
+
+    def note_places(self) -> None:
+        """Note in the records of waiting goals their places in the queue, for observers.
+
+        If very many wait, the places may be PLACES_TIME old, since any observer may ask often.
+        """
+        now = current_time()
+        is_fast = self._scheduler.waiting <= MANY
+        if not self._is_closed and (is_fast or now >= self._placed_at + PLACES_TIME):
+            self._placed_at = now
+            for goal_id, place in self._scheduler.places().items():
+                self._runs.record_of(goal_id).place = place
+
+    # As a succession
+
+    def successor(self, goal_id: GoalID) -> GoalHandle[GoalT] | None:
+        successor = self._scheduler.successor(goal_id)
+        return None if successor is None else self._runs.handle_of(successor)
+
+    def news_of(self, goal_id: GoalID) -> Notifier:
+        return self._successor_news.setdefault(goal_id, Notifier())
+
+    def take_over(self, goal_id: GoalID) -> GoalHandle[GoalT]:
+        successor = self.successor(goal_id)
+        if successor is None:
+            raise RuntimeError(f"goal {goal_id} has no successor that it may take over")
+        self._runs.take_over(goal_id, successor.goal_id)
+        self._scheduler.take_over(goal_id, current_time())
+        self._tell(goal_id)
+        self.carry_out(())
+        return successor
+
+    def _tell(self, goal_id: GoalID) -> None:
+        news = self._successor_news.pop(goal_id, None)
+        if news is not None:
+            news.notify()
+
+
+def _hashable(key: Hashable) -> Hashable:
+    """Return the key.
+
+    Raises:
+        TypeError: It is not hashable.
+    """
+    hash(key)
+    return key
+
+
+def _number(urgency: object) -> float:
+    """Return an urgency that can be compared with others.
+
+    Raises:
+        TypeError, ValueError: It is not a number, or not a number that can be compared.
+    """
+    if not isinstance(urgency, int | float):
+        raise TypeError(f"it returned {excerpt(repr(urgency))}, which is not a number")
+    if math.isnan(urgency):
+        raise ValueError("it returned nan, which is not before or after any number")
+    return urgency

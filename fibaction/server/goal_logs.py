@@ -1,0 +1,166 @@
+"""`GoalLogs`: the streams to follow goals and statuses, and the end of what has expired.
+
+Theory of operation
+-------------------
+
+A goal is followed from its `FeedbackLog`. An active goal has one. After the end of the goal, a log
+is kept by its followers (`_unread` has weak references), and, if the statuses are followed, for
+RECENT_TIME (`_recent`): such a follower learns of a goal by its status, and then asks for its
+feedback. Without a log, an ended goal is followed without its feedback.
+
+One task, `forget_expired`, frees what has expired. It sleeps until the next expiry, and while
+nothing can expire, until a goal ends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from weakref import WeakValueDictionary
+
+import anyio
+from anyio import current_time
+from anyio.lowlevel import cancel_shielded_checkpoint
+
+from fibaction._notify import Notifier
+from fibaction.exceptions import UnknownGoal
+from fibaction.goals import GoalID, GoalInfo, Sender
+from fibaction.server.feedback_cursor import FeedbackCursor
+from fibaction.server.feedback_log import FeedbackLog
+from fibaction.server.goal_record import GoalRecord
+from fibaction.server.registry import GoalRegistry
+from fibaction.server.status_broadcast import StatusBroadcast, StatusCursor
+from fibaction.states import GoalStatus
+
+EXPIRY_STEP = 0.1
+"""The least seconds between two clean-ups of expired goals. It only limits how often memory is
+freed, since the registry compares times exactly."""
+
+RECENT_TIME, RECENT_GOALS = 1.0, 1000
+"""Seconds that the feedback of a goal is kept after its end, and the number of such goals at most,
+while the statuses are followed: a follower that learns of a goal asks for its feedback, and the
+goal may have ended by then."""
+
+MOST_AT_ONCE = 200
+"""Goals that are forgotten in one turn of the event loop, which takes less than a millisecond."""
+
+
+class GoalLogs:
+    """The logs of one server's goals, and the broadcast of their statuses."""
+
+    def __init__(self, registry: GoalRegistry, *, window: int, latest: bool) -> None:
+        self._registry = registry
+        self._window = window
+        self._latest = latest
+        self._active: dict[GoalID, FeedbackLog] = {}
+        self._unread: WeakValueDictionary[GoalID, FeedbackLog] = WeakValueDictionary()
+        self._recent: deque[tuple[float, FeedbackLog]] = deque(maxlen=RECENT_GOALS)
+        self._statuses = StatusBroadcast()
+        self._ended = Notifier()
+
+    # The life of a log
+
+    def open(self, goal: GoalRecord) -> FeedbackLog:
+        """Return the log of a goal that was accepted just now."""
+        log = self._active[goal.goal_id] = FeedbackLog(
+            goal, window=self._window, latest=self._latest, budget=self._registry.budget
+        )
+        return log
+
+    def tell_status(self, log: FeedbackLog) -> None:
+        """Notify the followers of the goal, and of the statuses, of the goal's new status."""
+        log.tell_status()
+        if self._statuses:
+            log.goal.changed = self._statuses.publish(log.goal.info)
+
+    def end(self, log: FeedbackLog, now: float) -> None:
+        """Keep the log of a goal that has ended, for its followers only."""
+        goal_id = log.goal.goal_id
+        del self._active[goal_id]
+        if self._statuses:
+            self._recent.append((now + RECENT_TIME, log))
+        if self._statuses or log.is_followed:
+            self._unread[goal_id] = log
+
+    def tell_outcome(self, log: FeedbackLog, now: float) -> None:
+        """Notify the followers of the goal, and of the statuses, of the goal's end."""
+        self.tell_status(log)
+        log.finish()
+        self.expire(now)
+        self._ended.notify()
+
+    def close(self) -> None:
+        """End the streams of statuses."""
+        self._statuses.finish()
+
+    # Follow
+
+    def follow_again(self, goal_id: GoalID, *, feedback: bool, sender: Sender) -> FeedbackCursor:
+        """Return a stream of a goal that was accepted before, from its beginning.
+
+        It is the sender's own if that client has sent the goal the first time, too.
+
+        Raises:
+            UnknownGoal: The goal has been forgotten.
+        """
+        goal = self._find(goal_id)
+        own = goal.sender.owner == sender.owner
+        return self._log_of(goal).follow(feedback=feedback, own=own, after=0)
+
+    def follow(self, goal_id: GoalID, *, own: bool, after: int | None) -> FeedbackCursor:
+        """Return a stream of a goal that is active or remembered: see `Endpoint.feedback`.
+
+        Raises:
+            UnknownGoal: The goal was never accepted, or has been forgotten.
+        """
+        return self._log_of(self._find(goal_id)).follow(own=own, after=after)
+
+    def _find(self, goal_id: GoalID) -> GoalRecord:
+        goal = self._registry.find(goal_id, now=current_time())
+        if goal is None:
+            raise UnknownGoal(goal_id)
+        return goal
+
+    def _log_of(self, goal: GoalRecord) -> FeedbackLog:
+        log = self._active.get(goal.goal_id) or self._unread.get(goal.goal_id)
+        return log or FeedbackLog(goal)  # its feedback may not be kept any longer
+
+    async def follow_statuses(self) -> StatusCursor:
+        """Return a stream of the statuses of all goals: see `Endpoint.status`."""
+        await self._expire_all()
+        return self._statuses.follow(self._registry.goals())
+
+    # Forget
+
+    async def forget_expired(self) -> None:
+        """Forget goals and feedback when they expire, until canceled."""
+        while True:
+            while (next_expiry := self._next_expiry()) == math.inf:
+                await self._ended.wait()
+            now = current_time()
+            # The feedback of a goal that ends from now on may expire before older results do.
+            sooner = min(next_expiry, now + RECENT_TIME)
+            await anyio.sleep_until(max(sooner, now + EXPIRY_STEP))
+            await self._expire_all()
+
+    async def _expire_all(self) -> None:
+        while self.expire(current_time()):
+            await cancel_shielded_checkpoint()
+
+    def _next_expiry(self) -> float:
+        recent = self._recent[0][0] if self._recent else math.inf
+        return min(recent, self._registry.next_expiry)
+
+    def expire(self, now: float) -> bool:
+        """Forget goals and feedback that have expired, and tell followers of the statuses.
+
+        Return whether there may be more of them.
+        """
+        is_over = self._registry.budget.is_over
+        while self._recent and (is_over or self._recent[0][0] <= now):
+            self._recent.popleft()
+        gone = self._registry.expire(now, MOST_AT_ONCE)
+        for goal_id in gone:
+            if self._statuses:
+                self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))
+        return len(gone) == MOST_AT_ONCE

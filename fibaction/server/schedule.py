@@ -1,0 +1,102 @@
+"""`Schedule`: the rules by which a server runs its accepted goals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable
+from typing import Any, Literal, TypeAlias
+
+import msgspec
+
+from fibaction.goals import Sender
+
+Key: TypeAlias = Callable[[Any], Hashable] | Callable[[Any, Sender], Hashable]
+"""A function of the goal, or of the goal and its sender, that returns a key."""
+Priority: TypeAlias = Callable[[Any], float] | Callable[[Any, Sender], float]
+"""A function of the goal, or of the goal and its sender, that returns an urgency."""
+
+WORDS = ("reject", "preempt", "replace")
+
+
+class Schedule(msgspec.Struct, frozen=True, kw_only=True):
+    """The rules by which a server runs its accepted goals. Without one, all run at once.
+
+    One arm that always moves to the newest target, as `SimpleActionServer` of ROS 1 does:
+
+        ActionServer(MOVE, move, schedule=Schedule(concurrency=1, when_full="preempt"))
+
+    Four workers, and a hundred goals that wait, the most urgent first:
+
+        Schedule(concurrency=4, queue=100, priority=lambda goal: goal.urgency)
+
+    A goal that waits is ACCEPTED. A goal that is preempted, replaced or too late ends as ABORTED,
+    and the reason says so.
+    """
+
+    concurrency: int | None = None
+    """Executors that run at the same time, for each key; None for any number."""
+    queue: int = 0
+    """Accepted goals that may wait for a place, for each key."""
+    when_full: Literal["reject", "preempt", "replace"] = "reject"
+    """The goal that gives way when no place is free to run or to wait: with `reject` the new one,
+    with `preempt` the one that has run longest, with `replace` the newest one that waits."""
+    key: Key | None = None
+    """A function that returns the key of a goal, for example its joint group; None for one key. It
+    may have a second parameter, the `Sender` of the goal."""
+    total: int | None = None
+    """Executors that run at the same time, for all keys together; None for any number."""
+    priority: Priority | None = None
+    """A function that returns the urgency of a goal, which may have the `Sender` as its second
+    parameter: goals with smaller numbers start first, equal ones in the order of their arrival. A
+    goal preempts only less urgent ones, and then at once, even if there is room to wait."""
+    queue_timeout: float = math.inf
+    """Seconds that a goal may wait; then it ends as ABORTED."""
+    run_timeout: float = math.inf
+    """Seconds that an executor may run; then it is interrupted, and its goal ends as ABORTED. If
+    its clean-up takes longer than the server's `shutdown_timeout`, it is killed."""
+    handover: float = 0.0
+    """Seconds that a goal which is preempted has to take its successor over (`goal.take_over()`),
+    before it is interrupted; `math.inf` never to interrupt it."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            TypeError: A limit is not a whole number, or `key` or `priority` is not a function.
+            ValueError: A number is out of range, `when_full` is another word, or a rule can never
+                apply.
+        """
+        for name in ("concurrency", "total", "queue"):
+            limit = getattr(self, name)
+            least = 0 if name == "queue" else 1
+            if limit is None and least:
+                continue
+            if not isinstance(limit, int) or isinstance(limit, bool):
+                raise TypeError(f"{name} is a whole number, not {limit!r}")
+            if limit < least:
+                raise ValueError(f"{name} is {least} or more, not {limit}")
+        if self.when_full not in WORDS:
+            raise ValueError(
+                f"when_full is 'reject', 'preempt' or 'replace', not {self.when_full!r}"
+            )
+        if self.concurrency is None and self.total is None:
+            for name, is_set in (
+                (f"queue={self.queue}", self.queue),
+                (f"when_full={self.when_full!r}", self.when_full != "reject"),
+            ):
+                if is_set:
+                    raise ValueError(f"{name} needs a limit: set concurrency or total, too")
+        if self.when_full == "replace" and not self.queue:
+            raise ValueError("when_full='replace' needs a queue of at least 1, not 0")
+        for name in ("key", "priority"):
+            function = getattr(self, name)
+            if function is not None and not callable(function):
+                raise TypeError(f"{name} is a function of the goal, not {function!r}")
+        for name in ("queue_timeout", "run_timeout"):
+            seconds = getattr(self, name)
+            if not seconds > 0:
+                raise ValueError(f"{name} is more than 0, not {seconds}")
+        if not self.handover >= 0:
+            raise ValueError(f"handover is 0 or more, not {self.handover}")
+        if self.handover and self.when_full != "preempt":
+            raise ValueError(f"handover={self.handover:g} needs when_full='preempt'")

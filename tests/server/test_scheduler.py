@@ -1,0 +1,388 @@
+"""The scheduler: the order in which goals run, wait and give way."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from fibaction import GoalID, Schedule
+from fibaction.server.scheduler import Act, Busy, Order, Scheduler
+
+KILL_AFTER = 3.0
+
+
+def goal(number: int) -> GoalID:
+    return GoalID(number.to_bytes(16, "big"))
+
+
+ONE, TWO, THREE, FOUR, FIVE = map(goal, range(1, 6))
+
+
+def rules_of(
+    concurrency: int | None,
+    total: int | None,
+    queue: int,
+    when_full: Any,
+    by_priority: bool,
+    *,
+    queue_timeout: float,
+    run_timeout: float,
+    handover: float,
+) -> Schedule:
+    """Return the nearest schedule that is valid."""
+    if concurrency is None and total is None:
+        queue, when_full = 0, "reject"
+    if when_full == "replace" and not queue:
+        when_full = "reject"
+    return Schedule(
+        concurrency=concurrency,
+        total=total,
+        queue=queue,
+        when_full=when_full,
+        priority=(lambda _: 0) if by_priority else None,
+        queue_timeout=queue_timeout,
+        run_timeout=run_timeout,
+        handover=handover if when_full == "preempt" else 0.0,
+    )
+
+
+class Fleet(RuleBasedStateMachine):
+    """A scheduler beside a plain model: lists, and no data structures that could be wrong."""
+
+    schedule: Schedule | None = None
+
+    @initialize(
+        concurrency=st.none() | st.integers(1, 3),
+        total=st.none() | st.integers(1, 4),
+        queue=st.integers(0, 3),
+        when_full=st.sampled_from(["reject", "preempt", "preempt", "replace"]),
+        by_priority=st.booleans(),
+        queue_timeout=st.sampled_from([math.inf, 5.0]),
+        run_timeout=st.sampled_from([math.inf, 7.0]),
+        handover=st.sampled_from([0.0, 2.0, math.inf]),
+    )
+    def begin(
+        self,
+        concurrency: int | None,
+        total: int | None,
+        queue: int,
+        when_full: str,
+        by_priority: bool,
+        queue_timeout: float,
+        run_timeout: float,
+        handover: float,
+    ) -> None:
+        self.schedule = rules_of(
+            concurrency,
+            total,
+            queue,
+            when_full,
+            by_priority,
+            queue_timeout=queue_timeout,
+            run_timeout=run_timeout,
+            handover=handover,
+        )
+        self.scheduler = Scheduler(self.schedule, kill_after=KILL_AFTER)
+        self.now = 0.0
+        self.count = 0
+        self.running: list[GoalID] = []  # in the order of their start
+        self.queue: list[GoalID] = []  # in the order in which they came into it
+        self.successors: dict[GoalID, GoalID] = {}  # by their predecessors
+        self.told: dict[GoalID, float] = {}
+        self.interrupted: dict[GoalID, float] = {}
+        self.killed: set[GoalID] = set()
+        self.key: dict[GoalID, int] = {}
+        self.urgency: dict[GoalID, tuple[float, int]] = {}
+        self.since: dict[GoalID, float] = {}
+
+    @property
+    def limits(self) -> Schedule:
+        assert self.schedule is not None
+        return self.schedule
+
+    def has_place(self, key: int) -> bool:
+        at_key = sum(self.key[one] == key for one in self.running)
+        rules = self.limits
+        return (rules.concurrency is None or at_key < rules.concurrency) and (
+            rules.total is None or len(self.running) < rules.total
+        )
+
+    def room(self, key: int) -> int:
+        return self.limits.queue - sum(self.key[one] == key for one in self.queue)
+
+    def forget(self, goal_id: GoalID) -> None:
+        """Note that a waiting goal waits no longer."""
+        if goal_id in self.queue:
+            self.queue.remove(goal_id)
+        for predecessor, successor in tuple(self.successors.items()):
+            if successor == goal_id:
+                del self.successors[predecessor]
+                self.told.pop(predecessor, None)
+
+    def start(self, goal_id: GoalID) -> None:
+        self.forget(goal_id)
+        assert self.has_place(self.key[goal_id])
+        self.running.append(goal_id)
+        self.since[goal_id] = self.now
+
+    def start_next(self) -> list[Order]:
+        """Start the goals of the queue that have a place now, and return the orders for it."""
+        orders = []
+        while able := [one for one in self.queue if self.has_place(self.key[one])]:
+            first = min(able, key=lambda one: self.urgency[one])
+            self.start(first)
+            orders.append(Order(Act.START, first))
+        return orders
+
+    def predecessor_of(self, new: GoalID) -> GoalID | None:
+        """Return the goal that the rules preempt for a new one."""
+        key = self.key[new]
+        rules = self.limits
+        if rules.when_full != "preempt" or (self.room(key) > 0 and not rules.priority):
+            return None
+        at_key = [one for one in self.running if self.key[one] == key]
+        able = [one for one in at_key if one not in self.successors] or at_key
+        if not able:
+            return None
+        last = {one: self.successors.get(one, one) for one in able}
+        if not rules.priority:
+            if able == at_key and all(one in self.successors for one in able):
+                return min(able, key=lambda one: self.urgency[last[one]][1])
+            return able[0]
+        least = max(able, key=lambda one: (self.urgency[last[one]][0], -self.urgency[last[one]][1]))
+        return least if self.urgency[new][0] < self.urgency[last[least]][0] else None
+
+    @rule(key=st.integers(0, 2), urgency=st.integers(0, 2))
+    def offer(self, key: int, urgency: int) -> None:
+        self.count += 1
+        new = goal(self.count)
+        self.key[new] = key
+        self.urgency[new] = (urgency if self.limits.priority else 0, self.count)
+        expected = self.place(new)
+        if expected is None:
+            with pytest.raises(Busy, match=r"^busy: \d of \d running"):
+                self.scheduler.offer(new, key=key, urgency=self.urgency[new][0], now=self.now)
+        else:
+            orders = self.scheduler.offer(new, key=key, urgency=self.urgency[new][0], now=self.now)
+            assert orders == expected
+
+    def place(self, new: GoalID) -> list[Order] | None:
+        """Give a new goal its place in the model, and return the orders; None if it has none."""
+        key = self.key[new]
+        self.since[new] = self.now
+        if self.has_place(key):
+            self.start(new)
+            return [Order(Act.START, new)]
+        predecessor = self.predecessor_of(new)
+        if predecessor is not None:
+            return self.preempt(predecessor, new)
+        if self.room(key) > 0:
+            self.queue.append(new)
+            return []
+        if self.limits.when_full == "replace":
+            newest = [one for one in self.queue if self.key[one] == key][-1]
+            self.queue.remove(newest)
+            self.queue.append(new)
+            return [Order(Act.END, newest, f"replaced by {new}")]
+        return None
+
+    def preempt(self, predecessor: GoalID, new: GoalID) -> list[Order]:
+        orders = []
+        reason = f"preempted by {new}"
+        if predecessor in self.successors:
+            earlier = self.successors.pop(predecessor)
+            if self.room(self.key[new]) > 0:
+                self.queue.append(earlier)
+            else:
+                orders.append(Order(Act.END, earlier, reason))
+        self.successors[predecessor] = new
+        if predecessor in self.interrupted or predecessor in self.told:
+            return orders
+        if self.limits.handover:
+            self.told[predecessor] = self.now
+            return [*orders, Order(Act.TELL, predecessor)]
+        self.interrupted[predecessor] = self.now
+        return [*orders, Order(Act.INTERRUPT, predecessor, reason)]
+
+    def gone(self, goal_id: GoalID) -> GoalID | None:
+        """Note that a running goal has left; return its successor."""
+        self.running.remove(goal_id)
+        self.interrupted.pop(goal_id, None)
+        self.told.pop(goal_id, None)
+        self.killed.discard(goal_id)
+        return self.successors.pop(goal_id, None)
+
+    @precondition(lambda self: self.running)
+    @rule(data=st.data())
+    def end(self, data: st.DataObject) -> None:
+        self.end_one(data.draw(st.sampled_from(self.running)))
+
+    def end_one(self, ended: GoalID) -> None:
+        successor = self.gone(ended)
+        if successor is None:
+            expected = self.start_next()
+        else:
+            self.start(successor)
+            expected = [Order(Act.START, successor)]
+        assert self.scheduler.leave(ended, self.now) == expected
+        assert self.scheduler.leave(ended, self.now) == []
+
+    @precondition(lambda self: self.queue or self.successors)
+    @rule(data=st.data())
+    def cancel(self, data: st.DataObject) -> None:
+        canceled = data.draw(st.sampled_from([*self.queue, *self.successors.values()]))
+        self.forget(canceled)
+        assert self.scheduler.leave(canceled, self.now) == []
+
+    @precondition(lambda self: self.running)
+    @rule(data=st.data())
+    def take_over(self, data: st.DataObject) -> None:
+        old = data.draw(st.sampled_from(self.running))
+        expected = self.successors[old] if old in self.told else None
+        assert self.scheduler.successor(old) == expected
+        assert self.scheduler.take_over(old, self.now) == expected
+        if expected is not None:
+            self.gone(old)
+            self.start(expected)
+
+    @rule(seconds=st.sampled_from([1.0, 2.0, 5.0]), limit=st.sampled_from([None, 1, 2]))
+    def pass_time(self, seconds: float, limit: int | None) -> None:
+        self.now += seconds
+        while True:
+            is_due = self.scheduler.next_due <= self.now
+            orders = self.scheduler.due(self.now, limit)
+            assert bool(orders) is is_due
+            if not orders:
+                break
+            assert limit is None or len(orders) <= limit
+            for order in orders:
+                self.carry_out(order)
+        rules = self.limits
+        for one in (*self.queue, *self.successors.values()):
+            assert self.now < self.since[one] + rules.queue_timeout
+        for one in self.running:
+            if one not in self.interrupted:
+                assert self.now < self.since[one] + rules.run_timeout
+                assert self.now < self.told.get(one, math.inf) + rules.handover
+            elif one not in self.killed:
+                assert self.now < self.interrupted[one] + KILL_AFTER
+
+    def carry_out(self, order: Order) -> None:
+        """Carry out an order whose time has come in the model, after a check that it has."""
+        rules, (act, goal_id, reason) = self.limits, order
+        if act is Act.END:
+            assert self.now >= self.since[goal_id] + rules.queue_timeout
+            assert reason == "waited for 5 s"
+            self.forget(goal_id)
+        elif act is Act.KILL:
+            assert self.now >= self.interrupted[goal_id] + KILL_AFTER
+            assert goal_id not in self.killed
+            self.killed.add(goal_id)
+        else:
+            assert act is Act.INTERRUPT
+            assert goal_id not in self.interrupted
+            self.interrupted[goal_id] = self.now
+            told_at = self.told.pop(goal_id, math.inf)
+            if reason == "took longer than 7 s":
+                assert self.now >= self.since[goal_id] + rules.run_timeout
+            else:
+                assert self.now >= told_at + rules.handover
+                assert reason == f"preempted by {self.successors[goal_id]}"
+
+    @invariant()
+    def no_goal_waits_beside_a_free_place(self) -> None:
+        if self.schedule is not None:
+            assert not any(self.has_place(self.key[one]) for one in self.queue)
+
+    @invariant()
+    def the_places_are_in_the_order_of_their_start(self) -> None:
+        if self.schedule is None:
+            return
+        expected: dict[GoalID, tuple[int, int]] = {}
+        for key in range(3):
+            # Successors are ahead of the queue.
+            waiting = [
+                *((0, self.urgency[one], one) for one in self.successors.values()),
+                *((1, self.urgency[one], one) for one in self.queue),
+            ]
+            ordered = [one for *_, one in sorted(waiting) if self.key[one] == key]
+            expected |= {one: (place, len(ordered)) for place, one in enumerate(ordered, 1)}
+        assert self.scheduler.places() == expected
+        assert self.scheduler.waiting == len(expected)
+
+    def teardown(self) -> None:
+        """Check that every goal that waits runs in the end, and that nothing is left behind."""
+        if self.schedule is None:
+            return
+        while self.running:
+            self.end_one(self.running[-1])
+        assert not self.queue
+        for name, table in vars(self.scheduler).items():
+            if isinstance(table, dict):
+                assert not table, name
+
+
+TestFleet = Fleet.TestCase
+TestFleet.settings = settings(max_examples=300, stateful_step_count=40, deadline=None)
+
+
+# Sentences
+
+
+@pytest.mark.parametrize(
+    ("rules", "running", "sentence"),
+    [
+        (Schedule(concurrency=1), 1, "busy: 1 of 1 running, 0 of 0 waiting"),
+        (Schedule(concurrency=2, queue=1), 3, "busy: 2 of 2 running, 1 of 1 waiting"),
+        (Schedule(total=2), 2, "busy: 2 of 2 running, 0 of 0 waiting"),
+        (
+            Schedule(concurrency=2, total=3),
+            2,
+            "busy: 2 of 2 running (2 of 3 in all), 0 of 0 waiting",
+        ),
+    ],
+)
+def test_a_goal_without_a_place_is_told_the_limits(
+    rules: Schedule, running: int, sentence: str
+) -> None:
+    scheduler = Scheduler(rules)
+    for number in range(1, running + 1):
+        scheduler.offer(goal(number), now=0)
+    with pytest.raises(Busy) as caught:
+        scheduler.offer(goal(9), now=0)
+    assert str(caught.value) == sentence
+
+
+def test_an_id_is_free_again_only_when_its_executor_has_ended() -> None:
+    scheduler = Scheduler(Schedule(concurrency=2))
+    scheduler.offer(ONE, now=0)
+    with pytest.raises(Busy, match=f"an earlier goal {ONE} was killed, and has not ended yet"):
+        scheduler.offer(ONE, now=0)
+    scheduler.leave(ONE, 0)
+    assert scheduler.offer(ONE, now=0) == [Order(Act.START, ONE)]
+
+
+def test_the_heap_of_a_queue_does_not_grow_with_goals_that_have_left() -> None:
+    scheduler = Scheduler(Schedule(concurrency=1, queue=1))
+    scheduler.offer(ONE, now=0)
+    for number in range(2, 1000):
+        scheduler.offer(goal(number), now=0)
+        scheduler.leave(goal(number), 0)
+    (group,) = scheduler._groups.values()
+    assert len(group._heap) < 50
+    assert len(scheduler._heads) < 50
+
+
+def test_keys_whose_goals_have_left_are_forgotten() -> None:
+    scheduler = Scheduler(Schedule(total=1, queue=1))
+    scheduler.offer(ONE, now=0)
+    for number in range(2, 1000):
+        scheduler.offer(goal(number), key=number, now=0)
+        scheduler.leave(goal(number), 0)
+    assert len(scheduler._groups) == 1
+    assert len(scheduler._heads) < 50
