@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from contextlib import suppress
@@ -167,12 +168,14 @@ class _GoalSender:
         self._goal_id = GoalID.random()
         self._phase: Literal["preparing", "sent", "accepted"] = "preparing"
         self._late = False
+        self._deadline = math.inf
 
     async def run(self, url: str, name: str, type_name: str, text: str) -> int:
         with SignalReceiver(self._left) as signals:
             async with Background() as tasks:
                 tasks.start_soon(self._handle_signals, signals)
                 if self._options.timeout is not None:
+                    self._deadline = anyio.current_time() + self._options.timeout
                     tasks.start_soon(self._limit, self._options.timeout)
                 with self._all:
                     async with connect(url) as connection:
@@ -213,7 +216,9 @@ class _GoalSender:
         self._phase = "sent"
         feedback = (self._options.feedback or self._printer.wants_all) and not self._options.detach
         try:
-            stream = await self._endpoint.send_goal(self._goal_id, payload, feedback=feedback)
+            stream = await self._endpoint.send_goal(
+                self._goal_id, payload, feedback=feedback, timeout=self._time_left()
+            )
         except get_cancelled_exc_class():
             # It may have arrived, and no client would know of it.
             self._withdrawal.deadline = anyio.current_time() + TIMEOUT
@@ -222,6 +227,11 @@ class _GoalSender:
             raise
         self._phase = "accepted"
         return stream
+
+    def _time_left(self) -> float | None:
+        """Return the seconds until the goal is given up; None if it is not."""
+        left = self._deadline - anyio.current_time()
+        return None if left == math.inf else left
 
     # Ending it early
 

@@ -238,14 +238,17 @@ class Troubled(ForwardingEndpoint):
         self.errors = list(errors)
         self.sent: list[GoalID] = []
         self.canceled: list[GoalID | None] = []
+        self.failed = anyio.Event()
         self._after = after
 
     async def send_goal(self, goal_id: GoalID, goal: bytes, **options: Any) -> GoalStream:
         self.sent.append(goal_id)
         if self.errors and not self._after:
+            self.failed.set()
             raise self.errors.pop(0)
         stream = await super().send_goal(goal_id, goal, **options)
         if self.errors:
+            self.failed.set()
             raise self.errors.pop(0)
         return stream
 
@@ -503,8 +506,15 @@ async def test_a_caller_that_is_canceled_between_attempts_cancels_a_goal_that_ma
     error = ConnectionLost("the line broke") if after else ServerNotFound("nowhere")
     async with reach(ActionServer(FIBONACCI, steps)) as client:
         troubled = Troubled(client.endpoint, error, after=after)
-        with anyio.move_on_after(0.2):
-            await troubled.client.call(Goal(1), retry=Retry(delay=1000, max_delay=1000))
+        retry = Retry(delay=1000, max_delay=1000)
+        async with anyio.create_task_group() as tasks:
+
+            async def call() -> None:
+                await troubled.client.call(Goal(1), retry=retry)
+
+            tasks.start_soon(call)
+            await troubled.failed.wait()
+            tasks.cancel_scope.cancel()
         if after:
             await steps.canceled.wait()
     assert troubled.canceled == troubled.sent * after
