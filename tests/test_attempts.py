@@ -25,6 +25,7 @@ from fibaction import (
     Retry,
     ServerNotFound,
 )
+from fibaction._attempts import check_timeout
 from fibaction.abc import Endpoint, ForwardingEndpoint, GoalStream
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.virtual_time import in_virtual_time
@@ -128,6 +129,14 @@ async def timed_out(waiting: Awaitable[object]) -> GoalTimeout:
 
 
 # Timeouts
+
+
+async def test_a_timeout_is_more_than_nothing() -> None:
+    for timeout in (None, 5e-324, 3, math.inf):
+        check_timeout(timeout)
+    for wrong in (0, -1, math.nan, -math.inf):
+        with pytest.raises(ValueError, match=f"timeout is more than 0 seconds.*, not {wrong}$"):
+            check_timeout(wrong)
 
 
 async def test_the_wait_for_the_acceptance_ends_and_the_goal_is_canceled_by_its_id() -> None:
@@ -444,3 +453,18 @@ async def test_a_goal_that_has_timed_out_is_not_canceled_again_when_the_connecti
             await timed_out(goal.result())
             await client.leave()
     assert endpoint.calls == ["send", "cancel"]
+
+
+@pytest.mark.parametrize(
+    ("error", "calls"),
+    [(ConnectionLost("cut"), ["send", "cancel"]), (ServerNotFound("nowhere"), ["send"])],
+    ids=["may run", "does not run"],
+)
+async def test_a_cancellation_in_a_pause_cancels_a_goal_that_may_run(
+    error: ActionError, calls: list[str]
+) -> None:
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server, sends=[error])
+        with anyio.move_on_after(0.1):
+            await endpoint.client.call(Goal(1), retry=Retry())
+    assert endpoint.calls == calls

@@ -149,6 +149,11 @@ def test_an_error_of_others_is_its_name_and_what_it_says_if_it_can() -> None:
     assert text_of(Mute("too far")) == "Mute"
 
 
+def test_a_rejection_says_whether_the_server_was_busy() -> None:
+    for reason, is_busy in (("busy: 1 of 1 running", True), ("busy", True), ("too busy", False)):
+        assert GoalRejected(reason).is_busy is is_busy
+
+
 def test_what_is_not_said_is_none_or_empty() -> None:
     assert GoalRejected("no").goal_id is None
     assert (GoalAborted("no").result, GoalAborted("no").goal_id) == (None, None)
