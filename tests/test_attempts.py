@@ -184,6 +184,15 @@ async def test_the_answer_to_the_cancel_is_waited_for_some_seconds(
     assert ("its server does not answer the cancel" in caplog.text) is (cancel is HANG)
 
 
+async def test_a_cancellation_of_the_caller_does_not_cut_the_cancel_short() -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server, cancels=[HANG])
+        with anyio.move_on_after(3):
+            await timed_out(endpoint.client.call(Goal(9), timeout=2))
+        assert watch.shows(7)
+
+
 async def test_a_cancel_that_is_rejected_or_fails_is_logged(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -354,12 +363,12 @@ async def test_a_lost_connection_is_raised_where_it_is_not_retried(retry: Retry 
 async def test_feedback_that_is_lost_meanwhile_is_counted(caplog: pytest.LogCaptureFixture) -> None:
     async with ActionServer(FIBONACCI, slow, feedback_window=2) as server:
         endpoint = Scripted(server)
-        seen, on_feedback = losing(endpoint, 1)
-        retry = Retry(delay=5.5)
+        seen, on_feedback = losing(endpoint, 1, 6)
+        retry = Retry(delay=5.5, max_delay=5.5)
         client = endpoint.client
-        await client.call(Goal(9), on_feedback=on_feedback, retry=retry)
-    assert seen == [1, 5, 6, 7, 8, 9]
-    assert "3 feedback messages were lost" in caplog.text
+        await client.call(Goal(15), on_feedback=on_feedback, retry=retry)
+    assert seen == [1, 5, 6, 10, 11, 12, 13, 14, 15]
+    assert "6 feedback messages were lost" in caplog.text
 
 
 async def test_an_executor_does_not_wait_for_a_goal_that_is_followed_again_for_its_result() -> None:
@@ -377,6 +386,7 @@ async def test_an_executor_does_not_wait_for_a_goal_that_is_followed_again_for_i
             await client.call(Goal(9), retry=Retry(delay=0.1))
         assert watch.shows(9)
         assert endpoint.calls == ["send", "follow"]
+        assert not endpoint.streams[-1].reads
 
 
 async def test_a_reader_that_waits_for_the_result_holds_the_executor_on_no_stream() -> None:
