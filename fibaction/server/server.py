@@ -8,13 +8,14 @@ as an `Endpoint`.
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Awaitable, Coroutine
 from functools import partial
 from types import TracebackType
 from typing import Any, Generic, Literal, Self
 
 import anyio
-from anyio import create_task_group
+from anyio import create_task_group, current_time
 
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
@@ -143,8 +144,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         )
         self._dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None = None
         if schedule is not None:
-            if not isinstance(schedule, Schedule):
-                raise TypeError(f"schedule is a Schedule, not {schedule!r}")
+            _check_is_schedule(schedule)
             self._dispatcher = Dispatcher(
                 schedule, self._runs, action=action.name, kill_after=shutdown_timeout
             )
@@ -259,9 +259,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
     ) -> FeedbackCursor:
         """See `Endpoint.send_goal`."""
-        offered = self.offer_goal(goal_id, goal, feedback=feedback, sender=sender)
+        offered = self.offer_goal(goal_id, goal, feedback=feedback, sender=sender, timeout=timeout)
         return offered if isinstance(offered, FeedbackCursor) else await offered
 
     def offer_goal(
@@ -271,10 +272,12 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
     ) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
         """See `Endpoint.offer_goal`; only an async `on_goal` makes it return a coroutine."""
         self._check_running()
-        return self._admission.offer(Offer(goal_id, goal, feedback, sender))
+        deadline = math.inf if timeout is None else current_time() + timeout
+        return self._admission.offer(Offer(goal_id, goal, feedback, sender, deadline))
 
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False
@@ -303,6 +306,11 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
     def __repr__(self) -> str:
         return f"<ActionServer {self.action.name!r} {self._phase} goals={len(self._runs)}>"
+
+
+def _check_is_schedule(schedule: object) -> None:
+    if not isinstance(schedule, Schedule):
+        raise TypeError(f"schedule is a Schedule, not {schedule!r}")
 
 
 def _check_is_executor(executor: object) -> None:

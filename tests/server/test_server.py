@@ -670,6 +670,27 @@ async def test_on_goal_and_the_executor_get_the_sender_of_a_goal() -> None:
     assert seen == [ARM, ARM, LEG, LEG]
 
 
+@pytest.mark.promise("DEADLINE-4")
+async def test_the_executor_gets_the_first_deadline_of_its_goal() -> None:
+    deadlines: list[float] = []
+
+    async def executor(goal: GoalHandle[Goal]) -> Items:
+        deadlines.append(goal.deadline)
+        with anyio.CancelScope(deadline=goal.deadline - 1) as scope:
+            await anyio.lowlevel.checkpoint()
+        assert not scope.cancelled_caught
+        yield Result([])
+
+    async with ActionServer(FIBONACCI, executor) as server:
+        goal_id, before = GoalID.random(), anyio.current_time()
+        stream = await server.send_goal(goal_id, packed(1), timeout=100)
+        await server.send_goal(goal_id, packed(1), timeout=1000)
+        await stream.outcome()
+        await (await server.send_goal(GoalID.random(), packed(1))).outcome()
+    assert before + 100 <= deadlines[0] <= before + 200
+    assert deadlines[1:] == [math.inf]
+
+
 @pytest.mark.promise("FEEDBACK-13")
 async def test_a_goal_sent_again_is_the_senders_own_only_if_it_was_the_first_to_send_it() -> None:
     executor = Held()
