@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 import random
+from typing import Literal, TypeAlias
 
 from msgspec.structs import replace
 
@@ -21,6 +22,8 @@ from tests.simulation.scenario import (
     SchedulePlan,
     Work,
 )
+
+WhenFull: TypeAlias = Literal["reject", "preempt", "replace"]
 
 PART = 0.5
 """The part of the scenarios that have a schedule."""
@@ -42,8 +45,13 @@ def _plan(chance: random.Random) -> SchedulePlan:
     by_key = chance.random() < 0.3
     concurrency = chance.choice([None, 1, 2]) if by_key else chance.choice([1, 1, 2])
     total = chance.choice([1, 2, 3]) if concurrency is None or chance.random() < 0.3 else None
-    when_full = chance.choice(["reject", "preempt", "preempt", "replace"])
-    queues = {"reject": [0, 1, 3, 20], "preempt": [0, 0, 1, 3], "replace": [1, 2, 5]}
+    policies: list[WhenFull] = ["reject", "preempt", "preempt", "replace"]
+    when_full = chance.choice(policies)
+    queues: dict[WhenFull, list[int]] = {
+        "reject": [0, 1, 3, 20],
+        "preempt": [0, 0, 1, 3],
+        "replace": [1, 2, 5],
+    }
     return SchedulePlan(
         concurrency=concurrency,
         total=total,
