@@ -613,7 +613,9 @@ async def test_the_goal_that_was_taken_over_can_be_canceled_like_any_other() -> 
         await settled()
         arm.looks[1].set()
         await arm.until_begun(2)
+        await settled()
         await site.cancel(2)
+        assert second.status is GoalStatus.CANCELING  # its executor ends it, when it has cleaned up
         assert (await second.outcome()).status is GoalStatus.CANCELED
         await site.send(3)
         await arm.until_begun(3)
