@@ -32,7 +32,15 @@ from fibaction.exceptions import (
     TransportError,
     UnknownGoal,
 )
-from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo, Outcome
+from fibaction.goals import (
+    ActionPeers,
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    Outcome,
+    Sender,
+)
 from fibaction.retry import Retry
 from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
 from fibaction.states import GoalEvent, GoalStatus
@@ -77,6 +85,7 @@ __all__ = [
     "ProtocolError",
     "Retry",
     "Schedule",
+    "Sender",
     "SendingGoal",
     "ServerFailed",
     "ServerNotFound",

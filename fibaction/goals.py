@@ -12,6 +12,7 @@ from typing import Any, Generic, TypeVar
 
 import msgspec
 
+from fibaction._text import excerpt
 from fibaction.states import GoalStatus
 
 T = TypeVar("T")
@@ -68,13 +69,23 @@ NO_GOAL = GoalID(bytes(16))
 
 
 class Sender(msgspec.Struct, frozen=True):
-    """The client that sends a goal, as its transport identifies it."""
+    """The client that sends a goal, as the transport identifies it.
+
+    As text, `str(sender)`, it is for people to read, for example `robot7 at 127.0.0.1:51234`, or
+    empty if nothing is known.
+    """
 
     name: str = ""
-    """Its name, for people to read; empty if it is unknown."""
+    """The name that belongs to the client's token; empty if the server asks for no tokens."""
     owner: bytes = b""
     """A digest that is the same on each connection of that client, and of no other client; empty if
     the transport cannot recognise its clients."""
+    address: str = ""
+    """The address of the client, for example `127.0.0.1:51234`; empty if it has none."""
+
+    def __str__(self) -> str:
+        name = excerpt(self.name)
+        return f"{name} at {self.address}" if name and self.address else name or self.address
 
 
 UNKNOWN_SENDER = Sender()
@@ -92,8 +103,14 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     feedback_count: int = 0
     """The number of feedback messages so far; 0 also if the transport does not carry it."""
     client: str = ""
-    """The name of the client that sent the goal, as its transport names clients; empty if it is
+    """The client that sent the goal, for people to read: its `Sender` as text; empty if it is
     unknown."""
+    place: int = 0
+    """Place among the goals that wait, from 1: the next to start; 0 if the goal does not wait, or
+    if the transport does not carry it. `ActionClient.goals` tells it; an event does not, since the
+    places of all goals change with each start."""
+    queue_length: int = 0
+    """The number of goals that wait in the same queue; 0 with a place of 0."""
 
 
 class Outcome(msgspec.Struct, Generic[T], frozen=True):

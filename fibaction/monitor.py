@@ -36,7 +36,7 @@ from fibaction._api import ClientConnection
 from fibaction.action import ActionInfo
 from fibaction.events import GoalFeedback
 from fibaction.exceptions import ActionError
-from fibaction.goals import CancelAnswer, GoalID, GoalInfo
+from fibaction.goals import NO_GOAL, CancelAnswer, GoalID, GoalInfo
 from fibaction.states import GoalStatus
 
 __all__ = [
@@ -56,6 +56,9 @@ MOST_GOALS = 10_000
 """Goals that a monitor keeps; each costs time at every snapshot."""
 SPAN = 5.0
 """Seconds over which a rate is measured: a shorter span flickers, a longer one is late."""
+
+
+_NOT_WAITING = GoalInfo(NO_GOAL, 0, GoalStatus.UNKNOWN)
 
 
 class GoalKey(NamedTuple):
@@ -102,12 +105,17 @@ class Snapshot(msgspec.Struct, frozen=True):
     """The reason why the server cannot be reached; empty if it can."""
     actions: list[ActionSnapshot]
     goals: list[GoalSnapshot]
-    """Active goals first, then ended ones, the newest first."""
+    """Goals in the order of `newest_active_first`."""
 
 
-def newest_active_first(info: GoalInfo) -> tuple[bool, int]:
-    """Return a key to sort goals by: active ones first, the newest first among each."""
-    return not info.status.is_active, -info.stamp
+def newest_active_first(info: GoalInfo) -> tuple[int, int]:
+    """Return a key to sort goals by: active ones, those that wait in a queue, then ended ones.
+
+    The newest are first, but among those that wait the next to start.
+    """
+    if info.place:
+        return 1, info.place
+    return (0 if info.status.is_active else 2), -info.stamp
 
 
 class Monitor(ActionListener):
@@ -215,7 +223,8 @@ class Monitor(ActionListener):
             self._actions.setdefault(info.name, _ActionState(info)).info = info
 
     async def _refresh(self) -> None:
-        # Events do not tell feedback counts, nor that a restarted server has lost its goals.
+        # Events do not tell feedback counts and places, nor that a restarted server has lost its
+        # goals.
         while True:
             await anyio.sleep(PERIOD)
             for state in list(self._actions.values()):
@@ -275,11 +284,17 @@ class _GoalState:
 
     def merge(self, info: GoalInfo) -> None:
         """Take what is newer there: answers and events may cross on the way."""
+        status = max(self.info.status, info.status)
+        waiting = info if info.place else self.info  # events tell no places
+        if status is not GoalStatus.ACCEPTED:
+            waiting = _NOT_WAITING
         self.info = msgspec.structs.replace(
             info,
-            status=max(self.info.status, info.status),
+            status=status,
             feedback_count=max(self.info.feedback_count, info.feedback_count),
             client=info.client or self.info.client,
+            place=waiting.place,
+            queue_length=waiting.queue_length,
         )
 
     def add_feedback(self, event: GoalFeedback[Any]) -> int:

@@ -14,6 +14,7 @@ from typing import Self, TypeAlias
 import msgspec
 
 from fibaction._notify import Notifier
+from fibaction._slices import Slices
 from fibaction.exceptions import ActionError
 from fibaction.goals import GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
@@ -224,6 +225,8 @@ class StatusStream(_Closing):
             ConnectionLost, TransportError: As for `receive`.
         """
         goals: list[GoalInfo] = []
+        slices = Slices()  # a server may have very many goals, and all of them be here already
         while len(goals) < self.known and (info := await self.receive()) is not None:
             goals.append(info)
+            await slices.pause()
         return goals

@@ -86,8 +86,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "941404a96669626f6e6163636940",
     ),
     (
-        AwaitServer(5, "fibonacci"),
-        "931505a96669626f6e61636369",
+        AwaitServer(5, "fibonacci", 100),
+        "941505a96669626f6e6163636964",
     ),
     (
         ListActions(6),
@@ -122,8 +122,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "932201b5746865206f72646572206973206e65676174697665",
     ),
     (
-        Failed(2, Why.SERVER_NOT_FOUND, "nobody serves it"),
-        "94230202b06e6f626f647920736572766573206974",
+        Failed(2, Why.SERVER_NOT_FOUND, "it is not served"),
+        "94230202b06974206973206e6f7420736572766564",
     ),
     (
         Feedback(1, 1, FEEDBACK),
@@ -142,12 +142,12 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "952703009193c410000102030405060708090a0b0c0d0e0fcf17979cfe362a000003a0",
     ),
     (
-        GoalChanged(4, GOAL_ID, STAMP, GoalStatus.EXECUTING, 0, 1, "arm"),
-        "982804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000020001a361726d",
+        GoalChanged(4, GOAL_ID, STAMP, GoalStatus.ACCEPTED, 0, 0, "arm", 2, 5),
+        "9a2804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000010000a361726d0205",
     ),
     (
-        Done(5),
-        "922905",
+        Done(5, [(GOAL_ID, 2, 5)]),
+        "9329059193c410000102030405060708090a0b0c0d0e0f0205",
     ),
     (
         Finished(4),

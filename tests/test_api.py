@@ -268,6 +268,6 @@ async def test_a_server_that_is_wrapped_is_started_served_and_stopped() -> None:
         assert await client.call(Goal(2)) == Result([0, 1, 1])
         (info,) = await client.goals()
     (sender,) = wrapper.senders
-    assert info.client == sender.name != ""
+    assert info.client == str(sender) == sender.address != ""
     assert sender.owner != b""
     assert not server.is_running

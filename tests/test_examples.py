@@ -36,8 +36,10 @@ from tests.processes import PATIENCE, ended, lines_until
 # Examples are scripts beside each other, and import one another as such.
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 
+import exclusive_arm
 import fibonacci_client
 import fibonacci_server
+import worker_pool
 from fibonacci import (
     FIBONACCI,
     Feedback,
@@ -50,7 +52,13 @@ from fibonacci import (
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NUMBERS = [0, 1, 1, 2, 3, 5, 8, 13, 21, 34, 55]
-WATCHED = ("fibonacci_demo.py", "inprocess.py", "pick_pen.py")
+WATCHED = (
+    "exclusive_arm.py",
+    "fibonacci_demo.py",
+    "inprocess.py",
+    "pick_pen.py",
+    "worker_pool.py",
+)
 
 
 def start(script: str, *arguments: str, cwd: Path) -> subprocess.Popen[str]:
@@ -182,6 +190,143 @@ def test_the_arm_retreats_when_the_pen_has_fallen_off_the_table(
 def distances(lines: list[str], phase: str) -> list[float]:
     start = f"arm     {phase:<9}"
     return [float(line.removeprefix(start).split()[0]) for line in lines if line.startswith(start)]
+
+
+def test_the_arm_brakes_before_it_moves_to_its_newest_target(
+    stories: Mapping[tuple[str, str], str], where: str
+) -> None:
+    lines = stories["exclusive_arm.py", where].splitlines()
+    table, shelf, moon = (
+        [line.removeprefix(f"{place:<8}") for line in lines if line.startswith(place)]
+        for place in ("table", "shelf", "moon")
+    )
+    assert [line.split()[0] for line in table] == [
+        "accepted", *["moves"] * 4, *["brakes"] * 2, "ABORTED",
+    ]  # fmt: skip
+    stopped_at = table[-2].removeprefix("brakes").strip()
+    shelf_id = shelf[0].removeprefix("accepted as ")
+    assert table[-1] == f"ABORTED at  {stopped_at}: preempted by {shelf_id}"
+    assert moon == ["REJECTED: a joint cannot turn to 3.00, only to +-1.57"]
+    assert {line.split()[0] for line in shelf} == {"accepted", "moves", "SUCCEEDED"}
+    assert shelf[-1] == "SUCCEEDED at -0.40  0.60  0.30"
+    braked = lines.index(f"table   {table[-1]}")
+    assert braked < next(n for n, line in enumerate(lines) if line.startswith("shelf   moves"))
+
+
+def test_the_farm_starts_the_urgent_shot_first_and_rejects_the_one_too_many(
+    stories: Mapping[tuple[str, str], str], where: str
+) -> None:
+    lines = stories["worker_pool.py", where].splitlines()
+    shots = [f"shot {number}" for number in range(1, 10)]
+    assert [line[:9].rstrip() for line in lines if line.endswith("has begun")] == [
+        *shots[:4], "trailer", *shots[4:],
+    ]  # fmt: skip
+    assert {line[:9].rstrip() for line in lines if "is done: " in line} == {*shots, "trailer"}
+    (rejected,) = (line for line in lines if "rejected" in line)
+    assert rejected.startswith("credits  ")
+    assert rejected.endswith(" was rejected: busy: 4 of 4 running, 6 of 6 waiting")
+
+
+@pytest.mark.parametrize("script", ["exclusive_arm.py", "worker_pool.py"])
+def test_ctrl_c_ends_a_demonstration_with_no_traceback(tmp_path: Path, script: str) -> None:
+    process = start(script, cwd=tmp_path)
+    lines_until("brakes|trailer", process)
+    process.send_signal(SIGINT)
+    code, _, err = ended(process)
+    assert (code, err) == (0, "")
+
+
+# The arm
+
+
+@pytest.mark.anyio
+async def test_a_new_target_preempts_and_the_arm_starts_where_it_has_stopped() -> None:
+    async with exclusive_arm.make_server() as server:
+        client = ActionClient(server, exclusive_arm.MOVE_ARM)
+        async with client.send_goal(exclusive_arm.Goal([1.0, 0.0, 0.0])) as first:
+            async for feedback in first.feedback:
+                if feedback.joints[0] > 0.45:
+                    break
+            second = await client.send_goal(exclusive_arm.Goal([0.0, 0.0, 0.0]))
+            braking = [feedback async for feedback in first.feedback]
+            outcome = await first.outcome()
+            moving = [feedback.joints[0] async for feedback in second.feedback]
+            end = await second.result()
+    assert [feedback.phase for feedback in braking] == ["brakes", "brakes"]
+    assert outcome == Outcome(
+        GoalStatus.ABORTED,
+        exclusive_arm.Result(braking[-1].joints),
+        f"preempted by {second.goal_id}",
+    )
+    assert moving[0] == pytest.approx(braking[-1].joints[0] - 0.1)
+    assert moving == sorted(moving, reverse=True)
+    assert end == exclusive_arm.Result([0.0, 0.0, 0.0])
+
+
+@pytest.mark.anyio
+async def test_a_cancel_stops_the_arm_as_gently() -> None:
+    arm = exclusive_arm.Arm()
+    goal = exclusive_arm.Goal([1.0, 0.0, 0.0])
+    trial = await run_executor(exclusive_arm.MOVE_ARM, arm.move, goal, cancel_after=3)
+    assert [feedback.phase for feedback in trial.feedback] == ["moves"] * 3 + ["brakes"] * 2
+    assert trial.outcome == Outcome(GoalStatus.CANCELED, exclusive_arm.Result(arm.joints))
+    assert arm.joints == pytest.approx([0.37, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("joints", "reason"),
+    [
+        ([1.0, 2.0], "the arm has 3 joints, not 2"),
+        ([0.0, 0.0, -1.6], r"a joint cannot turn to -1\.60, only to \+-1\.57"),
+        ([0.0, float("nan"), 0.0], "a joint cannot turn to nan"),
+    ],
+)
+def test_a_target_out_of_reach_is_rejected_with_the_reason(
+    joints: list[float], reason: str
+) -> None:
+    with pytest.raises(GoalRejected, match=reason):
+        exclusive_arm.Arm().on_goal(exclusive_arm.Goal(joints))
+
+
+@pytest.mark.asyncio
+@pytest.mark.usefixtures("survives_signals")
+async def test_a_signal_while_the_arm_brakes_ends_both_goals() -> None:
+    url = "inproc://braking"
+    with anyio.fail_after(5):
+        async with (
+            connect(url, exclusive_arm.MOVE_ARM) as client,
+            anyio.create_task_group() as tasks,
+        ):
+            tasks.start_soon(exclusive_arm.serve_at, url)
+            await client.wait_for_server()
+            first = await client.send_goal(exclusive_arm.Goal([1.0, 0.0, 0.0]))
+            await anext(aiter(first.feedback))
+            second = await client.send_goal(exclusive_arm.Goal([0.0, 1.0, 0.0]))
+            signal.raise_signal(SIGTERM)
+            outcomes = [await first.outcome(), await second.outcome()]
+    assert [outcome.status for outcome in outcomes] == [GoalStatus.ABORTED] * 2
+    assert [outcome.reason for outcome in outcomes] == [
+        f"preempted by {second.goal_id}",
+        "server stopped",
+    ]
+    assert outcomes[0].result is not None
+    assert outcomes[0].result.joints == pytest.approx([0.17, 0.0, 0.0])
+    assert outcomes[1].result is None
+
+
+# The farm
+
+
+@pytest.mark.anyio
+async def test_a_shot_that_is_canceled_says_how_many_frames_there_are() -> None:
+    goal = worker_pool.Goal("test", 9)
+    trial = await run_executor(worker_pool.RENDER, worker_pool.render, goal, cancel_after=2)
+    assert trial.outcome == Outcome(GoalStatus.CANCELED, worker_pool.Result(2))
+
+
+def test_a_shot_without_frames_is_rejected() -> None:
+    with pytest.raises(GoalRejected, match="a shot has 1 frame or more, not 0"):
+        worker_pool.on_goal(worker_pool.Goal("empty", 0))
 
 
 # The Fibonacci action
@@ -416,19 +561,27 @@ async def test_the_server_logs_each_goal_up_to_the_end_that_a_signal_gives_it(
     assert capsys.readouterr().out == f"serving fibonacci at {url}, Ctrl-C stops it\n"
 
 
-@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
+@pytest.mark.parametrize(
+    ("script", "action", "number"),
+    [
+        ("fibonacci_server.py", "fibonacci", SIGINT),
+        ("fibonacci_server.py", "fibonacci", SIGTERM),
+        ("exclusive_arm.py", "move_arm", SIGINT),
+        ("worker_pool.py", "render", SIGTERM),
+    ],
+)
 def test_a_signal_stops_the_server_with_no_traceback(
-    tmp_path: Path, number: signal.Signals
+    tmp_path: Path, script: str, action: str, number: signal.Signals
 ) -> None:
-    process = start("fibonacci_server.py", "--url", "inproc://here", cwd=tmp_path)
+    process = start(script, "--url", "inproc://here", cwd=tmp_path)
     assert process.stdout is not None
     announced = process.stdout.readline()
     process.send_signal(number)
     code, _, err = ended(process)
-    assert announced == "serving fibonacci at inproc://here, Ctrl-C stops it\n"
+    assert announced == f"serving {action} at inproc://here, Ctrl-C stops it\n"
     assert code == 0
     assert len(err.splitlines()) == 1
-    assert err.endswith(" action server 'fibonacci' has stopped\n")
+    assert err.endswith(f" action server '{action}' has stopped\n")
 
 
 # Both, over TCP
@@ -530,6 +683,10 @@ def test_a_client_says_in_one_line_that_nobody_listens(tmp_path: Path) -> None:
         ("fibonacci_client.py --order ten", 2, "argument --order: invalid int32 value: 'ten'"),
         ("fibonacci_client.py --order 2147483648", 2, "argument --order: invalid int32 value"),
         ("fibonacci_client.py --cancel-after=-1", 2, "argument --cancel-after: invalid count"),
+        ("exclusive_arm.py --url pigeon://x", 2, "no transport for pigeon:// is installed"),
+        ("worker_pool.py --workers 0", 2, "concurrency is 1 or more, not 0"),
+        ("worker_pool.py --queue=-1 --url inproc://x", 2, "queue is 0 or more, not -1"),
+        ("worker_pool.py --queue many", 2, "argument --queue: invalid int value: 'many'"),
         ("fibonacci_client.py --url inproc://nobody", 6, "the action 'fibonacci' is not served"),
     ],
 )

@@ -18,6 +18,7 @@ from fibaction.goals import (
     GoalID,
     GoalInfo,
     Outcome,
+    Sender,
 )
 from fibaction.states import GoalStatus
 
@@ -90,8 +91,9 @@ def test_a_goal_id_survives_the_way_to_another_process() -> None:
         (Outcome(GoalStatus.SUCCEEDED, 1), "result"),
         (CancelAnswer(CancelCode.NONE), "reason"),
         (ActionPeers(), "clients"),
+        (Sender(), "name"),
     ],
-    ids=["GoalInfo", "Outcome", "CancelAnswer", "ActionPeers"],
+    ids=["GoalInfo", "Outcome", "CancelAnswer", "ActionPeers", "Sender"],
 )
 def test_what_was_said_does_not_change(value: msgspec.Struct, field: str) -> None:
     with pytest.raises(AttributeError):
@@ -104,10 +106,26 @@ def test_an_outcome_has_no_result_and_no_reason_unless_told() -> None:
     assert outcome.reason == ""
 
 
-def test_a_goal_has_had_no_feedback_and_its_client_is_not_known_unless_told() -> None:
+def test_a_goal_has_no_feedback_no_client_and_no_place_unless_told() -> None:
     info = GoalInfo(GOAL_ID, 1, GoalStatus.ACCEPTED)
     assert info.feedback_count == 0
     assert info.client == ""
+    assert (info.place, info.queue_length) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("sender", "text"),
+    [
+        (Sender(), ""),
+        (Sender(owner=b"ann"), ""),
+        (Sender("ann"), "ann"),
+        (Sender(address="127.0.0.1:51234"), "127.0.0.1:51234"),
+        (Sender("ann", b"", "127.0.0.1:51234"), "ann at 127.0.0.1:51234"),
+        (Sender("ann\x1b[2J" + "n" * 999), "ann\\x1b[2J" + "n" * 189 + "…"),
+    ],
+)
+def test_a_sender_as_text_is_for_people(sender: Sender, text: str) -> None:
+    assert str(sender) == text
 
 
 def test_no_goal_is_canceling_and_no_reason_is_given_unless_told() -> None:

@@ -73,6 +73,31 @@ def test_an_older_status_does_not_replace_a_newer_one(monitor: Monitor) -> None:
     assert the_goal(monitor).info == GoalInfo(ID, 1, GoalStatus.SUCCEEDED, 5, "me")
 
 
+def waiting(place: int, length: int) -> GoalInfo:
+    return GoalInfo(ID, 1, GoalStatus.ACCEPTED, 0, "me", place, length)
+
+
+@pytest.mark.parametrize(
+    ("events", "place"),
+    [
+        ([info(1), waiting(2, 5)], (2, 5)),
+        ([waiting(2, 5), waiting(1, 4)], (1, 4)),
+        ([waiting(2, 5), info(1)], (2, 5)),
+        ([waiting(2, 5), info(2)], (0, 0)),
+        ([info(2), waiting(2, 5)], (0, 0)),
+        ([waiting(2, 5), info(3), waiting(1, 4)], (0, 0)),
+    ],
+)
+def test_the_newest_place_counts_until_the_goal_waits_no_more(
+    monitor: Monitor, events: list[GoalInfo], place: tuple[int, int]
+) -> None:
+    for event in events:
+        monitor.on_event("one", event)
+
+    found = the_goal(monitor).info
+    assert (found.place, found.queue_length) == place
+
+
 def test_feedback_is_counted_by_its_numbers(monitor: Monitor) -> None:
     monitor.on_event("one", info(2))
     monitor.on_event("one", feedback(7))  # the first that arrives here
@@ -150,6 +175,19 @@ def test_active_goals_come_first_then_the_newest(monitor: Monitor) -> None:
 
     assert [goal.info.stamp for goal in monitor.snapshot(3).goals] == [3, 1, 9]
     assert (the_action(monitor).active, the_action(monitor).ended) == (2, 2)
+
+
+def test_goals_that_wait_come_behind_those_that_run_and_the_next_to_start_first() -> None:
+    infos = [
+        GoalInfo(ID, 4, GoalStatus.ACCEPTED, 0, "", 2, 2),
+        GoalInfo(ID, 3, GoalStatus.ACCEPTED, 0, "", 1, 2),
+        GoalInfo(ID, 2, GoalStatus.EXECUTING),
+        GoalInfo(ID, 1, GoalStatus.EXECUTING),
+        GoalInfo(ID, 5, GoalStatus.SUCCEEDED),
+    ]
+    infos.sort(key=monitor_module.newest_active_first)
+
+    assert [info.stamp for info in infos] == [2, 1, 3, 4, 5]
 
 
 def test_an_action_and_a_server_are_away_until_they_are_back(monitor: Monitor) -> None:

@@ -47,6 +47,14 @@ class GoalRow(msgspec.Struct, frozen=True):
         return str(self.info.goal_id)
 
     @property
+    def status(self) -> str:
+        """The goal's status, or its place in the queue if it waits."""
+        info = self.info
+        if info.place:
+            return f"waits, {ordinal(info.place)} of {info.queue_length}"
+        return info.status.name
+
+    @property
     def feedback(self) -> str:
         """The number of feedback messages; `-` over ROS, which counts none and names no clients."""
         count, client = self.info.feedback_count, self.info.client
@@ -71,7 +79,15 @@ class GoalRow(msgspec.Struct, frozen=True):
             "status": info.status.name,
             "feedback_count": info.feedback_count,
             "client": info.client,
+            "place": info.place,
+            "queue_length": info.queue_length,
         }
+
+
+def ordinal(number: int) -> str:
+    """Return a number as a place: 1st, 2nd, 3rd, 4th, 11th, 21st."""
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
+    return f"{number}{'th' if number % 100 in (11, 12, 13) else ending}"
 
 
 def duration(seconds: float) -> str:
@@ -110,7 +126,7 @@ def in_color(rows: Sequence[GoalRow], lines: Sequence[str]) -> list[Text]:
     for row, text in zip(rows, texts, strict=True):
         status = row.info.status
         line = Text(text, "" if status.is_active else "dim")
-        line.highlight_regex(rf"(?<= ){status.name}(?= )", STYLES.get(status, ""))
+        line.highlight_regex(rf"(?<= ){row.status}(?= )", STYLES.get(status, ""))
         colored.append(line)
     return colored
 
@@ -146,8 +162,8 @@ def unambiguous(goal_ids: Iterable[str]) -> int:
 def _cells(rows: Iterable[GoalRow], digits: int, now: float, *, actions: bool) -> list[list[str]]:
     table = [["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "CLIENT"]]
     for row in rows:
-        action, info = excerpt(shown(row.action)), row.info
-        cells = [row.goal_id[:digits], action, info.status.name, row.age(now)]
+        action = excerpt(shown(row.action))
+        cells = [row.goal_id[:digits], action, row.status, row.age(now)]
         table.append([*cells, row.feedback, row.client])
     return table if actions else [[cells[0], *cells[2:]] for cells in table]
 

@@ -151,7 +151,7 @@ class TopScreen(App[None]):
             [
                 Text(row.goal_id[:digits]),
                 Text(excerpt(shown(row.action))),
-                Text(row.info.status.name, STYLES.get(row.info.status, "")),
+                Text(row.status, STYLES.get(row.info.status, "")),
                 _right(row.age(now)),
                 _right(row.feedback),
                 _right(f"{goal.feedback_rate:.1f}" if row.info.status.is_active else ""),
@@ -195,9 +195,10 @@ class TopScreen(App[None]):
         if self._followed is not None:
             now = self._monitor.goal(self._followed.key)
             self._followed = goal = now or self._followed
-            status = goal.info.status.name if now else "forgotten by the server"
+            row = GoalRow(goal.action, goal.info)
+            status = row.status if now else "forgotten by the server"
             panel.border_title = Text(  # a `str` would be read as markup
-                f"{excerpt(shown(goal.action))} {goal.info.goal_id} {status}"
+                f"{excerpt(shown(goal.action))} {row.goal_id} {status}"
             )
             self.query_one("#feedback", Static).update(
                 goal.latest.yaml

@@ -22,6 +22,7 @@ from fibaction.cli.action_names import find_action, shown
 from fibaction.cli.completion import ACTION, TYPE
 from fibaction.cli.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.goal_input import read_goal
+from fibaction.cli.goal_table import ordinal
 from fibaction.cli.options import full_option, json_option, url_option
 from fibaction.cli.output import note, say
 from fibaction.cli.render import goal_printer, print_goal
@@ -32,6 +33,9 @@ from fibaction.goals import CancelCode, GoalID
 TIMEOUT = 5.0
 """Seconds for a goal to be canceled and to end after its --timeout, and for a cancel without which
 the command could end."""
+
+PAUSE = 0.5
+"""Seconds after which the command tells that a goal waits in a queue."""
 
 _TYPE_NAME = re.compile(r"\w+/action/\w+", re.ASCII)
 
@@ -206,7 +210,10 @@ class _GoalSender:
             return ExitCode.SUCCEEDED
         try:
             live = self._options.feedback and not self._options.full
-            return await print_goal(stream, action, self._printer, live=live)
+            async with Background() as tasks:
+                if not self._options.as_json:
+                    tasks.start_soon(self._tell_place)
+                return await print_goal(stream, action, self._printer, live=live)
         except OSError:
             with anyio.move_on_after(TIMEOUT):
                 await self._cancel()  # the reader of the output has gone
@@ -227,6 +234,16 @@ class _GoalSender:
             raise
         self._phase = "accepted"
         return stream
+
+    async def _tell_place(self) -> None:
+        """Print the goal's place if it still waits in a queue after a while."""
+        await anyio.sleep(PAUSE)
+        with suppress(ActionError):  # the client may not observe, for example
+            with await self._endpoint.status() as statuses:
+                infos = await statuses.listed()
+            place = next((one for one in infos if one.goal_id == self._goal_id and one.place), None)
+            if place is not None:
+                note(f"The goal waits, {ordinal(place.place)} of {place.queue_length}.")
 
     def _time_left(self) -> float | None:
         """Return the seconds until the goal is given up; None if it is not."""

@@ -50,7 +50,7 @@ from fibaction.server._turns import Turns
 
 T = TypeVar("T")
 
-SLICE = 0.005
+EXECUTOR_SLICE = 0.005
 """Seconds that a task may run without awaiting before other tasks run: short for people and for
 heartbeats, long compared with a turn of the event loop (some 10 microseconds)."""
 
@@ -146,6 +146,15 @@ class CancelOnce:
                 self.wake()
 
 
+class Current:
+    """The coroutine of a thread whose step runs now; the watchdog reads it from another thread."""
+
+    __slots__ = ("steps",)
+
+    def __init__(self) -> None:
+        self.steps: Steps[Any] | None = None
+
+
 class Steps(Generator[Any, Any, T], Generic[T]):
     """A coroutine that is awaited step by step: see the theory of operation above."""
 
@@ -154,6 +163,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         "_by_outcome",
         "_context",
         "_coroutine",
+        "_current",
         "_kills",
         "_on_given_up",
         "_on_spared",
@@ -169,9 +179,12 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         context: Context,
         on_given_up: Callable[[], T],
         on_spared: Callable[[], None] = lambda: None,
+        *,
+        current: Current | None = None,
     ) -> None:
         """Prepare to await the coroutine; `on_given_up` is called if it is given up, and returns a
-        value in place of the coroutine's. `on_spared` is called if it is spared.
+        value in place of the coroutine's. `on_spared` is called if it is spared. `current` has this
+        object while a step runs.
         """
         self.pending = False
         """True if a cancellation was sent and has not arrived."""
@@ -180,6 +193,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         self._context = context
         self._on_given_up = on_given_up
         self._on_spared = on_spared
+        self._current = current or Current()
         self._arrived = False
         self._by_outcome = False
         self._kills = 0
@@ -212,10 +226,14 @@ class Steps(Generator[Any, Any, T], Generic[T]):
             # trio resumes a task with an `outcome.Error`, and raises its exception further inside.
             self._by_outcome = True
             self._note_arrival(getattr(value, "error", None))
-        self.slice_end = perf_counter() + SLICE
+        current = self._current
+        outer = current.steps  # an eager task begins in the step of another one
+        self.slice_end = perf_counter() + EXECUTOR_SLICE  # before the watchdog can see this step
+        current.steps = self
         try:
             return self._suspend(self._context.run(self._coroutine.send, value))
         finally:
+            current.steps = outer
             del value  # see `throw`
 
     def throw(
@@ -227,12 +245,16 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         # With one argument it is the exception itself; the other two are deprecated.
         assert isinstance(typ, BaseException)
         self._note_arrival(typ)
-        self.slice_end = perf_counter() + SLICE
+        current = self._current
+        outer = current.steps
+        self.slice_end = perf_counter() + EXECUTOR_SLICE
+        current.steps = self
         # A new cancellation, as of the task itself: a scope inside would absorb anyio's as its own.
         error = type(typ)() if self._arrived else typ
         try:
             return self._suspend(self._context.run(self._coroutine.throw, error))
         finally:
+            current.steps = outer
             # The exception references the frames it passes, and those this one, since Python 3.12.
             del typ, error
 

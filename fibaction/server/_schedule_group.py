@@ -30,6 +30,11 @@ class Entry:
         self.successor: Entry | None = None
         """The goal that starts when this one has left."""
 
+    @property
+    def last(self) -> Entry:
+        """The goal for which its place is kept: its successor, or itself."""
+        return self.successor or self
+
 
 class Group:
     """The goals of one key."""
@@ -56,3 +61,24 @@ class Group:
         while self._heap and self._heap[0][1].goal_id not in self.queue:
             heappop(self._heap)
         return self._heap[0][1] if self._heap else None
+
+    def oldest(self) -> Entry | None:
+        """Return the goal that has run longest, without successor if any is; else the one with the
+        oldest successor.
+        """
+        for entry in self.running.values():
+            if entry.successor is None:
+                return entry
+        return min(self.running.values(), key=lambda one: one.last.urgency[1], default=None)
+
+    def least_urgent(self) -> Entry | None:
+        """Return the running goal that is least urgent, as `oldest` does among equal ones."""
+        running = self.running.values()
+        free = [entry for entry in running if entry.successor is None]
+        return max(free or running, key=_least_urgent_first, default=None)
+
+
+def _least_urgent_first(entry: Entry) -> tuple[float, int]:
+    """Return a key by which the least urgent goal is the largest, and of those the oldest."""
+    urgency, arrival = entry.last.urgency
+    return urgency, -arrival

@@ -34,6 +34,7 @@ from fibaction._text import excerpt, shortened
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import CancelRejected, GoalRejected, ProtocolError
 from fibaction.goals import CancelAnswer, GoalID, Sender
+from fibaction.server._sender_argument import GoalFunction, with_sender
 from fibaction.server.callbacks import SERVER_STOPPING, Callback, Callbacks
 from fibaction.server.cancellation import Cancellation
 from fibaction.server.dispatcher import Dispatcher
@@ -73,7 +74,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         logs: GoalLogs,
         dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None,
         *,
-        on_goal: Callback[GoalT] | None,
+        on_goal: GoalFunction[GoalT, Awaitable[None] | None] | None,
         on_cancel: Callback[GoalHandle[GoalT]] | None,
         interrupt_on_cancel: bool,
     ) -> None:
@@ -82,7 +83,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._runs = runs
         self._logs = logs
         self._dispatcher = dispatcher
-        self._on_goal = on_goal
+        self._on_goal = None if on_goal is None else with_sender("on_goal", on_goal)
         self._on_cancel = on_cancel
         self._interrupt_on_cancel = interrupt_on_cancel
         self._callbacks = Callbacks(action.name)
@@ -114,8 +115,9 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         try:
             request = self._decode(offer.goal)
             if self._on_goal is not None:
+                asked = (request, offer.sender)
                 asking = self._callbacks.ask(
-                    "on_goal", self._on_goal, request, GoalRejected, about=goal_id
+                    "on_goal", self._on_goal, asked, GoalRejected, about=goal_id
                 )
                 if asking is not None:
                     return self._accept_later(offer, request, asking)
@@ -258,7 +260,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             handle = self._runs.handle_of(goal.goal_id)
             try:
                 asking = self._callbacks.ask(
-                    "on_cancel", self._on_cancel, handle, CancelRejected, about=goal.goal_id
+                    "on_cancel", self._on_cancel, (handle,), CancelRejected, about=goal.goal_id
                 )
             except CancelRejected as exc:
                 cancellation.reject(exc.reason)

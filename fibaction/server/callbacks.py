@@ -25,7 +25,7 @@ import math
 from collections.abc import Awaitable, Callable, Coroutine, Generator, Hashable
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar, TypeVarTuple
 
 from anyio import CancelScope, current_effective_deadline, get_cancelled_exc_class
 
@@ -35,6 +35,7 @@ from fibaction._text import excerpt
 from fibaction.exceptions import CancelRejected, GoalRejected, text_of
 
 T = TypeVar("T")
+Arguments = TypeVarTuple("Arguments")
 Callback: TypeAlias = Callable[[T], Awaitable[None] | None]
 """A sync or async function that returns None to accept, and raises a rejection to reject."""
 
@@ -64,8 +65,8 @@ class Callbacks:
     def ask(
         self,
         name: str,
-        callback: Callback[T],
-        argument: T,
+        callback: Callable[[*Arguments], Awaitable[None] | None],
+        arguments: tuple[*Arguments],
         rejection: _Rejection,
         about: Hashable = None,
     ) -> Coroutine[Any, Any, None] | None:
@@ -77,7 +78,7 @@ class Callbacks:
                 the callback raised it, failed, or returned a value, or the server is stopping.
         """
         with self._failures_as(rejection, name):
-            answer: object = _called(callback, argument)
+            answer: object = _called(callback, arguments)
             if isinstance(answer, Awaitable):
                 # Added here, so that `stop` reaches it even before the coroutine begins.
                 scope = CancelScope()
@@ -145,9 +146,12 @@ def _check(name: str, answer: object, rejection: _Rejection) -> None:
         )
 
 
-def _called(callback: Callback[T], argument: T) -> Awaitable[None] | None:
+def _called(
+    callback: Callable[[*Arguments], Awaitable[None] | None],
+    arguments: tuple[*Arguments],
+) -> Awaitable[None] | None:
     try:
-        return callback(argument)
+        return callback(*arguments)
     except get_cancelled_exc_class() as exc:  # nothing was awaited, so it is not the caller's
         raise RuntimeError(CANCELED_ELSEWHERE) from exc
 

@@ -30,6 +30,7 @@ from fibaction._text import excerpt
 from fibaction.action import FeedbackT, GoalT, ResultT
 from fibaction.exceptions import GoalRejected, text_of
 from fibaction.goals import GoalID, Sender
+from fibaction.server._sender_argument import with_sender
 from fibaction.server.goal_handle import GoalHandle, Succession
 from fibaction.server.runs import Runs
 from fibaction.server.schedule import Schedule
@@ -57,7 +58,8 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
     ) -> None:
         """Kill executors that have not ended `kill_after` seconds after they were interrupted."""
         self._scheduler = Scheduler(schedule, kill_after=kill_after)
-        self._schedule = schedule
+        self._key = schedule.key and with_sender("key", schedule.key)
+        self._priority = schedule.priority and with_sender("priority", schedule.priority)
         self._runs = runs
         self._action = action
         self._kill_after = kill_after
@@ -86,13 +88,12 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
             Busy: There is no place to run or to wait.
             GoalRejected: The function `key` or `priority` of the schedule has failed.
         """
-        rules = self._schedule
         key: Hashable = None
         urgency = 0.0
-        if rules.key is not None:
-            key = self._answer("key", _hashable, rules.key, request, sender)
-        if rules.priority is not None:
-            urgency = self._answer("priority", _number, rules.priority, request, sender)
+        if self._key is not None:
+            key = self._answer("key", _hashable, self._key, request, sender)
+        if self._priority is not None:
+            urgency = self._answer("priority", _number, self._priority, request, sender)
         return self._scheduler.offer(goal_id, key=key, urgency=urgency, now=current_time())
 
     def carry_out(self, orders: Iterable[Order]) -> None:
@@ -126,7 +127,7 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
         self,
         name: str,
         check: Callable[[Any], Any],
-        function: Callable[..., Any],
+        function: Callable[[GoalT, Sender], Any],
         request: GoalT,
         sender: Sender,
     ) -> Any:
@@ -136,7 +137,7 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
             GoalRejected: It raised an exception, or its answer cannot be used.
         """
         try:
-            return check(function(request))
+            return check(function(request, sender))
         except Exception as exc:
             reason = f"{name} failed: {text_of(exc)}"
             logger.error("action %r: %s", self._action, reason, exc_info=exc)
@@ -157,6 +158,9 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
     # As a succession
 
     def successor(self, goal_id: GoalID) -> GoalHandle[GoalT] | None:
+        # An interrupted executor ends, and would end its successor as well.
+        if self._is_closed or self._runs.is_interrupted(goal_id):
+            return None
         successor = self._scheduler.successor(goal_id)
         return None if successor is None else self._runs.handle_of(successor)
 

@@ -42,6 +42,7 @@ from fibaction._log import clean_logger
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import GoalAborted, GoalCanceled, text_of
 from fibaction.server._interruption import CancelOnce, Steps
+from fibaction.server._watchdog import Watch
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_record import Ending, EndKind
 
@@ -64,14 +65,15 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         "_action",
         "_context",
         "_executor",
-        "_is_interrupted",
         "_log",
         "_owner",
         "_result",
         "_scopes",
         "_stall_timeout",
         "_steps",
+        "_watch",
         "handle",
+        "is_interrupted",
     )
 
     def __init__(
@@ -81,25 +83,37 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         handle: GoalHandle[GoalT],
         log: FeedbackLog,
         stall_timeout: float,
+        watch: Watch,
     ) -> None:
         self.handle = handle
         self._action = action
         self._executor = executor
         self._log = log
         self._stall_timeout = stall_timeout
+        self._watch = watch
         self._owner = log.goal.sender.owner
         self._result: bytes | None = None
         # The context variables of the call that sent the goal, as a task of its own would have.
         self._context = copy_context()
-        self._is_interrupted = False
+        self.is_interrupted = False
+        """True if a cancellation was sent to the executor."""
         self._scopes: CancelOnce | None = None
         self._steps: Steps[Ending]
 
     def run(self, scopes: CancelOnce) -> Awaitable[Ending]:
         """Run the executor to its end, and return its ending. To be called once."""
         self._scopes = scopes
-        self._steps = Steps(self._run(), scopes, self._context, self._given_up, self._spared)
-        if self._is_interrupted:
+        watch = self._watch
+        self._steps = Steps(
+            self._run(),
+            scopes,
+            self._context,
+            self._given_up,
+            self._spared,
+            current=watch.current,
+        )
+        watch.begin(self._steps, self)
+        if self.is_interrupted:
             self._steps.interrupt()
         return self._steps
 
@@ -107,17 +121,19 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         """Raise the backend's cancellation in the generator, once, at its current or next `await`
         or `yield`. Each `await` after that is clean-up, and is not canceled.
         """
-        if not self._is_interrupted:
-            self._is_interrupted = True
+        if not self.is_interrupted:
+            self.is_interrupted = True
             if self._scopes is not None:
                 self._steps.interrupt()
 
     def kill(self, *, for_good: bool = True) -> None:
-        """Cancel every `await` from now on, those of the clean-up included.
+        """Cancel every `await` from now on, those of the clean-up included, and discard feedback,
+        since the goal has ended.
 
         An executor that survives this is given up if `for_good`; otherwise it runs on.
         """
         if self._scopes is not None:
+            self._log = self._log.discarding()
             self._scopes.kill(for_good=for_good)
 
     def go_on_as(self, handle: GoalHandle[GoalT], log: FeedbackLog) -> None:
@@ -144,6 +160,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             assert self._scopes is not None
             self._scopes.steps = None
             self._scopes = None
+            self._watch.end(self._steps)
             del self._steps  # it and this object reference each other
         if self._result is None:
             return self._failed(_Misuse("it ended without yielding a result"))

@@ -10,7 +10,7 @@ from fibaction.action import GoalT
 from fibaction.states import GoalStatus
 
 if TYPE_CHECKING:
-    from fibaction.goals import GoalID
+    from fibaction.goals import GoalID, Sender
     from fibaction.server.goal_record import GoalRecord
 
 
@@ -56,6 +56,14 @@ class GoalHandle(Generic[GoalT]):
     def stamp(self) -> int:
         """Time of the acceptance: nanoseconds since 1970."""
         return self._goal.stamp
+
+    @property
+    def sender(self) -> Sender:
+        """The client that sent the goal first, as far as the transport identifies it.
+
+        A server behind a gateway sees the gateway as the sender, unless both are in one process.
+        """
+        return self._goal.sender
 
     @property
     def deadline(self) -> float:

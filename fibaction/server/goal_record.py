@@ -12,11 +12,11 @@ from fibaction._budget import CountedBytes
 from fibaction.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.states import INITIAL, GoalStatus
 
-DIGEST_SIZE = 16
-"""Bytes of a digest: enough that two payloads never have the same digest by chance."""
-
 NO_PLACE = (0, 0)
 """The place of a goal that does not wait."""
+
+DIGEST_SIZE = 16
+"""Bytes of a digest: enough that two payloads never have the same digest by chance."""
 
 
 def digest_of(payload: bytes) -> bytes:
@@ -74,18 +74,18 @@ class GoalRecord:
         self.feedback_count = 0
         self.changed = 0
         """Number of the last published change of its status; 0 if no one follows the statuses."""
-        self.place = NO_PLACE
-        """The place among the goals that wait, from 1, and the number of them; zeros if the goal
-        does not wait, or if no observer has asked."""
+        self.place: tuple[int, int] = NO_PLACE
+        """Place among the goals that wait, from 1, and their number. It counts while the goal is
+        ACCEPTED, and is brought up to date before a list of goals is made."""
         self.stop_reason = ""
         """The reason for which the server ends the goal by itself; empty if it does not."""
 
     @property
     def info(self) -> GoalInfo:
         """The goal as an entry of the status list."""
-        return GoalInfo(
-            self.goal_id, self.stamp, self.status, self.feedback_count, self.sender.name
-        )
+        place, length = self.place if self.status is INITIAL else NO_PLACE
+        sender, count = str(self.sender), self.feedback_count
+        return GoalInfo(self.goal_id, self.stamp, self.status, count, sender, place, length)
 
 
 class EndKind(Enum):

@@ -43,11 +43,12 @@ from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.goals import GoalID, Outcome
 from fibaction.server._interruption import CancelOnce
 from fibaction.server._task_pool import TaskPool
+from fibaction.server._watchdog import Watch
 from fibaction.server.executor import Execution, Executor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_handle import GoalHandle, Succession
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.goal_record import Ending, EndKind, GoalRecord
+from fibaction.server.goal_record import NO_PLACE, Ending, EndKind, GoalRecord
 from fibaction.server.registry import GoalRegistry
 from fibaction.states import GoalStatus
 
@@ -87,12 +88,14 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         logs: GoalLogs,
         *,
         stall_timeout: float,
+        watch: Watch,
     ) -> None:
         self._action = action
         self._executor = executor
         self._registry = registry
         self._logs = logs
         self._stall_timeout = stall_timeout
+        self._watch = watch
         self._runs: dict[GoalID, Run[GoalT, FeedbackT, ResultT]] = {}
         self._ended = Notifier()
         self._pool: TaskPool
@@ -114,7 +117,9 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """Add an accepted goal, which waits until `begin`, and return its log."""
         log = self._logs.open(goal)
         handle = GoalHandle(goal, request, self.succession)
-        execution = Execution(self._action, self._executor, handle, log, self._stall_timeout)
+        execution = Execution(
+            self._action, self._executor, handle, log, self._stall_timeout, self._watch
+        )
         self._runs[goal.goal_id] = Run(goal, log, execution)
         self._logs.tell_status(log)
         return log
@@ -123,6 +128,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """Run the executor of a goal that waits, beginning in the next turn of the event loop."""
         run = self._runs[goal_id]
         run.is_waiting = False
+        run.goal.place = NO_PLACE
         self._pool.add(partial(self._run, run.execution), run.goal.sender.owner)
 
     async def _run(
@@ -161,6 +167,11 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def record_of(self, goal_id: GoalID) -> GoalRecord:
         """Return the record of an active goal."""
         return self._runs[goal_id].goal
+
+    def is_interrupted(self, goal_id: GoalID) -> bool:
+        """Return whether the executor of a goal was interrupted, or is gone."""
+        run = self._runs.get(goal_id)
+        return run is None or run.execution.is_interrupted
 
     def take_over(self, goal_id: GoalID, successor: GoalID) -> None:
         """Let the executor of a goal go on as its successor, which waits, and end the goal.

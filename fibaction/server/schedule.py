@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable
-from typing import Any, Literal, TypeAlias
+from collections.abc import Hashable
+from typing import Any, Literal
 
 import msgspec
 
-from fibaction.goals import Sender
-
-Key: TypeAlias = Callable[[Any], Hashable] | Callable[[Any, Sender], Hashable]
-"""A function of the goal, or of the goal and its sender, that returns a key."""
-Priority: TypeAlias = Callable[[Any], float] | Callable[[Any, Sender], float]
-"""A function of the goal, or of the goal and its sender, that returns an urgency."""
+from fibaction.server._sender_argument import GoalFunction, with_sender
 
 WORDS = ("reject", "preempt", "replace")
 
@@ -30,7 +25,8 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
         Schedule(concurrency=4, queue=100, priority=lambda goal: goal.urgency)
 
     A goal that waits is ACCEPTED. A goal that is preempted, replaced or too late ends as ABORTED,
-    and the reason says so.
+    and the reason says so. If its executor has begun, it is interrupted, also on a server with
+    `interrupt_on_cancel=False`. Its place is free when its clean-up has ended.
     """
 
     concurrency: int | None = None
@@ -40,12 +36,12 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
     when_full: Literal["reject", "preempt", "replace"] = "reject"
     """The goal that gives way when no place is free to run or to wait: with `reject` the new one,
     with `preempt` the one that has run longest, with `replace` the newest one that waits."""
-    key: Key | None = None
+    key: GoalFunction[Any, Hashable] | None = None
     """A function that returns the key of a goal, for example its joint group; None for one key. It
     may have a second parameter, the `Sender` of the goal."""
     total: int | None = None
     """Executors that run at the same time, for all keys together; None for any number."""
-    priority: Priority | None = None
+    priority: GoalFunction[Any, float] | None = None
     """A function that returns the urgency of a goal, which may have the `Sender` as its second
     parameter: goals with smaller numbers start first, equal ones in the order of their arrival. A
     goal preempts only less urgent ones, and then at once, even if there is room to wait."""
@@ -62,7 +58,8 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
         """Check the values.
 
         Raises:
-            TypeError: A limit is not a whole number, or `key` or `priority` is not a function.
+            TypeError: A limit is not a whole number, or `key` or `priority` is not a function of a
+                goal, or of a goal and its sender.
             ValueError: A number is out of range, `when_full` is another word, or a rule can never
                 apply.
         """
@@ -90,8 +87,8 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError("when_full='replace' needs a queue of at least 1, not 0")
         for name in ("key", "priority"):
             function = getattr(self, name)
-            if function is not None and not callable(function):
-                raise TypeError(f"{name} is a function of the goal, not {function!r}")
+            if function is not None:
+                with_sender(name, function)
         for name in ("queue_timeout", "run_timeout"):
             seconds = getattr(self, name)
             if not seconds > 0:

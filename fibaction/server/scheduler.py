@@ -293,16 +293,10 @@ class Scheduler:
         by_priority = self._schedule.priority is not None
         if self._schedule.when_full != "preempt" or (has_room and not by_priority):
             return None
-        running = entry.group.running.values()
-        free = [one for one in running if one.successor is None]
         if not by_priority:
-            # The longest-running goal, or if all have successors, the one with the oldest.
-            if free:
-                return free[0]
-            return min(running, key=_successor_order, default=None)
-        # Also with successors that may give way, if all that run have one.
-        least = max(free or running, key=_least_urgent_first, default=None)
-        if least is None or entry.urgency[0] >= (least.successor or least).urgency[0]:
+            return entry.group.oldest()
+        least = entry.group.least_urgent()
+        if least is None or entry.urgency[0] >= least.last.urgency[0]:
             return None
         return least
 
@@ -345,17 +339,6 @@ class Scheduler:
         if limits.total is not None:
             text += f" ({in_all} in all)"
         return f"{text}, {waiting}"
-
-
-def _successor_order(entry: Entry) -> int:
-    assert entry.successor is not None
-    return entry.successor.urgency[1]
-
-
-def _least_urgent_first(entry: Entry) -> tuple[float, int]:
-    """Return a key by which the least urgent goal is the largest, and of those the oldest."""
-    urgency, arrival = (entry.successor or entry).urgency
-    return urgency, -arrival
 
 
 def _first(entries: dict[GoalID, Entry]) -> Entry | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Coroutine
+from collections.abc import Awaitable, Coroutine
 from functools import partial
 from types import TracebackType
 from typing import Any, Generic, Literal, Self
@@ -24,6 +24,8 @@ from fibaction.abc import Endpoint
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import ServerNotFound
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
+from fibaction.server._sender_argument import GoalFunction
+from fibaction.server._watchdog import Watch
 from fibaction.server.admission import Admission, Offer
 from fibaction.server.callbacks import Callback
 from fibaction.server.dispatcher import Dispatcher
@@ -53,7 +55,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         action: Action[GoalT, FeedbackT, ResultT],
         executor: Executor[GoalT, FeedbackT, ResultT],
         *,
-        on_goal: Callback[GoalT] | None = None,
+        on_goal: GoalFunction[GoalT, Awaitable[None] | None] | None = None,
         on_cancel: Callback[GoalHandle[GoalT]] | None = None,
         interrupt_on_cancel: bool = True,
         feedback: Literal["every", "latest"] = "every",
@@ -65,14 +67,16 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         max_bytes: int = MAX_BYTES,
         shutdown_timeout: float = 5.0,
         schedule: Schedule | None = None,
+        watchdog: float = 1.0,
     ) -> None:
         """Set up a server; nothing runs yet.
 
         Args:
             action: The action that is served.
             executor: An async generator function, called with a `GoalHandle` for each goal.
-            on_goal: A function that is called with each goal of the right type, and raises
-                `GoalRejected` to reject it. Without it, every such goal is accepted.
+            on_goal: A function that is called with each goal of the right type, and with its
+                `Sender` if it has a second parameter, and raises `GoalRejected` to reject the goal.
+                Without it, every such goal is accepted.
             on_cancel: A function that is called with the `GoalHandle` of each goal to cancel, and
                 raises `CancelRejected` to reject the cancel. Without it, every cancel is accepted.
             interrupt_on_cancel: If true, an accepted cancel raises the backend's cancellation in
@@ -95,10 +99,14 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 Then they are killed, and those that do not end are abandoned about a second later.
             schedule: The rules by which accepted goals run, wait and give way; None to run all of
                 them at once.
+            watchdog: Seconds that an executor may block the event loop before the log names its
+                goal and its line of code; 0 is never. The time at a debugger's breakpoint counts,
+                and so may the time for which the computer sleeps or is too busy.
 
         Raises:
             TypeError: The action is untyped, or the executor is not callable, is a coroutine
-                function, or is a generator function that is not async.
+                function, or is a generator function that is not async; `on_goal` takes neither
+                one argument nor two; or the schedule is not a `Schedule`.
             ValueError: A number is out of range, or `feedback` is not a policy.
         """
         if object in action.feedback.classes:
@@ -118,6 +126,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             ("max_goals", max_goals),
             ("max_bytes", max_bytes),
             ("shutdown_timeout", shutdown_timeout),
+            ("watchdog", watchdog),
         ):
             if not value >= 0:
                 raise ValueError(f"{name} is 0 or more, not {value}")
@@ -129,9 +138,14 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             max_bytes=max_bytes,
         )
         self._logs = GoalLogs(registry, window=feedback_window, latest=feedback == "latest")
-        self._runs = Runs(action, executor, registry, self._logs, stall_timeout=stall_timeout)
+        self._watch = Watch(action.name, watchdog)
+        self._runs = Runs(
+            action, executor, registry, self._logs, stall_timeout=stall_timeout, watch=self._watch
+        )
         self._dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None = None
         if schedule is not None:
+            if not isinstance(schedule, Schedule):
+                raise TypeError(f"schedule is a Schedule, not {schedule!r}")
             self._dispatcher = Dispatcher(
                 schedule, self._runs, action=action.name, kill_after=shutdown_timeout
             )
@@ -171,7 +185,12 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if not self.is_new:
             raise RuntimeError(f"{self!r} was started before; make another one")
         self._background = Background()
-        tasks = await self._background.__aenter__()
+        self._watch.open()
+        try:
+            tasks = await self._background.__aenter__()
+        except BaseException:
+            self._watch.close()
+            raise
         tasks.start_soon(self._logs.forget_expired, name=f"expiry of {self.action.name}")
         self._runs.open(tasks)
         if self._dispatcher is not None:
@@ -193,7 +212,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 async with create_task_group() as tasks:
                     tasks.start_soon(self.stop)
         finally:
-            await self._background.__aexit__(exc_type, exc, traceback)
+            try:
+                await self._background.__aexit__(exc_type, exc, traceback)
+            finally:
+                self._watch.close()
 
     async def stop(self) -> None:
         """Reject new goals, end all active ones, and answer every client that waits.

@@ -68,6 +68,8 @@ from fibaction.wire.settings import ClientSettings
 
 OPEN_TIMEOUT = 5.0
 """Seconds that one attempt to connect may take."""
+WAITING_GOAL = 64
+"""Bytes of a message for each goal that waits in it, at most."""
 LEAVE_TIMEOUT = 1.0
 """Seconds that leaving waits for the last messages to be written."""
 
@@ -85,7 +87,9 @@ class RemoteConnection(Connection):
         self._session = secrets.token_bytes(16)
         self._link: Link | None = None
         self._reconnector = Reconnector(url, settings, self._attempt, self._fail_calls)
-        self._calls = OpenCalls(settings.window, self._reconnector.check)
+        self._calls = OpenCalls(
+            settings.window, settings.max_frame // WAITING_GOAL, self._reconnector.check
+        )
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
         info = action.info if isinstance(action, Action) else action

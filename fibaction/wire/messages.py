@@ -137,6 +137,8 @@ class AwaitServer(_Message, tag=21):
 
     id: ID
     action: str
+    most_waiting: Count = 0
+    """Most goals that wait in a queue to be told in the answer."""
 
 
 @final
@@ -300,6 +302,10 @@ class GoalChanged(_Message, tag=40):
     """Feedback messages of the goal so far."""
     client: str = ""
     """Name of the client that sent the goal; empty if the server does not know it."""
+    place: Stamp = 0
+    """Place among the goals that wait, from 1; 0 if the goal does not wait."""
+    queue_length: Stamp = 0
+    """Goals that wait in the same queue."""
 
 
 @final
@@ -307,6 +313,8 @@ class Done(_Message, tag=41):
     """The server is now available. Answers `AwaitServer`; the last message of that ID."""
 
     id: ID
+    waiting: list[tuple[GoalBytes, Stamp, Stamp]] = []
+    """Goals that wait, if they were asked for: ID, place and queue length of each."""
 
 
 @final

@@ -6,6 +6,7 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -24,9 +25,12 @@ from fibaction.wire.remote_statuses import RemoteStatuses, StatusWatch
 class OpenCalls:
     """The open calls of one client, by their IDs, and those that wait to be sent."""
 
-    def __init__(self, window: int, check: Callable[[], None]) -> None:
-        """Let `check` raise the reason why no call can be opened now, if there is one."""
+    def __init__(self, window: int, most_waiting: int, check: Callable[[], None]) -> None:
+        """Let `check` raise the reason why no call can be opened now, if there is one. A message
+        from the server has room for `most_waiting` goals that wait.
+        """
         self._check = check
+        self._most_waiting = most_waiting
         self._link: Link | None = None
         self._max_frame = MAX_FRAME
         self._calls: dict[int, Call] = {}
@@ -86,9 +90,13 @@ class OpenCalls:
             if not watch.is_answered:
                 break
             # All that the server has told before this answer is known then: a goal that this client
-            # has sent, for example.
-            await self.ask(lambda call_id: AwaitServer(call_id, action), Done)
+            # has sent, for example. Places of goals that wait are told here only, since each start
+            # of a goal changes those of all others.
+            most = self._most_waiting if watch.has_accepted else 0
+            asking = partial(AwaitServer, action=action, most_waiting=most)
+            sign: Done = await self.ask(asking, Done)
             if watch is self._watches.get(action) and watch.is_complete:
+                watch.set_places(sign.waiting)
                 break
         statuses = watch.follow()
         try:

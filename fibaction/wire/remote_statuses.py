@@ -10,7 +10,8 @@ that leaves closes it.
 The watch knows the newest status of each goal. A follower that comes later begins with these, and
 then gets the changes, as the first one does: if part of the server's list is still to come, this
 part counts as known, too. Before it begins, the server is asked for a sign (`AwaitServer`), since
-it tells what has changed by then before that. `OpenCalls` makes a new watch in place of one that
+it tells what has changed by then before that. If goals wait, the answer has their places, which no
+change tells. `OpenCalls` makes a new watch in place of one that
 has missed changes, because the server has left some out: such a watch may know goals that the
 server has forgotten. The followers go on with the new one.
 
@@ -26,6 +27,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 from typing import Any
+
+from msgspec.structs import replace
 
 from fibaction._notify import Notifier
 from fibaction._text import excerpt
@@ -73,6 +76,19 @@ class StatusWatch(Call):
     def is_complete(self) -> bool:
         """True if another follower may begin with what is known here."""
         return not (self.is_over or self._dropped or self.error)
+
+    @property
+    def has_accepted(self) -> bool:
+        """True if a goal that is known here has not begun: it may wait in a queue."""
+        return any(info.status is GoalStatus.ACCEPTED for info in self._goals.values())
+
+    def set_places(self, waiting: Iterable[tuple[bytes, int, int]]) -> None:
+        """Take the ID, the place and the length of the queue of all goals that wait."""
+        places = {goal_id: (place, length) for goal_id, place, length in waiting}
+        for goal_id, info in self._goals.items():
+            if info.status is GoalStatus.ACCEPTED:
+                place, length = places.get(goal_id, (0, 0))
+                self._goals[goal_id] = replace(info, place=place, queue_length=length)
 
     @property
     def dropped(self) -> int:
@@ -154,6 +170,8 @@ class StatusWatch(Call):
             message.status,
             message.feedback_count,
             excerpt(message.client),
+            message.place,
+            message.queue_length,
         )
         self._learn(info)
         for statuses in self._followers:

@@ -159,6 +159,8 @@ class RequestHandlers:
                 statuses.dropped,
                 info.feedback_count,
                 info.client,
+                info.place,
+                info.queue_length,
             )
             await self._say(changed)
             await slices.pause()
@@ -168,7 +170,11 @@ class RequestHandlers:
         with CancelScope() as scope:
             subscription.stop_with(scope.cancel)
             await endpoint.wait_for_server()
-            await self._say(Done(message.id))
+            if not message.most_waiting:
+                return await self._say(Done(message.id))
+            async with self._listing:
+                waiting = await _waiting(endpoint, message.most_waiting)
+                await self._say(Done(message.id, waiting))
 
     async def _ask_peers(self, message: AskPeers, _subscription: RequestSubscription) -> None:
         await self._find(message.action, Permission.OBSERVE)
@@ -179,6 +185,19 @@ class RequestHandlers:
         async with self._listing:
             infos = [endpoint.info for endpoint in self._endpoints.values()]
             await self._say(Actions(message.id, infos))
+
+
+async def _waiting(endpoint: Endpoint, most: int) -> list[tuple[bytes, int, int]]:
+    """Return the ID, the place and the length of the queue of goals that wait."""
+    with await endpoint.status() as statuses:
+        infos = await statuses.listed()
+    waiting: list[tuple[bytes, int, int]] = []
+    slices = Slices()
+    for info in infos:
+        if info.place and len(waiting) < most:
+            waiting.append((bytes(info.goal_id), info.place, info.queue_length))
+        await slices.pause()
+    return waiting
 
 
 @contextmanager

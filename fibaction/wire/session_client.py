@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from fibaction._text import excerpt
 from fibaction.abc import Endpoint
 from fibaction.exceptions import AuthenticationFailed, ProtocolError, ServerNotFound
-from fibaction.goals import UNKNOWN_SENDER, Sender
+from fibaction.goals import Sender
 from fibaction.server.goal_record import digest_of
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.codec import FromClient
@@ -33,7 +33,7 @@ class SessionClient:
         self.session = b""
         """The digest of the client's secret and of the name of its token, the same on each of its
         connections; empty if it has no secret."""
-        self.sender = UNKNOWN_SENDER
+        self.sender = Sender(address=address)
         """The client as the sender of its goals."""
         self.max_frame = MAX_FRAME
         """Bytes of the largest message that the client accepts."""
@@ -53,8 +53,7 @@ class SessionClient:
     @property
     def name(self) -> str:
         """The client's address, with the name of its token if it has one, for people to read."""
-        name = excerpt(self._peer.name) if self._peer is not None else ""
-        return f"{name} at {self._address}" if name else self._address
+        return str(self.sender)
 
     def greet(self, message: FromClient) -> Hello:
         """Take the first message of the client, and let it in.
@@ -89,7 +88,8 @@ class SessionClient:
             # Another token with the same secret is another client.
             self.session = digest_of(digest_of(self._peer.name.encode()) + message.session)
         # A client without a secret is told from all others, and is another on each connection.
-        self.sender = Sender(self.name, self.session or os.urandom(len(digest_of(b""))))
+        owner = self.session or os.urandom(len(digest_of(b"")))
+        self.sender = Sender(self._peer.name, owner, self._address)
         self.max_frame = message.max_frame
         return message
 

@@ -8,11 +8,20 @@ import pytest
 from rich.console import Console
 
 from fibaction import GoalID, GoalInfo, GoalStatus
-from fibaction.cli.goal_table import GoalRow, duration, in_columns, picture, unambiguous
+from fibaction.cli.goal_table import (
+    GoalRow,
+    duration,
+    in_color,
+    in_columns,
+    ordinal,
+    picture,
+    unambiguous,
+)
 
 A = GoalID.parse("aaaaaaaa" + "0" * 24)
 B = GoalID.parse("aaaaaaaa" + "1" * 24)
 C = GoalID.parse("cccccccc" + "0" * 24)
+WAITING = GoalInfo(C, 10**9, GoalStatus.ACCEPTED, 0, "me", 2, 5)
 
 
 def row(goal_id: GoalID = A, *, status: int = 2, stamp: int = 1, client: str = "") -> GoalRow:
@@ -90,7 +99,36 @@ def test_a_row_for_programs_has_all_of_it() -> None:
         "status": "EXECUTING",
         "feedback_count": 0,
         "client": "me",
+        "place": 0,
+        "queue_length": 0,
     }
+    assert GoalRow("a", WAITING).json()["place"] == 2
+    assert GoalRow("a", WAITING).json()["queue_length"] == 5
+
+
+@pytest.mark.parametrize(
+    ("number", "text"),
+    [
+        *((1, "1st"), (2, "2nd"), (3, "3rd"), (4, "4th"), (10, "10th")),
+        *((11, "11th"), (12, "12th"), (13, "13th"), (21, "21st"), (22, "22nd"), (23, "23rd")),
+        *((100, "100th"), (101, "101st"), (111, "111th"), (1012, "1012th"), (1021, "1021st")),
+    ],
+)
+def test_a_place_is_an_ordinal_number(number: int, text: str) -> None:
+    assert ordinal(number) == text
+
+
+def test_a_goal_that_waits_has_its_place_instead_of_its_status() -> None:
+    rows = [row(), GoalRow("arm/pick", WAITING)]
+    lines = in_columns(rows, actions=True, width=80, now=2.0)
+
+    assert lines == [
+        "ID        ACTION     STATUS             AGE  FEEDBACK  CLIENT",
+        "aaaaaaaa  /arm/pick  EXECUTING        1.0 s         -  -",
+        "cccccccc  /arm/pick  waits, 2nd of 5  1.0 s         0  me",
+    ]
+    colored = in_color(rows, lines)[2]
+    assert [colored.plain[one.start : one.end] for one in colored.spans] == ["waits, 2nd of 5"]
 
 
 def test_a_picture_has_the_active_goals_first_and_says_what_is_left_out() -> None:

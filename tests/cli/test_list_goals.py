@@ -56,6 +56,8 @@ def test_goals_as_json_has_all_that_is_known(here: Run, url: str) -> None:
         "goal_id": goal_id,
         "status": "SUCCEEDED",
         "feedback_count": 4,
+        "place": 0,
+        "queue_length": 0,
     }
 
 

@@ -83,6 +83,18 @@ async def test_everything_fits_the_width(columns: int) -> None:
 
 
 @pytest.mark.asyncio
+async def test_a_goal_that_waits_has_its_place() -> None:
+    monitor = filled()
+    third = GoalID(b"\x33" * 16)
+    monitor.on_event("arm/pick", GoalInfo(third, 3, GoalStatus.ACCEPTED, 0, "me", 3, 11))
+    async with shown(monitor) as pilot:
+        assert "  waits, 3rd of 11  " in find(pilot, "33333333")
+        await pilot.press("down", "down", "f")  # it is behind the two that run
+        await pilot.pause()
+        assert find(pilot, f"/arm/pick {third} waits, 3rd of 11")
+
+
+@pytest.mark.asyncio
 @pytest.mark.parametrize("key", ["f", "enter"])
 async def test_a_goal_is_followed_until_it_is_no_more(key: str) -> None:
     monitor = filled()

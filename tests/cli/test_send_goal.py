@@ -17,10 +17,13 @@ import pytest
 
 from fibaction import (
     ActionServer,
+    AuthenticationFailed,
     CancelAnswer,
     GoalHandle,
     GoalID,
     GoalStatus,
+    Schedule,
+    Sender,
     ServerNotFound,
     connect,
     serve,
@@ -370,7 +373,7 @@ def deciding() -> tuple[ScriptedServer[Wait, Progress, Waited], anyio.Event, any
     asked, decide = anyio.Event(), anyio.Event()
     server = ScriptedServer(WAIT, [Waited(1.0)])
 
-    async def think(_: Wait) -> None:
+    async def think(_: Wait, __: Sender) -> None:
         asked.set()
         await decide.wait()
 
@@ -418,6 +421,57 @@ async def until(server: ActionServer[Any, Any, Any], status: GoalStatus) -> None
         while (info := await statuses.receive()) and info.status is not status:
             pass
     assert info is not None
+
+
+@pytest.mark.asyncio
+async def test_a_goal_that_waits_in_a_queue_tells_its_place(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(send_goal, "PAUSE", 0)
+    told = anyio.Event()
+
+    def note(text: str) -> None:
+        print(text)
+        told.set()
+
+    monkeypatch.setattr(send_goal, "note", note)
+    server = waiting(schedule=Schedule(concurrency=1, queue=5))
+    async with executing(server) as first:
+        async with connect("inproc://keys", WAIT) as client:
+            other = await client.send_goal(Wait())
+            async with sent_here() as second:
+                with anyio.fail_after(20):
+                    await told.wait()
+                assert first == second == []
+                await other.cancel()
+                await client.cancel_goals()
+
+    assert first == second == [ExitCode.CANCELED]
+    assert "\nThe goal waits, 2nd of 2.\n" in capsys.readouterr().out
+
+
+@pytest.mark.asyncio
+async def test_a_goal_of_a_client_that_may_not_observe_goes_on_without_its_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(send_goal, "PAUSE", 0)
+    asked = anyio.Event()
+    server = waiting()
+    status = server.status
+
+    async def forbidden() -> Any:
+        asked.set()
+        raise AuthenticationFailed("this client may not observe")
+
+    async with executing(server) as codes:
+        monkeypatch.setattr(server, "status", forbidden)
+        async with sent_here() as more:
+            with anyio.fail_after(20):
+                await asked.wait()
+            monkeypatch.setattr(server, "status", status)
+            await server.cancel_goals()
+
+    assert codes == more == [ExitCode.CANCELED]
 
 
 @pytest.mark.asyncio

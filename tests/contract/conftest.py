@@ -10,7 +10,7 @@ import socket
 import tempfile
 from collections.abc import AsyncGenerator, Callable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import anyio
 import pytest
@@ -29,8 +29,15 @@ from fibaction_transports.inprocess import InProcessTransport
 from tests.certificates import pems
 
 Servers: TypeAlias = tuple[Endpoint, ...]
-Way: TypeAlias = Callable[[Servers, str | Transport], AbstractAsyncContextManager[str]]
-"""Serves at an address, and gives the URL for clients."""
+
+
+class Way(Protocol):
+    """A way to serve at an address, which gives the URL for clients."""
+
+    def __call__(
+        self, servers: Servers, address: str | Transport, **settings: Any
+    ) -> AbstractAsyncContextManager[str]: ...
+
 
 PATIENCE = 10.0
 """Seconds after which a test that hangs fails."""
@@ -72,10 +79,20 @@ class Reach:
             yield one, other
 
     @asynccontextmanager
-    async def _serve(self, *servers: Endpoint) -> AsyncGenerator[str, None]:
+    async def named_clients(
+        self, server: ActionServer[GoalT, FeedbackT, ResultT], *names: str
+    ) -> AsyncGenerator[list[ActionClient[GoalT, FeedbackT, ResultT]], None]:
+        """Serve with a token for each name, and give a client with each of the tokens."""
+        tokens = {f"token of {name}": name for name in names}
+        async with self._serve(server, tokens=tokens) as url, AsyncExitStack() as stack:
+            opening = [connect(url, server.action, token=token) for token in tokens]
+            yield [await stack.enter_async_context(client) for client in opening]
+
+    @asynccontextmanager
+    async def _serve(self, *servers: Endpoint, **settings: Any) -> AsyncGenerator[str, None]:
         before = running()
         with anyio.fail_after(PATIENCE):
-            async with self._way(servers, self.address()) as url:
+            async with self._way(servers, self.address(), **settings) as url:
                 yield url
         assert running() <= before, "tasks are left behind"
 
@@ -85,21 +102,23 @@ def running() -> set[int]:
 
 
 @asynccontextmanager
-async def directly(servers: Servers, address: str | Transport) -> AsyncGenerator[str, None]:
-    async with serve(servers, address) as (url,):
+async def directly(
+    servers: Servers, address: str | Transport, **settings: Any
+) -> AsyncGenerator[str, None]:
+    async with serve(servers, address, **settings) as (url,):
         yield url
 
 
 @asynccontextmanager
 async def through_a_gateway(
-    servers: Servers, address: str | Transport
+    servers: Servers, address: str | Transport, **settings: Any
 ) -> AsyncGenerator[str, None]:
     """Somebody between, who knows no types, serves what he reaches."""
     async with AsyncExitStack() as stack:
         (url,) = await stack.enter_async_context(serve(servers, InProcessTransport()))
         behind = await stack.enter_async_context(connect(url))
         endpoints = [behind.endpoint(info) for info in await behind.actions()]
-        (url,) = await stack.enter_async_context(serve(endpoints, address))
+        (url,) = await stack.enter_async_context(serve(endpoints, address, **settings))
         yield url
 
 
@@ -128,7 +147,12 @@ WAYS: dict[str, Reach] = {
     "gateway to tcp": Reach(through_a_gateway, tcp_address),
 }
 
-EXCLUSIONS: dict[tuple[str, str], str] = {}
+NO_TOKENS = "clients in the process of their server have no tokens and no addresses"
+
+EXCLUSIONS: dict[tuple[str, str], str] = {
+    (way, "test_the_sender_has_the_name_of_its_token_and_its_address"): NO_TOKENS
+    for way in ("inproc", "gateway")
+}
 """(way, test name): the reason why that way cannot keep it."""
 
 

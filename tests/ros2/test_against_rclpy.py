@@ -11,7 +11,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import GoalID, GoalStatus, serve
+from fibaction import GoalID, GoalStatus, Schedule, serve
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import TYPE, Behaviour
 from tests.ros2.stock.process import Peer, peer
@@ -35,6 +35,8 @@ async def ours(anyio_backend: str) -> AsyncGenerator[Behaviour, None]:
     servers = [
         behaviour.server("ours", result_timeout=60),
         behaviour.server("hasty", result_timeout=RESULT_TIMEOUT),
+        behaviour.server("arm", schedule=Schedule(concurrency=1, when_full="preempt")),
+        behaviour.server("line", schedule=Schedule(concurrency=1, queue=1)),
     ]
     async with serve(servers, "ros2://our_server"):
         yield behaviour
@@ -76,9 +78,9 @@ async def statuses_of(stock: Peer, goal: str, action: str = "ours") -> list[int]
     return said
 
 
-async def ended(stock: Peer, goal: str, status: int) -> None:
+async def ended(stock: Peer, goal: str, status: int, action: str = "ours") -> None:
     """Wait until the status topic has this status last."""
-    await eventually(lambda: statuses_of(stock, goal), lambda said: said[-1:] == [status])
+    await eventually(lambda: statuses_of(stock, goal, action), lambda said: said[-1:] == [status])
 
 
 async def feedback(stock: Peer, goal: str, sent: list[list[int]]) -> None:
@@ -398,3 +400,41 @@ async def test_a_client_that_is_killed_does_not_affect_others(stock: Peer, ours:
         await ended(stock, goal, CANCELED)
     assert await raw_result(stock, goal) == (CANCELED, [])
     await lives(stock)
+
+
+# Schedules
+
+
+@pytest.mark.promise("SCHEDULE-5")
+async def test_a_preempted_goal_ends_as_aborted_and_the_new_one_runs(stock: Peer) -> None:
+    old = await accepted(stock, orders.WAITS, "arm")
+    await ended(stock, old, EXECUTING, "arm")
+    new = await accepted(stock, 4, "arm")
+
+    assert (await result(stock, old))[0] == ABORTED
+    assert await result(stock, new) == (SUCCEEDED, [0, 1, 1, 2, 3])
+    assert await statuses_of(stock, old, "arm") == [ACCEPTED, EXECUTING, ABORTED]
+
+
+@pytest.mark.promise("SCHEDULE-2", "SCHEDULE-4")
+async def test_a_goal_waits_as_accepted_and_one_without_a_place_is_rejected(stock: Peer) -> None:
+    running = await accepted(stock, orders.WAITS, "line")
+    waiting = await accepted(stock, 4, "line")
+
+    assert not (await send(stock, 3, "line"))["accepted"]
+    await eventually(lambda: statuses_of(stock, waiting, "line"), lambda said: said == [ACCEPTED])
+    assert (await stock.ask("cancel", goal=running))["code"] == NONE
+    assert await result(stock, waiting) == (SUCCEEDED, [0, 1, 1, 2, 3])
+    assert (await result(stock, running))[0] == CANCELED
+
+
+@pytest.mark.promise("SCHEDULE-3")
+async def test_a_goal_canceled_while_it_waits_ends_as_canceled(stock: Peer) -> None:
+    running = await accepted(stock, orders.WAITS, "line")
+    waiting = await accepted(stock, 4, "line")
+
+    assert await stock.ask("cancel", goal=waiting) == {"code": NONE, "goals": [waiting]}
+    assert (await result(stock, waiting))[0] == CANCELED
+    assert await statuses_of(stock, waiting, "line") == [ACCEPTED, CANCELING, CANCELED]
+    assert (await stock.ask("cancel", goal=running))["code"] == NONE
+    assert (await result(stock, running))[0] == CANCELED

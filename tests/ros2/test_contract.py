@@ -19,6 +19,9 @@ MODULES = [
     "tests.contract.test_executing",
     "tests.contract.test_feedback",
     "tests.contract.test_leaving",
+    "tests.contract.test_scheduling",
+    "tests.contract.test_places",
+    "tests.contract.test_senders",
 ]
 pytest.register_assert_rewrite(*MODULES)
 
@@ -28,6 +31,7 @@ pytestmark = pytest.mark.anyio
 anyio_backend = contract.anyio_backend
 
 REASON = "ROS 2's answers have no field for a reason"
+PLACE = "a GoalStatus has no field for a place"
 AGAIN = "a second goal with the ID of another is rejected, as rcl_action does"
 DEFAULT = "every field has a value in ROS 2, so one that is left out has its default"
 TYPE = "an action without a ROS type cannot be served"
@@ -35,6 +39,8 @@ HOLD = "feedback is broadcast, and no client can make a server wait"
 NUMBER = "feedback is not numbered, so what was lost on the way cannot be counted"
 PAST = "feedback of the past is not kept for those who come late"
 ERRORS = "ROS 2's answers have no field for an error"
+SENDER = "a request of ROS 2 does not name its client"
+PLACE = "a list of statuses has no field for the place of a goal"
 TIMEOUT = "a request with a goal has no field for a timeout"
 STOPPED = "a server that has stopped still rejects goals, as long as its node is there"
 
@@ -53,6 +59,12 @@ EXCLUSIONS: dict[str, str] = {
     "test_a_goal_that_is_sent_while_the_server_stops_is_rejected": REASON,
     "test_an_executor_that_does_not_stop_in_time_is_killed": REASON,
     "test_an_executor_that_goes_wrong_is_aborted_with_the_reason": REASON,
+    "test_a_goal_without_a_place_is_told_how_many_run_and_wait": REASON,
+    "test_a_list_of_goals_tells_the_places_of_those_that_wait": PLACE,
+    "test_a_preempted_goal_is_told_by_which": REASON,
+    "test_a_replaced_goal_is_told_by_which": REASON,
+    "test_a_goal_that_is_too_late_is_told_how_long_it_had": REASON,
+    "test_a_goal_is_told_which_function_of_the_schedule_has_failed": REASON,
     "test_the_same_goal_sent_again_gets_the_same_answer_and_runs_once": AGAIN,
     "test_the_same_goal_sent_again_while_it_is_decided_waits_for_that": AGAIN,
     "test_another_goal_under_an_id_in_use_is_rejected": AGAIN,
@@ -69,6 +81,9 @@ EXCLUSIONS: dict[str, str] = {
     "test_an_observer_follows_from_now_on_and_does_not_slow_the_goal_down": NUMBER,
     "test_an_observer_may_ask_for_what_was_before": PAST,
     "test_a_watcher_of_all_goals_sees_the_feedback_of_one_that_ends_at_once": PAST,
+    "test_two_clients_are_two_senders": SENDER,
+    "test_the_sender_has_the_name_of_its_token_and_its_address": SENDER,
+    "test_a_goal_that_waits_is_listed_with_its_place": PLACE,
     "test_a_server_that_has_stopped_is_not_found": STOPPED,
     "test_the_executor_sees_the_deadline": TIMEOUT,
     "test_a_goal_that_is_sent_again_keeps_its_first_deadline": TIMEOUT,

@@ -1,4 +1,4 @@
-"""The Fibonacci examples over ROS 2, server and client as two processes, the way users run them."""
+"""The examples over ROS 2, server and client as two processes, the way users run them."""
 
 from __future__ import annotations
 
@@ -6,13 +6,20 @@ import subprocess
 import sys
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from signal import SIGINT, SIGKILL, SIGTERM
 
+import anyio
 import pytest
 
+from fibaction import GoalStatus, Outcome, connect
 from tests.processes import PATIENCE, ended, lines_until
+
+# Examples are scripts beside each other, and import one another as such.
+sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
+
+import exclusive_arm
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 QUICK, STEADY, SLOW = 0.0, 0.2, 60.0  # seconds per number
@@ -32,17 +39,23 @@ def start_client(url: str, *arguments: str, patience: float = PATIENCE) -> subpr
 
 
 @contextmanager
-def serving(period: float) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def running(
+    script: str, action: str, *arguments: str
+) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The server as a process, in a namespace of its own, and its URL."""
     url = f"ros2://?namespace=/n{uuid.uuid4().hex}"
-    process = start("fibonacci_server.py", "--url", url, "--period", str(period))
+    process = start(script, "--url", url, *arguments)
     try:
         announced = lines_until("^serving", process)
-        assert announced == [f"serving fibonacci at {url}, Ctrl-C stops it\n"]
+        assert announced == [f"serving {action} at {url}, Ctrl-C stops it\n"]
         yield process, url
     finally:
         process.kill()
         process.communicate(timeout=PATIENCE)
+
+
+def serving(period: float) -> AbstractContextManager[tuple[subprocess.Popen[str], str]]:
+    return running("fibonacci_server.py", "fibonacci", "--period", str(period))
 
 
 def test_a_goal_succeeds_and_another_is_rejected_and_the_server_says_why() -> None:
@@ -148,3 +161,27 @@ def test_a_url_that_cannot_be_used_is_one_line_and_an_exit_code(
     *_, last = err.splitlines()
     assert error in last
     assert "error: " in last
+
+
+async def send_and_preempt(url: str) -> list[Outcome[exclusive_arm.Result]]:
+    """Send a goal to the arm, and another one when it moves; return both ends."""
+    async with connect(url, exclusive_arm.MOVE_ARM) as client:
+        await client.wait_for_server(PATIENCE)
+        first = await client.send_goal(exclusive_arm.Goal([1.5, 0.0, 0.0]))
+        await anext(aiter(first.feedback))
+        second = await client.send_goal(exclusive_arm.Goal([0.0, 0.2, 0.0]))
+        return [await first.outcome(), await second.outcome()]
+
+
+def test_a_new_goal_preempts_the_one_before_it_and_gets_its_arm() -> None:
+    with running("exclusive_arm.py", "move_arm") as (server, url):
+        preempted, ended_well = anyio.run(send_and_preempt, url)
+        server.send_signal(SIGTERM)
+        _, log = server.communicate(timeout=PATIENCE)
+
+    assert preempted.status is GoalStatus.ABORTED
+    assert preempted.result is not None
+    assert 0 < preempted.result.joints[0] < 1.5
+    assert ended_well == Outcome(GoalStatus.SUCCEEDED, exclusive_arm.Result([0.0, 0.2, 0.0]))
+    assert " ABORTED: preempted by " in log  # ROS transmits no reason
+    assert server.returncode == 0

@@ -47,7 +47,7 @@ async def ask(
     callback: Callable[[Any], Any], refusal: Refusal = GoalRejected, argument: Any = None
 ) -> None:
     with anyio.fail_after(5):
-        asking = Callbacks("arm").ask("on_goal", callback, argument, refusal)
+        asking = Callbacks("arm").ask("on_goal", callback, (argument,), refusal)
         if asking is not None:
             await asking
 
@@ -64,7 +64,7 @@ def agrees(argument: Any) -> None:
 
 
 async def test_a_sync_callback_agrees_at_once() -> None:
-    assert Callbacks("arm").ask("on_goal", agrees, None, GoalRejected) is None
+    assert Callbacks("arm").ask("on_goal", agrees, (None,), GoalRejected) is None
 
 
 @each_refusal
@@ -73,12 +73,12 @@ async def test_a_sync_callback_rejects_at_once(refusal: Refusal) -> None:
         raise refusal("too far")
 
     with pytest.raises(refusal, match="too far"):
-        Callbacks("arm").ask("on_goal", refuse, None, refusal)
+        Callbacks("arm").ask("on_goal", refuse, (None,), refusal)
 
 
 async def test_a_sync_callback_that_is_wrong_rejects_at_once() -> None:
     with pytest.raises(GoalRejected, match="on_goal returned True"):
-        Callbacks("arm").ask("on_goal", lambda argument: True, None, GoalRejected)  # type: ignore[arg-type, return-value]  # it is wrong on purpose
+        Callbacks("arm").ask("on_goal", lambda argument: True, (None,), GoalRejected)  # type: ignore[arg-type, return-value]  # it is wrong on purpose
 
 
 class Promise:
@@ -102,7 +102,7 @@ async def test_an_async_callback_is_waited_for_by_its_caller() -> None:
         await go.wait()
         seen.append(argument)
 
-    asking = waited_for(Callbacks("arm").ask("on_goal", wait_and_agree, "a goal", GoalRejected))
+    asking = waited_for(Callbacks("arm").ask("on_goal", wait_and_agree, ("a goal",), GoalRejected))
 
     async def wait() -> None:
         await asking
@@ -127,7 +127,7 @@ async def test_a_sync_callback_that_returns_an_awaitable_is_waited_for(answer: o
     def promise(argument: object) -> Promise:
         return Promise(go, answer)
 
-    asking = waited_for(callbacks.ask("on_goal", promise, None, GoalRejected))
+    asking = waited_for(callbacks.ask("on_goal", promise, (None,), GoalRejected))
     go.set()
     with anyio.fail_after(5):
         if answer is None:
@@ -254,7 +254,7 @@ async def test_stopping_rejects_what_is_still_being_asked(
 
     async def ask(argument: str) -> None:
         with pytest.raises(refusal) as caught:
-            await waited_for(callbacks.ask("on_goal", wait_for_ever, argument, refusal))
+            await waited_for(callbacks.ask("on_goal", wait_for_ever, (argument,), refusal))
         reasons.append(caught.value.reason)
 
     with anyio.fail_after(5):
@@ -283,7 +283,7 @@ async def test_stopping_rejects_also_a_question_that_is_not_awaited_yet(
         return Promise(anyio.Event())
 
     callback = promise if promises else wait_for_ever
-    asking = waited_for(callbacks.ask("on_goal", callback, None, refusal))
+    asking = waited_for(callbacks.ask("on_goal", callback, (None,), refusal))
     callbacks.stop()
     with anyio.fail_after(5):
         with pytest.raises(refusal, match=SERVER_STOPPING):
@@ -293,7 +293,7 @@ async def test_stopping_rejects_also_a_question_that_is_not_awaited_yet(
 async def test_stopping_does_not_touch_what_was_answered_before() -> None:
     callbacks = Callbacks("arm")
     with anyio.fail_after(5):
-        await waited_for(callbacks.ask("on_goal", as_async(agrees), None, GoalRejected))
+        await waited_for(callbacks.ask("on_goal", as_async(agrees), (None,), GoalRejected))
         # Or it would grow with every goal.
         assert not callbacks._waiting
         callbacks.stop()
@@ -312,7 +312,7 @@ async def test_a_callback_that_answers_in_spite_of_the_stop_has_answered() -> No
 
     async def ask() -> None:
         with pytest.raises(GoalRejected, match="the arm is folded"):
-            await waited_for(callbacks.ask("on_goal", answer_at_last, None, GoalRejected))
+            await waited_for(callbacks.ask("on_goal", answer_at_last, (None,), GoalRejected))
         answered.set()
 
     with anyio.fail_after(5):
@@ -330,7 +330,7 @@ async def test_a_caller_that_is_canceled_is_not_told_that_the_server_stops() -> 
         await anyio.sleep_forever()
 
     async def ask() -> None:
-        await waited_for(callbacks.ask("on_goal", wait_for_ever, None, GoalRejected))
+        await waited_for(callbacks.ask("on_goal", wait_for_ever, (None,), GoalRejected))
 
     with anyio.fail_after(5):
         with anyio.CancelScope() as caller:
@@ -351,7 +351,7 @@ async def test_a_caller_whose_own_task_is_canceled_is_not_rejected() -> None:
         await anyio.sleep_forever()
 
     asking = asyncio.create_task(
-        waited_for(callbacks.ask("on_goal", wait_for_ever, None, GoalRejected))
+        waited_for(callbacks.ask("on_goal", wait_for_ever, (None,), GoalRejected))
     )
     await anyio.wait_all_tasks_blocked()
     asking.cancel()

@@ -144,6 +144,15 @@ def test_the_list_of_goals_names_the_sender_of_each_as_far_as_it_is_known() -> N
     assert [info.client for info in infos(registry)] == ["", "10.0.0.7:51234"]
 
 
+def test_a_goal_has_a_place_in_the_list_while_it_is_accepted() -> None:
+    registry = GoalRegistry()
+    goal = accepted(registry, A)
+    goal.place = (2, 5)
+    assert goal.info == GoalInfo(A, goal.stamp, GoalStatus.ACCEPTED, 0, "", 2, 5)
+    registry.execute(goal)
+    assert (goal.info.place, goal.info.queue_length) == (0, 0)
+
+
 def test_the_list_of_goals_tells_how_many_feedback_messages_each_had() -> None:
     registry = GoalRegistry()
     goal = executing(registry, A)

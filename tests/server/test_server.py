@@ -89,6 +89,8 @@ class Held:
         ({"max_goals": -1}, "max_goals is 0 or more, not -1"),
         ({"max_bytes": -1}, "max_bytes is 0 or more, not -1"),
         ({"shutdown_timeout": -1}, "shutdown_timeout is 0 or more, not -1"),
+        ({"watchdog": -1}, "watchdog is 0 or more, not -1"),
+        ({"watchdog": math.nan}, "watchdog is 0 or more, not nan"),
     ],
 )
 def test_an_option_out_of_range_is_rejected_at_once(options: Any, text: str) -> None:
@@ -457,7 +459,7 @@ async def test_a_goal_that_was_not_decided_because_python_ends_is_decided_anew()
 def at_once(
     offered: GoalStream | Coroutine[Any, Any, GoalStream],
 ) -> GoalStream:
-    """What was offered, and need not be waited for."""
+    """Return the stream of a goal that was decided at once."""
     assert isinstance(offered, GoalStream)
     return offered
 
@@ -465,7 +467,7 @@ def at_once(
 def waited_for(
     offered: GoalStream | Coroutine[Any, Any, GoalStream],
 ) -> Coroutine[Any, Any, GoalStream]:
-    """What there is to wait for."""
+    """Return the coroutine that waits for the decision on a goal."""
     assert not isinstance(offered, GoalStream)
     return offered
 
@@ -641,7 +643,7 @@ async def test_the_sender_of_a_goal_is_told_with_each_of_its_statuses() -> None:
             goal_id = GoalID.random()
             gate.open.set()
             stream = await waited_for(server.offer_goal(goal_id, packed(2), sender=ARM))
-            # Whoever sends it again has not sent it.
+            # A client that sends it again is not its sender.
             again = at_once(server.offer_goal(goal_id, packed(2), sender=LEG))
             assert again.stamp == stream.stamp
             await stream.outcome()
@@ -649,6 +651,23 @@ async def test_the_sender_of_a_goal_is_told_with_each_of_its_statuses() -> None:
         assert [info.client for info in told if info is not None] == ["the arm"] * 3
         with await server.status() as statuses:
             assert statuses.known == 1
+
+
+async def test_on_goal_and_the_executor_get_the_sender_of_a_goal() -> None:
+    seen: list[Sender] = []
+
+    def on_goal(goal: Goal, sender: Sender) -> None:
+        seen.append(sender)
+
+    async def execute(goal: GoalHandle[Goal]) -> Items:
+        seen.append(goal.sender)
+        yield Result([])
+
+    async with ActionServer(FIBONACCI, execute, on_goal=on_goal) as server:
+        for sender in (ARM, LEG):
+            stream = at_once(server.offer_goal(GoalID.random(), packed(2), sender=sender))
+            await stream.outcome()
+    assert seen == [ARM, ARM, LEG, LEG]
 
 
 @pytest.mark.promise("DEADLINE-4")
@@ -859,7 +878,7 @@ async def test_an_executor_that_ends_as_canceled_unasked_is_aborted() -> None:
         yield Result([])
 
     if (await _backend()) == "trio":
-        return  # trio lets nobody make a cancellation of his own
+        return  # trio has no constructor of cancellations
     async with ActionServer(FIBONACCI, waits) as server:
         stream = await server.send_goal(GoalID.random(), packed(1))
         assert await stream.outcome() == Outcome(
@@ -874,7 +893,7 @@ async def _backend() -> str:
 
 
 async def turns_during(work: Coroutine[Any, Any, object]) -> int:
-    """How many turns another task has while that is done."""
+    """Return the number of turns that another task has during the work."""
     turns = 0
 
     async def take_turns() -> None:

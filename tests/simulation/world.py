@@ -177,6 +177,7 @@ class World:
             result_timeout=plan.result_timeout,
             max_results=plan.max_results,
             shutdown_timeout=plan.shutdown_timeout,
+            watchdog=0,  # its thread reads the real clock, by which a run may be stopped for long
         )
 
     def _server_transport(self) -> SimulatedTransport:

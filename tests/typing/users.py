@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, assert_type
 
 import msgspec
@@ -20,6 +21,7 @@ from fibaction import (
     GoalID,
     GoalStatus,
     Outcome,
+    Sender,
     connect,
     serve,
 )
@@ -48,6 +50,7 @@ assert_type(Action.untyped(ActionInfo("any")), Action[Any, Any, Any])
 async def fibonacci(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
     assert_type(goal.request, Goal)
     assert_type(goal.goal_id, GoalID)
+    assert_type(goal.sender, Sender)
     assert_type(goal.status, GoalStatus)
     assert_type(goal.cancel_requested, bool)
     yield Feedback([0, 1])
@@ -60,7 +63,27 @@ def on_goal(goal: Goal) -> None: ...
 async def on_cancel(goal: GoalHandle[Goal]) -> None: ...
 
 
+def with_sender(goal: Goal, sender: Sender) -> None: ...
+
+
+async def decides_later(goal: Goal, sender: Sender) -> None: ...
+
+
+class Policy:
+    def on_goal(self, goal: Goal) -> None: ...
+
+    async def with_sender(self, goal: Goal, sender: Sender) -> None: ...
+
+    def __call__(self, goal: Goal, sender: Sender) -> None: ...
+
+
+def configured(limit: int, goal: Goal, sender: Sender) -> None: ...
+
+
 def of_another_action(goal: int) -> None: ...
+
+
+def of_three(goal: Goal, sender: Sender, more: int) -> None: ...
 
 
 async def yields_something_else(goal: GoalHandle[Goal]) -> AsyncGenerator[int, None]:
@@ -69,6 +92,18 @@ async def yields_something_else(goal: GoalHandle[Goal]) -> AsyncGenerator[int, N
 
 server = ActionServer(FIBONACCI, fibonacci, on_goal=on_goal, on_cancel=on_cancel)
 assert_type(server, ActionServer[Goal, Feedback, Result])
+for accepted in (
+    ActionServer(FIBONACCI, fibonacci, on_goal=with_sender),
+    ActionServer(FIBONACCI, fibonacci, on_goal=decides_later),
+    ActionServer(FIBONACCI, fibonacci, on_goal=Policy()),
+    ActionServer(FIBONACCI, fibonacci, on_goal=Policy().on_goal),
+    ActionServer(FIBONACCI, fibonacci, on_goal=Policy().with_sender),
+    ActionServer(FIBONACCI, fibonacci, on_goal=partial(configured, 10)),
+    ActionServer(FIBONACCI, fibonacci, on_goal=lambda goal: None),
+    ActionServer(FIBONACCI, fibonacci, on_goal=lambda goal, sender: None),
+):
+    assert_type(accepted, ActionServer[Goal, Feedback, Result])
+ActionServer(FIBONACCI, fibonacci, on_goal=of_three)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused
 ActionServer(FIBONACCI, fibonacci, on_goal=of_another_action)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused
 ActionServer(FIBONACCI, yields_something_else)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused
 ActionServer(FIBONACCI, fibonacci, feedback="some")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused

@@ -13,7 +13,7 @@ from fibaction._notify import Notifier
 from fibaction.abc import Connection, Endpoint
 from fibaction.exceptions import ServerNotFound, TransportError
 from fibaction.goals import GoalID
-from fibaction.server import ActionServer
+from fibaction.server import ActionServer, Schedule
 from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy
@@ -72,6 +72,11 @@ def scripted(*steps: Any) -> ScriptedServer[fib.Goal, fib.Feedback, fib.Result]:
 def held() -> ScriptedServer[fib.Goal, fib.Feedback, fib.Result]:
     """A server whose goals never end by themselves."""
     return scripted(anyio.Event())
+
+
+def one_by_one() -> Server:
+    """A server that runs one goal, which never ends by itself, and lets others wait."""
+    return running(anyio.Event(), schedule=Schedule(concurrency=1, queue=10))
 
 
 def running(*steps: Any, **settings: Any) -> Server:

@@ -100,6 +100,8 @@ async def test_each_client_is_told_from_the_others_by_its_owner() -> None:
     assert len(set(owners)) == 5
     assert {len(owner) for owner in owners} == {16}
     assert not any(ANN in owner for owner in owners)
+    assert [sender.name for sender in senders] == ["ann", "ann", "bob", "ann", "bob", "bob"]
+    assert {sender.address for sender in senders} == {"the client"}
 
 
 async def test_a_server_with_many_clients_finds_a_session_at_once(

@@ -121,7 +121,7 @@ MESSAGES: dict[type, st.SearchStrategy[Any]] = {
         CancelGoals, numbers, actions, st.none() | goal_ids, st.none() | numbers
     ),
     WatchStatus: st.builds(WatchStatus, numbers, actions, credits_),
-    AwaitServer: st.builds(AwaitServer, numbers, actions),
+    AwaitServer: st.builds(AwaitServer, numbers, actions, credits_),
     ListActions: st.builds(ListActions, numbers),
     Credit: st.builds(Credit, numbers, credits_),
     Close: st.builds(Close, numbers),

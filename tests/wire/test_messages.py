@@ -147,7 +147,7 @@ def test_the_garbage_collector_need_not_look_at_a_message(
 def test_statuses_and_goal_ids_are_sent_as_plain_numbers_and_bytes() -> None:
     goal_id = GoalID(bytes(range(16)))
     assert fields(GoalChanged(1, goal_id, 2, GoalStatus.CANCELING, 0)) == [
-        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "")
+        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "", 0, 0)
     ]
 
 
@@ -199,7 +199,7 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
         CancelGoals, IDS, TEXT, strategies.none() | GOAL_IDS, strategies.none() | STAMPS
     ),
     WatchStatus: builds(WatchStatus, IDS, TEXT, COUNTS),
-    AwaitServer: builds(AwaitServer, IDS, TEXT),
+    AwaitServer: builds(AwaitServer, IDS, TEXT, COUNTS),
     ListActions: builds(ListActions, IDS),
     Credit: builds(Credit, IDS, COUNTS),
     Close: builds(Close, IDS),
@@ -217,8 +217,10 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
         strategies.lists(strategies.tuples(GOAL_IDS, STAMPS, STATUSES)),
         TEXT,
     ),
-    GoalChanged: builds(GoalChanged, IDS, GOAL_IDS, STAMPS, STATUSES, STAMPS, STAMPS, TEXT),
-    Done: builds(Done, IDS),
+    GoalChanged: builds(
+        *(GoalChanged, IDS, GOAL_IDS, STAMPS, STATUSES, STAMPS, STAMPS, TEXT, STAMPS, STAMPS)
+    ),
+    Done: builds(Done, IDS, strategies.lists(strategies.tuples(GOAL_IDS, STAMPS, STAMPS))),
     Finished: builds(Finished, IDS),
     Actions: builds(Actions, IDS, strategies.lists(INFOS, max_size=3)),
     Watching: builds(Watching, IDS, STAMPS),
@@ -255,12 +257,18 @@ def test_fields_of_a_newer_peer_are_ignored(extra: list[Any]) -> None:
             assert decode(packed(*array, *extra)) == message
 
 
+def default_of(field: msgspec.structs.FieldInfo) -> Any:
+    has_factory = field.default_factory is not msgspec.NODEFAULT
+    return field.default_factory() if has_factory else field.default
+
+
 @by_type
 def test_fields_that_an_older_peer_does_not_send_get_their_default(
     message: FromClient | FromServer, golden: str
 ) -> None:
     array = fields(message)
-    defaults = message.__struct_defaults__
+    described = msgspec.structs.fields(message)
+    defaults = [default_of(field) for field in described if not field.required]
     required = len(array) - len(defaults)
     names = message.__struct_fields__
     for decode in decoders_of(message):
@@ -291,8 +299,8 @@ def test_a_reason_a_token_a_session_a_limit_and_a_timeout_need_not_be_sent() -> 
 LARGEST = 2**63 - 1
 LIMITS = {
     **dict.fromkeys(["id", "stamp", "after", "place", "number"], (0, LARGEST)),
-    **dict.fromkeys(["dropped", "feedback_count", "known"], (0, LARGEST)),
-    **dict.fromkeys(["credit", "count"], (0, 2**31 - 1)),
+    **dict.fromkeys(["dropped", "feedback_count", "known", "queue_length"], (0, LARGEST)),
+    **dict.fromkeys(["credit", "count", "most_waiting"], (0, 2**31 - 1)),
     "status": (0, 6),
     "return_code": (0, 3),
     "max_frame": (1, 2**32 - 1),
@@ -437,6 +445,24 @@ def test_a_goal_in_the_answer_to_a_cancel_has_limits_too(
         assert decode_from_server(answer) == CancelAnswered(
             3, 0, [(*goal[:2], GoalStatus(goal[2]))], ""
         )
+    else:
+        with pytest.raises(ProtocolError):
+            decode_from_server(answer)
+
+
+@pytest.mark.parametrize(
+    ("goal", "is_taken"),
+    [
+        ((bytes(16), 0, LARGEST), True),
+        ((bytes(15), 0, 0), False),
+        ((bytes(16), -1, 0), False),
+        ((bytes(16), 0, LARGEST + 1), False),
+    ],
+)
+def test_a_goal_that_waits_has_limits_too(goal: tuple[bytes, int, int], is_taken: bool) -> None:
+    answer = packed(41, 3, [goal])
+    if is_taken:
+        assert decode_from_server(answer) == Done(3, [goal])
     else:
         with pytest.raises(ProtocolError):
             decode_from_server(answer)

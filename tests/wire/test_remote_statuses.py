@@ -13,6 +13,7 @@ from fibaction.exceptions import ConnectionLost, LimitReached
 from fibaction.goals import GoalID
 from fibaction.states import GoalStatus
 from fibaction.wire import remote_statuses
+from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.messages import (
     AwaitServer,
     Close,
@@ -27,7 +28,10 @@ from fibaction.wire.messages import (
 )
 from fibaction.wire.settings import Limits
 from tests.wire.ends import (
+    ANN,
+    ANY,
     AWAY,
+    BOB,
     EXECUTING,
     GOAL,
     SUCCEEDED,
@@ -35,15 +39,18 @@ from tests.wire.ends import (
     Network,
     endpoint_of,
     held,
+    one_by_one,
     reached,
     real,
+    send,
+    serving,
     watched,
 )
 from tests.wire.memory import Peer, Running, settled
 
 pytestmark = pytest.mark.anyio
 
-UNKNOWN = GoalStatus.UNKNOWN
+ACCEPTED, UNKNOWN = GoalStatus.ACCEPTED, GoalStatus.UNKNOWN
 OTHER = ActionInfo("other")
 
 
@@ -240,6 +247,60 @@ async def test_a_list_that_may_be_incomplete_is_asked_for_again() -> None:
         assert await numbers(first, 4) == [1, 2, 3, 3]  # it hears the list once more
         await told(server, change(asked.id, 5, dropped=2))
         assert (first.dropped, second.dropped) == (6, 2)
+
+
+def accepted(call_id: int, stamp: int, place: int = 0, length: int = 0) -> GoalChanged:
+    """A goal that has not begun, as it was at some time."""
+    goal_id = bytes([stamp] * 16)
+    return GoalChanged(call_id, goal_id, stamp, ACCEPTED, 0, 0, "", place, length)
+
+
+async def places_for(connection: Any, server: Peer, *waiting: Any) -> list[tuple[int, int, int]]:
+    """Follow the statuses anew; the server says that these goals wait."""
+    async with Running(endpoint_of(connection).status) as asking:
+        (asked,) = await heard(server)
+        assert asked == AwaitServer(asked.id, "fibonacci", MAX_FRAME // 64)
+        await server.say(Done(asked.id, list(waiting)))
+        statuses = await asking.answer()
+    listed = [(info.stamp, info.place, info.queue_length) for info in await statuses.listed()]
+    statuses.close()
+    return listed
+
+
+async def test_a_follower_that_comes_later_is_told_the_places_of_goals_that_wait_now() -> None:
+    """No change tells them: at each start of a goal all others move up."""
+    async with reached() as (connection, server):
+        first, call_id = await watched(connection, server, known=4)
+        await told(
+            server, change(call_id, 1), accepted(call_id, 2, 1, 3), accepted(call_id, 3, 2, 3)
+        )
+        await told(server, accepted(call_id, 4, 3, 3))
+        listed = [(info.stamp, info.place, info.queue_length) for info in await first.listed()]
+        assert listed == [(1, 0, 0), (2, 1, 3), (3, 2, 3), (4, 3, 3)]
+        now = [(bytes([number] * 16), place, 2) for number, place in ((1, 9), (3, 1), (4, 2))]
+        # The first goal has begun, whatever is told of it; the second is about to begin.
+        assert await places_for(connection, server, *now) == [
+            *((1, 0, 0), (2, 0, 0), (3, 1, 2), (4, 2, 2))
+        ]
+        # A server that does not know the question gives the sign alone.
+        assert await places_for(connection, server) == [
+            *((1, 0, 0), (2, 0, 0), (3, 0, 0), (4, 0, 0))
+        ]
+        await told(server, *(change(call_id, stamp) for stamp in (2, 3, 4)))
+        assert (await follow(connection, server)).known == 4
+
+
+async def test_places_are_those_of_the_server_behind_a_gateway() -> None:
+    async with real(server=one_by_one()) as behind, serving(held()) as gateway:
+        gateway.endpoints["fibonacci"] = behind
+        client, other = await gateway.greet(ANN), await gateway.greet(BOB)
+        await client.ask(WatchStatus(1, "fibonacci", ANY), Watching)
+        for number in (2, 3, 4):
+            await client.say(send(number, bytes([number] * 16)))
+            await client.hear_all()
+        await other.ask(WatchStatus(1, "fibonacci", ANY), Watching)
+        listed = {one.goal_id[0]: one.place for one in await other.hear_all()}
+        assert listed == {2: 0, 3: 1, 4: 2}
 
 
 async def test_a_slow_follower_loses_the_oldest_changes_and_delays_no_other(

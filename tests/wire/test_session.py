@@ -74,6 +74,7 @@ from tests.wire.ends import (
     follow,
     held,
     kinds,
+    one_by_one,
     real,
     running,
     scripted,
@@ -501,6 +502,21 @@ async def test_a_client_is_told_when_the_server_is_there() -> None:
         async with server:
             assert await client.hear(Done) == Done(2)
             assert await client.hear_all() == []
+
+
+async def test_goals_that_wait_are_told_with_the_sign_that_the_server_is_there() -> None:
+    async with serving(one_by_one()) as served:
+        client = await served.greet()
+        await client.send(1)
+        for number in (2, 3, 4):
+            await client.ask(send(number, bytes([number] * 16)), Following)
+        waiting = [(bytes([number] * 16), number - 1, 3) for number in (2, 3, 4)]
+        for most, count in ((0, 0), (1, 1), (3, 3), (9, 3)):
+            answer = await client.ask(AwaitServer(5, "fibonacci", most), Done)
+            assert answer == Done(5, waiting[:count])
+        await client.ask(WatchStatus(6, "fibonacci", ANY), Watching)
+        told = [await client.hear(GoalChanged) for _ in range(4)]
+        assert [(one.place, one.queue_length) for one in told] == [(0, 0), (1, 3), (2, 3), (3, 3)]
 
 
 async def test_the_clients_of_an_action_are_told_by_token_and_address_of_all_connections() -> None:

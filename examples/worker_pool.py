@@ -1,0 +1,167 @@
+"""A render farm: four workers, a bounded queue, and the urgent shots first.
+
+Goals run on four workers at once, and six more may wait. A waiting goal is ACCEPTED: it can be
+followed and canceled. Any other goal is rejected as busy.
+
+Without arguments, a studio orders more shots than the farm has room for. With `--url`, the farm is
+served there until Ctrl-C or SIGTERM.
+
+Exit codes: 0 the program has ended or was stopped, 2 the command line or the URL is invalid.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+from collections.abc import AsyncGenerator
+from contextlib import suppress
+from signal import SIGINT, SIGTERM
+
+import anyio
+from msgspec import Struct
+
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionError,
+    ActionServer,
+    GoalCanceled,
+    GoalHandle,
+    GoalRejected,
+    Schedule,
+    TransportError,
+    connect,
+    serve,
+)
+
+HERE = "inproc://farm"
+FRAME = 0.1  # seconds that one frame takes
+URGENT, USUAL = 1, 5
+
+
+class Goal(Struct):
+    """An order to render the frames of a shot; the smaller its urgency, the sooner it starts."""
+
+    shot: str
+    frames: int
+    urgency: int = USUAL
+
+
+class Feedback(Struct):
+    """The number of frames that are rendered."""
+
+    frames: int
+
+
+class Result(Struct):
+    """The number of frames that were rendered, also if the order was canceled."""
+
+    frames: int
+
+
+RENDER = Action("render", goal=Goal, feedback=Feedback, result=Result)
+
+
+def on_goal(goal: Goal) -> None:
+    """Accept an order of at least one frame.
+
+    Raises:
+        GoalRejected: There is nothing to render.
+    """
+    if goal.frames < 1:
+        raise GoalRejected(f"a shot has 1 frame or more, not {goal.frames}")
+
+
+async def render(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+    """Render one frame after another. Only a goal whose turn has come gets here."""
+    frames = 0
+    try:
+        while frames < goal.request.frames:
+            await anyio.sleep(FRAME)  # for real work: `await anyio.to_process.run_sync(...)`
+            frames += 1
+            yield Feedback(frames)
+    except anyio.get_cancelled_exc_class():
+        raise GoalCanceled(result=Result(frames)) from None
+    yield Result(frames)
+
+
+def make_server(workers: int, queue: int) -> ActionServer[Goal, Feedback, Result]:
+    """Return a farm with so many workers, where so many goals may wait.
+
+    Raises:
+        ValueError: A number is out of range.
+    """
+    schedule = Schedule(
+        concurrency=workers,
+        queue=queue,
+        priority=lambda goal: goal.urgency,
+        run_timeout=3600,  # a shot that hangs does not keep its worker for ever
+    )
+    return ActionServer(RENDER, render, on_goal=on_goal, schedule=schedule)
+
+
+async def demo(workers: int, queue: int) -> None:
+    """Serve a farm, and order one shot more than there is room for."""
+    async with (
+        serve(make_server(workers, queue), HERE),
+        connect(HERE, RENDER) as client,
+        anyio.create_task_group() as tasks,
+    ):
+        for number in range(1, workers + queue):
+            tasks.start_soon(order, client, Goal(f"shot {number}", frames=4 + number % 3))
+        tasks.start_soon(order, client, Goal("trailer", frames=4, urgency=URGENT))
+        tasks.start_soon(order, client, Goal("credits", frames=2))
+
+
+async def order(client: ActionClient[Goal, Feedback, Result], goal: Goal) -> None:
+    """Order a shot, and print how it goes."""
+
+    def tell(what: object) -> None:
+        print(f"{goal.shot:<9}{what}", flush=True)
+
+    def on_feedback(feedback: Feedback) -> None:
+        if feedback.frames == 1:
+            tell("has begun")
+
+    tell("is ordered")
+    try:
+        result = await client.call(goal, on_feedback=on_feedback)
+    except ActionError as error:
+        tell(error)
+    else:
+        tell(f"is done: {result.frames} frames")
+
+
+async def serve_at(url: str, workers: int, queue: int) -> None:
+    """Serve a farm until a signal arrives, then end the goals.
+
+    Raises:
+        TransportError: The URL is invalid or cannot be served at.
+    """
+    server = make_server(workers, queue)
+    with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
+        async with serve(server, url) as (where,):
+            print(f"serving {RENDER.name} at {where}, Ctrl-C stops it", flush=True)
+            await anext(signals)
+
+
+if __name__ == "__main__":
+    # Without a usage, an error is one line; --help still lists the options.
+    parser = argparse.ArgumentParser(description=__doc__, usage=argparse.SUPPRESS)
+    parser.add_argument("--url", help="URL to serve at (default: a demonstration in one process)")
+    parser.add_argument(
+        "--workers", type=int, default=4, help="goals that run at once (default: %(default)d)"
+    )
+    parser.add_argument(
+        "--queue", type=int, default=6, help="goals that may wait (default: %(default)d)"
+    )
+    arguments = parser.parse_args()
+    try:
+        if arguments.url is None:
+            with suppress(KeyboardInterrupt):
+                anyio.run(demo, arguments.workers, arguments.queue)
+        else:
+            logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
+            anyio.run(serve_at, arguments.url, arguments.workers, arguments.queue)
+    except (TransportError, ValueError) as exc:
+        parser.error(str(exc))
