@@ -95,7 +95,7 @@ def _check_are_safe(classes: object) -> None:
             f"on is a tuple of error classes, such as (ServerNotFound,), not {classes!r}"
         )
     names = ", ".join(kind.__name__ for kind in _SAFE)
-    for kind in cast("tuple[object, ...]", classes):
+    for kind in cast("tuple[type[object], ...]", classes):
         if kind in _AFTER_A_RUN:
             raise ValueError(
                 f"on does not take {kind.__name__}: such a goal has run, or may have, and running"
