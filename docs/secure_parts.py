@@ -47,7 +47,7 @@ WHAT_HAPPENS = {
     "handshake": "the connection ends",
     "heartbeat": "the connection ends after four times as long",
 }
-"""What the server does at each limit."""
+"""The effect of each limit."""
 OF_THE_SERVER = {
     "max_goals": ("Goals that are active at the same time, of all clients.", "it is rejected"),
     "max_bytes": (

@@ -21,6 +21,7 @@ from fibaction.exceptions import (
     GoalAborted,
     GoalCanceled,
     GoalRejected,
+    GoalTimeout,
     InvalidMessage,
     InvalidTransition,
     InvalidURL,
@@ -40,6 +41,7 @@ from fibaction.goals import (
     Outcome,
     Sender,
 )
+from fibaction.retry import Retry
 from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
 from fibaction.states import GoalEvent, GoalStatus
 from fibaction.wire.auth import Peer, Permission
@@ -71,6 +73,7 @@ __all__ = [
     "GoalInfo",
     "GoalRejected",
     "GoalStatus",
+    "GoalTimeout",
     "InvalidMessage",
     "InvalidTransition",
     "InvalidURL",
@@ -80,6 +83,7 @@ __all__ = [
     "Peer",
     "Permission",
     "ProtocolError",
+    "Retry",
     "Schedule",
     "Sender",
     "SendingGoal",

@@ -62,6 +62,7 @@ class Endpoint(ABC):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
     ) -> GoalStream:
         """Send a goal, and follow it from its beginning.
 
@@ -69,7 +70,10 @@ class Endpoint(ABC):
         another client has sent it first, the stream is that of an observer: `stream.own` is False.
         `feedback=False` follows the outcome only. `sender` is the client that sends it, for the
         goal's record; a connection to another process does not pass it on, since the server there
-        identifies its clients itself.
+        identifies its clients itself. `timeout` is the number of seconds, more than 0, after which
+        the client gives the goal up; None if it does not. The executor gets it as
+        `GoalHandle.deadline`, and the server does not enforce it. A goal that is sent again keeps
+        its first deadline.
 
         Raises:
             GoalRejected: The server did not accept it; `reason` says why.
@@ -88,6 +92,7 @@ class Endpoint(ABC):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
     ) -> GoalStream | Coroutine[Any, Any, GoalStream]:
         """Send a goal as `send_goal` does, without waiting if the goal can be decided at once.
 
@@ -99,7 +104,7 @@ class Endpoint(ABC):
         Raises:
             ActionError: As for `send_goal`, if the goal is decided at once.
         """
-        return self.send_goal(goal_id, goal, feedback=feedback, sender=sender)
+        return self.send_goal(goal_id, goal, feedback=feedback, sender=sender, timeout=timeout)
 
     @abstractmethod
     async def feedback(
@@ -203,9 +208,9 @@ class ForwardingEndpoint(Endpoint):
         async with serve(Audited(ActionServer(ACTION, executor)), "tcp://127.0.0.1:7400"):
             ...
 
-    Every call is forwarded to `inner`, with the sender of the goal. `offer_goal` calls `send_goal`,
-    so that one method sees every goal. It starts and stops `inner`, and runs while `inner` runs;
-    around an endpoint that is not `Startable` it counts as running.
+    Every call is forwarded to `inner`, with the sender and the timeout of the goal. `offer_goal`
+    calls `send_goal`, so that one method sees every goal. It starts and stops `inner`, and runs
+    while `inner` runs; around an endpoint that is not `Startable` it counts as running.
     """
 
     def __init__(self, inner: Endpoint) -> None:
@@ -223,8 +228,11 @@ class ForwardingEndpoint(Endpoint):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
     ) -> GoalStream:
-        return await self.inner.send_goal(goal_id, goal, feedback=feedback, sender=sender)
+        return await self.inner.send_goal(
+            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout
+        )
 
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False

@@ -8,26 +8,28 @@ Sending: `send_goal` returns a `SendingGoal`, which is both awaitable and an asy
 Nothing is sent before one of the two begins. If the task is canceled while it waits for the answer,
 the goal may have been accepted already; so the client cancels it by its ID, which it made itself.
 
-Following and leaving a goal: see `client_goal`.
+Following and leaving a goal: see `client_goal`. Timeouts and retries: see `_attempts`.
 """
 
 from __future__ import annotations
 
 from collections.abc import AsyncGenerator, Awaitable, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from operator import index
 from typing import Generic
 
 import anyio
 from anyio import get_cancelled_exc_class
 
+from fibaction._attempts import Attempts, cancel_left, check_timeout
 from fibaction._own_thread import OwnThread
 from fibaction.abc import Endpoint
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
-from fibaction.client_goal import LEAVE_TIMEOUT, ClientGoal, SendingGoal
+from fibaction.client_goal import ClientGoal, SendingGoal
 from fibaction.events import Events, events_of
-from fibaction.exceptions import ActionError, ServerNotFound
+from fibaction.exceptions import ServerNotFound
 from fibaction.goals import CancelAnswer, GoalID, GoalInfo
+from fibaction.retry import Retry
 
 
 class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
@@ -45,7 +47,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         self._blocks: set[SendingGoal[FeedbackT, ResultT]] = set()
 
     def send_goal(
-        self, goal: GoalT, *, goal_id: GoalID | None = None
+        self, goal: GoalT, *, goal_id: GoalID | None = None, timeout: float | None = None
     ) -> SendingGoal[FeedbackT, ResultT]:
         """Send a goal: `async with` the returned object, or `await` it.
 
@@ -55,7 +57,13 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         answer has arrived cancels the goal, too. `goal_id` serves to send the same goal again after
         its answer was lost.
 
+        `timeout` is the number of seconds for the goal as a whole, from here to its end. Then each
+        wait for the goal ends: for its acceptance, its feedback, its outcome. It cancels the goal,
+        waits some seconds at most for the answer to that, and raises `GoalTimeout`. A goal that no
+        task waits for is not canceled. The executor finds the time in `GoalHandle.deadline`.
+
         Raises:
+            GoalTimeout: The server did not accept the goal within `timeout` seconds.
             GoalRejected: The server did not accept the goal; `reason` says why.
             ServerNotFound: This action is not served.
             ConnectionLost: The connection ended before the answer.
@@ -65,17 +73,22 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             TypeError, ValueError, OverflowError, RecursionError: The goal cannot be encoded: see
                 `Codec.encode`.
             TypeError: `goal_id` is not a `GoalID`.
+            ValueError: `timeout` is not more than 0.
         """
         if goal_id is None:
             goal_id = GoalID.random()
         _check_is_id(goal_id)
-        return SendingGoal(self.endpoint, goal_id, self._send(goal, goal_id), self._blocks)
+        attempts = self._attempts(goal_id, timeout, None)
+        sending = self._send(goal, goal_id, attempts)
+        return SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts)
 
     async def call(
         self,
         goal: GoalT,
         *,
         on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
+        timeout: float | None = None,
+        retry: Retry | None = None,
     ) -> ResultT:
         """Send a goal, and return its result.
 
@@ -84,14 +97,26 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         with a connection, the number of lost messages is logged as a warning of
         `fibaction.client`, unless the server's policy is `feedback="latest"`.
 
+        `timeout` is the number of seconds for all of it, from here to the result, all attempts
+        included; then the goal is canceled. `on_feedback` is not interrupted: the time is checked
+        again when it returns.
+
+        With `retry`, another attempt follows an error after which it is safe: see `Retry`. The goal
+        keeps its ID, and runs once, as long as the server remembers it. Each attempt after the
+        first is logged as information of `fibaction.client`.
+
         Raises:
+            GoalTimeout: It took longer than `timeout` seconds.
             GoalRejected, ServerNotFound, ConnectionLost, AuthenticationFailed, ProtocolError,
                 TypeError, ValueError, OverflowError, RecursionError: As for `send_goal`.
             GoalAborted, GoalCanceled, UnknownGoal, TransportError: As for `ClientGoal.result`.
+            ValueError: `timeout` is not more than 0.
+            TypeError: `retry` is not a `Retry`.
         """
         goal_id = GoalID.random()
-        sending = self._send(goal, goal_id, feedback=on_feedback is not None)
-        async with SendingGoal(self.endpoint, goal_id, sending, self._blocks) as sent:
+        attempts = self._attempts(goal_id, timeout, retry)
+        sending = self._send(goal, goal_id, attempts, feedback=on_feedback is not None)
+        async with SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts) as sent:
             if on_feedback is not None:
                 async for feedback in sent.feedback:
                     answer = on_feedback(feedback)
@@ -195,17 +220,30 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             for block in blocks:
                 tasks.start_soon(block.leave)
 
+    def _attempts(
+        self, goal_id: GoalID, timeout: float | None, retry: Retry | None
+    ) -> Attempts | None:
+        """Return what limits and repeats the waits for a goal; None if nothing does."""
+        check_timeout(timeout)
+        if not isinstance(retry, Retry | None):
+            raise TypeError(f"retry is a Retry, such as Retry(attempts=3), not {retry!r}")
+        if timeout is None and retry is None:
+            return None
+        return Attempts(self.endpoint, goal_id, timeout, retry)
+
     async def _send(
-        self, goal: GoalT, goal_id: GoalID, *, feedback: bool = True
+        self, goal: GoalT, goal_id: GoalID, attempts: Attempts | None, *, feedback: bool = True
     ) -> ClientGoal[FeedbackT, ResultT]:
         self._thread.check()
         payload = self.action.goal.encode(goal)
+        if attempts is not None:
+            stream = await attempts.send(payload, feedback=feedback)
+            return ClientGoal(self.endpoint, self.action, stream, attempts)
         try:
             stream = await self.endpoint.send_goal(goal_id, payload, feedback=feedback)
         except get_cancelled_exc_class():
             # The server may have accepted the goal, and it would run without a client.
-            with anyio.move_on_after(LEAVE_TIMEOUT, shield=True), suppress(ActionError):
-                await self.endpoint.cancel_goals(goal_id)
+            await cancel_left(self.endpoint, goal_id)
             raise
         return ClientGoal(self.endpoint, self.action, stream)
 

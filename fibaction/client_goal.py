@@ -14,33 +14,34 @@ reader in another task keeps the executor waiting, since that task goes on readi
 reader that is garbage collected closes its stream, which releases the executor, too.
 
 Leaving: the end of a block of `send_goal`, or of `call`, cancels a goal that has not ended, and
-waits for the server's answer for at most LEAVE_TIMEOUT, shielded from a cancellation of the block
-itself. If the connection ends first, as at the end of the block of `connect`, then
-`ActionClient.leave` cancels the goals of all blocks that are still open, side by side, while the
-connection can still carry the cancels. A block that ends afterwards is no longer in `_blocks`, and
-does not cancel again.
+waits for the server's answer for a few seconds at most, shielded from a cancellation of the block
+itself: see `_attempts.cancel_left`. If the connection ends first, as at the end of the block of
+`connect`, then `ActionClient.leave` cancels the goals of all blocks that are still open, side by
+side, while the connection can still carry the cancels. A block that ends afterwards is no longer in
+`_blocks`, and does not cancel again.
+
+Timeouts and retries: a goal that has either has `Attempts`, through which it waits. The reader has
+the stream, which is another one after a retry.
 """
 
 from __future__ import annotations
 
-from collections.abc import Coroutine, Generator
+from collections.abc import Awaitable, Callable, Coroutine, Generator
 from types import TracebackType
-from typing import Any, Generic
+from typing import Any, Generic, TypeVar
 
 import anyio
 
+from fibaction._attempts import Attempts, cancel_left
 from fibaction._log import clean_logger
 from fibaction._own_thread import OwnThread
-from fibaction._text import excerpt
 from fibaction.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.action import Action, Codec, FeedbackT, ResultT
-from fibaction.exceptions import ActionError, GoalAborted, GoalCanceled, UnknownGoal
+from fibaction.exceptions import ConnectionLost, GoalAborted, GoalCanceled, UnknownGoal
 from fibaction.goals import CancelAnswer, GoalID, Outcome
 from fibaction.states import GoalStatus
 
-LEAVE_TIMEOUT = 5.0
-"""Seconds that the end of a goal's block waits for the answer to its cancel: longer than an answer
-takes, and as long as it takes to detect a dead peer."""
+T = TypeVar("T")
 
 logger = clean_logger("fibaction.client")
 
@@ -48,10 +49,18 @@ logger = clean_logger("fibaction.client")
 class FeedbackReader(Generic[FeedbackT]):
     """The feedback of one goal, for `async for`; the iteration ends when the goal does."""
 
-    def __init__(self, stream: GoalStream, codec: Codec[FeedbackT], thread: OwnThread) -> None:
+    def __init__(
+        self,
+        stream: GoalStream,
+        codec: Codec[FeedbackT],
+        thread: OwnThread,
+        attempts: Attempts | None = None,
+    ) -> None:
+        self.stream = stream
         self._thread = thread
-        self._stream = stream
         self._codec = codec
+        self._attempts = attempts
+        self._dropped = 0  # before this stream
         self._reader: int | None = None
         self._holding = True
 
@@ -64,6 +73,7 @@ class FeedbackReader(Generic[FeedbackT]):
 
         Raises:
             StopAsyncIteration: The goal has ended, and all its feedback has been read.
+            GoalTimeout: As for `ClientGoal.outcome`.
             ConnectionLost: The connection ended before the goal did.
             TransportError: As for `ClientGoal.outcome`.
             ProtocolError: The feedback is not of its type.
@@ -71,8 +81,10 @@ class FeedbackReader(Generic[FeedbackT]):
         self._thread.check()
         if not self._holding:
             self._holding = True
-            self._stream.hold(True)
-        stream = self._stream
+            self.stream.hold(True)
+        if self._attempts is not None:
+            return await self._next_in_time(self._attempts)
+        stream = self.stream
         # Feedback that has arrived need not be awaited. A status is of no use here, and the outcome
         # is given again.
         updates = stream.take() if stream.reads else ()
@@ -83,6 +95,36 @@ class FeedbackReader(Generic[FeedbackT]):
             raise StopAsyncIteration
         return self._codec.decode(item.payload)
 
+    async def _next_in_time(self, attempts: Attempts) -> FeedbackT:
+        item = await self.wait(GoalStream.receive)
+        if item is None:
+            raise StopAsyncIteration
+        feedback = self._codec.decode(item.payload)
+        attempts.note_feedback(feedback)
+        return feedback
+
+    async def wait(self, wait: Callable[[GoalStream], Awaitable[T]]) -> T:
+        """Wait for something of the stream, and follow the goal again if the connection is lost, as
+        far as the goal's attempts allow.
+        """
+        if self._attempts is None:
+            return await wait(self.stream)
+        while True:
+            stream = self.stream
+            try:
+                return await self._attempts.wait(stream, wait)
+            except ConnectionLost as exc:
+                error = exc
+            self.stream = await self._attempts.follow_again(error, stream)
+            self._dropped += stream.dropped
+            if not self._holding:
+                self.stream.hold(False)
+
+    @property
+    def dropped(self) -> int:
+        """The number of feedback messages that were not delivered."""
+        return self._dropped + self.stream.dropped
+
     def release(self) -> None:
         """Stop making the executor wait for this reader, until its next read.
 
@@ -90,52 +132,55 @@ class FeedbackReader(Generic[FeedbackT]):
         """
         if self._reader is None or self._reader == anyio.get_current_task().id:
             self._holding = False
-            self._stream.hold(False)
+            self.stream.hold(False)
 
     def warn_of_loss(self) -> None:
         """Log the number of messages that were lost, if the server's policy is to lose none."""
-        stream = self._stream
-        if stream.dropped and not stream.latest:
+        stream = self.stream
+        if self.dropped and not stream.latest:
             logger.warning(
                 "goal %s: %d feedback messages were lost, with a connection or because they were"
                 " not read in time",
                 stream.goal_id,
-                stream.dropped,
+                self.dropped,
             )
 
     def __del__(self) -> None:
         # The executor must not wait for a reader that no longer exists.
-        self._stream.close()
+        self.stream.close()
 
 
 class ClientGoal(Generic[FeedbackT, ResultT]):
     """One accepted goal, as its client sees it."""
 
     def __init__(
-        self, endpoint: Endpoint, action: Action[Any, FeedbackT, ResultT], stream: GoalStream
+        self,
+        endpoint: Endpoint,
+        action: Action[Any, FeedbackT, ResultT],
+        stream: GoalStream,
+        attempts: Attempts | None = None,
     ) -> None:
         self._thread = OwnThread()
-        self.feedback = FeedbackReader(stream, action.feedback, self._thread)
+        self.feedback = FeedbackReader(stream, action.feedback, self._thread, attempts)
         """The feedback, for `async for`. While it is not read, the server keeps the newest."""
         self._endpoint = endpoint
         self._codec = action.result
-        self._stream = stream
         self._outcome: Outcome[ResultT] | None = None
 
     @property
     def goal_id(self) -> GoalID:
         """The goal's ID."""
-        return self._stream.goal_id
+        return self.feedback.stream.goal_id
 
     @property
     def stamp(self) -> int:
         """The time of the acceptance: nanoseconds since 1970, by the server's clock."""
-        return self._stream.stamp
+        return self.feedback.stream.stamp
 
     @property
     def status(self) -> GoalStatus:
         """The newest status that this client knows."""
-        return self._stream.status
+        return self.feedback.stream.status
 
     @property
     def feedback_dropped(self) -> int:
@@ -144,7 +189,7 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
 
         It counts the messages before the last one that was read; at the end of the feedback, all.
         """
-        return self._stream.dropped
+        return self.feedback.dropped
 
     async def outcome(self) -> Outcome[ResultT]:
         """Wait for the end of the goal, and return its outcome.
@@ -153,6 +198,7 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
         reads the feedback.
 
         Raises:
+            GoalTimeout: The goal took longer than its `timeout`, and was canceled.
             ConnectionLost: The connection ended before the goal did.
             TransportError: The outcome cannot be received, for example because the result is larger
                 than this client's limit.
@@ -161,7 +207,7 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
         self._thread.check()
         if self._outcome is None:
             self.feedback.release()
-            raw = await self._stream.outcome()
+            raw = await self.feedback.wait(GoalStream.outcome)
             result = None if raw.result is None else self._codec.decode(raw.result)
             self._outcome = Outcome(raw.status, result, raw.reason)
         return self._outcome
@@ -173,7 +219,7 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
             GoalAborted: It was aborted; `reason` says why, `result` is the partial result.
             GoalCanceled: It was canceled; `result` is the partial result.
             UnknownGoal: The server has forgotten the goal.
-            ConnectionLost, TransportError, ProtocolError: As for `outcome`.
+            GoalTimeout, ConnectionLost, TransportError, ProtocolError: As for `outcome`.
         """
         outcome = await self.outcome()
         if outcome.status is GoalStatus.SUCCEEDED:
@@ -199,7 +245,7 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
     def close(self) -> None:
         """Stop reading feedback. The goal goes on, and `outcome()` still works."""
         self._thread.check()
-        self._stream.close()
+        self.feedback.stream.close()
 
     def __repr__(self) -> str:
         return f"<ClientGoal {self.goal_id} {self.status.name}>"
@@ -214,11 +260,13 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
         goal_id: GoalID,
         sending: Coroutine[Any, Any, ClientGoal[FeedbackT, ResultT]],
         blocks: set[SendingGoal[FeedbackT, ResultT]],
+        attempts: Attempts | None = None,
     ) -> None:
         """Prepare to send a goal; `blocks` are the open blocks of its client."""
         self._endpoint = endpoint
         self._goal_id = goal_id
         self._blocks = blocks
+        self._attempts = attempts
         self._sending = sending
         self._goal: ClientGoal[FeedbackT, ResultT] | None = None
 
@@ -254,13 +302,8 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
             if self._goal.status.is_terminal:
                 return
             goal_id = self._goal.goal_id
-        with anyio.move_on_after(LEAVE_TIMEOUT, shield=True) as timeout:
-            try:
-                answer = await self._endpoint.cancel_goals(goal_id)
-                if not answer.accepted and answer.reason:
-                    reason = excerpt(answer.reason)
-                    logger.warning("goal %s was left, but runs on: %s", goal_id, reason)
-            except ActionError as error:
-                logger.warning("goal %s was left, but could not be canceled: %s", goal_id, error)
-        if timeout.cancelled_caught:
-            logger.warning("goal %s was left, but its server does not answer the cancel", goal_id)
+        if self._attempts is not None:
+            self._attempts.stop()
+            await self._attempts.give_up()
+        else:
+            await cancel_left(self._endpoint, goal_id)

@@ -4,6 +4,7 @@
     ├── GoalRejected          the server did not accept the goal
     ├── GoalAborted           the server ended the goal by itself
     ├── GoalCanceled          the goal ended because its cancel was accepted
+    ├── GoalTimeout           the goal took longer than the client's timeout
     ├── CancelRejected        the server rejects a cancel
     ├── UnknownGoal           the server does not know the goal, or not any longer
     ├── InvalidTransition     an event that a status does not allow: a bug in fibaction
@@ -30,6 +31,7 @@ from typing import Any
 from fibaction._action_error import ActionError as ActionError  # the root of this tree
 from fibaction._text import REASON, excerpt
 from fibaction.goals import WHY_UNKNOWN, GoalID
+from fibaction.states import GoalStatus
 from fibaction.states import InvalidTransition as InvalidTransition  # raised by the table alone
 
 
@@ -59,6 +61,13 @@ class GoalRejected(_GoalError):
 
     what = "was rejected"
 
+    @property
+    def is_busy(self) -> bool:
+        """True if the server had no room for the goal: the reason begins with `busy`. The same
+        goal may be accepted later.
+        """
+        return self.reason.startswith("busy")
+
 
 class GoalAborted(_GoalError):
     """The server ended the goal by itself; `reason` says why, `result` is what there was, or None.
@@ -87,6 +96,32 @@ class GoalCanceled(_GoalError):
     ) -> None:
         super().__init__(reason, goal_id=goal_id)
         self.result = result
+
+
+class GoalTimeout(_GoalError, TimeoutError):
+    """The goal took longer than the client's `timeout`, and the client has asked to cancel it.
+
+    It is Python's `TimeoutError`, too.
+    """
+
+    what = "timed out"
+
+    def __init__(
+        self,
+        reason: str,
+        *,
+        goal_id: GoalID | None = None,
+        status: GoalStatus = GoalStatus.UNKNOWN,
+        feedback: Any = None,
+        feedback_count: int = 0,
+    ) -> None:
+        super().__init__(reason, goal_id=goal_id)
+        self.status = status
+        """The newest status that the client knew then; UNKNOWN before the acceptance."""
+        self.feedback = feedback
+        """The last feedback that was read; None if none was."""
+        self.feedback_count = feedback_count
+        """The number of feedback messages that were read."""
 
 
 class CancelRejected(_GoalError):

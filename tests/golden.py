@@ -70,8 +70,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "961001cb3ff0000000000000a6736563726574c410101112131415161718191a1b1c1d1e1fce00010000",
     ),
     (
-        SendGoal(1, "fibonacci", GOAL_ID, GOAL, 64),
-        "961101a96669626f6e61636369c410000102030405060708090a0b0c0d0e0fc40881a56f726465720a40",
+        SendGoal(1, "fibonacci", GOAL_ID, GOAL, 64, 5.0),
+        "971101a96669626f6e61636369c410000102030405060708090a0b0c0d0e0fc40881a56f726465720a40cb4014000000000000",
     ),
     (
         Follow(2, "fibonacci", GOAL_ID, 3, True, 64),
@@ -122,8 +122,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "932201b5746865206f72646572206973206e65676174697665",
     ),
     (
-        Failed(2, Why.SERVER_NOT_FOUND, "nobody serves it"),
-        "94230202b06e6f626f647920736572766573206974",
+        Failed(2, Why.SERVER_NOT_FOUND, "it is not served"),
+        "94230202b06974206973206e6f7420736572766564",
     ),
     (
         Feedback(1, 1, FEEDBACK),

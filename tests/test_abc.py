@@ -109,6 +109,7 @@ class OneGoal(Endpoint):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
     ) -> GoalStream:
         self.sent.append((goal_id, goal, feedback))
         return self.stream

@@ -252,9 +252,12 @@ class Audited(ForwardingEndpoint):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
     ) -> GoalStream:
         self.senders.append(sender)
-        return await super().send_goal(goal_id, goal, feedback=feedback, sender=sender)
+        return await super().send_goal(
+            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout
+        )
 
 
 async def test_a_server_that_is_wrapped_is_started_served_and_stopped() -> None:

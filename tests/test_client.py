@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import uuid
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import pytest
@@ -29,6 +30,7 @@ from fibaction import (
     GoalStatus,
     Outcome,
     ProtocolError,
+    Retry,
     ServerNotFound,
     UnknownGoal,
 )
@@ -102,6 +104,7 @@ class Broken(Endpoint):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
     ) -> GoalStream:
         if self.sending is not None:
             self.sending.set()
@@ -251,6 +254,33 @@ async def test_what_is_no_goal_id_goes_nowhere(wrong: Any) -> None:
     assert (broken.follows, broken.cancels) == ([], [])
 
 
+@pytest.mark.parametrize("wrong", [0, -1.5, math.nan])
+async def test_a_timeout_that_is_no_time_goes_nowhere(wrong: float) -> None:
+    text = f"^timeout is more than 0 seconds, or None for no limit, not {wrong}$"
+    async with ScriptedServer(FIBONACCI, [Result([])]) as server:
+        client = client_of(server)
+        with pytest.raises(ValueError, match=text):
+            client.send_goal(Goal(1), timeout=wrong)
+        with pytest.raises(ValueError, match=text):
+            await client.call(Goal(1), timeout=wrong)
+        with pytest.raises(
+            TypeError, match=r"^retry is a Retry, such as Retry\(attempts=3\), not 3$"
+        ):
+            await client.call(Goal(1), retry=cast("Retry", 3))
+    assert server.received == []
+
+
+async def test_a_goal_with_a_timeout_is_sent_in_both_ways() -> None:
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), Result([2])]) as server:
+        client = client_of(server)
+        goal = await client.send_goal(Goal(1), timeout=5)
+        assert await goal.result() == Result([2])
+        async with client.send_goal(Goal(1), timeout=5) as goal:
+            assert [item async for item in goal.feedback] == [Feedback([1])]
+            assert await goal.result() == Result([2])
+        assert await client.call(Goal(1), timeout=5) == Result([2])
+
+
 @pytest.mark.parametrize("wrong", [1.5, "7"])
 async def test_what_is_no_whole_number_goes_nowhere(wrong: Any) -> None:
     broken = Broken(BrokenStream())
@@ -383,7 +413,7 @@ async def test_leaving_a_goal_whose_cancel_is_rejected_or_that_is_unknown_does_n
 async def test_leaving_waits_only_so_long_for_the_answer(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fibaction.client.LEAVE_TIMEOUT", 0.001)
+    monkeypatch.setattr("fibaction._attempts.LEAVE_TIMEOUT", 0.001)
     endpoint = Broken(BrokenStream())
     endpoint.answer = None
     async with client_of(endpoint).send_goal(Goal(1)) as goal:

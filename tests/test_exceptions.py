@@ -16,6 +16,7 @@ from fibaction.exceptions import (
     GoalAborted,
     GoalCanceled,
     GoalRejected,
+    GoalTimeout,
     InvalidMessage,
     InvalidTransition,
     InvalidURL,
@@ -50,6 +51,8 @@ def public_errors() -> Iterator[tuple[str, type[BaseException]]]:
         (GoalRejected, ActionError),
         (GoalAborted, ActionError),
         (GoalCanceled, ActionError),
+        (GoalTimeout, ActionError),
+        (GoalTimeout, TimeoutError),
         (CancelRejected, ActionError),
         (UnknownGoal, ActionError),
         (InvalidTransition, ActionError),
@@ -65,8 +68,9 @@ def public_errors() -> Iterator[tuple[str, type[BaseException]]]:
     ],
 )
 def test_the_tree_is_as_drawn(error: type[BaseException], parent: type[BaseException]) -> None:
-    named = [base for base in error.__mro__[1:] if base.__name__[0] != "_"]
-    assert named[0] is parent
+    assert parent in {
+        base if base.__name__[0] != "_" else base.__mro__[1] for base in error.__bases__
+    }
 
 
 def test_the_drawing_shows_every_error_and_each_has_a_docstring() -> None:
@@ -90,6 +94,8 @@ def test_the_drawing_shows_every_error_and_each_has_a_docstring() -> None:
         (GoalAborted(""), "the goal was aborted"),
         (GoalCanceled(), "the goal was canceled"),
         (GoalCanceled("asked to", goal_id=GOAL_ID), f"goal {HEX} was canceled: asked to"),
+        (GoalTimeout("too slow", goal_id=GOAL_ID), f"goal {HEX} timed out: too slow"),
+        (GoalTimeout(""), "the goal timed out"),
         (CancelRejected("nearly done"), "nearly done"),
         (CancelRejected("no", goal_id=GOAL_ID), f"goal {HEX} cannot be canceled: no"),
         (CancelRejected(""), "the goal cannot be canceled"),
@@ -120,12 +126,19 @@ def test_data_is_in_attributes() -> None:
     assert (aborted.reason, aborted.result, aborted.goal_id) == ("stuck", [1], GOAL_ID)
     canceled = GoalCanceled("asked to", result=[2], goal_id=GOAL_ID)
     assert (canceled.reason, canceled.result, canceled.goal_id) == ("asked to", [2], GOAL_ID)
+    late = GoalTimeout(
+        "slow", goal_id=GOAL_ID, status=GoalStatus.EXECUTING, feedback=[3], feedback_count=4
+    )
+    assert (late.reason, late.goal_id, late.status) == ("slow", GOAL_ID, GoalStatus.EXECUTING)
+    assert (late.feedback, late.feedback_count) == ([3], 4)
     assert UnknownGoal(GOAL_ID).goal_id == GOAL_ID
     invalid = InvalidTransition(GoalStatus.ACCEPTED, GoalEvent.SUCCEED)
     assert (invalid.status, invalid.event) == (GoalStatus.ACCEPTED, GoalEvent.SUCCEED)
 
 
-@pytest.mark.parametrize("error", [GoalRejected, GoalAborted, GoalCanceled, CancelRejected])
+@pytest.mark.parametrize(
+    "error", [GoalRejected, GoalAborted, GoalCanceled, GoalTimeout, CancelRejected]
+)
 def test_a_reason_is_text_whatever_was_given(error: type[Any]) -> None:
     refusal = error(ValueError("too far"))
     assert refusal.reason == str(refusal) == "too far"
@@ -136,9 +149,17 @@ def test_an_error_of_others_is_its_name_and_what_it_says_if_it_can() -> None:
     assert text_of(Mute("too far")) == "Mute"
 
 
+def test_a_rejection_says_whether_the_server_was_busy() -> None:
+    for reason, is_busy in (("busy: 1 of 1 running", True), ("busy", True), ("too busy", False)):
+        assert GoalRejected(reason).is_busy is is_busy
+
+
 def test_what_is_not_said_is_none_or_empty() -> None:
     assert GoalRejected("no").goal_id is None
     assert (GoalAborted("no").result, GoalAborted("no").goal_id) == (None, None)
+    late = GoalTimeout("slow")
+    assert (late.goal_id, late.status) == (None, GoalStatus.UNKNOWN)
+    assert (late.feedback, late.feedback_count) == (None, 0)
     canceled = GoalCanceled()
     assert (canceled.reason, canceled.result, canceled.goal_id) == ("", None, None)
 
@@ -148,6 +169,7 @@ def test_what_is_not_said_is_none_or_empty() -> None:
     [
         GoalRejected("too far", goal_id=GOAL_ID),
         GoalAborted("stuck", result=[1], goal_id=GOAL_ID),
+        GoalTimeout("slow", goal_id=GOAL_ID, status=GoalStatus.EXECUTING, feedback_count=4),
         GoalCanceled("asked to", result=[2], goal_id=GOAL_ID),
         UnknownGoal(GOAL_ID),
         InvalidTransition(GoalStatus.ACCEPTED, GoalEvent.SUCCEED),
@@ -173,7 +195,12 @@ class WithItsOwnConstructor(ActionError):
 
 @pytest.mark.parametrize(
     "error",
-    [GoalRejected("busy", goal_id=GOAL_ID), UnknownGoal(GOAL_ID), WithItsOwnConstructor(axis=3)],
+    [
+        GoalRejected("busy", goal_id=GOAL_ID),
+        GoalTimeout("slow", goal_id=GOAL_ID, status=GoalStatus.EXECUTING),
+        UnknownGoal(GOAL_ID),
+        WithItsOwnConstructor(axis=3),
+    ],
     ids=lambda error: type(error).__name__,
 )
 def test_a_copy_of_an_error_says_the_same_and_has_no_traceback(error: ActionError) -> None:

@@ -10,7 +10,7 @@ SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/trans
 ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
 UNITS = {
     "fibaction/_action_error.py": ["tests/test_exceptions.py"],
-    "fibaction/client_goal.py": ["tests/test_client.py"],
+    "fibaction/client_goal.py": ["tests/test_client.py", "tests/test_attempts.py"],
     "fibaction/streams.py": ["tests/test_abc.py"],
     "fibaction/cli": ["tests/cli"],
     "transports/fibaction_transports/_command.py": ["tests/cli"],

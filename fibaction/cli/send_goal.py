@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from contextlib import suppress
@@ -171,12 +172,14 @@ class _GoalSender:
         self._goal_id = GoalID.random()
         self._phase: Literal["preparing", "sent", "accepted"] = "preparing"
         self._late = False
+        self._deadline = math.inf
 
     async def run(self, url: str, name: str, type_name: str, text: str) -> int:
         with SignalReceiver(self._left) as signals:
             async with Background() as tasks:
                 tasks.start_soon(self._handle_signals, signals)
                 if self._options.timeout is not None:
+                    self._deadline = anyio.current_time() + self._options.timeout
                     tasks.start_soon(self._limit, self._options.timeout)
                 with self._all:
                     async with connect(url) as connection:
@@ -220,7 +223,9 @@ class _GoalSender:
         self._phase = "sent"
         feedback = (self._options.feedback or self._printer.wants_all) and not self._options.detach
         try:
-            stream = await self._endpoint.send_goal(self._goal_id, payload, feedback=feedback)
+            stream = await self._endpoint.send_goal(
+                self._goal_id, payload, feedback=feedback, timeout=self._time_left()
+            )
         except get_cancelled_exc_class():
             # It may have arrived, and no client would know of it.
             self._withdrawal.deadline = anyio.current_time() + TIMEOUT
@@ -239,6 +244,11 @@ class _GoalSender:
             place = next((one for one in infos if one.goal_id == self._goal_id and one.place), None)
             if place is not None:
                 note(f"The goal waits, {ordinal(place.place)} of {place.queue_length}.")
+
+    def _time_left(self) -> float | None:
+        """Return the seconds until the goal is given up; None if it is not."""
+        left = self._deadline - anyio.current_time()
+        return None if left == math.inf else left
 
     # Ending it early
 

@@ -50,7 +50,7 @@ from fibaction.server._turns import Turns
 
 T = TypeVar("T")
 
-SLICE = 0.005
+EXECUTOR_SLICE = 0.005
 """Seconds that a task may run without awaiting before other tasks run: short for people and for
 heartbeats, long compared with a turn of the event loop (some 10 microseconds)."""
 
@@ -228,7 +228,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
             self._note_arrival(getattr(value, "error", None))
         current = self._current
         outer = current.steps  # an eager task begins in the step of another one
-        self.slice_end = perf_counter() + SLICE  # before the watchdog can see this step
+        self.slice_end = perf_counter() + EXECUTOR_SLICE  # before the watchdog can see this step
         current.steps = self
         try:
             return self._suspend(self._context.run(self._coroutine.send, value))
@@ -247,7 +247,7 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         self._note_arrival(typ)
         current = self._current
         outer = current.steps
-        self.slice_end = perf_counter() + SLICE
+        self.slice_end = perf_counter() + EXECUTOR_SLICE
         current.steps = self
         # A new cancellation, as of the task itself: a scope inside would absorb anyio's as its own.
         error = type(typ)() if self._arrived else typ

@@ -31,7 +31,7 @@ from anyio.lowlevel import cancel_shielded_checkpoint
 from fibaction._detached import DetachedGroup, waker
 from fibaction._notify import Notifier
 from fibaction.server._fair_queue import FairQueue
-from fibaction.server._interruption import SLICE, CancelOnce
+from fibaction.server._interruption import EXECUTOR_SLICE, CancelOnce
 from fibaction.server._turns import Turns
 
 GRACE = 1.0
@@ -123,7 +123,7 @@ class TaskPool:
     def _begin_slice(self) -> None:
         """Begin the pool's slice in a turn of the event loop of its own."""
         self._is_coming = False
-        self._slice_end = perf_counter() + SLICE
+        self._slice_end = perf_counter() + EXECUTOR_SLICE
 
     async def _work_off(self, scopes: CancelOnce) -> None:
         """Run jobs until none waits, or until another task is to run them."""

@@ -15,7 +15,7 @@ the loop's thread (`sys._current_frames`). That thread goes on meanwhile, so the
 if the step has ended by then. The thread also tells the end of a step that it has named.
 
 The watchdog runs as long as a server with a limit is open. It waits without a timeout while no
-executor is active (`is_asleep`), and the first one wakes it. The order of the accesses replaces a
+executor is active (`is_asleep`), and the next one wakes it. The order of the accesses replaces a
 lock: an executor becomes active before it reads `is_asleep`, and the watchdog sets `is_asleep`
 before it looks for active executors once more.
 
@@ -36,7 +36,7 @@ from typing import Any, NamedTuple, Protocol
 
 from fibaction._log import clean_logger
 from fibaction.goals import GoalID
-from fibaction.server._interruption import SLICE, Current, Steps
+from fibaction.server._interruption import EXECUTOR_SLICE, Current, Steps
 from fibaction.server.goal_handle import GoalHandle
 
 CHECKS = 4
@@ -80,7 +80,7 @@ class Watch:
         """The step that runs now in the server's thread, of any server."""
         self._action = action
         self._limit = limit if limit < math.inf else 0
-        self._interval = min(max(limit / CHECKS, SLICE), TIMEOUT_MAX)
+        self._interval = min(max(limit / CHECKS, EXECUTOR_SLICE), TIMEOUT_MAX)
         self._active: dict[Steps[Any], Watched] = {}
         self._named: list[_Blocked] = []  # one at most; two threads may take it out
         self._thread = 0
@@ -116,12 +116,15 @@ class Watch:
         """Watch an executor no longer."""
         self._active.pop(steps, None)
 
-    # The other methods run in the watchdog's thread.
+    # The other methods are called in the watchdog's thread.
+
+    @property
+    def is_active(self) -> bool:
+        """True if an executor has begun, and has not ended."""
+        return bool(self._active)
 
     def check(self, now: float) -> float:
-        """Name the step that blocks now; return the seconds until the next check is due, which are
-        infinite if no executor is active.
-        """
+        """Name the step that blocks now; return the seconds until the next check."""
         steps = self.current.steps
         named = self._named.copy()  # `close` may take it out meanwhile
         if named:
@@ -129,9 +132,7 @@ class Watch:
                 self._tell_end(now)
         elif steps is not None and now - _beginning(steps.slice_end) >= self._limit:
             self._name(steps, steps.slice_end, now)
-        if self._named:
-            return min(self._interval, POLL)
-        return self._interval if self._active else math.inf
+        return min(self._interval, POLL) if self._named else self._interval
 
     def _name(self, steps: Steps[Any], slice_end: float, now: float) -> None:
         executor = self._active.get(steps)
@@ -166,7 +167,7 @@ class Watch:
 
 def _beginning(slice_end: float) -> float:
     """Return the time at which a step began."""
-    return slice_end - SLICE
+    return slice_end - EXECUTOR_SLICE
 
 
 # The thread
@@ -189,17 +190,24 @@ class Watchdog(Thread):
 
     def run(self) -> None:
         """Check all watches, again and again."""
-        while self.watches:
+        was_woken = True
+        while True:
             self._news.clear()
-            timeout = self.check(perf_counter())
-            if timeout == math.inf:
+            if not self.watches:
+                return
+            timeout: float | None = self.check(perf_counter())
+            # Not at once after it was woken: many short goals would wake it one after another.
+            if not was_woken and not self._are_active():
                 self.is_asleep = True
-                timeout = self.check(perf_counter())
-            self._news.wait(timeout if timeout < math.inf else None)
+                timeout = timeout if self._are_active() else None
+            was_woken = self._news.wait(timeout)
             self.is_asleep = False
 
+    def _are_active(self) -> bool:
+        return any(watch.is_active for watch in self.watches)
+
     def check(self, now: float) -> float:
-        """Check all watches; return the seconds until the next check, as `Watch.check` does."""
+        """Check all watches; return the seconds until the next check."""
         return min((watch.check(now) for watch in self.watches), default=0)
 
 

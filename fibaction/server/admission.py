@@ -60,6 +60,7 @@ class Offer(NamedTuple):
     goal: bytes
     feedback: bool
     sender: Sender
+    deadline: float
 
 
 class Admission(Generic[GoalT, FeedbackT, ResultT]):
@@ -169,7 +170,9 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise GoalRejected(SERVER_STOPPING)
         goal_id, sender, dispatcher = offer.goal_id, offer.sender, self._dispatcher
         orders = () if dispatcher is None else dispatcher.offer(goal_id, request, sender)
-        goal = self._registry.accept(goal_id, stamp=time.time_ns(), sender=sender)
+        goal = self._registry.accept(
+            goal_id, stamp=time.time_ns(), sender=sender, deadline=offer.deadline
+        )
         self._tell_decision(goal_id)
         log = self._runs.add(goal, request)
         if dispatcher is None:

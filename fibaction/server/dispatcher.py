@@ -158,6 +158,9 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
     # As a succession
 
     def successor(self, goal_id: GoalID) -> GoalHandle[GoalT] | None:
+        # An interrupted executor ends, and would end its successor as well.
+        if self._is_closed or self._runs.is_interrupted(goal_id):
+            return None
         successor = self._scheduler.successor(goal_id)
         return None if successor is None else self._runs.handle_of(successor)
 

@@ -65,7 +65,6 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         "_action",
         "_context",
         "_executor",
-        "_is_interrupted",
         "_log",
         "_owner",
         "_result",
@@ -74,6 +73,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         "_steps",
         "_watch",
         "handle",
+        "is_interrupted",
     )
 
     def __init__(
@@ -95,7 +95,8 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._result: bytes | None = None
         # The context variables of the call that sent the goal, as a task of its own would have.
         self._context = copy_context()
-        self._is_interrupted = False
+        self.is_interrupted = False
+        """True if a cancellation was sent to the executor."""
         self._scopes: CancelOnce | None = None
         self._steps: Steps[Ending]
 
@@ -112,7 +113,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             current=watch.current,
         )
         watch.begin(self._steps, self)
-        if self._is_interrupted:
+        if self.is_interrupted:
             self._steps.interrupt()
         return self._steps
 
@@ -120,17 +121,19 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         """Raise the backend's cancellation in the generator, once, at its current or next `await`
         or `yield`. Each `await` after that is clean-up, and is not canceled.
         """
-        if not self._is_interrupted:
-            self._is_interrupted = True
+        if not self.is_interrupted:
+            self.is_interrupted = True
             if self._scopes is not None:
                 self._steps.interrupt()
 
     def kill(self, *, for_good: bool = True) -> None:
-        """Cancel every `await` from now on, those of the clean-up included.
+        """Cancel every `await` from now on, those of the clean-up included, and discard feedback,
+        since the goal has ended.
 
         An executor that survives this is given up if `for_good`; otherwise it runs on.
         """
         if self._scopes is not None:
+            self._log = self._log.discarding()
             self._scopes.kill(for_good=for_good)
 
     def go_on_as(self, handle: GoalHandle[GoalT], log: FeedbackLog) -> None:
@@ -166,7 +169,6 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
     def _given_up(self) -> Ending:
         """Tell in the log that the executor runs no further, and return the ending for its goal."""
         self._scopes = None
-        self._watch.end(self._steps)
         logger.error(
             "goal %s of action %r: its executor does not end though it was killed, and is"
             " abandoned; what it holds stays taken until this process ends",

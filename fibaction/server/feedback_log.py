@@ -42,7 +42,6 @@ import math
 import sys
 from collections import deque
 from itertools import islice
-from typing import TYPE_CHECKING
 from weakref import ref
 
 import anyio
@@ -52,11 +51,8 @@ from fibaction._notify import Notifier
 from fibaction.abc import FeedbackItem
 from fibaction.server._members import Members, with_member, without_member
 from fibaction.server.feedback_cursor import FeedbackCursor
+from fibaction.server.goal_record import GoalRecord
 from fibaction.states import GoalStatus
-
-if TYPE_CHECKING:
-    from fibaction.server.goal_record import GoalRecord
-
 
 BUDGET_STEP = 0.1
 """Seconds after which a log looks again whether the server is within its budget of bytes."""
@@ -170,6 +166,11 @@ class FeedbackLog:
         # Adding them up here costs less than counting them at each feedback.
         for item in self._items:
             self._budget.used -= len(item.payload)
+
+    def discarding(self) -> FeedbackLog:
+        """Return a log without followers, for feedback that comes after the end of the goal."""
+        goal = self.goal
+        return FeedbackLog(GoalRecord(goal.goal_id, goal.digest, goal.stamp, goal.sender))
 
     async def wait_for_room(self, seconds: float) -> None:
         """Wait until the log is no longer full, for at most that long.

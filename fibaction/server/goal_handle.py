@@ -66,6 +66,13 @@ class GoalHandle(Generic[GoalT]):
         return self._goal.sender
 
     @property
+    def deadline(self) -> float:
+        """Time at which the client gives the goal up, by the clock of `anyio.current_time()`;
+        `math.inf` if it does not. The server does not enforce it.
+        """
+        return self._goal.deadline
+
+    @property
     def status(self) -> GoalStatus:
         """The goal's status now."""
         return self._goal.status

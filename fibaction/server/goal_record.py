@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import Enum
 from hashlib import blake2b
 
@@ -31,6 +32,7 @@ class GoalRecord:
 
     __slots__ = (
         "changed",
+        "deadline",
         "digest",
         "ended_at",
         "feedback_count",
@@ -51,6 +53,7 @@ class GoalRecord:
         stamp: int,
         sender: Sender,
         held: CountedBytes | None = None,
+        deadline: float = math.inf,
     ) -> None:
         self.goal_id = goal_id
         self.digest = digest
@@ -58,6 +61,8 @@ class GoalRecord:
         """Time of the acceptance: nanoseconds since 1970, different for each goal."""
         self.sender = sender
         """The client that sent the goal, and owns it."""
+        self.deadline = deadline
+        """Time at which the client gives the goal up, by the event loop's clock."""
         self.status: GoalStatus = INITIAL
         self.outcome: Outcome[bytes] | None = None
         """The outcome; None while the goal is active, and again after the server has forgotten it.

@@ -33,6 +33,7 @@ A goal ends in two steps, so that a store can keep the outcome before it is told
 
 from __future__ import annotations
 
+import math
 from enum import Enum
 from typing import NamedTuple
 
@@ -156,16 +157,18 @@ class GoalRegistry:
             return f"busy: goals and feedback would take {needed} bytes, the limit is {limit}"
         return ""
 
-    def accept(self, goal_id: GoalID, *, stamp: int, sender: Sender) -> GoalRecord:
+    def accept(
+        self, goal_id: GoalID, *, stamp: int, sender: Sender, deadline: float = math.inf
+    ) -> GoalRecord:
         """Accept an undecided goal, and return its record.
 
         `stamp` is the wall clock's time in nanoseconds. The goal's own stamp is always later than
         that of every earlier goal, so that "accepted at or before" holds even if the clock is set
-        back.
+        back. `deadline` is the time, by the clock of `now`, at which the client gives the goal up.
         """
         self._last_stamp = max(stamp, self._last_stamp + 1)
         digest, held = self._undecided.pop(goal_id)
-        goal = GoalRecord(goal_id, digest, self._last_stamp, sender, held)
+        goal = GoalRecord(goal_id, digest, self._last_stamp, sender, held, deadline)
         earlier = self._ended.discard(goal_id)  # it may have expired without being freed yet
         if earlier is not None:
             self._forget(earlier)

@@ -168,6 +168,11 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """Return the record of an active goal."""
         return self._runs[goal_id].goal
 
+    def is_interrupted(self, goal_id: GoalID) -> bool:
+        """Return whether the executor of a goal was interrupted, or is gone."""
+        run = self._runs.get(goal_id)
+        return run is None or run.execution.is_interrupted
+
     def take_over(self, goal_id: GoalID, successor: GoalID) -> None:
         """Let the executor of a goal go on as its successor, which waits, and end the goal.
 

@@ -8,13 +8,14 @@ as an `Endpoint`.
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Awaitable, Coroutine
 from functools import partial
 from types import TracebackType
 from typing import Any, Generic, Literal, Self
 
 import anyio
-from anyio import create_task_group
+from anyio import create_task_group, current_time
 
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
@@ -259,9 +260,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
     ) -> FeedbackCursor:
         """See `Endpoint.send_goal`."""
-        offered = self.offer_goal(goal_id, goal, feedback=feedback, sender=sender)
+        offered = self.offer_goal(goal_id, goal, feedback=feedback, sender=sender, timeout=timeout)
         return offered if isinstance(offered, FeedbackCursor) else await offered
 
     def offer_goal(
@@ -271,10 +273,12 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
     ) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
         """See `Endpoint.offer_goal`; only an async `on_goal` makes it return a coroutine."""
         self._check_running()
-        return self._admission.offer(Offer(goal_id, goal, feedback, sender))
+        deadline = math.inf if timeout is None else current_time() + timeout
+        return self._admission.offer(Offer(goal_id, goal, feedback, sender, deadline))
 
     async def feedback(
         self, goal_id: GoalID, *, after: int | None = None, own: bool = False

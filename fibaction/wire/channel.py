@@ -65,7 +65,7 @@ class Line(ABC):
 
         Frames that `on_frames` returns are given to it again in a later turn of the event loop, and
         nothing is read until it has taken all of them: a peer that sends faster than its messages
-        can be handled has to wait, and nobody else.
+        can be handled has to wait, and only that peer.
 
         `next_frames` is called at first, after each `wake_writer()`, and after each write, until it
         returns none. Runs once, and does not return.

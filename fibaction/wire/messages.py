@@ -31,6 +31,9 @@ FrameSize: TypeAlias = Annotated[int, msgspec.Meta(ge=1, lt=2**32)]
 LONGEST_HEARTBEAT = 3600.0
 """Longest heartbeat that a message can contain, in seconds."""
 Seconds: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=LONGEST_HEARTBEAT)]
+LONGEST_TIMEOUT = 1e9
+"""Longest timeout of a goal that a message can contain, in seconds: some 30 years."""
+Timeout: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=LONGEST_TIMEOUT)]
 
 
 class _Message(msgspec.Struct, array_like=True, gc=False):
@@ -88,6 +91,8 @@ class SendGoal(_Message, tag=17):
     goal: bytes
     credit: Count | None
     """Feedback messages that the server may send before more credit; nil for the outcome only."""
+    timeout: Timeout | None = None
+    """Seconds from now after which the client gives the goal up; nil if it does not."""
 
 
 @final

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -57,15 +58,21 @@ class OpenCalls:
         return pending.answer(kind)
 
     async def follow(
-        self, goal_id: GoalID, request: Callable[[int, int], SendGoal | Follow]
+        self,
+        goal_id: GoalID,
+        request: Callable[[int, int], SendGoal | Follow],
+        *,
+        deadline: float = math.inf,
     ) -> RemoteGoal:
         """Send or follow a goal; `request` gets the ID of the call, and the credit.
+
+        `deadline` is the time at which the client gives a goal up that it sends.
 
         Raises:
             ActionError: As for `ask`.
         """
         opening = request(next(self._ids), self._goal_window)
-        goal = RemoteGoal(goal_id, opening, self._goal_window, self.post)
+        goal = RemoteGoal(goal_id, opening, self._goal_window, self.post, deadline)
         await self._open(goal)
         if not goal.is_own and self._calls.pop(goal.id, None) is not None:
             self._observed[goal.id] = goal

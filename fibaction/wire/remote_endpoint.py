@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
+from anyio import current_time
+
 from fibaction._text import shortened
 from fibaction.abc import Endpoint
 from fibaction.action import ActionInfo
@@ -48,12 +52,14 @@ class RemoteEndpoint(Endpoint):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
     ) -> RemoteGoal:
         return await self._calls.follow(
             goal_id,
             lambda call_id, credit: SendGoal(
                 call_id, self._info.name, goal_id, goal, credit if feedback else None
             ),
+            deadline=math.inf if timeout is None else current_time() + timeout,
         )
 
     async def feedback(

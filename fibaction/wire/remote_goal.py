@@ -6,9 +6,12 @@ the last feedback, from which it goes on after a connection was lost.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
+
+from anyio import current_time
 
 from fibaction._text import shortened
 from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
@@ -19,6 +22,7 @@ from fibaction.wire.calls import Call, Credits, Post, unfitting
 from fibaction.wire.codec import FromClient
 from fibaction.wire.errors import error_of
 from fibaction.wire.messages import (
+    LONGEST_TIMEOUT,
     Close,
     Ended,
     Failed,
@@ -32,12 +36,26 @@ from fibaction.wire.messages import (
     Why,
 )
 
+LEAST_TIMEOUT = 0.001
+"""Seconds that are sent for a deadline that has passed, since 0 is not a timeout."""
+
+
+def timeout_until(deadline: float) -> float | None:
+    """Return the timeout to send for a deadline: the seconds that are left; None if too many."""
+    left = deadline - current_time()
+    return max(left, LEAST_TIMEOUT) if left <= LONGEST_TIMEOUT else None
+
 
 class RemoteGoal(Call, GoalStream):
     """One goal of a server, followed over a connection."""
 
     def __init__(
-        self, goal_id: GoalID, opening: SendGoal | Follow, window: int, post: Post
+        self,
+        goal_id: GoalID,
+        opening: SendGoal | Follow,
+        window: int,
+        post: Post,
+        deadline: float = math.inf,
     ) -> None:
         super().__init__(opening.id)
         self.goal_id = goal_id
@@ -47,6 +65,7 @@ class RemoteGoal(Call, GoalStream):
         self._opening = opening
         self._window = window
         self._post = post
+        self._deadline = deadline
         self._status = GoalStatus.UNKNOWN
         self._outcome: Outcome[bytes] | None = None
         self._last = 0  # the number of the feedback that arrived last
@@ -123,6 +142,8 @@ class RemoteGoal(Call, GoalStream):
     def opening(self) -> FromClient:
         allowed = self._credit.restart(0 if self.latest else len(self._items))
         if not self._is_answered:
+            if self._deadline < math.inf and isinstance(self._opening, SendGoal):
+                self._opening.timeout = timeout_until(self._deadline)
             return self._opening
         credit = allowed if self.reads else None
         return Follow(self.id, self._opening.action, self.goal_id, self._last, self._own, credit)

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Generator, Mapping
 from contextlib import contextmanager
-from itertools import islice
 from typing import Any, TypeAlias
 
 from anyio import CancelScope, Lock
@@ -171,17 +170,11 @@ class RequestHandlers:
         with CancelScope() as scope:
             subscription.stop_with(scope.cancel)
             await endpoint.wait_for_server()
-            most = message.most_waiting
-            waiting = await self._waiting(endpoint, most) if most else []
-            await self._say(Done(message.id, waiting))
-
-    async def _waiting(self, endpoint: Endpoint, most: int) -> list[tuple[bytes, int, int]]:
-        """Return the ID, the place and the length of the queue of goals that wait."""
-        async with self._listing:
-            with await endpoint.status() as statuses:
-                infos = await statuses.listed()
-        waiting = (info for info in infos if info.place)
-        return [(bytes(one.goal_id), one.place, one.queue_length) for one in islice(waiting, most)]
+            if not message.most_waiting:
+                return await self._say(Done(message.id))
+            async with self._listing:
+                waiting = await _waiting(endpoint, message.most_waiting)
+                await self._say(Done(message.id, waiting))
 
     async def _ask_peers(self, message: AskPeers, _subscription: RequestSubscription) -> None:
         await self._find(message.action, Permission.OBSERVE)
@@ -192,6 +185,19 @@ class RequestHandlers:
         async with self._listing:
             infos = [endpoint.info for endpoint in self._endpoints.values()]
             await self._say(Actions(message.id, infos))
+
+
+async def _waiting(endpoint: Endpoint, most: int) -> list[tuple[bytes, int, int]]:
+    """Return the ID, the place and the length of the queue of goals that wait."""
+    with await endpoint.status() as statuses:
+        infos = await statuses.listed()
+    waiting: list[tuple[bytes, int, int]] = []
+    slices = Slices()
+    for info in infos:
+        if info.place and len(waiting) < most:
+            waiting.append((bytes(info.goal_id), info.place, info.queue_length))
+        await slices.pause()
+    return waiting
 
 
 @contextmanager

@@ -21,6 +21,7 @@ from contextlib import AbstractContextManager
 from time import perf_counter
 from typing import Any, TypeAlias
 
+from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction._budget import ByteBudget
@@ -175,7 +176,10 @@ class SessionGoals:
                 self._memory.give_back(size)
 
     async def _send_goal(self, message: SendGoal, subscription: GoalSubscription) -> None:
+        arrived = current_time()
         endpoint = await self._client.endpoint(message.action, Permission.SEND)
+        if message.timeout is not None:
+            message.timeout -= current_time() - arrived
         waiting = self._offer(message, subscription, endpoint)
         if waiting is not None:
             await waiting
@@ -192,7 +196,11 @@ class SessionGoals:
             ended.seek(0)
             return self._begin_sent(message, subscription, endpoint, ended)
         offered = endpoint.offer_goal(
-            goal_id, message.goal, feedback=feedback, sender=self._client.sender
+            goal_id,
+            message.goal,
+            feedback=feedback,
+            sender=self._client.sender,
+            timeout=message.timeout,
         )
         if isinstance(offered, GoalStream):
             return self._begin_sent(message, subscription, endpoint, offered)

@@ -19,6 +19,7 @@ from fibaction import (
     ActionServer,
     AuthenticationFailed,
     CancelAnswer,
+    GoalHandle,
     GoalID,
     GoalStatus,
     Schedule,
@@ -577,6 +578,21 @@ async def test_a_goal_that_is_not_answered_in_time_is_withdrawn(
 
     assert code == ExitCode.TIMED_OUT
     assert "The server has not accepted the goal within 0.1 s." in capsys.readouterr().err
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("timeout", [50.0, None])
+async def test_the_executor_knows_the_timeout(timeout: float | None) -> None:
+    left: list[float] = []
+
+    async def executor(goal: GoalHandle[Wait]) -> AsyncGenerator[Progress | Waited, None]:
+        left.append(goal.deadline - anyio.current_time())
+        yield Waited(0)
+
+    async with serve(ActionServer(WAIT, executor), "inproc://keys"):
+        assert await send_here(timeout=timeout) == ExitCode.SUCCEEDED
+
+    assert 20 < left[0] <= (timeout or math.inf)
 
 
 @pytest.mark.asyncio

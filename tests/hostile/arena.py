@@ -156,7 +156,7 @@ def attacked(name: str, url: str, token: str) -> Generator[None, None, None]:
 
 
 class Figures(NamedTuple):
-    """What an attack has cost."""
+    """The costs of one attack."""
 
     reading: Reading
     above: float

@@ -39,6 +39,7 @@ KINDS: dict[str, Callable[[int], Any]] = {
     "AskPeers": lambda id: AskPeers(id, "fibonacci"),
     "AwaitServer": lambda id: AwaitServer(id, "fibonacci"),
     "AwaitServer, not served": lambda id: AwaitServer(id, "nothing"),
+    "AwaitServer, with places": lambda id: AwaitServer(id, "forever", MOST),
     "CancelGoals of one": lambda id: CancelGoals(id, "fibonacci", goal_id(), None),
     "CancelGoals of all": lambda id: CancelGoals(id, "forever", None, None),
     "CancelGoals before a stamp": lambda id: CancelGoals(id, "forever", None, 2**63 - 1),

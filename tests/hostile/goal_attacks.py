@@ -189,7 +189,7 @@ async def chatty_unread(target: Target) -> None:
         await anyio.sleep(0.5)
 
 
-@attack("goals that nobody follows", above=192)
+@attack("goals without a follower", above=192)
 async def chatty_unfollowed(target: Target) -> None:
     """Let goals yield without a pause and without a reader, so that nothing holds them up."""
     async with target.dial() as raw:

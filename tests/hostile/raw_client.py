@@ -42,7 +42,7 @@ def packed(*messages: object) -> bytes:
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    """Wait until something is true that nobody tells, such as the number of goals so far."""
+    """Wait for a condition whose change is not notified, such as the number of goals so far."""
     while not condition():  # noqa: ASYNC110  # see above
         await anyio.sleep(0.005)
 

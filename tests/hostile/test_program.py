@@ -1,4 +1,4 @@
-"""What the program of the attacks prints."""
+"""The output of the program of the attacks."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ async def test_results_that_are_too_large_together_are_forgotten() -> None:
         assert isinstance(await raw.answer(101), Following)
 
 
-async def test_feedback_that_nobody_reads_has_a_limit_in_bytes_and_its_goal_goes_on() -> None:
+async def test_feedback_without_a_reader_has_a_limit_in_bytes_and_its_goal_goes_on() -> None:
     async with limited(server={"max_bytes": 4 * MIB, "stall_timeout": 0.1}) as target:
         async with target.dial() as raw:
             await raw.say(sending(1, "ticker", ticking(0.0, MIB, 20), 0))

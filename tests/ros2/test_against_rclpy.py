@@ -35,8 +35,6 @@ async def ours(anyio_backend: str) -> AsyncGenerator[Behaviour, None]:
     servers = [
         behaviour.server("ours", result_timeout=60),
         behaviour.server("hasty", result_timeout=RESULT_TIMEOUT),
-        behaviour.server("choosy", schedule=Schedule(concurrency=1, when_full="preempt")),
-        behaviour.server("queued", schedule=Schedule(concurrency=1, queue=1)),
         behaviour.server("arm", schedule=Schedule(concurrency=1, when_full="preempt")),
         behaviour.server("line", schedule=Schedule(concurrency=1, queue=1)),
     ]
@@ -193,30 +191,6 @@ async def test_a_late_subscriber_gets_the_last_list_of_statuses(stock: Peer) -> 
     lists = await eventually(lambda: stock.ask("statuses", action="ours"), len)
     assert len(lists) == 1
     assert [goal, SUCCEEDED] in lists[0]
-
-
-async def test_a_goal_that_a_newer_one_preempts_is_aborted(stock: Peer) -> None:
-    old = await accepted(stock, orders.WAITS, "choosy")
-    await ended(stock, old, EXECUTING, "choosy")
-
-    new = await accepted(stock, 3, "choosy")
-
-    assert await result(stock, new) == (SUCCEEDED, [0, 1, 1, 2])
-    assert await result(stock, old) == (ABORTED, [])
-    assert await statuses_of(stock, old, "choosy") == [ACCEPTED, EXECUTING, ABORTED]
-
-
-async def test_a_goal_that_waits_is_accepted_and_one_too_many_is_rejected(stock: Peer) -> None:
-    running = await accepted(stock, orders.WAITS, "queued")
-    waiting = await accepted(stock, 3, "queued")
-    assert not (await send(stock, 3, "queued"))["accepted"]
-    await ended(stock, running, EXECUTING, "queued")
-    assert await statuses_of(stock, waiting, "queued") == [ACCEPTED]
-
-    assert await stock.ask("cancel", goal=running) == {"code": NONE, "goals": [running]}
-
-    assert await result(stock, waiting) == (SUCCEEDED, [0, 1, 1, 2])
-    assert await statuses_of(stock, waiting, "queued") == [ACCEPTED, EXECUTING, SUCCEEDED]
 
 
 @pytest.mark.promise("EXECUTE-7", "RESULT-1")
@@ -434,6 +408,7 @@ async def test_a_client_that_is_killed_does_not_affect_others(stock: Peer, ours:
 @pytest.mark.promise("SCHEDULE-5")
 async def test_a_preempted_goal_ends_as_aborted_and_the_new_one_runs(stock: Peer) -> None:
     old = await accepted(stock, orders.WAITS, "arm")
+    await ended(stock, old, EXECUTING, "arm")
     new = await accepted(stock, 4, "arm")
 
     assert (await result(stock, old))[0] == ABORTED

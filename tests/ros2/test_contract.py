@@ -13,6 +13,7 @@ import pytest
 MODULES = [
     "tests.contract.test_accepting",
     "tests.contract.test_canceling",
+    "tests.contract.test_deadlines",
     "tests.contract.test_ending",
     "tests.contract.test_errors",
     "tests.contract.test_executing",
@@ -40,6 +41,7 @@ PAST = "feedback of the past is not kept for those who come late"
 ERRORS = "ROS 2's answers have no field for an error"
 SENDER = "a request of ROS 2 does not name its client"
 PLACE = "a list of statuses has no field for the place of a goal"
+TIMEOUT = "a request with a goal has no field for a timeout"
 STOPPED = "a server that has stopped still rejects goals, as long as its node is there"
 
 EXCLUSIONS: dict[str, str] = {
@@ -83,6 +85,11 @@ EXCLUSIONS: dict[str, str] = {
     "test_the_sender_has_the_name_of_its_token_and_its_address": SENDER,
     "test_a_goal_that_waits_is_listed_with_its_place": PLACE,
     "test_a_server_that_has_stopped_is_not_found": STOPPED,
+    "test_the_executor_sees_the_deadline": TIMEOUT,
+    "test_a_goal_that_is_sent_again_keeps_its_first_deadline": TIMEOUT,
+    "test_a_rejection_of_a_busy_server_is_not_its_last_word": REASON,
+    "test_a_goal_whose_acceptance_was_lost_is_sent_again_and_runs_once": AGAIN,
+    "test_a_goal_that_is_lost_behind_the_server_is_followed_again": ERRORS,
     "test_every_error_of_the_table_is_shown_here": ERRORS,
     "test_an_error_of_an_endpoint_arrives_as_itself": ERRORS,
     "test_a_rejection_of_an_endpoint_arrives_with_its_reason_and_goal": ERRORS,

@@ -131,6 +131,7 @@ def test_a_new_goal_is_to_be_decided_and_is_then_accepted() -> None:
     assert goal.info == GoalInfo(A, 7, GoalStatus.ACCEPTED)
     assert goal.outcome is None
     assert goal.feedback_count == 0
+    assert goal.deadline == math.inf
     assert registry.find(A, now=0.0) is goal
     assert infos(registry) == [goal.info]
 

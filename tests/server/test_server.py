@@ -459,7 +459,7 @@ async def test_a_goal_that_was_not_decided_because_python_ends_is_decided_anew()
 def at_once(
     offered: GoalStream | Coroutine[Any, Any, GoalStream],
 ) -> GoalStream:
-    """What was offered, and need not be waited for."""
+    """Return the stream of a goal that was decided at once."""
     assert isinstance(offered, GoalStream)
     return offered
 
@@ -467,7 +467,7 @@ def at_once(
 def waited_for(
     offered: GoalStream | Coroutine[Any, Any, GoalStream],
 ) -> Coroutine[Any, Any, GoalStream]:
-    """What there is to wait for."""
+    """Return the coroutine that waits for the decision on a goal."""
     assert not isinstance(offered, GoalStream)
     return offered
 
@@ -670,6 +670,27 @@ async def test_on_goal_and_the_executor_get_the_sender_of_a_goal() -> None:
     assert seen == [ARM, ARM, LEG, LEG]
 
 
+@pytest.mark.promise("DEADLINE-4")
+async def test_the_executor_gets_the_first_deadline_of_its_goal() -> None:
+    deadlines: list[float] = []
+
+    async def executor(goal: GoalHandle[Goal]) -> Items:
+        deadlines.append(goal.deadline)
+        with anyio.CancelScope(deadline=goal.deadline - 1) as scope:
+            await anyio.lowlevel.checkpoint()
+        assert not scope.cancelled_caught
+        yield Result([])
+
+    async with ActionServer(FIBONACCI, executor) as server:
+        goal_id, before = GoalID.random(), anyio.current_time()
+        stream = await server.send_goal(goal_id, packed(1), timeout=100)
+        await server.send_goal(goal_id, packed(1), timeout=1000)
+        await stream.outcome()
+        await (await server.send_goal(GoalID.random(), packed(1))).outcome()
+    assert before + 100 <= deadlines[0] <= before + 200
+    assert deadlines[1:] == [math.inf]
+
+
 @pytest.mark.promise("FEEDBACK-13")
 async def test_a_goal_sent_again_is_the_senders_own_only_if_it_was_the_first_to_send_it() -> None:
     executor = Held()
@@ -857,7 +878,7 @@ async def test_an_executor_that_ends_as_canceled_unasked_is_aborted() -> None:
         yield Result([])
 
     if (await _backend()) == "trio":
-        return  # trio lets nobody make a cancellation of his own
+        return  # trio has no constructor of cancellations
     async with ActionServer(FIBONACCI, waits) as server:
         stream = await server.send_goal(GoalID.random(), packed(1))
         assert await stream.outcome() == Outcome(
@@ -872,7 +893,7 @@ async def _backend() -> str:
 
 
 async def turns_during(work: Coroutine[Any, Any, object]) -> int:
-    """How many turns another task has while that is done."""
+    """Return the number of turns that another task has during the work."""
     turns = 0
 
     async def take_turns() -> None:

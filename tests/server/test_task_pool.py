@@ -16,7 +16,7 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from fibaction.server._interruption import MOST_KILLS, SLICE, CancelOnce, Steps
+from fibaction.server._interruption import EXECUTOR_SLICE, MOST_KILLS, CancelOnce, Steps
 from fibaction.server._task_pool import GRACE, MOST_IDLE, TaskPool
 from tests.processes import PATIENCE
 from tests.refusing import REFUSING, SHUTDOWN_TIMEOUT
@@ -240,7 +240,7 @@ async def test_jobs_that_never_wait_let_others_have_their_turns(
 
         async def job(scopes: CancelOnce) -> None:
             nonlocal now
-            now += SLICE / 2
+            now += EXECUTOR_SLICE / 2
             bench.note(1)
 
         for _ in range(10):
@@ -264,7 +264,7 @@ async def test_tasks_that_go_on_in_the_same_turn_share_one_slice(
 
         async def job(scopes: CancelOnce) -> None:
             nonlocal now
-            now += SLICE
+            now += EXECUTOR_SLICE
             bench.note(100)
 
         for _ in range(100):

@@ -23,7 +23,7 @@ from anyio.lowlevel import checkpoint
 
 from fibaction import ActionClient, ActionServer, GoalHandle, GoalID
 from fibaction.server import _watchdog
-from fibaction.server._interruption import SLICE, CancelOnce, Steps
+from fibaction.server._interruption import EXECUTOR_SLICE, CancelOnce, Steps
 from fibaction.server._watchdog import ADVICE, CHECKS, POLL, Watch, Watchdog
 from tests.executors import Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -181,7 +181,19 @@ async def test_of_two_steps_the_inner_one_is_named_and_then_the_outer_one(
     assert bench.watch.current.steps is None
 
 
-async def test_of_two_steps_the_inner_one_is_named_when_an_error_is_thrown(bench: Bench) -> None:
+async def test_of_steps_of_two_servers_only_the_inner_one_is_named(bench: Bench) -> None:
+    other = Watch("other", 0)
+    other.open()
+    outer, bench.watch = bench.watch, other
+    inner = bench.executor("b", lambda: bench.check(2))
+    bench.watch = outer
+    bench.executor("a", lambda: inner.send(None)).send(None)
+    assert bench.told == []
+
+
+async def test_an_inner_step_into_which_an_error_is_thrown_gives_way_to_the_outer(
+    bench: Bench,
+) -> None:
     steps = bench.executor("a", lambda: None)
     steps.send(None)
     bench.executor("b", lambda: steps.throw(ValueError())).send(None)
@@ -229,17 +241,6 @@ async def test_the_end_of_a_step_is_told_by_the_server_if_it_closes_first(bench:
     assert bench.told == []
 
 
-async def test_checks_are_made_only_while_an_executor_is_active(bench: Bench) -> None:
-    assert bench.check() == math.inf
-    due: list[float] = []
-    steps = bench.executor("a", lambda: due.append(bench.check(0.6)))
-    assert bench.check() == 1.0 / CHECKS
-    steps.send(None)
-    assert due == [1.0 / CHECKS]
-    bench.watch.end(steps)
-    assert bench.check() == math.inf
-
-
 async def test_checks_are_made_more_often_while_a_step_blocks(bench: Bench) -> None:
     due: list[float] = []
     bench.executor("a", lambda: due.extend((bench.check(2), bench.check(2)))).send(None)
@@ -247,7 +248,8 @@ async def test_checks_are_made_more_often_while_a_step_blocks(bench: Bench) -> N
 
 
 @pytest.mark.parametrize(
-    ("limit", "interval"), [(1e-9, SLICE), (0.1, 0.1 / CHECKS), (1e300, threading.TIMEOUT_MAX)]
+    ("limit", "interval"),
+    [(1e-9, EXECUTOR_SLICE), (0.1, 0.1 / CHECKS), (1e300, threading.TIMEOUT_MAX)],
 )
 async def test_the_time_between_checks_has_bounds(
     limit: float, interval: float, bench: Bench
@@ -456,18 +458,65 @@ async def test_a_goal_of_a_server_that_was_idle_is_named() -> None:
     with Names("so far") as names:
         server = ActionServer(FIBONACCI, names.blocks, watchdog=LIMIT)
         async with server:
-            (watchdog,) = watchdogs()
-            with anyio.fail_after(PATIENCE):
-                while not watchdog.is_asleep:
-                    await checkpoint()
-                await ActionClient(server, FIBONACCI).call(Goal(0))
+            await thread_sleeps()
+            await ActionClient(server, FIBONACCI).call(Goal(0))
+            await thread_sleeps()  # again
+
+
+async def thread_sleeps() -> None:
+    (watchdog,) = watchdogs()
+    with anyio.fail_after(PATIENCE):
+        while not watchdog.is_asleep:
+            await checkpoint()
+
+
+async def test_a_server_with_a_smaller_limit_than_the_others_is_watched_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    checked = threading.Event()
+    check = Watchdog.check
+
+    def check_and_tell(self: Watchdog, now: float) -> float:
+        pause = check(self, now)
+        checked.set()
+        return pause
+
+    monkeypatch.setattr(Watchdog, "check", check_and_tell)
+
+    async def waits(goal: GoalHandle[Goal]) -> Items:
+        await anyio.sleep_forever()
+        yield Result([])
+
+    patient = ActionServer(FIBONACCI, waits, watchdog=1e6)
+    async with patient, ActionClient(patient, FIBONACCI).send_goal(Goal(0)):
+        assert checked.wait(PATIENCE)  # the thread waits for days now
+        with Names("so far") as names:
+            await run_goal(ActionServer(FIBONACCI, names.blocks, watchdog=LIMIT))
+
+
+async def test_many_short_goals_do_not_wake_the_thread_for_each(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    woken: list[Watchdog] = []
+    wake = Watchdog.wake
+
+    def wake_and_tell(self: Watchdog) -> None:
+        woken.append(self)
+        wake(self)
+
+    monkeypatch.setattr(Watchdog, "wake", wake_and_tell)
+    async with ActionServer(FIBONACCI, fibonacci, watchdog=100) as server:
+        client = ActionClient(server, FIBONACCI)
+        for _ in range(100):
+            await client.call(Goal(0))
+    assert len(woken) == 1  # to end
 
 
 async def test_all_servers_of_a_process_share_one_thread_which_ends_with_the_last() -> None:
     first, second, other = (
         ActionServer(FIBONACCI, fibonacci, watchdog=seconds) for seconds in (1, 2, 0)
     )
-    async with other:
+    async with other, ActionServer(FIBONACCI, fibonacci, watchdog=math.inf):
         assert watchdogs() == []
         async with first:
             (watchdog,) = watchdogs()

@@ -268,7 +268,7 @@ class Deeds:
         await anyio.sleep(deed.delay)
         after = deed.count if deed.target % 2 else None
         goal = await self._client.attach(goal_id, after=after)
-        view = self._view(goal, start=goal._stream.cursor, own=False)
+        view = self._view(goal, start=goal.feedback.stream.cursor, own=False)
         await self._read(goal, view)
         await self._see_outcome(goal, view)
 

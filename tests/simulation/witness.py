@@ -69,7 +69,7 @@ def recorded(
 def _accepting(real: Any, record: Record) -> Any:
     def accept(self: GoalRegistry, goal_id: GoalID, **keywords: Any) -> GoalRecord:
         goal: GoalRecord = real(self, goal_id, **keywords)
-        sender = keywords["sender"].name
+        sender = str(keywords["sender"])
         record.accepted(record.life_of(self), goal_id, goal.stamp, sender)
         return goal
 

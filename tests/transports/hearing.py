@@ -17,7 +17,7 @@ from fibaction.wire.frames import FrameReader, header
 
 
 class Hearing(logging.Handler):
-    """Keeps what `fibaction.wire` logs, and lets a test wait for it."""
+    """Keeps what a logger says, and lets a test wait for it."""
 
     def __init__(self) -> None:
         super().__init__(logging.DEBUG)
@@ -49,8 +49,8 @@ class Hearing(logging.Handler):
 
 
 @contextmanager
-def hearing() -> Generator[Hearing, None, None]:
-    logger, handler = logging.getLogger("fibaction.wire"), Hearing()
+def hearing(name: str = "fibaction.wire") -> Generator[Hearing, None, None]:
+    logger, handler = logging.getLogger(name), Hearing()
     before = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.DEBUG)

@@ -28,6 +28,7 @@ from fibaction import (
     GoalID,
     GoalStatus,
     Outcome,
+    Retry,
     ServerNotFound,
     UnknownGoal,
     connect,
@@ -372,6 +373,63 @@ async def test_a_slow_reader_of_one_goal_delays_no_other_on_its_connection() -> 
                 read = [item.partial_sequence[0] async for item in slow.feedback]
                 assert read == list(range(1000))
                 assert slow.feedback_dropped == 0
+
+
+# A line that is away for longer than calls wait
+
+OFTEN = Retry(attempts=500, delay=0.02, max_delay=0.02)
+
+
+@pytest.mark.promise("RETRY-1")
+async def test_a_call_whose_answer_was_lost_for_long_is_made_again_and_its_goal_runs_once() -> None:
+    executor = Counting()
+    server = ActionServer(FIBONACCI, executor)
+    results: list[Result] = []
+    async with bad_line(server) as line:
+        async with connect(line.url, FIBONACCI, reconnect_timeout=0.02) as client:
+
+            async def call() -> None:
+                results.append(await client.call(Goal(3), retry=OFTEN))
+
+            with anyio.fail_after(10), hearing("fibaction.client") as heard:
+                async with anyio.create_task_group() as tasks:
+                    line.hush("to client")
+                    tasks.start_soon(call)
+                    await executor.started.wait()
+                    line.refuses = True
+                    line.cut()
+                    line.hush()
+                    await heard.until("attempt 3 ")
+                    line.refuses = False
+    assert results == [Result([3])]
+    assert list(executor.runs.values()) == [1]
+
+
+@pytest.mark.promise("RETRY-3")
+async def test_a_call_goes_on_with_its_goal_after_a_line_that_was_away_for_long() -> None:
+    executor = Counting(stop=3)
+    server = ActionServer(FIBONACCI, executor)
+    got: list[int] = []
+    async with bad_line(server) as line:
+        async with connect(line.url, FIBONACCI, reconnect_timeout=0.02) as client:
+
+            def on_feedback(feedback: Feedback) -> None:
+                got.extend(feedback.partial_sequence)
+                if got[-1] == 3:
+                    line.refuses = True
+                    line.cut()
+
+            async def mend() -> None:
+                await heard.until("attempt 3 ")
+                executor.go_on.set()
+                line.refuses = False
+
+            with anyio.fail_after(10), hearing("fibaction.client") as heard:
+                async with anyio.create_task_group() as tasks:
+                    tasks.start_soon(mend)
+                    result = await client.call(Goal(9), on_feedback=on_feedback, retry=OFTEN)
+    assert (got, result) == ([*range(1, 10)], Result([9]))
+    assert list(executor.runs.values()) == [1]
 
 
 # Processes die

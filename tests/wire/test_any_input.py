@@ -110,7 +110,9 @@ MESSAGES: dict[type, st.SearchStrategy[Any]] = {
         st.sampled_from([b"", ANN, BOB]),
     ),
     SendGoal: st.builds(
-        SendGoal, numbers, actions, goal_ids, goals | st.binary(max_size=400), wanted
+        SendGoal,
+        *(numbers, actions, goal_ids, goals | st.binary(max_size=400), wanted),
+        st.sampled_from([None, 5e-324, 1.0, 1e9]),
     ),
     Follow: st.builds(
         Follow, numbers, actions, goal_ids, st.none() | numbers, st.booleans(), wanted

@@ -188,7 +188,10 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
     Ping: builds(Ping),
     Goodbye: builds(Goodbye, TEXT, NUMBERS),
     Hello: builds(Hello, NUMBERS, SECONDS, TEXT, BYTES, FRAME_SIZES),
-    SendGoal: builds(SendGoal, IDS, TEXT, GOAL_IDS, BYTES, COUNTS),
+    SendGoal: builds(
+        *(SendGoal, IDS, TEXT, GOAL_IDS, BYTES, COUNTS),
+        strategies.none() | strategies.floats(0, 1e9, exclude_min=True),
+    ),
     Follow: builds(
         *(Follow, IDS, TEXT, GOAL_IDS, strategies.none() | STAMPS, strategies.booleans(), COUNTS)
     ),
@@ -281,11 +284,13 @@ def test_fields_that_an_older_peer_does_not_send_get_their_default(
                 assert [getattr(old, name) for name in names] == expected
 
 
-def test_a_reason_a_token_a_session_and_a_limit_need_not_be_sent() -> None:
+def test_a_reason_a_token_a_session_a_limit_and_a_timeout_need_not_be_sent() -> None:
     assert decode_from_client(packed(16, 1, 1.0)) == Hello(1, 1.0, "", b"", 2**24)
     assert decode_from_client(packed(16, 1, 1.0, "a", b"b")) == Hello(1, 1.0, "a", b"b", 2**24)
     assert decode_from_server(packed(32, 1, 1.0)) == Welcome(1, 1.0, 2**24, 3600.0)
     assert decode_from_client(packed(1, "over")) == Goodbye("over", 0)
+    goal = (1, "fibonacci", bytes(GOAL_ID), b"goal", 64)
+    assert decode_from_client(packed(17, *goal)) == SendGoal(*goal, None)
     assert decode_from_server(packed(1, "over")) == Goodbye("over", 0)
 
 
@@ -303,6 +308,7 @@ LIMITS = {
 """The least and the largest number that a field takes, by the field's name."""
 NULLABLE = {
     (SendGoal, "credit"),
+    (SendGoal, "timeout"),
     (Follow, "after"),
     (Follow, "credit"),
     (CancelGoals, "goal_id"),
@@ -377,6 +383,17 @@ def test_a_heartbeat_is_more_than_no_time_and_at_most_an_hour(
     assert not taken(message, name, math.nextafter(3600.0, math.inf))
 
 
+@pytest.mark.parametrize(("message", "name"), fields_named(["timeout"]))
+def test_a_timeout_is_more_than_no_time_and_finite(
+    message: FromClient | FromServer, name: str
+) -> None:
+    assert taken(message, name, 5e-324)
+    assert taken(message, name, 1e9)
+    assert taken(message, name, 5)
+    for wrong in (0.0, -1.0, math.nextafter(1e9, math.inf), math.inf, math.nan, "5"):
+        assert not taken(message, name, wrong)
+
+
 @pytest.mark.parametrize(("message", "name"), fields_named(["goal_id"]))
 def test_a_goal_id_has_sixteen_bytes(message: FromClient | FromServer, name: str) -> None:
     assert taken(message, name, bytes(16))
@@ -394,7 +411,14 @@ def test_nil_is_taken_exactly_where_it_means_something(
 
 @by_type
 def test_what_may_be_nil_may_also_be_there(message: FromClient | FromServer, golden: str) -> None:
-    likely = {"credit": 1, "after": 1, "stamp": 1, "goal_id": bytes(16), "result": b""}
+    likely = {
+        "credit": 1,
+        "after": 1,
+        "stamp": 1,
+        "goal_id": bytes(16),
+        "result": b"",
+        "timeout": 1.5,
+    }
     for name in message.__struct_fields__:
         if (type(message), name) in NULLABLE:
             assert taken(message, name, likely[name])

@@ -22,6 +22,7 @@ from fibaction.wire.messages import (
     CancelGoals,
     Close,
     Credit,
+    Done,
     Ended,
     Failed,
     Feedback,
@@ -133,7 +134,7 @@ async def test_a_call_that_wants_the_end_only_counts_until_the_end() -> None:
 
 
 class Deciding:
-    """What decides upon goals, or upon the permission to send them, when the test says so."""
+    """Callbacks that decide on goals, and on the permission to send them, when the test says so."""
 
     def __init__(self) -> None:
         self.go = anyio.Event()
@@ -202,7 +203,7 @@ async def test_small_goals_of_a_client_wait_also_if_others_use_up_the_memory_of_
 
 
 def only(*permissions: Permission, is_async: bool) -> AccessPolicy:
-    """What lets clients do that, and nothing else."""
+    """Return an access policy that permits these requests only."""
 
     async def authorize(_peer: Any, _action: str, permission: Permission) -> bool:
         await anyio.lowlevel.checkpoint()
@@ -367,7 +368,8 @@ async def test_a_client_has_one_cancel_of_several_goals_and_one_list_at_work() -
                 for message in (WatchStatus(i, "fibonacci", 1), Close(i))
             ),
         )
-        assert await client.ask_all(ListActions(30), AskPeers(31, "fibonacci")) == []
+        places = [AwaitServer(i, "fibonacci", 1) for i in (32, 33)]
+        assert await client.ask_all(ListActions(30), AskPeers(31, "fibonacci"), *places) == []
         assert server.now == {"cancel": 1, "status": 1}
         await other.say(CancelGoals(1, "fibonacci", None, None))
         await client.say(*(CancelGoals(i, "fibonacci", A, 0) for i in range(40, 43)))
@@ -383,6 +385,7 @@ async def test_a_client_has_one_cancel_of_several_goals_and_one_list_at_work() -
             **{request: [Watching, Finished] for request in range(10, 20)},
             30: [Actions],
             31: [Peers],
+            **{request: [Done] for request in (32, 33)},
         }
 
 

@@ -702,6 +702,31 @@ async def test_a_call_without_an_answer_is_made_again(
             assert not calling.is_done
 
 
+@in_virtual_time()
+@pytest.mark.parametrize(
+    ("timeout", "sent"),
+    [
+        (None, [None, None, None]),
+        (1.5, [1.5, 0.5, 0.001]),  # 0 is not a timeout
+        (2e9, [None, None, None]),  # more than a message can contain
+    ],
+)
+async def test_a_goal_is_sent_again_with_the_time_that_is_left(
+    timeout: float | None, sent: list[float | None]
+) -> None:
+    network = Network()
+    async with reached(network) as (connection, server):
+        sending = Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, b"", timeout=timeout))
+        async with sending:
+            message = await server.hear(SendGoal)
+            for seconds in sent:
+                assert message.timeout == (
+                    None if seconds is None else pytest.approx(seconds, 0.05)
+                )
+                await anyio.sleep(1)
+                server, message = await asked_again(network, server, SendGoal)
+
+
 @every_call
 async def test_a_call_between_two_connections_waits_for_the_next(
     call: Callable[[Connection], Awaitable[Any]],

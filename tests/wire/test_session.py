@@ -587,6 +587,29 @@ async def test_a_request_that_is_allowed_is_granted() -> None:
         assert (await client.ask(AwaitServer(2, "fibonacci"), Failed)).why == Why.FORBIDDEN
 
 
+@in_virtual_time()
+@pytest.mark.parametrize("waits", [False, True], ids=["at once", "later"])
+async def test_the_timeout_of_a_goal_begins_when_the_goal_arrives(waits: bool) -> None:
+    timeouts: list[float | None] = []
+
+    class Noting(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
+        def offer_goal(self, *args: Any, **kwargs: Any) -> Any:
+            timeouts.append(kwargs["timeout"])
+            return super().offer_goal(*args, **kwargs)
+
+    async def authorize(peer: Peer, action: str, verb: Permission) -> bool:
+        await anyio.sleep(2)
+        return True
+
+    access = AccessPolicy(authorize=authorize) if waits else AccessPolicy()
+    async with serving(Noting(FIBONACCI, [anyio.Event()]), access=access) as served:
+        client = await served.greet()
+        for number, timeout in enumerate((5.0, None), 1):
+            goal = SendGoal(number, "fibonacci", bytes([number] * 16), GOAL, None, timeout)
+            await client.ask(goal, Following)
+    assert timeouts == [pytest.approx(3 if waits else 5), None]
+
+
 # Errors behind the session
 
 OTHER = InvalidTransition(EXECUTING, GoalEvent.EXECUTE)

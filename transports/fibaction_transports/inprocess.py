@@ -155,10 +155,13 @@ class _NamedEndpoint(Endpoint):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
     ) -> GoalStream:
         if sender == UNKNOWN_SENDER:
             sender = self._connection.sender
-        stream = await self._server.send_goal(goal_id, goal, feedback=feedback, sender=sender)
+        stream = await self._server.send_goal(
+            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout
+        )
         return self._connection.opened(stream)
 
     async def feedback(

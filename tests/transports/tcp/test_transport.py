@@ -397,7 +397,8 @@ async def test_a_token_opens_the_door_and_nothing_else_does(
             assert await goal.result() == Result([0, 1])
             shown += [connecting, connecting.client_settings, connecting.__dict__]
             shown += [connection, connection._connection, connection._connection.__dict__]
-            shown += [client, client.endpoint, goal, goal._stream, goal._stream.__dict__]
+            stream = goal.feedback.stream
+            shown += [client, client.endpoint, goal, stream, stream.__dict__]
     shown += [people, url, Hello(1, 1.0, SECRET)]
     assert {peer.name for peer in people} == {"ann"}
     assert SECRET not in repr(shown)

@@ -76,7 +76,9 @@ class RosEndpoint(Endpoint):
         *,
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
     ) -> RosGoalStream:
+        """See `Endpoint.send_goal`. A request of ROS has no field for the timeout."""
         try:
             message = self._codecs.goal.to_ros(goal)
         except ProtocolError as exc:

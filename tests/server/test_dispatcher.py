@@ -1,0 +1,795 @@
+"""`fibaction.server.dispatcher`: a schedule at work in a server, beside the contract suite."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+import anyio
+import pytest
+from anyio.lowlevel import checkpoint
+
+from fibaction import (
+    ActionServer,
+    GoalCanceled,
+    GoalHandle,
+    GoalID,
+    GoalRejected,
+    GoalStatus,
+    Outcome,
+    Schedule,
+)
+from fibaction.abc import FeedbackItem, GoalStream
+from fibaction.server import dispatcher
+from tests.executors import Items
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.virtual_time import in_virtual_time
+
+pytestmark = pytest.mark.anyio
+
+ONE_PLACE = Schedule(concurrency=1, queue=10)
+PREEMPTING = Schedule(concurrency=1, when_full="preempt")
+HANDING_OVER = Schedule(concurrency=1, when_full="preempt", handover=math.inf)
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+def packed(order: int) -> bytes:
+    return FIBONACCI.goal.encode(Goal(order))
+
+
+def result(order: int) -> bytes:
+    return FIBONACCI.result.encode(Result([order]))
+
+
+class Arm:
+    """An executor that works on each goal until it is told to go on, one step after another."""
+
+    def __init__(self) -> None:
+        self.begun: list[int] = []
+        self.handles: dict[int, GoalHandle[Goal]] = {}
+        self._changed = anyio.Event()
+        self._may_end: dict[int, anyio.Event] = {}
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        self.begin(goal)
+        await self.end_of(goal.request.order)
+        yield Result([goal.request.order])
+
+    def begin(self, goal: GoalHandle[Goal]) -> None:
+        """Note that the executor of a goal has begun."""
+        self.begun.append(goal.request.order)
+        self.handles[goal.request.order] = goal
+        self._changed.set()
+        self._changed = anyio.Event()
+
+    async def until_begun(self, order: int) -> GoalHandle[Goal]:
+        """Wait for the start of a goal, and return its handle."""
+        while order not in self.handles:
+            await self._changed.wait()
+        return self.handles[order]
+
+    def let_end(self, order: int) -> None:
+        """Let a goal end with its result."""
+        self._may_end.setdefault(order, anyio.Event()).set()
+
+    async def end_of(self, order: int) -> None:
+        """Wait for `let_end`."""
+        await self._may_end.setdefault(order, anyio.Event()).wait()
+
+
+class Server:
+    """A server with a schedule, to which goals of different orders are sent."""
+
+    def __init__(self, server: ActionServer[Goal, Feedback, Result]) -> None:
+        self.server = server
+        self._ids: dict[int, GoalID] = {}
+
+    def id_of(self, order: int) -> GoalID:
+        return self._ids.setdefault(order, GoalID.random())
+
+    async def send(self, order: int) -> GoalStream:
+        return await self.server.send_goal(self.id_of(order), packed(order))
+
+    async def cancel(self, order: int) -> None:
+        answer = await self.server.cancel_goals(self.id_of(order))
+        assert [info.goal_id for info in answer.goals_canceling] == [self.id_of(order)]
+
+    def preempted_by(self, order: int) -> str:
+        return f"preempted by {self.id_of(order)}"
+
+
+@asynccontextmanager
+async def serving(
+    schedule: Schedule, executor: Any, **settings: Any
+) -> AsyncGenerator[Server, None]:
+    """Run a server."""
+    async with ActionServer(FIBONACCI, executor, schedule=schedule, **settings) as server:
+        yield Server(server)
+
+
+async def settled() -> None:
+    """Let all other tasks run until they wait."""
+    await anyio.wait_all_tasks_blocked()
+
+
+# Waiting
+
+
+async def test_a_goal_that_waits_is_accepted_and_begins_when_the_one_before_has_left() -> None:
+    arm = Arm()
+    async with serving(ONE_PLACE, arm) as site:
+        first, second = await site.send(1), await site.send(2)
+        await settled()
+        assert (first.status, second.status) == (GoalStatus.EXECUTING, GoalStatus.ACCEPTED)
+        assert arm.begun == [1]
+        arm.let_end(1)
+        await arm.until_begun(2)
+        assert second.status is GoalStatus.EXECUTING
+        arm.let_end(2)
+        assert await second.outcome() == Outcome(GoalStatus.SUCCEEDED, result(2))
+
+
+async def test_a_goal_that_is_canceled_while_it_waits_ends_at_once_and_never_runs() -> None:
+    arm = Arm()
+    async with serving(ONE_PLACE, arm, interrupt_on_cancel=False) as site:
+        await site.send(1)
+        waiting = await site.send(2)
+        await site.cancel(2)
+        assert waiting.known_outcome() == Outcome(GoalStatus.CANCELED)
+        arm.let_end(1)
+        await site.send(3)
+        arm.let_end(3)
+        await arm.until_begun(3)
+    assert arm.begun == [1, 3]
+
+
+async def test_goals_that_wait_while_the_server_stops_are_aborted_and_never_run() -> None:
+    arm = Arm()
+    async with serving(ONE_PLACE, arm) as site:
+        streams = [await site.send(order) for order in (1, 2, 3)]
+        await arm.until_begun(1)
+        await site.server.stop()
+        reasons = [await stream.outcome() for stream in streams]
+    assert reasons == [Outcome(GoalStatus.ABORTED, None, "server stopped")] * 3
+    assert arm.begun == [1]
+
+
+async def test_a_goal_that_is_ended_before_its_start_frees_its_place() -> None:
+    arm = Arm()
+    async with serving(Schedule(concurrency=1), arm, shutdown_timeout=0) as site:
+        first = await site.send(1)
+        await site.cancel(1)  # its place is taken, and its executor has not begun
+        with pytest.raises(GoalRejected, match=r"busy: 1 of 1 running, 0 of 0 waiting$"):
+            await site.send(2)
+        assert (await first.outcome()).status is GoalStatus.CANCELED
+        await site.send(2)  # a rejection as busy is not kept
+        await arm.until_begun(2)
+    assert arm.begun == [2]
+
+
+async def test_a_goal_that_was_rejected_after_an_async_on_goal_is_accepted_later() -> None:
+    async def on_goal(goal: Goal) -> None:
+        await checkpoint()
+
+    arm = Arm()
+    async with serving(Schedule(concurrency=1), arm, on_goal=on_goal) as site:
+        first = await site.send(1)
+        with pytest.raises(GoalRejected, match="rejected: busy: "):
+            await site.send(2)
+        arm.let_end(1)
+        await first.outcome()
+        await site.send(2)
+        await arm.until_begun(2)
+
+
+@in_virtual_time()
+async def test_very_many_goals_that_have_waited_too_long_are_ended_in_several_turns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(dispatcher, "MOST_AT_ONCE", 10)
+    arm = Arm()
+    async with serving(Schedule(concurrency=1, queue=100, queue_timeout=3), arm) as site:
+        await site.send(0)
+        streams = [await site.send(order) for order in range(1, 101)]
+        await anyio.sleep_until(anyio.current_time() + 3)
+        counts = {0}
+        while 100 not in counts:
+            counts.add(sum(stream.status.is_terminal for stream in streams))
+            await checkpoint()
+        assert {(await stream.outcome()).reason for stream in streams} == {"waited for 3 s"}
+    assert len(counts) > 5
+    assert arm.begun == [0]
+
+
+@in_virtual_time()
+async def test_the_timer_is_set_anew_if_something_is_due_earlier() -> None:
+    arm = Arm()
+    rules = Schedule(concurrency=1, queue=1, queue_timeout=10, run_timeout=100)
+    async with serving(rules, arm) as site:
+        running = await site.send(1)
+        await anyio.sleep(1)
+        waiting = await site.send(2)
+        begun_at = anyio.current_time()
+        assert (await waiting.outcome()).reason == "waited for 10 s"
+        assert anyio.current_time() - begun_at == pytest.approx(10)
+        assert (await running.outcome()).reason == "took longer than 100 s"
+        assert anyio.current_time() - begun_at == pytest.approx(99)
+
+
+# Places, for observers
+
+
+async def places(site: Server) -> list[tuple[int, int]]:
+    """Return the places of the goals that are active, in the order of their acceptance."""
+    with await site.server.status() as statuses:
+        infos = [await statuses.receive() for _ in range(statuses.known)]
+    return [(i.place, i.queue_length) for i in infos if i is not None and i.status.is_active]
+
+
+async def test_the_places_of_goals_are_those_when_an_observer_asks() -> None:
+    arm = Arm()
+    async with serving(ONE_PLACE, arm) as site:
+        for order in range(3):
+            await site.send(order)
+        assert await places(site) == [(0, 0), (1, 2), (2, 2)]
+        await site.cancel(1)
+        assert await places(site) == [(0, 0), (1, 1)]
+
+
+async def test_the_places_of_very_many_goals_may_be_a_moment_old(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(dispatcher, "MANY", 1)
+    monkeypatch.setattr(dispatcher, "PLACES_TIME", 1000)
+    async with serving(ONE_PLACE, Arm()) as site:
+        for order in range(3):
+            await site.send(order)
+        assert await places(site) == [(0, 0), (1, 2), (2, 2)]
+        await site.send(3)
+        assert await places(site) == [(0, 0), (1, 2), (2, 2), (0, 0)]
+
+
+async def test_the_places_are_not_asked_for_while_the_server_stops() -> None:
+    cleaning, go = anyio.Event(), anyio.Event()
+
+    async def tidies_up(goal: GoalHandle[Goal]) -> Items:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            cleaning.set()
+            await go.wait()
+        yield Result([])
+
+    async with serving(ONE_PLACE, tidies_up) as site:
+        await site.send(1)
+        await settled()
+        await site.send(2)
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(site.server.stop)
+            await cleaning.wait()
+            assert await places(site) == [(0, 0)]
+            go.set()
+
+
+# Functions that fail
+
+
+def raises(goal: Goal) -> int:
+    if goal.order:
+        raise ValueError("no such joint")
+    return 0
+
+
+def answers(answer: object) -> Callable[[Goal], Any]:
+    return lambda goal: answer if goal.order else 0
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "reason"),
+    [
+        ("key", raises, "key failed: ValueError: no such joint"),
+        ("key", answers([]), "key failed: TypeError: unhashable type: 'list'"),
+        ("priority", raises, "priority failed: ValueError: no such joint"),
+        (
+            "priority",
+            answers("9"),
+            "priority failed: TypeError: it returned '9', which is not a number",
+        ),
+        (
+            "priority",
+            answers(math.nan),
+            "priority failed: ValueError: it returned nan, which is not before or after any number",
+        ),
+    ],
+)
+async def test_a_goal_is_rejected_by_the_function_that_fails_and_the_server_goes_on(
+    name: str, function: Any, reason: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    arm = Arm()
+    rules: dict[str, Any] = {name: function}
+    async with serving(Schedule(concurrency=1, **rules), arm) as site:
+        for _ in range(2):
+            with pytest.raises(GoalRejected) as caught:
+                await site.send(1)
+            assert caught.value.reason == reason
+        await site.send(0)
+        await arm.until_begun(0)
+    lines = [line for line in caplog.records if line.levelname == "ERROR"]
+    assert [line.getMessage() for line in lines] == [f"action 'fibonacci': {reason}"]
+    assert lines[0].exc_info is not None
+
+
+# Preempting
+
+
+class Tidying(Arm):
+    """An executor that cleans up after an interruption, until it is let go, and has a part then."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.cleaning, self.clean = anyio.Event(), anyio.Event()
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        self.begin(goal)
+        order = goal.request.order
+        try:
+            await self.end_of(order)
+        except anyio.get_cancelled_exc_class():
+            self.cleaning.set()
+            await self.clean.wait()
+            raise GoalCanceled(result=Result([-order])) from None
+        yield Result([order])
+
+
+async def test_a_new_goal_begins_when_the_clean_up_of_the_one_it_preempts_has_ended() -> None:
+    arm = Tidying()
+    async with serving(PREEMPTING, arm) as site:
+        first = await site.send(1)
+        await arm.until_begun(1)
+        second = await site.send(2)
+        await arm.cleaning.wait()
+        await settled()
+        assert (arm.begun, second.status) == ([1], GoalStatus.ACCEPTED)
+        arm.clean.set()
+        await arm.until_begun(2)
+        assert await first.outcome() == Outcome(
+            GoalStatus.ABORTED, result(-1), site.preempted_by(2)
+        )
+
+
+async def test_a_goal_that_ends_as_canceled_by_itself_is_aborted_with_the_servers_reason() -> None:
+    async def gives_up(goal: GoalHandle[Goal]) -> Items:
+        if goal.request.order == 1:
+            while not goal.cancel_requested:
+                with suppress(anyio.get_cancelled_exc_class()):
+                    await anyio.sleep_forever()
+            raise GoalCanceled("a word of its own")
+        yield Result([])
+
+    async with serving(PREEMPTING, gives_up) as site:
+        first = await site.send(1)
+        await settled()
+        await site.send(2)
+        assert await first.outcome() == Outcome(GoalStatus.ABORTED, None, site.preempted_by(2))
+
+
+async def test_the_first_reason_to_end_a_goal_is_told() -> None:
+    arm = Tidying()
+    async with serving(PREEMPTING, arm) as site:
+        first = await site.send(1)
+        await arm.until_begun(1)
+        await site.send(2)
+        third = await site.send(3)
+        await arm.cleaning.wait()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(site.server.stop)
+            await settled()
+            arm.clean.set()
+        assert (await first.outcome()).reason == site.preempted_by(2)
+        assert (await third.outcome()).reason == "server stopped"
+    assert arm.begun == [1]
+
+
+async def test_a_goal_that_was_preempted_before_its_start_never_runs() -> None:
+    arm = Arm()
+    async with serving(PREEMPTING, arm) as site:
+        first, _ = await site.send(1), await site.send(2)
+        await arm.until_begun(2)
+        assert await first.outcome() == Outcome(GoalStatus.ABORTED, None, site.preempted_by(2))
+    assert arm.begun == [2]
+
+
+# Killing
+
+
+class Refusing:
+    """An executor that catches every cancellation, and goes on."""
+
+    def __init__(self) -> None:
+        self.begun: list[int] = []
+        self.go = anyio.Event()
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> AsyncIterator[Feedback | Result]:
+        self.begun.append(goal.request.order)
+        while not self.go.is_set():
+            try:
+                await self.go.wait()
+                yield Feedback([])
+            except BaseException:  # the mistake that is tested
+                continue
+        yield Result([])
+
+
+class Endless:
+    """An executor whose clean-up does not end by itself; it notes when it was killed."""
+
+    def __init__(self) -> None:
+        self.killed_at: list[float] = []
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            try:
+                await anyio.sleep_forever()
+            finally:
+                self.killed_at.append(anyio.current_time())
+        yield Result([])
+
+
+@in_virtual_time()
+async def test_a_clean_up_that_takes_too_long_is_killed_and_the_next_goal_begins(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    executor = Endless()
+    rules = Schedule(concurrency=1, queue=1, run_timeout=60)
+    async with serving(rules, executor, shutdown_timeout=5) as site:
+        begun_at = anyio.current_time()
+        first, second = await site.send(1), await site.send(2)
+        assert await first.outcome() == Outcome(GoalStatus.ABORTED, None, "took longer than 60 s")
+        assert anyio.current_time() - begun_at == pytest.approx(65)
+        await second.outcome()
+        assert anyio.current_time() - begun_at == pytest.approx(130)
+        await settled()
+        assert [at - begun_at for at in executor.killed_at] == pytest.approx([65, 130])
+    name = f"goal {site.id_of(1)} of action 'fibonacci'"
+    assert f"{name} did not stop in time (5 s), and is killed" in caplog.messages
+
+
+async def until_logged(caplog: pytest.LogCaptureFixture, text: str) -> None:
+    """Wait for a line in the log."""
+    while text not in caplog.text:
+        await checkpoint()
+
+
+async def test_a_killed_executor_that_survives_keeps_its_place_until_it_has_ended(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    executor = Refusing()
+    rules = Schedule(concurrency=1, when_full="preempt")
+    async with serving(rules, executor, shutdown_timeout=0, result_timeout=0) as site:
+        first = await site.send(1)
+        await settled()
+        second = await site.send(2)
+        assert await first.outcome() == Outcome(GoalStatus.ABORTED, None, site.preempted_by(2))
+        await until_logged(caplog, "runs on")
+        await settled()
+        assert (executor.begun, second.status) == ([1], GoalStatus.ACCEPTED)
+        with pytest.raises(GoalRejected) as caught:
+            await site.send(1)  # it is forgotten, but its executor still has its place
+        name = site.id_of(1)
+        assert caught.value.reason == (
+            f"busy: an earlier goal {name} was killed, and has not ended yet"
+        )
+        executor.go.set()
+        assert (await second.outcome()).status is GoalStatus.SUCCEEDED
+        assert (await (await site.send(1)).outcome()).status is GoalStatus.SUCCEEDED
+    (line,) = [line for line in caplog.records if line.levelname == "ERROR"]
+    assert line.getMessage() == (
+        f"goal {name} of action 'fibonacci': its executor does not end though it was killed, and"
+        f" runs on; its place in the schedule stays taken until then"
+    )
+    assert executor.begun == [1, 2, 1]
+
+
+async def test_a_killed_executor_that_survives_is_given_up_when_the_server_stops(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("fibaction.server._task_pool.GRACE", 0.01)
+    executor = Refusing()
+    async with serving(PREEMPTING, executor, shutdown_timeout=0) as site:
+        await site.send(1)
+        await settled()
+        await site.send(2)
+        await until_logged(caplog, "runs on")
+        assert "is abandoned" not in caplog.text
+    assert "is abandoned" in caplog.text
+    assert executor.begun == [1]
+
+
+async def test_the_feedback_of_an_executor_that_goes_on_after_it_was_killed_is_discarded() -> None:
+    killed = anyio.Event()
+
+    async def goes_on(goal: GoalHandle[Goal]) -> Items:
+        yield Feedback([1])
+        for _ in range(2):
+            with suppress(anyio.get_cancelled_exc_class()):
+                await anyio.sleep_forever()
+        for number in range(2, 100):
+            yield Feedback([number])
+        killed.set()
+        yield Result([])
+
+    rules = Schedule(concurrency=1, run_timeout=0.001)
+    async with serving(rules, goes_on, shutdown_timeout=0, feedback_window=4) as site:
+        stream = await site.send(1)
+        await killed.wait()
+        assert stream.status is GoalStatus.ABORTED
+        updates = [update async for update in stream]
+        numbers = [update.number for update in updates if isinstance(update, FeedbackItem)]
+        assert (numbers, stream.dropped) == ([1], 0)
+        again = await site.server.feedback(site.id_of(1), after=0)
+        assert [u.number async for u in again if isinstance(u, FeedbackItem)] in ([1], [])
+        (goal,) = site.server._runs._registry.goals()
+        assert goal.feedback_count == 1
+
+
+# Taking over
+
+
+class Driving(Arm):
+    """An executor that takes its successor over as soon as it is told to look."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.looks: dict[int, anyio.Event] = {}
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        self.begin(goal)
+        while True:
+            order = goal.request.order
+            yield Feedback([order])
+            look = self.looks[order] = anyio.Event()
+            await look.wait()
+            if goal.successor is None:
+                yield Result([order])
+                return
+            goal = goal.take_over()
+            self.begin(goal)
+
+
+async def test_an_executor_goes_on_as_its_successor_and_the_first_goal_is_aborted() -> None:
+    arm = Driving()
+    async with serving(HANDING_OVER, arm) as site:
+        first = await site.send(1)
+        handle = await arm.until_begun(1)
+        assert handle.successor is None
+        second = await site.send(2)
+        await settled()
+        assert handle.successor is not None
+        assert handle.successor.goal_id == site.id_of(2)
+        assert (first.status, second.status) == (GoalStatus.EXECUTING, GoalStatus.ACCEPTED)
+        arm.looks[1].set()
+        await arm.until_begun(2)
+        assert await first.outcome() == Outcome(GoalStatus.ABORTED, None, site.preempted_by(2))
+        third = await site.send(3)
+        arm.looks[2].set()
+        await arm.until_begun(3)
+        assert (await second.outcome()).reason == site.preempted_by(3)
+        await settled()
+        arm.looks[3].set()
+        assert await third.outcome() == Outcome(GoalStatus.SUCCEEDED, result(3))
+        items = [u async for u in second if isinstance(u, FeedbackItem)]
+        assert [(item.number, FIBONACCI.feedback.decode(item.payload)) for item in items] == [
+            (1, Feedback([2]))
+        ]
+        assert handle.successor is None
+
+
+async def test_the_goal_that_was_taken_over_can_be_canceled_like_any_other() -> None:
+    arm = Driving()
+    async with serving(HANDING_OVER, arm) as site:
+        await site.send(1)
+        await arm.until_begun(1)
+        second = await site.send(2)
+        await settled()
+        arm.looks[1].set()
+        await arm.until_begun(2)
+        await site.cancel(2)
+        assert (await second.outcome()).status is GoalStatus.CANCELED
+        await site.send(3)
+        await arm.until_begun(3)
+
+
+async def test_a_canceled_goal_that_is_not_interrupted_may_take_over_and_is_canceled() -> None:
+    arm = Driving()
+    async with serving(HANDING_OVER, arm, interrupt_on_cancel=False) as site:
+        first = await site.send(1)
+        await arm.until_begun(1)
+        await site.send(2)
+        await site.cancel(1)
+        await settled()
+        arm.looks[1].set()
+        handle = await arm.until_begun(2)
+        assert handle.status is GoalStatus.EXECUTING
+        assert (await first.outcome()).status is GoalStatus.CANCELED
+
+
+async def test_a_goal_whose_successor_is_canceled_goes_on_and_has_none() -> None:
+    arm = Driving()
+    async with serving(HANDING_OVER, arm) as site:
+        first = await site.send(1)
+        handle = await arm.until_begun(1)
+        second = await site.send(2)
+        await site.cancel(2)
+        assert (await second.outcome()).status is GoalStatus.CANCELED
+        assert handle.successor is None
+        with pytest.raises(RuntimeError, match="has no successor that it may take over"):
+            handle.take_over()
+        await settled()
+        arm.looks[1].set()
+        assert await first.outcome() == Outcome(GoalStatus.SUCCEEDED, result(1))
+
+
+async def test_a_goal_takes_nothing_over_after_its_result() -> None:
+    caught: list[str] = []
+    told, done = anyio.Event(), anyio.Event()
+
+    async def is_late(goal: GoalHandle[Goal]) -> Items:
+        if goal.request.order == 1:
+            yield Result([1])
+            told.set()
+            await goal.wait_for_successor()
+            with pytest.raises(RuntimeError) as error:
+                goal.take_over()
+            caught.append(str(error.value))
+            done.set()
+        else:
+            yield Result([2])
+
+    async with serving(HANDING_OVER, is_late) as site:
+        first = await site.send(1)
+        await told.wait()
+        second = await site.send(2)
+        await done.wait()
+        assert await first.outcome() == Outcome(GoalStatus.SUCCEEDED, result(1))
+        assert await second.outcome() == Outcome(GoalStatus.SUCCEEDED, result(2))
+    assert caught == ["take over a goal before the result of this one, not after it"]
+
+
+class Grasping(Arm):
+    """An executor that tries to take its successor over when it is interrupted."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: list[object] = []
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> Items:
+        self.begin(goal)
+        try:
+            await self.end_of(goal.request.order)
+        finally:
+            self.seen.append(goal.successor)
+            with pytest.raises(RuntimeError, match="has no successor that it may take over"):
+                goal.take_over()
+        yield Result([goal.request.order])
+
+
+@in_virtual_time()
+async def test_an_executor_that_was_interrupted_for_its_successor_cannot_take_it_over() -> None:
+    arm = Grasping()
+    async with serving(Schedule(concurrency=1, when_full="preempt", handover=3), arm) as site:
+        first = await site.send(1)
+        handle = await arm.until_begun(1)
+        second = await site.send(2)
+        sent_at = anyio.current_time()
+        assert await handle.wait_for_successor() is handle.successor
+        assert (await first.outcome()).reason == site.preempted_by(2)
+        assert anyio.current_time() - sent_at == pytest.approx(3)
+        await arm.until_begun(2)
+        arm.let_end(2)
+        assert (await second.outcome()).status is GoalStatus.SUCCEEDED
+    assert arm.seen == [None, None]
+
+
+async def test_an_executor_that_was_interrupted_by_a_cancel_cannot_take_over() -> None:
+    # The interruption would end the successor, or a later cancel of it would interrupt nothing.
+    arm = Grasping()
+    async with serving(HANDING_OVER, arm) as site:
+        first = await site.send(1)
+        await arm.until_begun(1)
+        second = await site.send(2)
+        await site.cancel(1)
+        assert (await first.outcome()).status is GoalStatus.CANCELED
+        await arm.until_begun(2)
+        await site.cancel(2)
+        assert (await second.outcome()).status is GoalStatus.CANCELED
+    assert arm.seen == [None, None]
+
+
+async def test_an_executor_cannot_take_over_while_the_server_stops() -> None:
+    arm = Grasping()
+    async with serving(HANDING_OVER, arm) as site:
+        first = await site.send(1)
+        await arm.until_begun(1)
+        second = await site.send(2)
+        await site.server.stop()
+        for stream in first, second:
+            assert await stream.outcome() == Outcome(GoalStatus.ABORTED, None, "server stopped")
+    assert arm.begun == [1]
+    assert arm.seen == [None]
+
+
+async def test_whoever_waits_for_a_successor_is_told_of_it_or_of_the_end() -> None:
+    arm = Arm()
+    async with serving(HANDING_OVER, arm) as site:
+        first = await site.send(1)
+        handle = await arm.until_begun(1)
+        seen: list[GoalID] = []
+
+        async def wait() -> None:
+            seen.append((await handle.wait_for_successor()).goal_id)
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            tasks.start_soon(wait)
+            await settled()
+            assert seen == []
+            await site.send(2)
+        assert seen == [site.id_of(2)] * 2
+        await site.cancel(2)
+
+        async def wait_in_vain() -> None:
+            with pytest.raises(RuntimeError, match=f"^goal {handle.goal_id} has ended, and gets"):
+                await handle.wait_for_successor()
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait_in_vain)
+            await settled()
+            arm.let_end(1)
+        assert (await first.outcome()).status is GoalStatus.SUCCEEDED
+
+
+async def test_whoever_waits_at_a_goal_that_was_taken_over_is_told_of_its_end() -> None:
+    arm = Driving()
+    async with serving(HANDING_OVER, arm) as site:
+        await site.send(1)
+        handle = await arm.until_begun(1)
+        await site.send(2)
+        await site.cancel(2)
+
+        async def wait_in_vain() -> None:
+            with pytest.raises(RuntimeError, match="has ended"):
+                while True:
+                    await handle.wait_for_successor()
+                    await checkpoint()
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait_in_vain)
+            await settled()
+            await site.send(3)
+            arm.looks[1].set()
+        await arm.until_begun(3)
+
+
+async def test_without_a_schedule_a_goal_never_has_a_successor() -> None:
+    arm = Arm()
+    async with ActionServer(FIBONACCI, arm) as server:
+        with anyio.fail_after(5):
+            await server.send_goal(GoalID.random(), packed(1))
+            handle = await arm.until_begun(1)
+            assert handle.successor is None
+            with pytest.raises(RuntimeError, match="the server has no schedule"):
+                handle.take_over()
+            with anyio.CancelScope() as scope:
+                async with anyio.create_task_group() as tasks:
+                    tasks.start_soon(handle.wait_for_successor)
+                    await settled()
+                    scope.cancel()
+            assert scope.cancelled_caught

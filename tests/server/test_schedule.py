@@ -1,0 +1,96 @@
+"""`fibaction.Schedule`: what is wrong in a schedule is said when it is made."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import pytest
+
+from fibaction import ActionServer, Schedule
+from fibaction.goals import Sender
+from tests.fibonacci import FIBONACCI, Goal, fibonacci
+
+WORDS = "when_full is 'reject', 'preempt' or 'replace', not "
+
+
+def by_sender(goal: Goal, sender: Sender) -> int:
+    return len(sender.name)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"concurrency": 1},
+        {"concurrency": 1, "queue": 0},
+        {"total": 1, "queue": 1},
+        {"concurrency": 4, "total": 2},
+        {"total": 1, "when_full": "preempt"},
+        {"concurrency": 1, "when_full": "preempt", "handover": math.inf},
+        {"concurrency": 1, "when_full": "replace", "queue": 1},
+        {"key": str, "priority": by_sender},
+        {"queue_timeout": 0.1, "run_timeout": math.inf, "handover": 0},
+    ],
+)
+def test_a_schedule_has_any_of_its_rules(settings: Any) -> None:
+    ActionServer(FIBONACCI, fibonacci, schedule=Schedule(**settings))
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"concurrency": 0}, "concurrency is 1 or more, not 0"),
+        ({"concurrency": -1}, "concurrency is 1 or more, not -1"),
+        ({"total": 0}, "total is 1 or more, not 0"),
+        ({"concurrency": 1, "queue": -1}, "queue is 0 or more, not -1"),
+        ({"queue": 1}, "queue=1 needs a limit: set concurrency or total, too"),
+        (
+            {"when_full": "preempt"},
+            "when_full='preempt' needs a limit: set concurrency or total, too",
+        ),
+        ({"concurrency": 1, "when_full": "pre-empt"}, f"{WORDS}'pre-empt'"),
+        ({"concurrency": 1, "when_full": None}, f"{WORDS}None"),
+        (
+            {"concurrency": 1, "when_full": "replace"},
+            "when_full='replace' needs a queue of at least 1, not 0",
+        ),
+        ({"queue_timeout": 0}, "queue_timeout is more than 0, not 0"),
+        ({"queue_timeout": math.nan}, "queue_timeout is more than 0, not nan"),
+        ({"run_timeout": -0.5}, "run_timeout is more than 0, not -0.5"),
+        ({"handover": -1}, "handover is 0 or more, not -1"),
+        ({"handover": math.nan}, "handover is 0 or more, not nan"),
+        ({"concurrency": 1, "handover": 2.5}, "handover=2.5 needs when_full='preempt'"),
+        (
+            {"concurrency": 1, "queue": 1, "when_full": "replace", "handover": math.inf},
+            "handover=inf needs when_full='preempt'",
+        ),
+    ],
+)
+def test_a_value_out_of_range_is_rejected_with_what_to_do(settings: Any, text: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(text)}$"):
+        Schedule(**settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"concurrency": 1.0}, "concurrency is a whole number, not 1.0"),
+        ({"concurrency": True}, "concurrency is a whole number, not True"),
+        ({"total": "2"}, "total is a whole number, not '2'"),
+        ({"concurrency": 1, "queue": None}, "queue is a whole number, not None"),
+        ({"concurrency": 1, "queue": math.inf}, "queue is a whole number, not inf"),
+        ({"key": "arm"}, "key is a function of a goal, or of a goal and its sender, not arm"),
+        ({"priority": 3}, "priority is a function of a goal, or of a goal and its sender, not 3"),
+    ],
+)
+def test_a_value_of_another_type_is_rejected_with_what_to_do(settings: Any, text: str) -> None:
+    with pytest.raises(TypeError, match=f"^{re.escape(text)}$"):
+        Schedule(**settings)
+
+
+def test_a_schedule_does_not_change() -> None:
+    schedule = Schedule(concurrency=1)
+    with pytest.raises(AttributeError):
+        schedule.concurrency = 2  # type: ignore[misc]  # it is the mistake that is tested
