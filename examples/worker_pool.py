@@ -3,8 +3,8 @@
 Goals run on four workers at once, and six more may wait. A waiting goal is ACCEPTED: it can be
 followed and canceled. Any other goal is rejected as busy, and its client tries again.
 
-Without arguments, a studio orders more shots than the farm has room for; one of them is of use for
-a second only. With `--url`, the farm is served there until Ctrl-C or SIGTERM.
+Without arguments, a studio orders one shot more than the farm has room for, and a preview that it
+can use for a short time only. With `--url`, the farm is served there until Ctrl-C or SIGTERM.
 
 Exit codes: 0 the program has ended or was stopped, 2 the command line or the URL is invalid.
 """
@@ -108,7 +108,7 @@ def make_server(workers: int, queue: int) -> ActionServer[Goal, Feedback, Result
 
 
 async def demo(workers: int, queue: int) -> None:
-    """Serve a farm, and order two shots more than there is room for."""
+    """Serve a farm, and order one shot more than there is room for."""
     async with (
         serve(make_server(workers, queue), HERE),
         connect(HERE, RENDER) as client,
