@@ -306,7 +306,7 @@ class _GivenUp(Generic[T]):
     def send(self, value: object) -> NoReturn:
         raise StopIteration(self._value)
 
-    def throw(self, error: BaseException) -> NoReturn:
+    def throw(self, error: object, value: object = None, traceback: object = None) -> NoReturn:
         raise StopIteration(self._value)
 
     def close(self) -> None:
