@@ -224,11 +224,11 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         self, goal_id: GoalID, timeout: float | None, retry: Retry | None
     ) -> Attempts | None:
         """Return what limits and repeats the waits for a goal; None if nothing does."""
+        if timeout is None and retry is None:
+            return None
         check_timeout(timeout)
         if not isinstance(retry, Retry | None):
             raise TypeError(f"retry is a Retry, such as Retry(attempts=3), not {retry!r}")
-        if timeout is None and retry is None:
-            return None
         return Attempts(self.endpoint, goal_id, timeout, retry)
 
     async def _send(
