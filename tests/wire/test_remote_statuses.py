@@ -15,6 +15,7 @@ from fibaction.states import GoalStatus
 from fibaction.wire import remote_statuses
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.messages import (
+    AskPlaces,
     AwaitServer,
     Close,
     Credit,
@@ -22,6 +23,7 @@ from fibaction.wire.messages import (
     Failed,
     Finished,
     GoalChanged,
+    Places,
     Watching,
     WatchStatus,
     Why,
@@ -259,8 +261,8 @@ async def places_for(connection: Any, server: Peer, *waiting: Any) -> list[tuple
     """Follow the statuses anew; the server says that these goals wait."""
     async with Running(endpoint_of(connection).status) as asking:
         (asked,) = await heard(server)
-        assert asked == AwaitServer(asked.id, "fibonacci", MAX_FRAME // 64)
-        await server.say(Done(asked.id, list(waiting)))
+        assert asked == AskPlaces(asked.id, "fibonacci", MAX_FRAME // 64)
+        await server.say(Places(asked.id, list(waiting)))
         statuses = await asking.answer()
     listed = [(info.stamp, info.place, info.queue_length) for info in await statuses.listed()]
     statuses.close()
@@ -282,7 +284,7 @@ async def test_a_follower_that_comes_later_is_told_the_places_of_goals_that_wait
         assert await places_for(connection, server, *now) == [
             *((1, 0, 0), (2, 0, 0), (3, 1, 2), (4, 2, 2))
         ]
-        # A server that does not know the question gives the sign alone.
+        # A server that tells no places, for example over ROS, has no goals that wait.
         assert await places_for(connection, server) == [
             *((1, 0, 0), (2, 0, 0), (3, 0, 0), (4, 0, 0))
         ]
