@@ -92,13 +92,15 @@ class OpenCalls:
             # All that the server has told before this answer is known then: a goal that this client
             # has sent, for example. Places of goals that wait are told here only, since each start
             # of a goal changes those of all others.
-            if watch.has_accepted:
+            has_places = watch.has_accepted
+            if has_places:
                 asking = partial(AskPlaces, action=action, most=self._most_places)
                 answer: Places = await self.ask(asking, Places)
                 watch.set_places(answer.goals)
             else:
                 await self.ask(lambda call_id: AwaitServer(call_id, action), Done)
-            if watch is self._watches.get(action) and watch.is_complete:
+            is_current = watch is self._watches.get(action) and watch.is_complete
+            if is_current and (has_places or not watch.has_accepted):
                 break
         statuses = watch.follow()
         try:

@@ -292,6 +292,20 @@ async def test_a_follower_that_comes_later_is_told_the_places_of_goals_that_wait
         assert (await follow(connection, server)).known == 4
 
 
+async def test_places_are_asked_for_if_a_goal_comes_to_wait_before_the_sign() -> None:
+    async with reached() as (connection, server):
+        _, call_id = await watched(connection, server, known=0)
+        async with Running(endpoint_of(connection).status) as asking:
+            (asked,) = await heard(server)
+            await told(server, accepted(call_id, 2), Done(asked.id))
+            (asked,) = await heard(server)
+            assert asked == AskPlaces(asked.id, "fibonacci", MAX_FRAME // 64)
+            await server.say(Places(asked.id, [(bytes([2] * 16), 1, 3)]))
+            statuses = await asking.answer()
+        listed = await statuses.listed()
+        assert [(info.stamp, info.place, info.queue_length) for info in listed] == [(2, 1, 3)]
+
+
 async def test_places_are_those_of_the_server_behind_a_gateway() -> None:
     async with real(server=one_by_one()) as behind, serving(held()) as gateway:
         gateway.endpoints["fibonacci"] = behind
