@@ -58,9 +58,13 @@ class Group:
 
     def first(self) -> Entry | None:
         """Return the goal of the queue that starts next."""
-        while self._heap and self._heap[0][1].goal_id not in self.queue:
+        while self._heap:
+            entry = self._heap[0][1]
+            # A goal that was sent again after its end has another entry.
+            if self.queue.get(entry.goal_id) is entry:
+                return entry
             heappop(self._heap)
-        return self._heap[0][1] if self._heap else None
+        return None
 
     def oldest(self) -> Entry | None:
         """Return the goal that has run longest, without successor if any is; else the one with the

@@ -144,8 +144,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         )
         self._dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None = None
         if schedule is not None:
-            if not isinstance(schedule, Schedule):
-                raise TypeError(f"schedule is a Schedule, not {schedule!r}")
+            _check_is_schedule(schedule)
             self._dispatcher = Dispatcher(
                 schedule, self._runs, action=action.name, kill_after=shutdown_timeout
             )
@@ -307,6 +306,11 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
     def __repr__(self) -> str:
         return f"<ActionServer {self.action.name!r} {self._phase} goals={len(self._runs)}>"
+
+
+def _check_is_schedule(schedule: object) -> None:
+    if not isinstance(schedule, Schedule):
+        raise TypeError(f"schedule is a Schedule, not {schedule!r}")
 
 
 def _check_is_executor(executor: object) -> None:

@@ -160,6 +160,18 @@ async def test_goals_that_wait_while_the_server_stops_are_aborted_and_never_run(
     assert arm.begun == [1]
 
 
+async def test_a_goal_that_is_sent_again_after_its_end_waits_at_the_end_of_the_queue() -> None:
+    arm = Arm()
+    async with serving(ONE_PLACE, arm, result_timeout=0) as site:
+        for order in (1, 2, 3, 4):
+            await site.send(order)
+            arm.let_end(order)
+        await site.cancel(3)
+        again = await site.send(3)  # the same ID, since the server has forgotten the first
+        assert (await again.outcome()).status is GoalStatus.SUCCEEDED
+    assert arm.begun == [1, 2, 4, 3]
+
+
 async def test_a_goal_that_is_ended_before_its_start_frees_its_place() -> None:
     arm = Arm()
     async with serving(Schedule(concurrency=1), arm, shutdown_timeout=0) as site:

@@ -74,6 +74,19 @@ def left_without_clients(server: WireServer, actions: ActionServer[Any, Any, Any
         "waits for decisions": admission._decisions,
         "followers of statuses": actions._logs._statuses._cursors,
     }
+    dispatcher = actions._dispatcher
+    if dispatcher is not None:
+        scheduler = dispatcher._scheduler
+        tables |= {
+            "places": scheduler._entries,
+            "keys": scheduler._groups,
+            "goals that wait": scheduler._waiting,
+            "goals that may take too long": scheduler._timed,
+            "goals with successors": scheduler._told,
+            "goals that clean up": scheduler._interrupted,
+            "waits for successors": dispatcher._successor_news,
+        }
+        yield from (f"{count} goals run" for count in (scheduler._running,) if count)
     yield from (f"{len(table)} {name}" for name, table in tables.items() if len(table))
     counters = {"messages": server.memory.used, "goals": runs._registry.budget.used}
     yield from (f"{count} bytes of {name}" for name, count in counters.items() if count)

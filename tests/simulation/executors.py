@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Callable
-from typing import TypeAlias
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from typing import Any, TypeAlias
 
 import anyio
 
 from fibaction import CancelRejected, GoalAborted, GoalCanceled, GoalHandle, GoalRejected
 from fibaction.server.executor import Executor
-from tests.simulation.facts import Truth
-from tests.simulation.invariants import ON_PURPOSE, Record
-from tests.simulation.scenario import Done, Step, Work
+from tests.simulation.invariants import Record
+from tests.simulation.scenario import ON_PURPOSE, Done, Step, Work
 
 Items: TypeAlias = AsyncGenerator[Step | Done, None]
 
@@ -22,13 +21,40 @@ ENDLESS = 30.0
 class Job:
     """A goal that is being executed, and the record of it."""
 
-    def __init__(self, goal: GoalHandle[Work], truth: Truth) -> None:
+    def __init__(self, record: Record, goal: GoalHandle[Work]) -> None:
+        self._record = record
+        self._begin(goal)
+
+    def _begin(self, goal: GoalHandle[Work]) -> None:
         self.goal = goal
         self.work = goal.request
-        self._truth = truth
+        self._truth = self._record.started(goal.goal_id, goal.stamp)
+
+    def take_over(self) -> bool:
+        """Go on as the successor, and return True, if there is one."""
+        if self.goal.successor is None:
+            return False
+        self._begin(self.goal.take_over())
+        return True
+
+    def grasp(self) -> None:
+        """Check that there is no successor after an interruption."""
+        if self.goal.successor is not None or self.goal.cancel_requested is False:
+            self._record.fail("turn", f"{self.goal} was interrupted, and has a successor")
+        try:
+            self.goal.take_over()
+        except RuntimeError:
+            return
+        self._record.fail("turn", f"{self.goal} was interrupted, and took its successor over")
+
+    def left(self) -> None:
+        """Note that the executor has ended, with its clean-up."""
+        self._record.places.left(self._truth)
 
     def step(self) -> Step:
         """Return the next feedback."""
+        if self._truth.outcome is not None:  # it was killed, and its feedback is discarded
+            return Step(self._truth.count + 1)
         self._truth.count += 1
         return Step(self._truth.count, bytes(self.work.size))
 
@@ -129,8 +155,61 @@ async def endless(job: Job) -> Items:
     yield job.done()
 
 
+async def takes_over(job: Job) -> Items:
+    left = job.work.steps
+    while left:
+        left -= 1
+        if job.take_over():
+            left = job.work.steps
+        yield job.step()
+        await job.rest()
+    yield job.done()
+
+
+async def follows_on(job: Job) -> Items:
+    for _ in range(job.work.steps):
+        yield job.step()
+        with anyio.move_on_after(job.work.pause + 0.1):
+            await job.goal.wait_for_successor()
+        job.take_over()
+    yield job.done()
+
+
+async def grasps(job: Job) -> Items:
+    try:
+        for _ in range(job.work.steps):
+            yield job.step()
+            await job.rest()
+        await anyio.sleep(0.2)
+    except anyio.get_cancelled_exc_class():
+        job.grasp()
+        await anyio.sleep(job.work.cleanup)
+        raise
+    yield job.done()
+
+
+class _Watched(AsyncGenerator[Step | Done, None]):
+    """The executor of a job, which reports its end to the record."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._items = EXECUTORS[job.work.kind](job)
+
+    def asend(self, value: None) -> Awaitable[Step | Done]:  # type: ignore[override]  # it is a coroutine's
+        return self._items.asend(value)
+
+    def athrow(self, *error: Any) -> Awaitable[Step | Done]:  # type: ignore[override]  # it is a coroutine's
+        return self._items.athrow(*error)
+
+    async def aclose(self) -> None:
+        try:
+            await self._items.aclose()
+        finally:
+            self._job.left()
+
+
 EXECUTORS: dict[str, Callable[[Job], Items]] = {
-    kind.__name__: kind
+    kind.__name__.replace("_", " "): kind
     for kind in (
         steady,
         busy,
@@ -142,6 +221,9 @@ EXECUTORS: dict[str, Callable[[Job], Items]] = {
         raises,
         aborts,
         endless,
+        takes_over,
+        follows_on,
+        grasps,
     )
 }
 
@@ -150,8 +232,7 @@ def executor_for(record: Record) -> Executor[Work, Step, Done]:
     """Return the executor of all goals, which reports its starts to the record."""
 
     def execute(goal: GoalHandle[Work]) -> Items:
-        truth = record.started(goal.goal_id, goal.stamp)
-        return EXECUTORS[goal.request.kind](Job(goal, truth))
+        return _Watched(Job(record, goal))
 
     return execute
 

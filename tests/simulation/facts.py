@@ -10,7 +10,7 @@ from typing import Any
 
 from fibaction import GoalID, Outcome
 from fibaction.states import INITIAL
-from tests.simulation.scenario import ClientPlan, Done
+from tests.simulation.scenario import ClientPlan, Done, Work
 
 HONEST_TOKEN, HOSTILE_TOKEN = "honest secret", "hostile secret"
 """The tokens of the clients, where the server asks for them."""
@@ -36,6 +36,18 @@ class Truth:
         """The result that the executor has yielded."""
         self.outcome: Outcome[Any] | None = None
         self.ended_at = math.inf
+        # In the server's schedule:
+        self.work = Work(0)
+        self.arrival = 0
+        """The place in the order of acceptance."""
+        self.began_at = math.inf
+        """The time at which the goal was given a place to run."""
+        self.told_at = math.inf
+        """The time from which the goal has had a successor."""
+        self.interrupted_at = math.inf
+        """The time at which the schedule interrupted the executor."""
+        self.stop_reason = ""
+        """The reason for which the server ends the goal by itself; empty if it does not."""
 
 
 class Life:
@@ -48,6 +60,15 @@ class Life:
         self.registry = registry
         self.goals: dict[tuple[GoalID, int], Truth] = {}
         self.ended: list[Truth] = []
+        self.running: list[Truth] = []
+        """The goals that have a place to run, until their executors are gone."""
+        self.waiting: list[Truth] = []
+        self.successors: dict[Truth, Truth] = {}
+        """The waiting goals that begin when others, their predecessors, have left."""
+        self.next: Truth | None = None
+        """The successor of the goal that has left last, until it begins."""
+        self.latest: Truth | None = None
+        """The goal that was accepted last."""
 
 
 class ClientState:

@@ -20,6 +20,7 @@ from tests.simulation.scenario import (
     ServerPlan,
     Work,
 )
+from tests.simulation.schedule_generator import with_schedule
 from tests.simulation.streams import Manner, Weather
 
 
@@ -186,4 +187,5 @@ class _Generator:
 def scenario_of(seed: int) -> Scenario:
     """Return the scenario of a seed."""
     generator = _Generator(seed)
-    return with_hostile_clients(generator.scenario(), generator.span)
+    scenario = with_hostile_clients(generator.scenario(), generator.span)
+    return with_schedule(scenario, generator.span)

@@ -28,7 +28,8 @@ from fibaction import (
 )
 from fibaction.states import TRANSITIONS
 from tests.simulation.facts import EPSILON, ClientState, Life, Truth, short
-from tests.simulation.scenario import SIMULATED, Scenario
+from tests.simulation.places import Places
+from tests.simulation.scenario import ON_PURPOSE, SIMULATED, Scenario
 
 INVARIANTS = {
     "once": "an accepted goal is executed at most once",
@@ -40,6 +41,8 @@ INVARIANTS = {
     "outcome": "every client is told the outcome that the server has",
     "error": "a call fails only if there is a reason",
     "cancel": "the answer to a cancel is what happens",
+    "place": "no more goals run than the schedule allows, and no place is lost",
+    "turn": "goals begin, and give way, as the schedule says",
     "rest": "no task, no connection and no goal is left at the end",
     "hostile": "a hostile client gets an answer, or the end of its connection",
     "access": "a client is told, and can do, only what it is permitted",
@@ -49,9 +52,6 @@ INVARIANTS = {
     "log": "no error is logged, and no exception is lost",
 }
 """The rules, by short names."""
-
-ON_PURPOSE = "on purpose"
-"""The mark in the text of every error that a scenario wants."""
 
 
 class Violation(msgspec.Struct, frozen=True):
@@ -107,6 +107,7 @@ class Record:
         faults = [fault.kind for fault in scenario.faults]
         self.all_ends_are_told = bool(faults) and all(kind == "restart" for kind in faults)
         """True if the only faults are restarts, before which servers tell their clients."""
+        self.places = Places(self)
         self.promises_all = server.feedback == "every" and scenario.climate != "rough"
 
     def tell(self, text: str) -> None:
@@ -176,7 +177,8 @@ class Record:
                 self.fail("once", f"goal {short(goal_id)} was accepted {how}")
         if goal_id in self.copied and self.truth(goal_id, None) is not None:
             self.sent_again.add(goal_id)  # it runs again: its server has forgotten it
-        life.goals[goal_id, stamp] = Truth(goal_id, stamp, life, now, sender)
+        truth = life.goals[goal_id, stamp] = Truth(goal_id, stamp, life, now, sender)
+        self.places.accepted(truth)
 
     def _may_run_again(self, truth: Truth, now: float) -> bool:
         if not self._has_expired(truth, now):
@@ -202,6 +204,7 @@ class Record:
         truth.starts += 1
         if truth.starts > 1:
             self.fail("once", f"the executor of {short(goal_id)} was started {truth.starts} times")
+        self.places.started(truth)
         return truth
 
     def ended(self, truth: Truth, outcome: Outcome[bytes], count: int) -> None:
@@ -222,6 +225,7 @@ class Record:
         asked = self._cancels & {truth.goal_id, None} or self.scenario.server.orphans == "cancel"
         if outcome.status is GoalStatus.CANCELED and not asked:
             self.fail("cancel", f"goal {name} was canceled without a request")
+        self.places.ended(truth)
 
     # What clients see
 
@@ -283,6 +287,7 @@ class Record:
             return (
                 ON_PURPOSE in error.reason
                 or (stops and "stopping" in error.reason)
+                or (error.reason.startswith("busy: ") and self.places.counts["busy"] > 0)
                 or (goal_id in self.clashes and "in use" in error.reason)
                 or ("too much at once" in error.reason and self._is_limited)
             )

@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 
 import msgspec
 
-from fibaction import Action
+from fibaction import Action, Schedule
 from fibaction.wire.auth import Permission
 from fibaction.wire.frames import MAX_FRAME
 from tests.simulation.network import Direction
@@ -72,6 +72,66 @@ KINDS = (
     "aborts",  # gives up half-way, with what it has
     "endless",  # goes on until it is interrupted
 )
+SUCCEEDING = (
+    "takes over",  # takes its successor over as soon as it sees one
+    "follows on",  # waits for its successor, and takes it over
+    "grasps",  # tries to take its successor over in its clean-up
+)
+"""More kinds of goals, for schedules."""
+
+ON_PURPOSE = "on purpose"
+"""The mark in the text of every error that a scenario wants."""
+
+
+class SchedulePlan(msgspec.Struct, frozen=True):
+    """The schedule of each server of the run; without limits it lets all goals run at once."""
+
+    concurrency: int | None = None
+    total: int | None = None
+    queue: int = 0
+    when_full: Literal["reject", "preempt", "replace"] = "reject"
+    keys: int = 0
+    """The number of keys; 0 for no function that returns one."""
+    urgencies: int = 0
+    """The number of different urgencies; 0 for no function that returns one."""
+    queue_timeout: float = math.inf
+    run_timeout: float = math.inf
+    handover: float = 0.0
+    fails: bool = False
+    """True if the functions fail for some goals."""
+
+    def key_of(self, work: Work) -> int:
+        """Return the key of a goal."""
+        return work.key % self.keys if self.keys else 0
+
+    def urgency_of(self, work: Work) -> int:
+        """Return the urgency of a goal."""
+        return work.key * 7 % self.urgencies if self.urgencies else 0
+
+    def schedule(self) -> Schedule:
+        """Return the schedule for a server."""
+
+        def key(work: Work) -> int:
+            if self.fails and work.key % 7 == 3:
+                raise ValueError(ON_PURPOSE)
+            return self.key_of(work)
+
+        def priority(work: Work) -> int:
+            if self.fails and work.key % 7 == 5:
+                raise ValueError(ON_PURPOSE)
+            return self.urgency_of(work)
+
+        return Schedule(
+            concurrency=self.concurrency,
+            total=self.total,
+            queue=self.queue,
+            when_full=self.when_full,
+            key=key if self.keys else None,
+            priority=priority if self.urgencies else None,
+            queue_timeout=self.queue_timeout,
+            run_timeout=self.run_timeout,
+            handover=self.handover,
+        )
 
 
 class ServerPlan(msgspec.Struct, frozen=True):
@@ -100,6 +160,8 @@ class ServerPlan(msgspec.Struct, frozen=True):
     connections: int = 1000
     asks_for_tokens: bool = False
     """True if clients need a token."""
+    schedule: SchedulePlan | None = None
+    """The rules by which goals run; None to run all of them at once."""
 
 
 class Deed(msgspec.Struct, frozen=True):

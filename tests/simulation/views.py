@@ -99,7 +99,7 @@ class View:
         was_kept = self.losses == self.client.losses and self.client.is_ready
         is_alone = self.goal_id not in self._record.sent_again
         # An executor that is interrupted while it waits for a reader, and goes on, pushes one out.
-        was_left_alone = GoalStatus.CANCELING not in truth.statuses
+        was_left_alone = GoalStatus.CANCELING not in truth.statuses and not truth.stop_reason
         undisturbed = is_alone and was_left_alone and (was_kept or is_remembered)
         return self._record.promises_all and undisturbed
 
@@ -174,10 +174,13 @@ class Watch:
         if number != step.count:
             text = f"{about} number {number} is what was yielded as {step.count}"
             self._record.fail("feedback", text)
-        if number <= before and goal_id not in self._record.sent_again:
+        # It may also run again on a new server.
+        runs_again = len(self._record.outcomes(goal_id, None)) > 1
+        is_alone = goal_id not in self._record.sent_again and not runs_again
+        if number <= before and is_alone:
             self._record.fail("feedback", f"{about} {number} came after {before}")
         has_ended = any(one[0] == goal_id and now.is_terminal for one, now in self._known.items())
-        if has_ended and goal_id not in self._record.sent_again:
+        if has_ended and is_alone:
             self._record.fail("feedback", f"{about} {number} came after the end")
 
     def _fail(self, info: GoalInfo, text: str) -> None:

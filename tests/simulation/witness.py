@@ -26,7 +26,9 @@ from fibaction.wire.session import Session
 from fibaction.wire.subscriptions import GoalSubscription, HeldGoals
 from fibaction.wire.wire_server import WireServer
 from tests.simulation.facts import Truth
-from tests.simulation.invariants import ON_PURPOSE, Record
+from tests.simulation.invariants import Record
+from tests.simulation.scenario import ON_PURPOSE
+from tests.simulation.schedule_witness import schedule_wrappers
 
 LONGEST_LINE = 1000
 """Characters of a line of the log, at most: some words of the server, and excerpts of a client's
@@ -54,6 +56,8 @@ def recorded(
         wrap(GoalRegistry, "execute", lambda real: _executing(real, record))
         wrap(GoalRegistry, "finish", lambda real: _finishing(real, record))
         wrap(Cancellation, "accept", lambda real: _canceling(real, record))
+        for cls, name, make in schedule_wrappers(record):
+            wrap(cls, name, make)
         wrap(RemoteConnection, "_attempt", lambda real: _attempting(real, record))
         wrap(RemoteConnection, "_begin", lambda real: _beginning(real, record))
         wrap(Reconnector, "_give_up", lambda real: _giving_up(real, record))

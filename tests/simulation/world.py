@@ -135,8 +135,10 @@ class World:
         self.hub = opened
 
     async def _check_often(self) -> None:
-        """Check what is held for all clients, while there are hostile ones."""
-        while not all(hostile.has_left for hostile in self._hostile):
+        """Check what is held for all clients, and the places of goals."""
+        while not all(hostile.has_left for hostile in self._hostile) or self._lives:
+            for life in self.record.lives[-1:]:
+                self.record.places.check(life)
             for session in self.hub._sessions if self.hub is not None else ():
                 self.on_message(session)
             await anyio.sleep(CHECKED)
@@ -177,6 +179,7 @@ class World:
             result_timeout=plan.result_timeout,
             max_results=plan.max_results,
             shutdown_timeout=plan.shutdown_timeout,
+            schedule=None if plan.schedule is None else plan.schedule.schedule(),
             watchdog=0,  # its thread reads the real clock, by which a run may be stopped for long
         )
 
