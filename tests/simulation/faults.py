@@ -144,7 +144,7 @@ def a_result_expires_too_early(real: Any) -> Any:
     return put
 
 
-@mistake(Admission, "_tell_decision", 80, 54, 97)
+@mistake(Admission, "_tell_decision", 97)
 def a_decision_is_not_told(_real: Any) -> Any:
     """Do not wake tasks that wait for the decision on a goal."""
 
@@ -154,7 +154,7 @@ def a_decision_is_not_told(_real: Any) -> Any:
     return _tell_decision
 
 
-@mistake(FeedbackLog, "append", 3, 5, 6)
+@mistake(FeedbackLog, "append", 6)
 def feedback_is_numbered_twice(real: Any) -> Any:
     """Give every fifth message the number of the one before."""
 
@@ -250,7 +250,7 @@ def credit_counts_twice(real: Any) -> Any:
     return add
 
 
-@mistake(Notifier, "notify", 22, 28, 17)
+@mistake(Notifier, "notify", 28, 22)
 def a_listener_is_lost(real: Any) -> Any:
     """Forget the callback of a notifier instead of calling it, once in a while."""
     calls = [0]
@@ -280,7 +280,7 @@ def the_resume_number_is_one_too_large(real: Any) -> Any:
     return opening
 
 
-@mistake(RemoteGoal, "opening", 56, 17, 50)
+@mistake(RemoteGoal, "opening", 17, 50)
 def the_resume_number_is_one_too_small(real: Any) -> Any:
     """Resume a goal on a new connection with messages that have arrived already."""
 
@@ -293,7 +293,7 @@ def the_resume_number_is_one_too_small(real: Any) -> Any:
     return opening
 
 
-@mistake(RemoteGoal, "on_message", 14, 8)
+@mistake(RemoteGoal, "on_message", 8)
 def the_end_wakes_nobody(real: Any) -> Any:
     """Do not wake tasks of the client that wait for the end of a goal."""
 

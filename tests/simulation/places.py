@@ -109,7 +109,7 @@ class Places:
     def accepted(self, truth: Truth) -> None:
         """Note the place of a goal that was accepted."""
         life = truth.life
-        truth.work = self._offered.pop(truth.goal_id, None) or truth.work
+        truth.work = self._offered.pop(truth.goal_id, truth.work)
         truth.arrival = len(life.goals)
         key = self._key(truth)
         life.latest = truth

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 import random
+from typing import Literal, TypeAlias
 
 from msgspec.structs import replace
 
@@ -21,6 +22,8 @@ from tests.simulation.scenario import (
     SchedulePlan,
     Work,
 )
+
+WhenFull: TypeAlias = Literal["reject", "preempt", "replace"]
 
 PART = 0.5
 """The part of the scenarios that have a schedule."""
@@ -40,20 +43,25 @@ def with_schedule(scenario: Scenario, span: float) -> Scenario:
 
 def _plan(chance: random.Random) -> SchedulePlan:
     by_key = chance.random() < 0.3
-    concurrency = chance.choice([None, 1, 2]) if by_key else chance.choice([1, 1, 1, 2])
+    concurrency = chance.choice([None, 1, 2]) if by_key else chance.choice([1, 1, 2])
     total = chance.choice([1, 2, 3]) if concurrency is None or chance.random() < 0.3 else None
-    when_full = chance.choice(["reject", "preempt", "preempt", "replace"])
-    queue = chance.choice([1, 2, 5]) if when_full == "replace" else chance.choice([0, 1, 3, 20])
+    policies: list[WhenFull] = ["reject", "preempt", "preempt", "replace"]
+    when_full = chance.choice(policies)
+    queues: dict[WhenFull, list[int]] = {
+        "reject": [0, 1, 3, 20],
+        "preempt": [0, 0, 1, 3],
+        "replace": [1, 2, 5],
+    }
     return SchedulePlan(
         concurrency=concurrency,
         total=total,
-        queue=queue,
+        queue=chance.choice(queues[when_full]),
         when_full=when_full,
         keys=chance.choice([2, 3]) if by_key else 0,
         urgencies=chance.choice([0, 0, 3]),
         queue_timeout=chance.choice([math.inf, math.inf, 0.5, 3.0]),
         run_timeout=chance.choice([math.inf, math.inf, 0.2, 1.0]),
-        handover=chance.choice([0.0, 0.3, math.inf]) if when_full == "preempt" else 0.0,
+        handover=chance.choice([0.0, 0.3, 0.3, math.inf]) if when_full == "preempt" else 0.0,
         fails=chance.random() < 0.1,
     )
 
@@ -65,20 +73,21 @@ def _busier(chance: random.Random, plan: ClientPlan, number: int, span: float) -
     def longer(work: Work) -> Work:
         if chance.random() < 0.5:
             return work
-        kind = chance.choice([work.kind, "tidy", "takes over", *SUCCEEDING])
+        kind = chance.choice([work.kind, "tidy", *SUCCEEDING])
         return replace(work, kind=kind, pause=chance.choice([work.pause, 0.03, 0.2]))
 
     def added() -> Deed:
         work = Work(
             next(keys),
-            kind=chance.choice([*KINDS, *SUCCEEDING, "tidy", "takes over", "follows on"]),
+            kind=chance.choice([*KINDS, *SUCCEEDING, *SUCCEEDING, "tidy"]),
             steps=chance.choice([1, 5, 12]),
             pause=chance.choice([0.01, 0.05, 0.2]),
             cleanup=chance.choice([0.0, 0.01, 0.5]),
         )
+        kind = chance.choice(["send", "call quietly", "cancel", "cancel by id", "goals"])
         return Deed(
             at=chance.uniform(0, min(span, 1.0)),
-            kind=chance.choice(["send", "call quietly", "cancel", "cancel by id", "goals"]),
+            kind="cancel" if work.kind == "grasps" else kind,
             work=work,
             delay=chance.choice([0.0, 0.01, 0.1]),
             count=chance.choice([0, 0, 1]),

@@ -25,7 +25,9 @@ class Known:
         self.client = self.record.clients["client-0"]
         self.client.goals.add(GOAL)
         self.record.accepted(self.life, GOAL, 1)
-        self.truth = self.record.started(GOAL, 1)
+        self.truth = self.life.goals[GOAL, 1]
+        self.record.places.begun(self.truth)
+        self.truth.starts = 1
         self.view = View(self.record, self.client, GOAL, 1, start=0)
 
     def found(self) -> list[str]:
@@ -40,6 +42,7 @@ class Known:
 
 def test_a_goal_that_is_started_twice_is_found() -> None:
     known = Known()
+    known.record.changed(known.truth, GoalStatus.EXECUTING)
     known.record.started(GOAL, 1)
     assert known.found() == ["once"]
 

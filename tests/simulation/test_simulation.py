@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import secrets
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,6 +22,7 @@ from tests.simulation.scenario import (
     ATTACKS,
     DEEDS,
     KINDS,
+    SUCCEEDING,
     Attack,
     ClientPlan,
     Deed,
@@ -116,8 +119,8 @@ def test_scenarios_are_of_all_kinds() -> None:
     faults = {fault.kind for one in scenarios for fault in one.faults}
     assert {one.climate for one in scenarios} == {"calm", "gentle", "rough"}
     assert {deed.kind for deed in deeds} == {kind for kind, _ in DEEDS}
-    assert {deed.work.kind for deed in deeds} == set(KINDS)
-    assert set(EXECUTORS) == set(KINDS)
+    assert {deed.work.kind for deed in deeds} == {*KINDS, *SUCCEEDING}
+    assert set(EXECUTORS) == {*KINDS, *SUCCEEDING}
     assert len(faults) == 8
     assert all(not one.faults for one in scenarios if one.climate == "calm")
     assert not any(one.has_restarts for one in scenarios if one.climate == "gentle")
@@ -131,6 +134,30 @@ def test_hostile_clients_are_of_all_kinds_in_half_of_the_scenarios() -> None:
     assert {plan.reads for plan in hostile} == {"all", "slowly", "never"}
     assert {plan.leaves for plan in hostile} == {"goodbye", "close", "silence"}
     assert 400 < sum(bool(one.hostile) for one in scenarios) < 600
+
+
+def test_servers_have_schedules_of_all_kinds_in_half_of_the_scenarios() -> None:
+    plans = [scenario_of(seed).server.schedule for seed in range(1000)]
+    schedules = [plan.schedule() for plan in plans if plan is not None]
+    assert 400 < len(schedules) < 600
+    assert {one.when_full for one in schedules} == {"reject", "preempt", "replace"}
+    for name in ("concurrency", "total", "key", "priority"):
+        assert {getattr(one, name) is None for one in schedules} == {True, False}
+    for name in ("queue_timeout", "run_timeout"):
+        assert {getattr(one, name) < math.inf for one in schedules} == {True, False}
+    assert {0.0, math.inf} < {one.handover for one in schedules}
+
+
+def test_what_a_schedule_does_happens_in_the_scenarios() -> None:
+    counts: Counter[str] = Counter()
+    seeds = (seed for seed in range(230) if scenario_of(seed).server.schedule is not None)
+    for seed in seeds:
+        report = simulate(scenario_of(seed))
+        check(report)
+        counts.update(report.places)
+        if all(counts[kind] for kind in report.places):
+            break
+    assert all(counts.values()), counts
 
 
 # Hostile clients alone: each attack of each kind, against one honest client that calls
@@ -196,7 +223,7 @@ def test_the_command_tells_how_to_see_a_failure_again(
 ) -> None:
     def failing(scenario: Any) -> Report:
         wrong = Violation("once", "it ran twice", 1.0)
-        return Report(scenario, [wrong], ["a", "b"], 0, 0, 0, 0, 1.0)
+        return Report(scenario, [wrong], ["a", "b"], 0, 0, 0, 0, 1.0, {})
 
     monkeypatch.setattr(command, "simulate", failing)
     monkeypatch.setattr(sys, "argv", ["simulation", "--seconds", "5", "--from", "77"])

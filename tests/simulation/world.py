@@ -69,6 +69,8 @@ class Report(msgspec.Struct, frozen=True):
     restarts: int
     seconds: float
     """Virtual seconds of the run."""
+    places: dict[str, int]
+    """The number of events of schedules, for each kind."""
 
     @property
     def digest(self) -> str:
@@ -422,6 +424,7 @@ def simulate(scenario: Scenario) -> Report:
         cuts=world.network.cuts,
         restarts=max(0, len(record.lives) - 1),
         seconds=loop.now - virtual.EPOCH,
+        places=record.places.counts,
     )
 
 

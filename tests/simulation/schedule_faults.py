@@ -1,0 +1,299 @@
+"""Deliberate mistakes in the schedule of a server, beside those of `faults`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from fibaction import GoalID
+from fibaction.server._schedule_group import Entry, Group
+from fibaction.server.dispatcher import Dispatcher
+from fibaction.server.executor import Execution
+from fibaction.server.goal_record import GoalRecord
+from fibaction.server.runs import Runs
+from fibaction.server.scheduler import Act, Busy, Order, Scheduler
+from tests.simulation.faults import mistake
+
+AnyRuns = Runs[Any, Any, Any]
+AnyDispatcher = Dispatcher[Any, Any, Any]
+
+
+# Places
+
+
+@mistake(Dispatcher, "_leave", 3, 5)
+def a_place_is_not_given_back(real: Any) -> Any:
+    """Keep the place of every third goal."""
+    calls = [0]
+
+    def _leave(self: AnyDispatcher, goal_id: GoalID) -> None:
+        calls[0] += 1
+        if calls[0] % 3:
+            real(self, goal_id)
+
+    return _leave
+
+
+@mistake(Scheduler, "_has_place", 5, 13, 16)
+def a_limit_is_off_by_one(real: Any) -> Any:
+    """Let one more goal run than `concurrency` says."""
+
+    def _has_place(self: Scheduler, group: Group) -> bool:
+        limit = self._schedule.concurrency
+        return real(self, group) or (limit is not None and len(group.running) == limit)
+
+    return _has_place
+
+
+@mistake(Scheduler, "_has_place", 42, 60, 55)
+def the_total_is_not_kept(_real: Any) -> Any:
+    """Limit the goals of each key only."""
+
+    def _has_place(self: Scheduler, group: Group) -> bool:
+        limit = self._schedule.concurrency
+        return limit is None or len(group.running) < limit
+
+    return _has_place
+
+
+@mistake(Scheduler, "leave", 41, 29, 40)
+def two_goals_start_for_one_place(real: Any) -> Any:
+    """Start the next waiting goal of the key, too, if a successor starts."""
+
+    def leave(self: Scheduler, goal_id: GoalID, now: float) -> list[Order]:
+        entry = self._entries.get(goal_id)
+        orders: list[Order] = real(self, goal_id, now)
+        if entry is not None and orders and (first := entry.group.first()) is not None:
+            orders.append(self._start(first, now))
+        return orders
+
+    return leave
+
+
+@mistake(Scheduler, "leave", 5, 16)
+def a_free_place_is_given_to_no_goal(real: Any) -> Any:
+    """Start no waiting goal when one that was canceled leaves."""
+    calls = [0]
+
+    def leave(self: Scheduler, goal_id: GoalID, now: float) -> list[Order]:
+        calls[0] += 1
+        orders: list[Order] = real(self, goal_id, now)
+        return [] if calls[0] % 4 == 3 else orders
+
+    return leave
+
+
+@mistake(Runs, "kill", 5, 22, 39)
+def a_killed_goal_leaves_before_its_executor(real: Any) -> Any:
+    """Free the place of a killed goal although its executor still runs."""
+
+    def kill(self: AnyRuns, goal_id: GoalID, timeout: float) -> None:
+        real(self, goal_id, timeout)
+        assert self.on_left is not None
+        self.on_left(goal_id)
+
+    return kill
+
+
+# Waiting
+
+
+@mistake(Runs, "cancel", 5, 25, 26)
+def a_canceled_goal_is_left_waiting(real: Any) -> Any:
+    """Tell that a goal is canceling, and let it wait on."""
+
+    def cancel(self: AnyRuns, goal: GoalRecord, *, interrupt: bool) -> None:
+        run = self._runs[goal.goal_id]
+        if run.is_waiting:
+            self._logs.tell_status(run.log)
+        else:
+            real(self, goal, interrupt=interrupt)
+
+    return cancel
+
+
+@mistake(Dispatcher, "offer", 5, 13, 26)
+def priority_is_ignored(real: Any) -> Any:
+    """Start goals in the order of their arrival alone."""
+
+    def offer(self: AnyDispatcher, *args: Any) -> list[Order]:
+        self._priority = None
+        orders: list[Order] = real(self, *args)
+        return orders
+
+    return offer
+
+
+@mistake(Dispatcher, "offer", 27, 60, 66)
+def keys_are_ignored(real: Any) -> Any:
+    """Count the goals of all keys together."""
+
+    def offer(self: AnyDispatcher, *args: Any) -> list[Order]:
+        self._key = None
+        orders: list[Order] = real(self, *args)
+        return orders
+
+    return offer
+
+
+@mistake(Group, "first", 41, 101, 48)
+def the_goal_that_has_waited_longest_starts_last(_real: Any) -> Any:
+    """Start the goal that came last, whatever its urgency."""
+
+    def first(self: Group) -> Entry | None:
+        return next(reversed(self.queue.values()), None)
+
+    return first
+
+
+@mistake(Scheduler, "offer", 25, 28, 26)
+def a_goal_is_rejected_though_it_may_wait(real: Any) -> Any:
+    """Let one goal less wait than `queue` says."""
+
+    def offer(self: Scheduler, goal_id: GoalID, **keywords: Any) -> list[Order]:
+        group = self._groups.get(keywords["key"])
+        if group is not None and len(group.queue) == self._schedule.queue - 1:
+            raise Busy(self._busy(group))
+        orders: list[Order] = real(self, goal_id, **keywords)
+        return orders
+
+    return offer
+
+
+@mistake(Scheduler, "next_due", 5, 16, 3)
+def no_timeout_is_kept(_real: Any) -> Any:
+    """Let goals wait, run and clean up for as long as they like."""
+    return property(lambda _: math.inf)
+
+
+@mistake(Dispatcher, "_keep_time", 5, 16, 3)
+def a_timeout_is_noticed_late(real: Any) -> Any:
+    """Do not set the timer anew for an order that is due earlier."""
+
+    async def _keep_time(self: AnyDispatcher) -> None:
+        class Deaf:
+            def notify(self) -> None:
+                pass
+
+            wait = self._news.wait
+
+        self._news = Deaf()  # type: ignore[assignment]  # it has what is called
+        await real(self)
+
+    return _keep_time
+
+
+# Giving way
+
+
+@mistake(Dispatcher, "carry_out", 5, 16, 22)
+def a_successor_starts_before_the_clean_up_has_ended(real: Any) -> Any:
+    """Free the place of a goal as soon as it is interrupted."""
+
+    def carry_out(self: AnyDispatcher, orders: Iterable[Order]) -> None:
+        for order in orders:
+            real(self, [order])
+            if order.act is Act.INTERRUPT:
+                self._leave(order.goal_id)
+
+    return carry_out
+
+
+@mistake(Group, "oldest", 150, 393, 426)
+def the_newest_goal_is_preempted(_real: Any) -> Any:
+    """Preempt the goal that has run for the shortest time."""
+
+    def oldest(self: Group) -> Entry | None:
+        return next(reversed(self.running.values()), None)
+
+    return oldest
+
+
+@mistake(Scheduler, "_give_way", 41, 101, 213)
+def the_oldest_goal_is_replaced(real: Any) -> Any:
+    """Replace the goal that has waited longest."""
+
+    def _give_way(self: Scheduler, entry: Entry, reason: str) -> Order:
+        if reason.startswith("replaced"):
+            entry = next(iter(entry.group.queue.values()))
+        order: Order = real(self, entry, reason)
+        return order
+
+    return _give_way
+
+
+@mistake(Runs, "interrupt", 5, 16)
+def a_reason_is_not_told(real: Any) -> Any:
+    """End goals without the reason of the schedule."""
+
+    def interrupt(self: AnyRuns, goal_id: GoalID, _reason: str) -> None:
+        real(self, goal_id, "the server ended it")
+
+    return interrupt
+
+
+@mistake(Scheduler, "_remove", 5, 40, 42)
+def a_goal_is_preempted_for_one_that_has_left(real: Any) -> Any:
+    """Interrupt a goal after its handover although its successor was canceled."""
+
+    def _remove(self: Scheduler, entry: Entry) -> None:
+        predecessor, entry.predecessor = entry.predecessor, None
+        real(self, entry)
+        if predecessor is not None and predecessor.goal_id not in self._told:
+            predecessor.successor = None
+
+    return _remove
+
+
+# Taking over
+
+
+@mistake(Runs, "take_over", 104, 40)
+def a_take_over_keeps_both_goals(_real: Any) -> Any:
+    """Let the first goal go on beside the one that was taken over."""
+
+    def take_over(self: AnyRuns, goal_id: GoalID, successor: GoalID) -> None:
+        old, new = self._runs[goal_id], self._runs[successor]
+        old.execution.go_on_as(new.execution.handle, new.log)
+        new.execution, new.is_waiting = old.execution, False
+        self._execute(new)
+
+    return take_over
+
+
+@mistake(Scheduler, "take_over", 104, 40, 55)
+def a_take_over_takes_a_second_place(_real: Any) -> Any:
+    """Keep the place of the goal that ended when its successor was taken over."""
+
+    def take_over(self: Scheduler, goal_id: GoalID, now: float) -> GoalID | None:
+        entry = self._told.pop(goal_id)
+        successor, entry.successor = entry.successor, None
+        assert successor is not None
+        successor.predecessor = None
+        self._start(successor, now)
+        return successor.goal_id
+
+    return take_over
+
+
+@mistake(Runs, "is_interrupted", 150, 448, 481)
+def a_goal_is_taken_over_in_the_clean_up(_real: Any) -> Any:
+    """Let an executor that was canceled take its successor over."""
+
+    def is_interrupted(self: AnyRuns, goal_id: GoalID) -> bool:
+        return goal_id not in self._runs
+
+    return is_interrupted
+
+
+@mistake(Execution, "go_on_as", 227, 331, 40)
+def feedback_goes_to_the_goal_before(real: Any) -> Any:
+    """Append the feedback of a goal that was taken over to the log of the first one."""
+
+    def go_on_as(self: Execution[Any, Any, Any], handle: Any, log: Any) -> None:
+        before = self._log
+        real(self, handle, log)
+        self._log = before
+
+    return go_on_as

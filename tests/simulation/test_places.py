@@ -1,0 +1,204 @@
+"""Each thing that a schedule must not do is found."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fibaction import GoalID, GoalStatus, Outcome
+from fibaction.server.registry import GoalRegistry
+from fibaction.states import INITIAL
+from tests.simulation.facts import Life, Truth
+from tests.simulation.invariants import Record
+from tests.simulation.places import Places
+from tests.simulation.scenario import Scenario, SchedulePlan, ServerPlan, Work
+
+ABORTED, CANCELED, SUCCEEDED = GoalStatus.ABORTED, GoalStatus.CANCELED, GoalStatus.SUCCEEDED
+
+
+class Known:
+    """A record of one server, with goals that are told by their numbers."""
+
+    def __init__(self, **rules: Any) -> None:
+        self.now = 10.0
+        server = ServerPlan(schedule=SchedulePlan(**rules), shutdown_timeout=5.0)
+        self.record = Record(Scenario(0, "calm", server, ()), lambda: self.now)
+        self.places: Places = self.record.places
+        self.life = Life(1, 0.0, GoalRegistry())
+        self.record.lives.append(self.life)
+        self.record.may_cancel(None)
+
+    def found(self) -> list[str]:
+        """Return the invariants that do not hold."""
+        return [violation.invariant for violation in self.record.violations]
+
+    def goal_id(self, number: int) -> GoalID:
+        return GoalID(number.to_bytes(16, "big"))
+
+    def accept(self, number: int) -> Truth:
+        self.places.offered(self.life, self.goal_id(number), Work(number))
+        self.record.accepted(self.life, self.goal_id(number), number)
+        return self.life.goals[self.goal_id(number), number]
+
+    def begin(self, truth: Truth) -> Truth:
+        self.places.begun(truth)
+        self.record.changed(truth, GoalStatus.EXECUTING)
+        return self.record.started(truth.goal_id, truth.stamp)
+
+    def end(self, truth: Truth, status: GoalStatus = ABORTED, reason: str = "") -> None:
+        if status is CANCELED:
+            self.record.changed(truth, GoalStatus.CANCELING)
+        elif truth.statuses[-1] is INITIAL:
+            self.record.changed(truth, GoalStatus.EXECUTING)
+        self.record.changed(truth, status)
+        self.record.ended(truth, Outcome(status, None, reason), truth.count)
+
+    def run(self, number: int) -> Truth:
+        return self.begin(self.accept(number))
+
+
+def test_a_goal_beyond_the_limit_is_found() -> None:
+    known = Known(concurrency=1, queue=1)
+    first, second = known.run(1), known.accept(2)
+    known.end(first)
+    known.begin(second)  # the executor of the first one is not gone
+    assert known.found() == ["place"]
+
+
+def test_a_goal_that_waits_beside_a_free_place_is_found() -> None:
+    known = Known(concurrency=1, queue=1)
+    first = known.run(1)
+    known.accept(2)
+    known.places.check(known.life)
+    assert known.found() == []
+    known.end(first)
+    known.places.left(first)
+    known.places.check(known.life)
+    assert known.found() == ["place"]
+
+
+def test_a_goal_that_runs_or_begins_though_it_must_not_is_found() -> None:
+    known = Known(concurrency=1, queue=1)
+    first, second = known.run(1), known.accept(2)
+    known.record.started(second.goal_id, second.stamp)
+    assert known.found() == ["turn"]
+    known.places.begun(first)
+    assert known.found() == ["turn"] * 2
+
+
+def test_a_canceled_goal_that_waits_on_is_found() -> None:
+    known = Known(concurrency=1, queue=1)
+    known.run(1)
+    known.record.changed(known.accept(2), GoalStatus.CANCELING)
+    known.places.check(known.life)
+    assert known.found() == ["turn"]
+
+
+def test_a_goal_that_begins_before_its_turn_is_found() -> None:
+    for urgencies, wrong in ((0, 6), (6, 5)):  # the sixth goal is more urgent than the fifth
+        known = Known(concurrency=1, queue=2, urgencies=urgencies)
+        first = known.run(1)
+        others = {number: known.accept(number) for number in (5, 6)}
+        known.end(first)
+        known.places.left(first)
+        known.begin(others[wrong])
+        assert known.found() == ["turn"]
+
+
+def test_a_successor_that_begins_beside_its_predecessor_is_found() -> None:
+    known = Known(concurrency=1, when_full="preempt")
+    first, second = known.run(1), known.accept(2)
+    known.places.interrupted(first, f"preempted by {second.goal_id}")
+    assert known.found() == []
+    known.begin(second)
+    assert known.found() == ["place", "turn"]
+
+
+def test_a_goal_that_is_preempted_by_another_than_its_successor_is_found() -> None:
+    known = Known(concurrency=2, when_full="preempt")
+    first, second = known.run(1), known.run(2)
+    third = known.accept(3)
+    known.places.interrupted(second, f"preempted by {third.goal_id}")
+    assert known.found() == ["turn", "turn"]  # it has no successor, and so no time of it
+    known.places.interrupted(first, f"preempted by {third.goal_id}")
+    assert known.found() == ["turn", "turn"]
+
+
+def test_a_goal_that_gives_way_at_another_time_is_found() -> None:
+    known = Known(concurrency=1, queue=1, queue_timeout=3.0, run_timeout=5.0)
+    first, second = known.run(1), known.accept(2)
+    known.now += 3
+    known.places.interrupted(second, "waited for 3 s")
+    assert known.found() == []
+    known.places.interrupted(first, "took longer than 5 s")
+    assert known.found() == ["turn"]
+
+
+def test_a_goal_that_waits_runs_or_cleans_up_for_too_long_is_found() -> None:
+    known = Known(concurrency=1, queue=1, queue_timeout=3.0, run_timeout=5.0)
+    first, _ = known.run(1), known.accept(2)
+    known.now += 6
+    known.places.check(known.life)
+    assert known.found() == ["turn"] * 2
+    first.interrupted_at = known.now
+    known.now += 6
+    known.places.check(known.life)
+    assert known.found() == ["turn"] * 4
+
+
+def test_a_goal_that_is_killed_too_early_is_found() -> None:
+    known = Known(concurrency=1, run_timeout=5.0)
+    first = known.run(1)
+    first.interrupted_at = known.now
+    known.now += 5
+    known.places.killed(first)
+    assert known.found() == []
+    known.now -= 1
+    known.places.killed(first)
+    assert known.found() == ["turn"]
+
+
+def test_another_than_the_newest_waiting_goal_that_is_replaced_is_found() -> None:
+    for wrong, found in ((2, ["turn"]), (3, [])):
+        known = Known(concurrency=1, queue=2, when_full="replace")
+        known.run(1)
+        others = {number: known.accept(number) for number in (2, 3, 4)}
+        known.places.interrupted(others[wrong], f"replaced by {known.goal_id(4)}")
+        assert known.found() == found
+
+
+def test_a_reason_that_is_not_that_of_the_interruption_is_found() -> None:
+    known = Known(concurrency=1, queue=2)
+    first, second, third = known.run(1), known.accept(2), known.accept(3)
+    known.end(first, reason="took longer than 5 s")
+    known.end(second, reason="server stopped")
+    known.end(third, CANCELED, "for a reason")
+    assert known.found() == ["turn"] * 3
+
+
+def test_a_rejection_without_need_or_with_other_numbers_is_found() -> None:
+    known = Known(concurrency=1, total=3, queue=1)
+    known.run(1)
+
+    def reject(reason: str) -> None:
+        known.places.offered(known.life, known.goal_id(9), Work(9))
+        known.places.rejected(known.life, known.goal_id(9), reason)
+
+    reject("busy: 1 of 1 running (1 of 3 in all), 0 of 1 waiting")
+    assert known.found() == ["place"]
+    known.accept(2)
+    reject("busy: 1 of 1 running (1 of 3 in all), 1 of 1 waiting")
+    assert known.found() == ["place"]
+    reject("busy: 1 of 1 running (2 of 3 in all), 1 of 1 waiting")
+    assert known.found() == ["place"] * 2
+    reject("busy: an earlier goal 9 was killed, and has not ended yet")
+    assert known.found() == ["place"] * 3
+
+
+def test_a_goal_that_takes_over_what_it_must_not_is_found() -> None:
+    for is_interrupted, found in ((False, []), (True, ["turn"])):
+        known = Known(concurrency=1, when_full="preempt", handover=9.0)
+        first, second = known.run(1), known.accept(2)
+        if is_interrupted:
+            first.interrupted_at = known.now
+        known.places.taken_over(first, second)
+        assert known.found() == found
