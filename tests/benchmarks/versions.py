@@ -20,7 +20,7 @@ import anyio
 
 from tests.benchmarks.program import ROOT, Program, program
 
-WORK = {"goals": 200, "batches": 1, "feedback": 2000}
+WORK = {"goals": 800, "batches": 2, "feedback": 5000}
 """What each version does in a round, and how many times."""
 ORDERS = [f"{where} {work}" for where in ("inproc", "tcp") for work in WORK]
 WARM_UP = 5
