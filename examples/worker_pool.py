@@ -1,10 +1,10 @@
-"""A render farm: four workers, a bounded queue, and the urgent shots first.
+"""A render farm: four workers, a bounded queue, urgent shots first, and deadlines.
 
 Goals run on four workers at once, and six more may wait. A waiting goal is ACCEPTED: it can be
-followed and canceled. Any other goal is rejected as busy.
+followed and canceled. Any other goal is rejected as busy, and its client tries again.
 
-Without arguments, a studio orders more shots than the farm has room for. With `--url`, the farm is
-served there until Ctrl-C or SIGTERM.
+Without arguments, a studio orders one shot more than the farm has room for, and a preview that it
+can use for a short time only. With `--url`, the farm is served there until Ctrl-C or SIGTERM.
 
 Exit codes: 0 the program has ended or was stopped, 2 the command line or the URL is invalid.
 """
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import sys
 from collections.abc import AsyncGenerator
 from contextlib import suppress
 from signal import SIGINT, SIGTERM
@@ -25,9 +26,11 @@ from fibaction import (
     ActionClient,
     ActionError,
     ActionServer,
+    GoalAborted,
     GoalCanceled,
     GoalHandle,
     GoalRejected,
+    Retry,
     Schedule,
     TransportError,
     connect,
@@ -37,6 +40,7 @@ from fibaction import (
 HERE = "inproc://farm"
 FRAME = 0.1  # seconds that one frame takes
 URGENT, USUAL = 1, 5
+PATIENT = Retry(attempts=10, delay=0.4)  # only while the farm is busy
 
 
 class Goal(Struct):
@@ -73,7 +77,10 @@ def on_goal(goal: Goal) -> None:
 
 
 async def render(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-    """Render one frame after another. Only a goal whose turn has come gets here."""
+    """Render one frame after another, unless the client's deadline comes before the last one."""
+    seconds_left = goal.deadline - anyio.current_time()
+    if goal.request.frames * FRAME > seconds_left:
+        raise GoalAborted(f"it takes too long for the {seconds_left:.1f} s that are left")
     frames = 0
     try:
         while frames < goal.request.frames:
@@ -107,14 +114,17 @@ async def demo(workers: int, queue: int) -> None:
         connect(HERE, RENDER) as client,
         anyio.create_task_group() as tasks,
     ):
-        for number in range(1, workers + queue):
+        for number in range(1, workers + queue - 1):
             tasks.start_soon(order, client, Goal(f"shot {number}", frames=4 + number % 3))
+        tasks.start_soon(order, client, Goal("preview", frames=4), 0.6)
         tasks.start_soon(order, client, Goal("trailer", frames=4, urgency=URGENT))
         tasks.start_soon(order, client, Goal("credits", frames=2))
 
 
-async def order(client: ActionClient[Goal, Feedback, Result], goal: Goal) -> None:
-    """Order a shot, and print how it goes."""
+async def order(
+    client: ActionClient[Goal, Feedback, Result], goal: Goal, timeout: float | None = None
+) -> None:
+    """Order a shot that is of use for so many seconds, and print how it goes."""
 
     def tell(what: object) -> None:
         print(f"{goal.shot:<9}{what}", flush=True)
@@ -125,7 +135,7 @@ async def order(client: ActionClient[Goal, Feedback, Result], goal: Goal) -> Non
 
     tell("is ordered")
     try:
-        result = await client.call(goal, on_feedback=on_feedback)
+        result = await client.call(goal, on_feedback=on_feedback, timeout=timeout, retry=PATIENT)
     except ActionError as error:
         tell(error)
     else:
@@ -158,6 +168,9 @@ if __name__ == "__main__":
     arguments = parser.parse_args()
     try:
         if arguments.url is None:
+            # Attempts after the first are told in this log only.
+            logging.basicConfig(stream=sys.stdout, format="log      %(message)s")
+            logging.getLogger("fibaction.client").setLevel(logging.INFO)
             with suppress(KeyboardInterrupt):
                 anyio.run(demo, arguments.workers, arguments.queue)
         else:

@@ -224,11 +224,10 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         self, goal_id: GoalID, timeout: float | None, retry: Retry | None
     ) -> Attempts | None:
         """Return what limits and repeats the waits for a goal; None if nothing does."""
-        check_timeout(timeout)
-        if not isinstance(retry, Retry | None):
-            raise TypeError(f"retry is a Retry, such as Retry(attempts=3), not {retry!r}")
         if timeout is None and retry is None:
             return None
+        check_timeout(timeout)
+        _check_is_retry(retry)
         return Attempts(self.endpoint, goal_id, timeout, retry)
 
     async def _send(
@@ -255,3 +254,8 @@ def _check_is_id(goal_id: object) -> None:
     """Raise TypeError here; a server closes the connection of a client that sends other bytes."""
     if not isinstance(goal_id, GoalID):
         raise TypeError(f"goal_id is a GoalID, as from GoalID.parse(), not {goal_id!r}")
+
+
+def _check_is_retry(retry: object) -> None:
+    if not isinstance(retry, Retry | None):
+        raise TypeError(f"retry is a Retry, such as Retry(attempts=3), not {retry!r}")

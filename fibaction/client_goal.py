@@ -103,19 +103,21 @@ class FeedbackReader(Generic[FeedbackT]):
         attempts.note_feedback(feedback)
         return feedback
 
-    async def wait(self, wait: Callable[[GoalStream], Awaitable[T]]) -> T:
+    def wait(self, wait: Callable[[GoalStream], Awaitable[T]]) -> Awaitable[T]:
         """Wait for something of the stream, and follow the goal again if the connection is lost, as
         far as the goal's attempts allow.
         """
-        if self._attempts is None:
-            return await wait(self.stream)
+        # Most goals have no attempts, and need no coroutine around that of the stream.
+        return wait(self.stream) if self._attempts is None else self._wait(self._attempts, wait)
+
+    async def _wait(self, attempts: Attempts, wait: Callable[[GoalStream], Awaitable[T]]) -> T:
         while True:
             stream = self.stream
             try:
-                return await self._attempts.wait(stream, wait)
+                return await attempts.wait(stream, wait)
             except ConnectionLost as exc:
                 error = exc
-            self.stream = await self._attempts.follow_again(error, stream)
+            self.stream = await attempts.follow_again(error, stream)
             self._dropped += stream.dropped
             if not self._holding:
                 self.stream.hold(False)

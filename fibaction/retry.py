@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from typing import Any
+from typing import cast
 
 import msgspec
 
@@ -59,10 +59,7 @@ class Retry(msgspec.Struct, frozen=True, kw_only=True):
             TypeError: `attempts` is not a whole number, or `on` is not a tuple of error classes.
             ValueError: A number is out of range, or a class of `on` cannot be retried.
         """
-        if not isinstance(self.attempts, int):
-            raise TypeError(f"attempts is a whole number, not {self.attempts!r}")
-        if self.attempts < 1:
-            raise ValueError(f"attempts is 1 or more, not {self.attempts}")
+        _check_attempts(self.attempts)
         for name, seconds in (("delay", self.delay), ("max_delay", self.max_delay)):
             if not 0 <= seconds < float("inf"):
                 raise ValueError(f"{name} is a number of seconds, 0 or more, not {seconds}")
@@ -84,14 +81,21 @@ class Retry(msgspec.Struct, frozen=True, kw_only=True):
         return min(doubled, self.max_delay) * random.uniform(0.5, 1)  # not a secret
 
 
-def _check_are_safe(classes: Any) -> None:
+def _check_attempts(attempts: object) -> None:
+    if not isinstance(attempts, int):
+        raise TypeError(f"attempts is a whole number, not {attempts!r}")
+    if attempts < 1:
+        raise ValueError(f"attempts is 1 or more, not {attempts}")
+
+
+def _check_are_safe(classes: object) -> None:
     """Raise an error if a goal could run twice after one of these classes of errors."""
     if not isinstance(classes, tuple):
         raise TypeError(
             f"on is a tuple of error classes, such as (ServerNotFound,), not {classes!r}"
         )
     names = ", ".join(kind.__name__ for kind in _SAFE)
-    for kind in classes:
+    for kind in cast("tuple[type[object], ...]", classes):
         if kind in _AFTER_A_RUN:
             raise ValueError(
                 f"on does not take {kind.__name__}: such a goal has run, or may have, and running"

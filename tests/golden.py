@@ -12,6 +12,7 @@ from fibaction.wire.codec import FromClient, FromServer
 from fibaction.wire.messages import (
     Actions,
     AskPeers,
+    AskPlaces,
     AwaitServer,
     CancelAnswered,
     CancelGoals,
@@ -30,6 +31,7 @@ from fibaction.wire.messages import (
     ListActions,
     Peers,
     Ping,
+    Places,
     Received,
     Rejected,
     SendGoal,
@@ -86,8 +88,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "941404a96669626f6e6163636940",
     ),
     (
-        AwaitServer(5, "fibonacci", 100),
-        "941505a96669626f6e6163636964",
+        AwaitServer(5, "fibonacci"),
+        "931505a96669626f6e61636369",
     ),
     (
         ListActions(6),
@@ -108,6 +110,10 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
     (
         AskPeers(7, "fibonacci"),
         "931a07a96669626f6e61636369",
+    ),
+    (
+        AskPlaces(8, "fibonacci", 100),
+        "941b08a96669626f6e6163636964",
     ),
     (
         Welcome(1, 1.0, 65536, 15.0),
@@ -146,8 +152,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "9a2804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000010000a361726d0205",
     ),
     (
-        Done(5, [(GOAL_ID, 2, 5)]),
-        "9329059193c410000102030405060708090a0b0c0d0e0f0205",
+        Done(5),
+        "922905",
     ),
     (
         Finished(4),
@@ -169,5 +175,9 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
     (
         Peers(7, ["10.0.0.7:51234"]),
         "932d0791ae31302e302e302e373a3531323334",
+    ),
+    (
+        Places(8, [(GOAL_ID, 2, 5)]),
+        "932e089193c410000102030405060708090a0b0c0d0e0f0205",
     ),
 ]

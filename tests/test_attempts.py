@@ -364,7 +364,7 @@ async def test_feedback_that_is_lost_meanwhile_is_counted(caplog: pytest.LogCapt
     async with ActionServer(FIBONACCI, slow, feedback_window=2) as server:
         endpoint = Scripted(server)
         seen, on_feedback = losing(endpoint, 1, 6)
-        retry = Retry(delay=5.5, max_delay=5.5)
+        retry = Retry(delay=5.2, max_delay=5.2)
         client = endpoint.client
         await client.call(Goal(15), on_feedback=on_feedback, retry=retry)
     assert seen == [1, 5, 6, 10, 11, 12, 13, 14, 15]

@@ -213,18 +213,19 @@ def test_the_arm_brakes_before_it_moves_to_its_newest_target(
     assert braked < next(n for n, line in enumerate(lines) if line.startswith("shelf   moves"))
 
 
-def test_the_farm_starts_the_urgent_shot_first_and_rejects_the_one_too_many(
+def test_the_farm_starts_the_urgent_shot_first_and_finds_room_for_all_in_time(
     stories: Mapping[tuple[str, str], str], where: str
 ) -> None:
     lines = stories["worker_pool.py", where].splitlines()
-    shots = [f"shot {number}" for number in range(1, 10)]
-    assert [line[:9].rstrip() for line in lines if line.endswith("has begun")] == [
-        *shots[:4], "trailer", *shots[4:],
-    ]  # fmt: skip
-    assert {line[:9].rstrip() for line in lines if "is done: " in line} == {*shots, "trailer"}
-    (rejected,) = (line for line in lines if "rejected" in line)
-    assert rejected.startswith("credits  ")
-    assert rejected.endswith(" was rejected: busy: 4 of 4 running, 6 of 6 waiting")
+    shots = [f"shot {number}" for number in range(1, 9)]
+    begun = [line[:9].rstrip() for line in lines if line.endswith("has begun")]
+    assert begun == [*shots[:4], "trailer", *shots[4:], "credits"]
+    assert {line[:9].rstrip() for line in lines if "is done: " in line} == set(begun)
+    (late,) = (line for line in lines if line.startswith("preview") and "ordered" not in line)
+    assert late.endswith(" timed out: it took longer than 0.6 s, and was ACCEPTED")
+    attempts = [line for line in lines if line.startswith("log")]
+    assert "attempt 2 of 10" in attempts[0]
+    assert attempts[0].endswith(" was rejected: busy: 4 of 4 running, 6 of 6 waiting")
 
 
 @pytest.mark.parametrize("script", ["exclusive_arm.py", "worker_pool.py"])
@@ -322,6 +323,29 @@ async def test_a_shot_that_is_canceled_says_how_many_frames_there_are() -> None:
     goal = worker_pool.Goal("test", 9)
     trial = await run_executor(worker_pool.RENDER, worker_pool.render, goal, cancel_after=2)
     assert trial.outcome == Outcome(GoalStatus.CANCELED, worker_pool.Result(2))
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(("timeout", "feedback"), [(0.32, []), (0.45, [1, 2, 3, 4])])
+async def test_a_shot_that_cannot_be_done_in_time_is_not_begun(
+    timeout: float, feedback: list[int]
+) -> None:
+    frames: list[int] = []
+    async with worker_pool.make_server(4, 6) as server:
+        client = ActionClient(server, worker_pool.RENDER)
+        calling = client.call(
+            worker_pool.Goal("test", 4),
+            timeout=timeout,
+            on_feedback=lambda feedback: frames.append(feedback.frames),
+        )
+        if feedback:
+            assert await calling == worker_pool.Result(4)
+        else:
+            with pytest.raises(
+                GoalAborted, match=r"it takes too long for the 0\.3 s that are left"
+            ):
+                await calling
+    assert frames == feedback
 
 
 def test_a_shot_without_frames_is_rejected() -> None:

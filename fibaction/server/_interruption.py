@@ -179,7 +179,6 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         context: Context,
         on_given_up: Callable[[], T],
         on_spared: Callable[[], None] = lambda: None,
-        *,
         current: Current | None = None,
     ) -> None:
         """Prepare to await the coroutine; `on_given_up` is called if it is given up, and returns a

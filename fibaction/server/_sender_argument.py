@@ -56,4 +56,6 @@ def _accepts(signature: inspect.Signature, count: int) -> bool:
 
 
 def _not_a_goal_function(name: str, function: Any) -> TypeError:
-    return TypeError(f"{name} is a function of a goal, or of a goal and its sender, not {function}")
+    return TypeError(
+        f"{name} is a function of a goal, or of a goal and its sender, not {function!r}"
+    )

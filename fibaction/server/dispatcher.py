@@ -17,7 +17,7 @@ It also implements `Succession`, by which an executor takes its successor over.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Awaitable, Callable, Coroutine, Hashable, Iterable
 from typing import Any, Generic
 
 import anyio
@@ -86,7 +86,7 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
 
         Raises:
             Busy: There is no place to run or to wait.
-            GoalRejected: The function `key` or `priority` of the schedule has failed.
+            GoalRejected: The function `key` or `priority` of the schedule rejects it, or failed.
         """
         key: Hashable = None
         urgency = 0.0
@@ -134,10 +134,17 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
         """Call a function of the schedule.
 
         Raises:
-            GoalRejected: It raised an exception, or its answer cannot be used.
+            GoalRejected: It raised this or another exception, or its answer cannot be used.
         """
         try:
-            return check(function(request, sender))
+            answer = function(request, sender)
+            if isinstance(answer, Awaitable):
+                if isinstance(answer, Coroutine):
+                    answer.close()  # or Python warns that it was never awaited
+                raise TypeError("it returned something to await, and not a value")
+            return check(answer)
+        except GoalRejected:
+            raise
         except Exception as exc:
             reason = f"{name} failed: {text_of(exc)}"
             logger.error("action %r: %s", self._action, reason, exc_info=exc)
@@ -184,12 +191,14 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
 
 
 def _hashable(key: Hashable) -> Hashable:
-    """Return the key.
+    """Return a key that can be found again.
 
     Raises:
-        TypeError: It is not hashable.
+        TypeError, ValueError: It is not hashable, or not equal to itself.
     """
     hash(key)
+    if key != key:
+        raise ValueError(f"it returned {excerpt(repr(key))}, which is not equal to itself")
     return key
 
 

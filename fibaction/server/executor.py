@@ -33,6 +33,7 @@ import sys
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
 from contextvars import copy_context
 from time import perf_counter
+from types import AsyncGeneratorType
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 
 from anyio import get_cancelled_exc_class
@@ -110,7 +111,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             self._context,
             self._given_up,
             self._spared,
-            current=watch.current,
+            watch.current,
         )
         watch.begin(self._steps, self)
         if self.is_interrupted:
@@ -204,7 +205,8 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
 
     def _start(self) -> AsyncGenerator[FeedbackT | ResultT, None]:
         items: Any = self._executor(self.handle)
-        if not isinstance(items, AsyncGenerator):
+        # Most are of the first type, which is checked faster than the abstract class.
+        if not isinstance(items, (AsyncGeneratorType, AsyncGenerator)):
             if isinstance(items, Coroutine):
                 items.close()  # or Python warns that it was never awaited
             raise _Misuse(f"it is not an async generator: it returned {_a(cast('object', items))}")

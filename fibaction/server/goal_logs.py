@@ -56,7 +56,8 @@ class GoalLogs:
         self._unread: WeakValueDictionary[GoalID, FeedbackLog] = WeakValueDictionary()
         self._recent: deque[tuple[float, FeedbackLog]] = deque(maxlen=RECENT_GOALS)
         self._statuses = StatusBroadcast()
-        self._ended = Notifier()
+        self.ended = Notifier()
+        """The notifier of the ends of goals."""
 
     # The life of a log
 
@@ -70,16 +71,17 @@ class GoalLogs:
     def tell_status(self, log: FeedbackLog) -> None:
         """Notify the followers of the goal, and of the statuses, of the goal's new status."""
         log.tell_status()
-        if self._statuses:
+        if self._statuses.is_followed:
             log.goal.changed = self._statuses.publish(log.goal.info)
 
     def end(self, log: FeedbackLog, now: float) -> None:
         """Keep the log of a goal that has ended, for its followers only."""
         goal_id = log.goal.goal_id
         del self._active[goal_id]
-        if self._statuses:
+        are_followed = self._statuses.is_followed
+        if are_followed:
             self._recent.append((now + RECENT_TIME, log))
-        if self._statuses or log.is_followed:
+        if are_followed or log.is_followed:
             self._unread[goal_id] = log
 
     def tell_outcome(self, log: FeedbackLog, now: float) -> None:
@@ -87,7 +89,7 @@ class GoalLogs:
         self.tell_status(log)
         log.finish()
         self.expire(now)
-        self._ended.notify()
+        self.ended.notify()
 
     def close(self) -> None:
         """End the streams of statuses."""
@@ -136,7 +138,7 @@ class GoalLogs:
         """Forget goals and feedback when they expire, until canceled."""
         while True:
             while (next_expiry := self._next_expiry()) == math.inf:
-                await self._ended.wait()
+                await self.ended.wait()
             now = current_time()
             # The feedback of a goal that ends from now on may expire before older results do.
             sooner = min(next_expiry, now + RECENT_TIME)
@@ -161,6 +163,6 @@ class GoalLogs:
             self._recent.popleft()
         gone = self._registry.expire(now, MOST_AT_ONCE)
         for goal_id in gone:
-            if self._statuses:
+            if self._statuses.is_followed:
                 self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))
         return len(gone) == MOST_AT_ONCE

@@ -37,7 +37,6 @@ from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction._log import clean_logger
-from fibaction._notify import Notifier
 from fibaction._slices import Slices
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.goals import GoalID, Outcome
@@ -97,7 +96,6 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._stall_timeout = stall_timeout
         self._watch = watch
         self._runs: dict[GoalID, Run[GoalT, FeedbackT, ResultT]] = {}
-        self._ended = Notifier()
         self._pool: TaskPool
         self.on_left: Callable[[GoalID], None] | None = None
         """The function that is called when an executor is gone; None without a schedule."""
@@ -227,7 +225,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
                 await slices.pause()
             with anyio.move_on_after(timeout, shield=True):
                 while self._runs:
-                    await self._ended.wait()
+                    await self._logs.ended.wait()
         finally:
             try:
                 await self._kill_all(reason, timeout)
@@ -274,7 +272,6 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._fix_outcome(run, ending)
         self._keep_outcome(run, now)
         self._logs.tell_outcome(run.log, now)
-        self._ended.notify()
 
     def _fix_outcome(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
         """Decide the outcome, which never changes afterwards."""

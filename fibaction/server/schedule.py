@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable
+from inspect import iscoroutinefunction
 from typing import Any, Literal
 
 import msgspec
@@ -58,42 +59,62 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True):
         """Check the values.
 
         Raises:
-            TypeError: A limit is not a whole number, or `key` or `priority` is not a function of a
-                goal, or of a goal and its sender.
+            TypeError: A limit is not a whole number, a time is not a number, or `key` or `priority`
+                is not a function of a goal, or of a goal and its sender, or is async.
             ValueError: A number is out of range, `when_full` is another word, or a rule can never
                 apply.
         """
-        for name in ("concurrency", "total", "queue"):
-            limit = getattr(self, name)
-            least = 0 if name == "queue" else 1
-            if limit is None and least:
-                continue
-            if not isinstance(limit, int) or isinstance(limit, bool):
-                raise TypeError(f"{name} is a whole number, not {limit!r}")
-            if limit < least:
-                raise ValueError(f"{name} is {least} or more, not {limit}")
+        for name, least in (("concurrency", 1), ("total", 1), ("queue", 0)):
+            _check_is_limit(name, getattr(self, name), least)
         if self.when_full not in WORDS:
             raise ValueError(
                 f"when_full is 'reject', 'preempt' or 'replace', not {self.when_full!r}"
             )
-        if self.concurrency is None and self.total is None:
-            for name, is_set in (
-                (f"queue={self.queue}", self.queue),
-                (f"when_full={self.when_full!r}", self.when_full != "reject"),
-            ):
-                if is_set:
-                    raise ValueError(f"{name} needs a limit: set concurrency or total, too")
-        if self.when_full == "replace" and not self.queue:
-            raise ValueError("when_full='replace' needs a queue of at least 1, not 0")
         for name in ("key", "priority"):
             function = getattr(self, name)
             if function is not None:
                 with_sender(name, function)
-        for name in ("queue_timeout", "run_timeout"):
-            seconds = getattr(self, name)
-            if not seconds > 0:
-                raise ValueError(f"{name} is more than 0, not {seconds}")
-        if not self.handover >= 0:
-            raise ValueError(f"handover is 0 or more, not {self.handover}")
-        if self.handover and self.when_full != "preempt":
+                if iscoroutinefunction(function):
+                    raise TypeError(f"{name} is a function that does not wait, without `async`")
+        for name in ("queue_timeout", "run_timeout", "handover"):
+            _check_is_time(name, getattr(self, name))
+        self._check_has_effect()
+
+    def _check_has_effect(self) -> None:
+        if self.concurrency is None and self.total is None:
+            for rule, is_set in (
+                (f"queue={self.queue}", self.queue),
+                (f"when_full={self.when_full!r}", self.when_full != "reject"),
+                ("priority", self.priority),
+            ):
+                if is_set:
+                    raise ValueError(f"{rule} needs a limit: set concurrency or total, too")
+        if self.when_full == "replace" and not self.queue:
+            raise ValueError("when_full='replace' needs a queue of at least 1, not 0")
+        if self.when_full == "preempt":
+            return
+        if self.handover:
             raise ValueError(f"handover={self.handover:g} needs when_full='preempt'")
+        if self.queue_timeout < math.inf and not self.queue:
+            raise ValueError(
+                f"queue_timeout={self.queue_timeout:g} needs a queue of at least 1, not 0"
+            )
+
+
+def _check_is_limit(name: str, limit: object, least: int) -> None:
+    if limit is None and least:
+        return
+    if not isinstance(limit, int) or isinstance(limit, bool):
+        raise TypeError(f"{name} is a whole number, not {limit!r}")
+    if limit < least:
+        raise ValueError(f"{name} is {least} or more, not {limit}")
+
+
+def _check_is_time(name: str, seconds: object) -> None:
+    if not isinstance(seconds, int | float):
+        raise TypeError(f"{name} is a number of seconds, not {seconds!r}")
+    if name == "handover" and seconds == 0:
+        return
+    if not seconds > 0:
+        least = "0 or more" if name == "handover" else "more than 0"
+        raise ValueError(f"{name} is {least}, not {seconds}")

@@ -38,6 +38,7 @@ costs O(log n).
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Hashable
 from enum import Enum
 from heapq import heapify, heappop, heappush
@@ -86,11 +87,12 @@ class Scheduler:
         self._entries: dict[GoalID, Entry] = {}
         self._arrivals = 0
         self._running = 0
-        # In the order of their times, so that the first is due first.
-        self._waiting: dict[GoalID, Entry] = {}
-        self._timed: dict[GoalID, Entry] = {}  # they run, and are not interrupted
-        self._told: dict[GoalID, Entry] = {}  # of these, those that may take over
-        self._interrupted: dict[GoalID, Entry] = {}
+        # In the order of their times, so that the first is due first. To find the first of a plain
+        # dict takes longer, the more have been removed before it.
+        self._waiting: OrderedDict[GoalID, Entry] = OrderedDict()
+        self._timed: OrderedDict[GoalID, Entry] = OrderedDict()  # they run, and are not interrupted
+        self._told: OrderedDict[GoalID, Entry] = OrderedDict()  # of these, those that may take over
+        self._interrupted: OrderedDict[GoalID, Entry] = OrderedDict()
         self._heads: list[tuple[Urgency, Group]] = []
 
     # Events
@@ -181,13 +183,13 @@ class Scheduler:
         """The time at which `due` has orders; `math.inf` if time alone makes none."""
         rules = self._schedule
         due = math.inf
-        if entry := _first(self._waiting):
+        if rules.queue_timeout < math.inf and (entry := _first(self._waiting)):
             due = entry.since + rules.queue_timeout
-        if entry := _first(self._timed):
+        if rules.run_timeout < math.inf and (entry := _first(self._timed)):
             due = min(due, entry.since + rules.run_timeout)
-        if entry := _first(self._told):
+        if self._told and (entry := _first(self._told)):
             due = min(due, entry.told_at + rules.handover)
-        if entry := _first(self._interrupted):
+        if self._interrupted and (entry := _first(self._interrupted)):
             due = min(due, entry.since + self._kill_after)
         return due
 
@@ -243,11 +245,14 @@ class Scheduler:
 
     def _remove(self, entry: Entry) -> None:
         goal_id, group = entry.goal_id, entry.group
+        del self._entries[goal_id]
         if group.running.pop(goal_id, None) is not None:
             self._running -= 1
-        group.queue.pop(goal_id, None)
-        for entries in (self._waiting, self._timed, self._told, self._interrupted, self._entries):
-            entries.pop(goal_id, None)
+            for entries in (self._timed, self._told, self._interrupted):
+                entries.pop(goal_id, None)
+        else:
+            del self._waiting[goal_id]
+            group.queue.pop(goal_id, None)  # a successor is not in it
         if entry.predecessor is not None:
             entry.predecessor.successor = None
             self._told.pop(entry.predecessor.goal_id, None)
@@ -341,5 +346,5 @@ class Scheduler:
         return f"{text}, {waiting}"
 
 
-def _first(entries: dict[GoalID, Entry]) -> Entry | None:
+def _first(entries: OrderedDict[GoalID, Entry]) -> Entry | None:
     return next(iter(entries.values()), None)

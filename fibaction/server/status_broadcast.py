@@ -61,6 +61,8 @@ class StatusBroadcast:
         self._limit = limit
         self._changes = _Changes(0, limit)
         self._cursors: set[StatusCursor] = set()
+        self.is_followed = False
+        """True if there are streams; an attribute, since it is read at each change of a goal."""
 
     def publish(self, info: GoalInfo) -> int:
         """Send a change to all followers, and return its number."""
@@ -74,21 +76,20 @@ class StatusBroadcast:
         """Return a new stream that begins with these goals. The sequence must not change."""
         cursor = StatusCursor(goals, self._changes, self.leave)
         self._cursors.add(cursor)
+        self.is_followed = True
         return cursor
 
     def leave(self, cursor: StatusCursor) -> None:
         """Remove the stream. It can still read the changes until now, as far as remembered."""
         self._cursors.discard(cursor)
-        if not self._cursors:  # they are freed, unless the stream reads on
+        self.is_followed = bool(self._cursors)
+        if not self.is_followed:  # the changes are freed, unless the stream reads on
             self._changes = _Changes(self._changes.count, self._limit)
 
     def finish(self) -> None:
         """End every stream after its unread changes, since the server has stopped."""
         for cursor in tuple(self._cursors):
             cursor.close()
-
-    def __bool__(self) -> bool:
-        return bool(self._cursors)
 
 
 class StatusCursor(StatusStream):

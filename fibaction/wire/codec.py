@@ -15,6 +15,7 @@ from fibaction.goals import GoalID
 from fibaction.wire.messages import (
     Actions,
     AskPeers,
+    AskPlaces,
     AwaitServer,
     CancelAnswered,
     CancelGoals,
@@ -33,6 +34,7 @@ from fibaction.wire.messages import (
     ListActions,
     Peers,
     Ping,
+    Places,
     Received,
     Rejected,
     SendGoal,
@@ -54,6 +56,7 @@ FromClient: TypeAlias = (
     | Close
     | Received
     | AskPeers
+    | AskPlaces
     | Ping
     | Goodbye
 )
@@ -72,6 +75,7 @@ FromServer: TypeAlias = (
     | Actions
     | Watching
     | Peers
+    | Places
     | Ping
     | Goodbye
 )

@@ -137,8 +137,6 @@ class AwaitServer(_Message, tag=21):
 
     id: ID
     action: str
-    most_waiting: Count = 0
-    """Most goals that wait in a queue to be told in the answer."""
 
 
 @final
@@ -183,6 +181,16 @@ class AskPeers(_Message, tag=26):
 
     id: ID
     action: str
+
+
+@final
+class AskPlaces(_Message, tag=27):
+    """Request for the goals that wait for their turn. Answered by `Places` or `Failed`."""
+
+    id: ID
+    action: str
+    most: Count
+    """Most goals to be told in the answer."""
 
 
 # From the server
@@ -313,8 +321,6 @@ class Done(_Message, tag=41):
     """The server is now available. Answers `AwaitServer`; the last message of that ID."""
 
     id: ID
-    waiting: list[tuple[GoalBytes, Stamp, Stamp]] = []
-    """Goals that wait, if they were asked for: ID, place and queue length of each."""
 
 
 @final
@@ -351,3 +357,12 @@ class Peers(_Message, tag=45):
     id: ID
     clients: list[str]
     """Name of each client, as in the server's log."""
+
+
+@final
+class Places(_Message, tag=46):
+    """The goals that wait for their turn. Answers `AskPlaces`; the last message of that ID."""
+
+    id: ID
+    goals: list[tuple[GoalBytes, Stamp, Stamp]]
+    """ID, place and length of the queue of each goal."""

@@ -17,7 +17,7 @@ from fibaction.wire.channel import CHUNK
 from fibaction.wire.codec import FromClient, encode
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.link import Link
-from fibaction.wire.messages import AwaitServer, Done, Follow, SendGoal
+from fibaction.wire.messages import AskPlaces, AwaitServer, Done, Follow, Places, SendGoal
 from fibaction.wire.remote_goal import RemoteGoal
 from fibaction.wire.remote_statuses import RemoteStatuses, StatusWatch
 
@@ -25,12 +25,12 @@ from fibaction.wire.remote_statuses import RemoteStatuses, StatusWatch
 class OpenCalls:
     """The open calls of one client, by their IDs, and those that wait to be sent."""
 
-    def __init__(self, window: int, most_waiting: int, check: Callable[[], None]) -> None:
+    def __init__(self, window: int, most_places: int, check: Callable[[], None]) -> None:
         """Let `check` raise the reason why no call can be opened now, if there is one. A message
-        from the server has room for `most_waiting` goals that wait.
+        from the server has room for the places of `most_places` goals.
         """
         self._check = check
-        self._most_waiting = most_waiting
+        self._most_places = most_places
         self._link: Link | None = None
         self._max_frame = MAX_FRAME
         self._calls: dict[int, Call] = {}
@@ -92,11 +92,15 @@ class OpenCalls:
             # All that the server has told before this answer is known then: a goal that this client
             # has sent, for example. Places of goals that wait are told here only, since each start
             # of a goal changes those of all others.
-            most = self._most_waiting if watch.has_accepted else 0
-            asking = partial(AwaitServer, action=action, most_waiting=most)
-            sign: Done = await self.ask(asking, Done)
-            if watch is self._watches.get(action) and watch.is_complete:
-                watch.set_places(sign.waiting)
+            has_places = watch.has_accepted
+            if has_places:
+                asking = partial(AskPlaces, action=action, most=self._most_places)
+                answer: Places = await self.ask(asking, Places)
+                watch.set_places(answer.goals)
+            else:
+                await self.ask(lambda call_id: AwaitServer(call_id, action), Done)
+            is_current = watch is self._watches.get(action) and watch.is_complete
+            if is_current and (has_places or not watch.has_accepted):
                 break
         statuses = watch.follow()
         try:

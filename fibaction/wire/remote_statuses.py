@@ -9,11 +9,11 @@ that leaves closes it.
 
 The watch knows the newest status of each goal. A follower that comes later begins with these, and
 then gets the changes, as the first one does: if part of the server's list is still to come, this
-part counts as known, too. Before it begins, the server is asked for a sign (`AwaitServer`), since
-it tells what has changed by then before that. If goals wait, the answer has their places, which no
-change tells. `OpenCalls` makes a new watch in place of one that
-has missed changes, because the server has left some out: such a watch may know goals that the
-server has forgotten. The followers go on with the new one.
+part counts as known, too. Before it begins, the server is asked for a sign, since it tells what has
+changed by then before that: `AwaitServer`, or `AskPlaces` if a goal may wait, as no change tells
+places. `OpenCalls` makes a new watch in place of one that has missed changes, because the server
+has left some out: such a watch may know goals that the server has forgotten. The followers go on
+with the new one.
 
 On a new connection, and with a new watch, the server tells all goals again. They come after what a
 follower has not read yet, and count as known once more.

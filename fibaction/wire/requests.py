@@ -30,6 +30,7 @@ from fibaction.wire.errors import sendable
 from fibaction.wire.messages import (
     Actions,
     AskPeers,
+    AskPlaces,
     AwaitServer,
     CancelAnswered,
     CancelGoals,
@@ -38,13 +39,16 @@ from fibaction.wire.messages import (
     GoalChanged,
     ListActions,
     Peers,
+    Places,
     Watching,
     WatchStatus,
 )
 from fibaction.wire.subscriptions import RequestSubscription
 
-Request: TypeAlias = CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers
-Answer: TypeAlias = CancelAnswered | Done | Watching | GoalChanged | Finished | Actions | Peers
+Request: TypeAlias = CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers | AskPlaces
+Answer: TypeAlias = (
+    CancelAnswered | Done | Watching | GoalChanged | Finished | Actions | Peers | Places
+)
 
 PART = 256
 """Goals of a long answer that are prepared at once."""
@@ -76,6 +80,7 @@ class RequestHandlers:
             AwaitServer: self._await_server,
             ListActions: self._list_actions,
             AskPeers: self._ask_peers,
+            AskPlaces: self._ask_places,
         }
 
     def limit_for(self, request: Request) -> str:
@@ -170,34 +175,32 @@ class RequestHandlers:
         with CancelScope() as scope:
             subscription.stop_with(scope.cancel)
             await endpoint.wait_for_server()
-            if not message.most_waiting:
-                return await self._say(Done(message.id))
-            async with self._listing:
-                waiting = await _waiting(endpoint, message.most_waiting)
-                await self._say(Done(message.id, waiting))
+            await self._say(Done(message.id))
 
     async def _ask_peers(self, message: AskPeers, _subscription: RequestSubscription) -> None:
         await self._find(message.action, Permission.OBSERVE)
         async with self._listing:
             await self._say(Peers(message.id, self._clients_of(message.action)))
 
+    async def _ask_places(self, message: AskPlaces, _subscription: RequestSubscription) -> None:
+        endpoint = await self._find(message.action, Permission.OBSERVE)
+        async with self._listing:
+            # The answer comes behind all statuses that were told before, as `Done` does: a gateway
+            # asks the server behind it before it lists the goals.
+            with await endpoint.status() as statuses:
+                infos = await statuses.listed()
+            goals: list[tuple[bytes, int, int]] = []
+            slices = Slices()
+            for info in infos:
+                if info.place and len(goals) < message.most:
+                    goals.append((bytes(info.goal_id), info.place, info.queue_length))
+                await slices.pause()
+            await self._say(Places(message.id, goals))
+
     async def _list_actions(self, message: ListActions, _subscription: RequestSubscription) -> None:
         async with self._listing:
             infos = [endpoint.info for endpoint in self._endpoints.values()]
             await self._say(Actions(message.id, infos))
-
-
-async def _waiting(endpoint: Endpoint, most: int) -> list[tuple[bytes, int, int]]:
-    """Return the ID, the place and the length of the queue of goals that wait."""
-    with await endpoint.status() as statuses:
-        infos = await statuses.listed()
-    waiting: list[tuple[bytes, int, int]] = []
-    slices = Slices()
-    for info in infos:
-        if info.place and len(waiting) < most:
-            waiting.append((bytes(info.goal_id), info.place, info.queue_length))
-        await slices.pause()
-    return waiting
 
 
 @contextmanager

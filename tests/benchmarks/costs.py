@@ -18,6 +18,7 @@ import anyio
 
 from fibaction.wire.messages import (
     AskPeers,
+    AskPlaces,
     AwaitServer,
     CancelGoals,
     Close,
@@ -105,6 +106,13 @@ KINDS = [
         10,
         2000,
         200,
+    ),
+    Kind(
+        "`AskPlaces`, and no goal waits",
+        lambda id: AskPlaces(id, "deaf", MOST),
+        10,
+        2000,
+        100,
     ),
 ]
 """The kinds in the order of the table. The first `CancelGoals` of all changes each goal once."""

@@ -395,7 +395,7 @@ async def test_an_executor_that_takes_too_long_is_interrupted_and_hands_over_wha
     reach: Reach,
 ) -> None:
     bench = Bench()
-    schedule = Schedule(concurrency=1, queue=1, run_timeout=0.01)
+    schedule = Schedule(concurrency=1, queue=1, run_timeout=0.2)
     async with reach(ActionServer(FIBONACCI, bench, schedule=schedule)) as client:
         sent = await send(client, 1, 2)
         for order, one in enumerate(sent, 1):
@@ -451,6 +451,14 @@ FUNCTIONS: dict[str, tuple[Schedule, str]] = {
         Schedule(concurrency=1, key=lambda goal: [goal.order]),  # type: ignore[arg-type]  # as below
         "key failed: TypeError: unhashable type: 'list'",
     ),
+    "a key that has to be awaited": (
+        Schedule(concurrency=1, key=lambda goal: anyio.sleep(goal.order)),  # type: ignore[arg-type]  # as below
+        "key failed: TypeError: it returned something to await, and not a value",
+    ),
+    "a key that cannot be found again": (
+        Schedule(concurrency=1, key=lambda goal: float("nan")),
+        "key failed: ValueError: it returned nan, which is not equal to itself",
+    ),
     "a priority that fails": (
         Schedule(concurrency=1, priority=broken),
         "priority failed: LookupError: no such arm",
@@ -477,6 +485,26 @@ async def test_a_goal_is_rejected_if_a_function_of_the_schedule_fails(
                 await client.send_goal(Goal(1))
             assert await client.goals() == []
     assert " failed: " in caplog.text
+
+
+@pytest.mark.promise("SCHEDULE-12")
+async def test_a_function_of_the_schedule_may_reject_a_goal_itself(
+    reach: Reach, caplog: pytest.LogCaptureFixture
+) -> None:
+    def key(goal: Goal) -> int:
+        if goal.order < 0:
+            raise GoalRejected("there is no such arm")
+        return goal.order
+
+    bench = Bench()
+    schedule = Schedule(concurrency=1, key=key)
+    with caplog.at_level(logging.ERROR, "fibaction.server"):
+        async with reach(ActionServer(FIBONACCI, bench, schedule=schedule)) as client:
+            with pytest.raises(GoalRejected):
+                await client.send_goal(Goal(-1))
+            bench.let_go(1)
+            assert await client.call(Goal(1)) == Result([1])
+    assert not caplog.records
 
 
 @pytest.mark.promise("SCHEDULE-12")

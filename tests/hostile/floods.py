@@ -9,6 +9,7 @@ from typing import Any
 
 from fibaction.wire.messages import (
     AskPeers,
+    AskPlaces,
     AwaitServer,
     CancelGoals,
     Close,
@@ -37,9 +38,9 @@ KINDS: dict[str, Callable[[int], Any]] = {
     "Received": Received,
     "ListActions": ListActions,
     "AskPeers": lambda id: AskPeers(id, "fibonacci"),
+    "AskPlaces": lambda id: AskPlaces(id, "forever", MOST),
     "AwaitServer": lambda id: AwaitServer(id, "fibonacci"),
     "AwaitServer, not served": lambda id: AwaitServer(id, "nothing"),
-    "AwaitServer, with places": lambda id: AwaitServer(id, "forever", MOST),
     "CancelGoals of one": lambda id: CancelGoals(id, "fibonacci", goal_id(), None),
     "CancelGoals of all": lambda id: CancelGoals(id, "forever", None, None),
     "CancelGoals before a stamp": lambda id: CancelGoals(id, "forever", None, 2**63 - 1),

@@ -21,7 +21,7 @@ from fibaction.wire.messages import VERSION, Actions, Hello, ListActions
 
 T = TypeVar("T")
 
-KEPT = {1, 32, 33, 34, 35, 38, 39, 41, 42, 43, 44, 45}
+KEPT = {1, 32, 33, 34, 35, 38, 39, 41, 42, 43, 44, 45, 46}
 """Tags of the messages that are kept to be heard: all but feedback, changes and heartbeats."""
 SOON = 20.0
 """Seconds for an answer: many times what the slowest takes on a busy machine."""

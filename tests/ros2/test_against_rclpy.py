@@ -413,7 +413,8 @@ async def test_a_preempted_goal_ends_as_aborted_and_the_new_one_runs(stock: Peer
 
     assert (await result(stock, old))[0] == ABORTED
     assert await result(stock, new) == (SUCCEEDED, [0, 1, 1, 2, 3])
-    assert await statuses_of(stock, old, "arm") == [ACCEPTED, EXECUTING, ABORTED]
+    # The subscription is as young as the first goal, so it may have missed the first status.
+    assert (await statuses_of(stock, old, "arm"))[-2:] == [EXECUTING, ABORTED]
 
 
 @pytest.mark.promise("SCHEDULE-2", "SCHEDULE-4")

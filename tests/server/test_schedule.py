@@ -19,6 +19,10 @@ def by_sender(goal: Goal, sender: Sender) -> int:
     return len(sender.name)
 
 
+async def waits(goal: Goal) -> int:
+    return 1
+
+
 @pytest.mark.parametrize(
     "settings",
     [
@@ -30,8 +34,12 @@ def by_sender(goal: Goal, sender: Sender) -> int:
         {"total": 1, "when_full": "preempt"},
         {"concurrency": 1, "when_full": "preempt", "handover": math.inf},
         {"concurrency": 1, "when_full": "replace", "queue": 1},
-        {"key": str, "priority": by_sender},
-        {"queue_timeout": 0.1, "run_timeout": math.inf, "handover": 0},
+        {"key": str},
+        {"concurrency": 1, "priority": by_sender},
+        {"concurrency": 1, "queue": 1, "queue_timeout": 0.1},
+        {"concurrency": 1, "when_full": "preempt", "queue_timeout": 0.1},
+        {"run_timeout": 1},
+        {"queue_timeout": math.inf, "run_timeout": math.inf, "handover": 0},
     ],
 )
 def test_a_schedule_has_any_of_its_rules(settings: Any) -> None:
@@ -55,6 +63,14 @@ def test_a_schedule_has_any_of_its_rules(settings: Any) -> None:
         (
             {"concurrency": 1, "when_full": "replace"},
             "when_full='replace' needs a queue of at least 1, not 0",
+        ),
+        (
+            {"key": str, "priority": str},
+            "priority needs a limit: set concurrency or total, too",
+        ),
+        (
+            {"concurrency": 1, "queue_timeout": 0.5},
+            "queue_timeout=0.5 needs a queue of at least 1, not 0",
         ),
         ({"queue_timeout": 0}, "queue_timeout is more than 0, not 0"),
         ({"queue_timeout": math.nan}, "queue_timeout is more than 0, not nan"),
@@ -81,7 +97,12 @@ def test_a_value_out_of_range_is_rejected_with_what_to_do(settings: Any, text: s
         ({"total": "2"}, "total is a whole number, not '2'"),
         ({"concurrency": 1, "queue": None}, "queue is a whole number, not None"),
         ({"concurrency": 1, "queue": math.inf}, "queue is a whole number, not inf"),
-        ({"key": "arm"}, "key is a function of a goal, or of a goal and its sender, not arm"),
+        ({"key": "arm"}, "key is a function of a goal, or of a goal and its sender, not 'arm'"),
+        ({"run_timeout": "60"}, "run_timeout is a number of seconds, not '60'"),
+        ({"queue_timeout": None}, "queue_timeout is a number of seconds, not None"),
+        ({"handover": "1"}, "handover is a number of seconds, not '1'"),
+        ({"key": waits}, "key is a function that does not wait, without `async`"),
+        ({"priority": waits}, "priority is a function that does not wait, without `async`"),
         ({"priority": 3}, "priority is a function of a goal, or of a goal and its sender, not 3"),
     ],
 )

@@ -44,8 +44,8 @@ def rules_of(
         total=total,
         queue=queue,
         when_full=when_full,
-        priority=(lambda _: 0) if by_priority else None,
-        queue_timeout=queue_timeout,
+        priority=(lambda _: 0) if by_priority and (concurrency or total) else None,
+        queue_timeout=queue_timeout if queue or when_full == "preempt" else math.inf,
         run_timeout=run_timeout,
         handover=handover if when_full == "preempt" else 0.0,
     )

@@ -125,7 +125,7 @@ def test_a_function_whose_signature_cannot_be_read_gets_the_goal_alone() -> None
 def test_what_takes_neither_one_argument_nor_two_is_an_error(function: Any) -> None:
     with pytest.raises(TypeError) as caught:
         with_sender("key", function)
-    text = f"key is a function of a goal, or of a goal and its sender, not {function}"
+    text = f"key is a function of a goal, or of a goal and its sender, not {function!r}"
     assert str(caught.value) == text
 
 

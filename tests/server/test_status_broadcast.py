@@ -392,11 +392,11 @@ async def test_what_is_known_has_room_beside_the_limit_and_what_gives_way_is_cou
 
 
 @pytest.mark.asyncio
-async def test_a_feed_is_true_as_long_as_it_is_followed() -> None:
+async def test_a_feed_tells_whether_it_is_followed() -> None:
     feed = StatusBroadcast()
-    assert not feed
+    assert not feed.is_followed
     one, other = feed.follow(()), feed.follow(())
     one.close()
-    assert feed
+    assert feed.is_followed
     other.close()
-    assert not feed
+    assert not feed.is_followed

@@ -22,6 +22,7 @@ from fibaction.wire.frames import MAX_FRAME, header
 from fibaction.wire.messages import (
     VERSION,
     AskPeers,
+    AskPlaces,
     AwaitServer,
     CancelGoals,
     Close,
@@ -249,6 +250,7 @@ class Hostile:
                 [
                     ListActions(next(self._ids)),
                     AskPeers(next(self._ids), name),
+                    AskPlaces(next(self._ids), name, 2**31 - 1),
                     AwaitServer(next(self._ids), name),
                 ]
             )

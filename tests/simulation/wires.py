@@ -19,6 +19,7 @@ from fibaction.wire.codec import FromClient, FromServer, decode_from_server, enc
 from fibaction.wire.frames import MAX_FRAME, FrameReader, framed
 from fibaction.wire.messages import (
     AskPeers,
+    AskPlaces,
     AwaitServer,
     CancelAnswered,
     CancelGoals,
@@ -31,6 +32,7 @@ from fibaction.wire.messages import (
     Goodbye,
     ListActions,
     Ping,
+    Places,
     Received,
     SendGoal,
     Watching,
@@ -42,7 +44,7 @@ from tests.simulation.scenario import HostilePlan
 from tests.simulation.streams import SimulatedStream
 
 Request: TypeAlias = (
-    SendGoal | Follow | CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers
+    SendGoal | Follow | CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers | AskPlaces
 )
 GONE = (OSError, anyio.BrokenResourceError, anyio.ClosedResourceError, anyio.EndOfStream)
 """The errors of a connection that has ended."""
@@ -194,6 +196,8 @@ class Wire:
         may = self._plan.may
         if isinstance(message, Watching) and Permission.OBSERVE not in may:
             self._leak("follows the statuses, and may not observe")
+        elif isinstance(message, Places) and Permission.OBSERVE not in may:
+            self._leak("was told the places of goals, and may not observe")
         elif isinstance(message, CancelAnswered) and Permission.CANCEL not in may:
             self._leak("was answered a cancel, and may not cancel")
         elif isinstance(message, Following) and isinstance(request, SendGoal | Follow):

@@ -23,6 +23,7 @@ from fibaction.wire.frames import header
 from fibaction.wire.messages import (
     VERSION,
     AskPeers,
+    AskPlaces,
     AwaitServer,
     CancelGoals,
     Close,
@@ -121,12 +122,13 @@ MESSAGES: dict[type, st.SearchStrategy[Any]] = {
         CancelGoals, numbers, actions, st.none() | goal_ids, st.none() | numbers
     ),
     WatchStatus: st.builds(WatchStatus, numbers, actions, credits_),
-    AwaitServer: st.builds(AwaitServer, numbers, actions, credits_),
+    AwaitServer: st.builds(AwaitServer, numbers, actions),
     ListActions: st.builds(ListActions, numbers),
     Credit: st.builds(Credit, numbers, credits_),
     Close: st.builds(Close, numbers),
     Received: st.builds(Received, numbers),
     AskPeers: st.builds(AskPeers, numbers, actions),
+    AskPlaces: st.builds(AskPlaces, numbers, actions, credits_),
     Ping: st.builds(Ping),
     Goodbye: st.builds(Goodbye, st.text(max_size=3), st.integers(0, 9)),
 }

@@ -15,6 +15,7 @@ from fibaction.states import GoalStatus
 from fibaction.wire import remote_statuses
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.messages import (
+    AskPlaces,
     AwaitServer,
     Close,
     Credit,
@@ -22,6 +23,7 @@ from fibaction.wire.messages import (
     Failed,
     Finished,
     GoalChanged,
+    Places,
     Watching,
     WatchStatus,
     Why,
@@ -259,8 +261,8 @@ async def places_for(connection: Any, server: Peer, *waiting: Any) -> list[tuple
     """Follow the statuses anew; the server says that these goals wait."""
     async with Running(endpoint_of(connection).status) as asking:
         (asked,) = await heard(server)
-        assert asked == AwaitServer(asked.id, "fibonacci", MAX_FRAME // 64)
-        await server.say(Done(asked.id, list(waiting)))
+        assert asked == AskPlaces(asked.id, "fibonacci", MAX_FRAME // 64)
+        await server.say(Places(asked.id, list(waiting)))
         statuses = await asking.answer()
     listed = [(info.stamp, info.place, info.queue_length) for info in await statuses.listed()]
     statuses.close()
@@ -282,12 +284,26 @@ async def test_a_follower_that_comes_later_is_told_the_places_of_goals_that_wait
         assert await places_for(connection, server, *now) == [
             *((1, 0, 0), (2, 0, 0), (3, 1, 2), (4, 2, 2))
         ]
-        # A server that does not know the question gives the sign alone.
+        # A server that tells no places, for example over ROS, has no goals that wait.
         assert await places_for(connection, server) == [
             *((1, 0, 0), (2, 0, 0), (3, 0, 0), (4, 0, 0))
         ]
         await told(server, *(change(call_id, stamp) for stamp in (2, 3, 4)))
         assert (await follow(connection, server)).known == 4
+
+
+async def test_places_are_asked_for_if_a_goal_comes_to_wait_before_the_sign() -> None:
+    async with reached() as (connection, server):
+        _, call_id = await watched(connection, server, known=0)
+        async with Running(endpoint_of(connection).status) as asking:
+            (asked,) = await heard(server)
+            await told(server, accepted(call_id, 2), Done(asked.id))
+            (asked,) = await heard(server)
+            assert asked == AskPlaces(asked.id, "fibonacci", MAX_FRAME // 64)
+            await server.say(Places(asked.id, [(bytes([2] * 16), 1, 3)]))
+            statuses = await asking.answer()
+        listed = await statuses.listed()
+        assert [(info.stamp, info.place, info.queue_length) for info in listed] == [(2, 1, 3)]
 
 
 async def test_places_are_those_of_the_server_behind_a_gateway() -> None:

@@ -17,12 +17,12 @@ from fibaction.wire.auth import AccessPolicy, Permission
 from fibaction.wire.messages import (
     Actions,
     AskPeers,
+    AskPlaces,
     AwaitServer,
     CancelAnswered,
     CancelGoals,
     Close,
     Credit,
-    Done,
     Ended,
     Failed,
     Feedback,
@@ -31,6 +31,7 @@ from fibaction.wire.messages import (
     Following,
     ListActions,
     Peers,
+    Places,
     Received,
     Rejected,
     SendGoal,
@@ -368,7 +369,7 @@ async def test_a_client_has_one_cancel_of_several_goals_and_one_list_at_work() -
                 for message in (WatchStatus(i, "fibonacci", 1), Close(i))
             ),
         )
-        places = [AwaitServer(i, "fibonacci", 1) for i in (32, 33)]
+        places = [AskPlaces(i, "fibonacci", 1) for i in (32, 33)]
         assert await client.ask_all(ListActions(30), AskPeers(31, "fibonacci"), *places) == []
         assert server.now == {"cancel": 1, "status": 1}
         await other.say(CancelGoals(1, "fibonacci", None, None))
@@ -385,7 +386,7 @@ async def test_a_client_has_one_cancel_of_several_goals_and_one_list_at_work() -
             **{request: [Watching, Finished] for request in range(10, 20)},
             30: [Actions],
             31: [Peers],
-            **{request: [Done] for request in (32, 33)},
+            **{request: [Places] for request in (32, 33)},
         }
 
 
@@ -424,10 +425,10 @@ async def test_statuses_that_wait_for_room_go_with_their_connection() -> None:
         await settled()
         await client.say(WatchStatus(3, "fibonacci", 1))
         await settled()
-        assert server._logs._statuses
+        assert server._logs._statuses.is_followed
         client.channel.cut()
         await settled()
-        assert not server._logs._statuses
+        assert not server._logs._statuses.is_followed
 
 
 async def test_a_write_ends_when_it_has_taken_a_slice(monkeypatch: pytest.MonkeyPatch) -> None:

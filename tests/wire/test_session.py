@@ -29,6 +29,7 @@ from fibaction.wire.messages import (
     VERSION,
     Actions,
     AskPeers,
+    AskPlaces,
     AwaitServer,
     CancelAnswered,
     CancelGoals,
@@ -47,6 +48,7 @@ from fibaction.wire.messages import (
     ListActions,
     Peers,
     Ping,
+    Places,
     Received,
     Rejected,
     SendGoal,
@@ -504,7 +506,7 @@ async def test_a_client_is_told_when_the_server_is_there() -> None:
             assert await client.hear_all() == []
 
 
-async def test_goals_that_wait_are_told_with_the_sign_that_the_server_is_there() -> None:
+async def test_goals_that_wait_are_told_with_their_places() -> None:
     async with serving(one_by_one()) as served:
         client = await served.greet()
         await client.send(1)
@@ -512,8 +514,8 @@ async def test_goals_that_wait_are_told_with_the_sign_that_the_server_is_there()
             await client.ask(send(number, bytes([number] * 16)), Following)
         waiting = [(bytes([number] * 16), number - 1, 3) for number in (2, 3, 4)]
         for most, count in ((0, 0), (1, 1), (3, 3), (9, 3)):
-            answer = await client.ask(AwaitServer(5, "fibonacci", most), Done)
-            assert answer == Done(5, waiting[:count])
+            answer = await client.ask(AskPlaces(5, "fibonacci", most), Places)
+            assert answer == Places(5, waiting[:count])
         await client.ask(WatchStatus(6, "fibonacci", ANY), Watching)
         told = [await client.hear(GoalChanged) for _ in range(4)]
         assert [(one.place, one.queue_length) for one in told] == [(0, 0), (1, 3), (2, 3), (3, 3)]
@@ -542,6 +544,7 @@ REQUESTS: dict[Permission, list[Any]] = {
         WatchStatus(1, "fibonacci", 1),
         AwaitServer(1, "fibonacci"),
         AskPeers(1, "fibonacci"),
+        AskPlaces(1, "fibonacci", 1),
     ],
 }
 
