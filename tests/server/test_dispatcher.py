@@ -298,6 +298,13 @@ def raises(goal: Goal) -> int:
     return 0
 
 
+def answers_later(goal: Goal) -> Any:
+    async def later() -> int:
+        return 0
+
+    return later() if goal.order else 0
+
+
 def answers(answer: object) -> Callable[[Goal], Any]:
     return lambda goal: answer if goal.order else 0
 
@@ -307,6 +314,16 @@ def answers(answer: object) -> Callable[[Goal], Any]:
     [
         ("key", raises, "key failed: ValueError: no such joint"),
         ("key", answers([]), "key failed: TypeError: unhashable type: 'list'"),
+        (
+            "key",
+            answers(math.nan),
+            "key failed: ValueError: it returned nan, which is not equal to itself",
+        ),
+        (
+            "priority",
+            answers_later,
+            "priority failed: TypeError: it returned something to await, and not a value",
+        ),
         ("priority", raises, "priority failed: ValueError: no such joint"),
         (
             "priority",
@@ -335,6 +352,16 @@ async def test_a_goal_is_rejected_by_the_function_that_fails_and_the_server_goes
     lines = [line for line in caplog.records if line.levelname == "ERROR"]
     assert [line.getMessage() for line in lines] == [f"action 'fibonacci': {reason}"]
     assert lines[0].exc_info is not None
+
+
+async def test_a_function_of_the_schedule_may_reject_a_goal() -> None:
+    def key(goal: Goal) -> int:
+        raise GoalRejected("no such arm")
+
+    async with serving(Schedule(concurrency=1, key=key), Arm()) as site:
+        with pytest.raises(GoalRejected) as caught:
+            await site.send(1)
+        assert caught.value.reason == "no such arm"
 
 
 # Preempting
