@@ -435,6 +435,16 @@ async def test_the_first_reason_to_end_a_goal_is_told() -> None:
     assert arm.begun == [1]
 
 
+async def test_a_goal_that_has_ended_since_it_was_chosen_is_left_alone() -> None:
+    arm = Arm()
+    async with serving(ONE_PLACE, arm) as site:
+        stream = await site.send(1)
+        arm.let_end(1)
+        outcome = await stream.outcome()
+        site.server._runs.interrupt(site.id_of(1), "too late")
+        assert stream.known_outcome() == outcome
+
+
 async def test_a_goal_that_was_preempted_before_its_start_never_runs() -> None:
     arm = Arm()
     async with serving(PREEMPTING, arm) as site:
