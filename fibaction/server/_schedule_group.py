@@ -66,6 +66,11 @@ class Group:
             heappop(self._heap)
         return None
 
+    def next_successor(self) -> Entry | None:
+        """Return the successor that starts next in any place that is free."""
+        successors = [entry.successor for entry in self.running.values() if entry.successor]
+        return min(successors, key=lambda one: one.urgency, default=None)
+
     def oldest(self) -> Entry | None:
         """Return the goal that has run longest, without successor if any is; else the one with the
         oldest successor.

@@ -17,9 +17,10 @@ A goal that is offered starts if a place is free, and waits if the queue has roo
 
 - `"reject"`: the goal is rejected.
 - `"preempt"`: the goal becomes the *successor* of one that runs, its predecessor. The predecessor
-  is interrupted, and its successor starts when it has left, ahead of the queue. A successor that
-  has not started yet gives way to a newer one, and goes back into the queue if there is room. With
-  a priority, a goal preempts only goals that are less urgent, and does not wait before.
+  is interrupted, and its successor starts when it has left, or another goal of its group, ahead of
+  the queue. A successor that has not started yet gives way to a newer one, and goes back into the
+  queue if there is room. With a priority, a goal preempts only goals that are less urgent, and does
+  not wait before.
 - `"replace"`: the newest waiting goal gives way.
 
 With `handover`, a predecessor is told of its successor first (`Act.TELL`), and interrupted only
@@ -135,10 +136,13 @@ class Scheduler:
             return []
         self._remove(entry)
         successor = entry.successor
-        if successor is not None:
-            successor.predecessor = None
-            return [self._start(successor, now)]
-        return self._start_waiting(now)
+        if successor is None and self._schedule.when_full == "preempt":
+            # That of another goal need not wait for the end of just this one.
+            successor = entry.group.next_successor()
+        if successor is None or not self._has_place(entry.group):
+            return self._start_waiting(now)
+        self._part(successor)
+        return [self._start(successor, now)]
 
     def take_over(self, goal_id: GoalID, now: float) -> GoalID | None:
         """Let the successor of a goal take its place, and the goal leave; return the successor.
@@ -151,7 +155,7 @@ class Scheduler:
         successor = entry.successor
         assert successor is not None
         self._remove(entry)
-        successor.predecessor = None
+        self._part(successor)
         self._start(successor, now)
         return successor.goal_id
 
@@ -253,14 +257,19 @@ class Scheduler:
         else:
             del self._waiting[goal_id]
             group.queue.pop(goal_id, None)  # a successor is not in it
-        if entry.predecessor is not None:
-            entry.predecessor.successor = None
-            self._told.pop(entry.predecessor.goal_id, None)
+        self._part(entry)
         if group.running or group.queue:
             self._push_head(group)
         elif entry.successor is None:
             self._groups.pop(group.key, None)
             group.listed = None
+
+    def _part(self, entry: Entry) -> None:
+        """Make a goal no successor any more; its predecessor goes on, unless it was interrupted."""
+        if entry.predecessor is not None:
+            entry.predecessor.successor = None
+            self._told.pop(entry.predecessor.goal_id, None)
+            entry.predecessor = None
 
     def _start_waiting(self, now: float) -> list[Order]:
         orders: list[Order] = []

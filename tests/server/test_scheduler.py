@@ -223,7 +223,7 @@ class Fleet(RuleBasedStateMachine):
         self.end_one(data.draw(st.sampled_from(self.running)))
 
     def end_one(self, ended: GoalID) -> None:
-        successor = self.gone(ended)
+        successor = self.gone(ended) or self.next_successor(self.key[ended])
         if successor is None:
             expected = self.start_next()
         else:
@@ -231,6 +231,13 @@ class Fleet(RuleBasedStateMachine):
             expected = [Order(Act.START, successor)]
         assert self.scheduler.leave(ended, self.now) == expected
         assert self.scheduler.leave(ended, self.now) == []
+
+    def next_successor(self, key: int) -> GoalID | None:
+        """Return the goal that waits for another one, and has a free place now."""
+        able = [one for one in self.successors.values() if self.key[one] == key]
+        if not self.has_place(key):
+            return None
+        return min(able, key=lambda one: self.urgency[one], default=None)
 
     @precondition(lambda self: self.queue or self.successors)
     @rule(data=st.data())

@@ -236,7 +236,19 @@ class Places:
         life = truth.life
         if truth in life.running:
             life.running.remove(truth)
-            life.next = life.successors.pop(truth, None)
+            life.next = life.successors.pop(truth, None) or self._next_successor(truth)
+
+    def _next_successor(self, truth: Truth) -> Truth | None:
+        """Return the successor of another goal that gets the place of this one."""
+        life, key = truth.life, self._key(truth)
+        able = {one: of for of, one in life.successors.items() if self._key(one) == key}
+        if not able or not self._has_place(life, key):
+            return None
+        first = min(able, key=lambda one: (self._urgency(one), one.arrival))
+        predecessor = able[first]
+        del life.successors[predecessor]
+        predecessor.told_at = math.inf
+        return first
 
     # At any time
 
