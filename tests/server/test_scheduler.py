@@ -20,7 +20,7 @@ def goal(number: int) -> GoalID:
     return GoalID(number.to_bytes(16, "big"))
 
 
-ONE, TWO, THREE, FOUR, FIVE = map(goal, range(1, 6))
+ONE, TWO, THREE = map(goal, range(1, 4))
 
 
 def rules_of(
@@ -393,3 +393,13 @@ def test_keys_whose_goals_have_left_are_forgotten() -> None:
         scheduler.leave(goal(number), 0)
     assert len(scheduler._groups) == 1
     assert len(scheduler._heads) < 50
+
+
+def test_a_goal_that_preempts_starts_in_any_place_that_becomes_free() -> None:
+    scheduler = Scheduler(Schedule(concurrency=2, when_full="preempt", handover=math.inf))
+    scheduler.offer(ONE, now=0)
+    scheduler.offer(TWO, now=0)
+    assert scheduler.offer(THREE, now=0) == [Order(Act.TELL, ONE)]
+    assert scheduler.leave(TWO, 0) == [Order(Act.START, THREE)]
+    assert scheduler.successor(ONE) is None
+    assert scheduler.leave(ONE, 0) == []
