@@ -452,7 +452,7 @@ FUNCTIONS: dict[str, tuple[Schedule, str]] = {
         "key failed: TypeError: unhashable type: 'list'",
     ),
     "a key that has to be awaited": (
-        Schedule(concurrency=1, key=lambda goal: anyio.sleep(goal.order)),
+        Schedule(concurrency=1, key=lambda goal: anyio.sleep(goal.order)),  # type: ignore[arg-type]  # as below
         "key failed: TypeError: it returned something to await, and not a value",
     ),
     "a key that cannot be found again": (
