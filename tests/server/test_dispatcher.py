@@ -298,6 +298,13 @@ def raises(goal: Goal) -> int:
     return 0
 
 
+def answers_later(goal: Goal) -> Any:
+    async def later() -> int:
+        return 0
+
+    return later() if goal.order else 0
+
+
 def answers(answer: object) -> Callable[[Goal], Any]:
     return lambda goal: answer if goal.order else 0
 
@@ -307,6 +314,16 @@ def answers(answer: object) -> Callable[[Goal], Any]:
     [
         ("key", raises, "key failed: ValueError: no such joint"),
         ("key", answers([]), "key failed: TypeError: unhashable type: 'list'"),
+        (
+            "key",
+            answers(math.nan),
+            "key failed: ValueError: it returned nan, which is not equal to itself",
+        ),
+        (
+            "priority",
+            answers_later,
+            "priority failed: TypeError: it returned something to await, and not a value",
+        ),
         ("priority", raises, "priority failed: ValueError: no such joint"),
         (
             "priority",
@@ -335,6 +352,16 @@ async def test_a_goal_is_rejected_by_the_function_that_fails_and_the_server_goes
     lines = [line for line in caplog.records if line.levelname == "ERROR"]
     assert [line.getMessage() for line in lines] == [f"action 'fibonacci': {reason}"]
     assert lines[0].exc_info is not None
+
+
+async def test_a_function_of_the_schedule_may_reject_a_goal() -> None:
+    def key(goal: Goal) -> int:
+        raise GoalRejected("no such arm")
+
+    async with serving(Schedule(concurrency=1, key=key), Arm()) as site:
+        with pytest.raises(GoalRejected) as caught:
+            await site.send(1)
+        assert caught.value.reason == "no such arm"
 
 
 # Preempting
@@ -406,6 +433,16 @@ async def test_the_first_reason_to_end_a_goal_is_told() -> None:
         assert (await first.outcome()).reason == site.preempted_by(2)
         assert (await third.outcome()).reason == "server stopped"
     assert arm.begun == [1]
+
+
+async def test_a_goal_that_has_ended_since_it_was_chosen_is_left_alone() -> None:
+    arm = Arm()
+    async with serving(ONE_PLACE, arm) as site:
+        stream = await site.send(1)
+        arm.let_end(1)
+        outcome = await stream.outcome()
+        site.server._runs.interrupt(site.id_of(1), "too late")
+        assert stream.known_outcome() == outcome
 
 
 async def test_a_goal_that_was_preempted_before_its_start_never_runs() -> None:
@@ -615,7 +652,9 @@ async def test_the_goal_that_was_taken_over_can_be_canceled_like_any_other() -> 
         await settled()
         arm.looks[1].set()
         await arm.until_begun(2)
+        await settled()
         await site.cancel(2)
+        assert second.status is GoalStatus.CANCELING  # its executor ends it, when it has cleaned up
         assert (await second.outcome()).status is GoalStatus.CANCELED
         await site.send(3)
         await arm.until_begun(3)

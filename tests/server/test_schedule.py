@@ -111,6 +111,12 @@ def test_a_value_of_another_type_is_rejected_with_what_to_do(settings: Any, text
         Schedule(**settings)
 
 
+def test_a_server_takes_no_other_object_for_a_schedule() -> None:
+    rules: Any = {"concurrency": 1}
+    with pytest.raises(TypeError, match=re.escape(f"schedule is a Schedule, not {rules}")):
+        ActionServer(FIBONACCI, fibonacci, schedule=rules)
+
+
 def test_a_schedule_does_not_change() -> None:
     schedule = Schedule(concurrency=1)
     with pytest.raises(AttributeError):

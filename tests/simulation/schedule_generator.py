@@ -52,7 +52,7 @@ def _plan(chance: random.Random) -> SchedulePlan:
         "preempt": [0, 0, 1, 3],
         "replace": [1, 2, 5],
     }
-    return SchedulePlan(
+    plan = SchedulePlan(
         concurrency=concurrency,
         total=total,
         queue=chance.choice(queues[when_full]),
@@ -64,6 +64,9 @@ def _plan(chance: random.Random) -> SchedulePlan:
         handover=chance.choice([0.0, 0.3, 0.3, math.inf]) if when_full == "preempt" else 0.0,
         fails=chance.random() < 0.1,
     )
+    if when_full == "reject" and not plan.queue:  # no goal ever waits
+        return replace(plan, queue_timeout=math.inf)
+    return plan
 
 
 def _busier(chance: random.Random, plan: ClientPlan, number: int, span: float) -> ClientPlan:
