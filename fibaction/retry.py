@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from typing import cast
 
 import msgspec
@@ -78,6 +77,8 @@ class Retry(msgspec.Struct, frozen=True, kw_only=True):
     def delay_before(self, attempt: int) -> float:
         """Return the seconds to wait before an attempt: 2 for the second, 3 for the third."""
         doubled: float = self.delay * 2.0 ** min(attempt - 2, _MOST_DOUBLINGS)
+        import random  # here, since most programs never retry, and it takes milliseconds
+
         return min(doubled, self.max_delay) * random.uniform(0.5, 1)  # not a secret
 
 

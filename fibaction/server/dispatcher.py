@@ -64,6 +64,9 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
         self._action = action
         self._kill_after = kill_after
         self._news = Notifier()
+        self._reads_clock = schedule.when_full == "preempt" or (
+            min(schedule.queue_timeout, schedule.run_timeout) < math.inf
+        )
         self._wake_at = math.inf
         self._successor_news: dict[GoalID, Notifier] = {}
         self._placed_at = -math.inf
@@ -94,7 +97,7 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
             key = self._answer("key", _hashable, self._key, request, sender)
         if self._priority is not None:
             urgency = self._answer("priority", _number, self._priority, request, sender)
-        return self._scheduler.offer(goal_id, key=key, urgency=urgency, now=current_time())
+        return self._scheduler.offer(goal_id, key=key, urgency=urgency, now=self._now())
 
     def carry_out(self, orders: Iterable[Order]) -> None:
         """Carry out the orders of the scheduler."""
@@ -114,7 +117,13 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
 
     def _leave(self, goal_id: GoalID) -> None:
         self._tell(goal_id)
-        self.carry_out(self._scheduler.leave(goal_id, current_time()))
+        self.carry_out(self._scheduler.leave(goal_id, self._now()))
+
+    def _now(self) -> float:
+        """Return the time; 0 if no rule of the schedule needs it, because anyio takes a while to
+        find the clock.
+        """
+        return current_time() if self._reads_clock else 0.0
 
     async def _keep_time(self) -> None:
         while True:

@@ -53,10 +53,10 @@ class ExpiringMap(Generic[T]):
 
         With `also_new`, the oldest entry is removed in any case.
         """
-        is_due = also_new or self.next_expiry <= now or len(self._entries) > self._limit
-        if not (is_due and self._entries):
-            return None
-        return self._entries.popitem(last=False)[1][1]
+        entries = self._entries
+        if entries and (also_new or len(entries) > self._limit or self.next_expiry <= now):
+            return entries.popitem(last=False)[1][1]
+        return None
 
     @property
     def next_expiry(self) -> float:

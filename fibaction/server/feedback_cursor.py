@@ -41,9 +41,7 @@ class FeedbackCursor(GoalStream):
         "stamp",
     )
 
-    def __init__(
-        self, log: FeedbackLog, start: int, *, feedback: bool, own: bool, hold: bool
-    ) -> None:
+    def __init__(self, log: FeedbackLog, start: int, feedback: bool, own: bool, hold: bool) -> None:
         self.goal_id = log.goal.goal_id
         self.stamp = log.goal.stamp
         self.latest = log.latest

@@ -87,7 +87,6 @@ class FeedbackLog:
     def __init__(
         self,
         goal: GoalRecord,
-        *,
         window: int = 1,
         latest: bool = False,
         budget: ByteBudget = UNLIMITED,
@@ -216,7 +215,8 @@ class FeedbackLog:
         """
         start = self.count if after is None else min(max(after, 0), self.count)
         hold = own and feedback and not self.latest
-        cursor = FeedbackCursor(self, start, feedback=feedback, own=own, hold=hold)
+        # Without names, which Python would first collect in a dict.
+        cursor = FeedbackCursor(self, start, feedback, own, hold)
         if feedback:
             self._readers = with_member(self._readers, cursor)
             self.set_holding(cursor)

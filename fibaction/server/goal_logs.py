@@ -63,9 +63,8 @@ class GoalLogs:
 
     def open(self, goal: GoalRecord) -> FeedbackLog:
         """Return the log of a goal that was accepted just now."""
-        log = self._active[goal.goal_id] = FeedbackLog(
-            goal, window=self._window, latest=self._latest, budget=self._registry.budget
-        )
+        budget = self._registry.budget
+        log = self._active[goal.goal_id] = FeedbackLog(goal, self._window, self._latest, budget)
         return log
 
     def tell_status(self, log: FeedbackLog) -> None:

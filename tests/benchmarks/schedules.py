@@ -160,10 +160,10 @@ async def growth(name: str, schedule: Schedule, steps: list[Step], rounds: int) 
                     taken = await microseconds(step, queue)
                     if number:  # the first round fills caches
                         found[step.__name__].append(taken)
-    for step, taken in few.items():
-        ratios = [after / before for before, after in zip(taken, many[step], strict=True)]
+    for called, before in few.items():
+        ratios = [high / low for low, high in zip(before, many[called], strict=True)]
         print(
-            f"{name}, {step}: {median(taken):.0f} us with {FEW} that wait, and with {MANY:,}"
+            f"{name}, {called}: {median(before):.0f} us with {FEW} that wait, and with {MANY:,}"
             f" {median(ratios):.2f} times as much ({min(ratios):.2f} to {max(ratios):.2f})"
         )
 
