@@ -283,10 +283,7 @@ class Scheduler:
             first = group.first()
             if first is None or not self._has_place(group):
                 continue  # it is listed again when a goal of the group arrives or leaves
-            if first.urgency == urgency:
-                orders.append(self._start(first, now))
-            else:
-                self._push_head(group)
+            orders.append(self._start(first, now))
         return orders
 
     def _push_head(self, group: Group) -> None:

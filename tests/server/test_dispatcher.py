@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
@@ -309,11 +309,24 @@ def answers(answer: object) -> Callable[[Goal], Any]:
     return lambda goal: answer if goal.order else 0
 
 
+class Later:
+    """A value that is hashable, and has to be awaited, as a future is."""
+
+    def __await__(self) -> Generator[None, None, int]:
+        yield
+        return 1
+
+
 @pytest.mark.parametrize(
     ("name", "function", "reason"),
     [
         ("key", raises, "key failed: ValueError: no such joint"),
         ("key", answers([]), "key failed: TypeError: unhashable type: 'list'"),
+        (
+            "key",
+            answers(Later()),
+            "key failed: TypeError: it returned something to await, and not a value",
+        ),
         (
             "key",
             answers(math.nan),
