@@ -179,7 +179,10 @@ class Attempts:
                 if not self._is_retried(exc):
                     raise
                 error = exc
-            await self._pause(error, lost)
+            try:
+                await self._pause(error, lost)
+            finally:
+                del error  # its traceback references this frame
 
     async def _send(self, goal: bytes, feedback: bool) -> GoalStream:
         before, self._may_run = self._may_run, True
@@ -208,7 +211,7 @@ class Attempts:
 
     async def _pause(self, error: ActionError, lost: GoalStream | None) -> None:
         """Wait before the next attempt."""
-        retry, self._error = self._retry, error
+        retry, self._error = self._retry, copy_of(error)  # without a traceback, which holds `self`
         assert retry is not None
         self._count += 1
         delay = retry.delay_before(self._count)

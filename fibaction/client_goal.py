@@ -117,7 +117,10 @@ class FeedbackReader(Generic[FeedbackT]):
                 return await attempts.wait(stream, wait)
             except ConnectionLost as exc:
                 error = exc
-            self.stream = await attempts.follow_again(error, stream)
+            try:
+                self.stream = await attempts.follow_again(error, stream)
+            finally:
+                del error  # its traceback references this frame
             self._dropped += stream.dropped
             if not self._holding:
                 self.stream.hold(False)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import math
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
 from typing import Any
+from weakref import ref
 
 import anyio
 import pytest
@@ -72,7 +74,10 @@ class Scripted(ForwardingEndpoint):
             with anyio.CancelScope(shield=True):
                 await anyio.sleep(step)
         if isinstance(step, Exception):
-            raise step
+            try:
+                raise step
+            finally:
+                del step  # its traceback references this frame
 
     async def send_goal(self, goal_id: GoalID, goal: bytes, **options: Any) -> GoalStream:
         self.timeouts.append(options["timeout"])
@@ -478,3 +483,19 @@ async def test_a_cancellation_in_a_pause_cancels_a_goal_that_may_run(
         with anyio.move_on_after(0.1):
             await endpoint.client.call(Goal(1), retry=Retry())
     assert endpoint.calls == calls
+
+
+async def test_errors_that_are_retried_are_freed_without_the_garbage_collector() -> None:
+    async with ActionServer(FIBONACCI, slow) as server:
+        rejected, lost = ServerNotFound("not yet"), ConnectionLost("the line broke")
+        errors: list[ref[Exception]] = [ref(rejected), ref(lost)]
+        endpoint = Scripted(server, sends=[rejected], follows=[lost])
+        del rejected, lost
+        gc.collect()
+        gc.disable()
+        try:
+            _, on_feedback = losing(endpoint, 1)
+            await endpoint.client.call(Goal(2), on_feedback=on_feedback, retry=Retry(attempts=9))
+            assert [error() for error in errors] == [None, None]
+        finally:
+            gc.enable()
