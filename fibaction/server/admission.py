@@ -174,10 +174,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             goal_id, stamp=time.time_ns(), sender=sender, deadline=offer.deadline
         )
         self._tell_decision(goal_id)
-        log = self._runs.add(goal, request)
-        if dispatcher is None:
-            self._runs.begin(goal_id)
-        else:
+        log = self._runs.add(goal, request, begin=dispatcher is None)
+        if dispatcher is not None:
             dispatcher.carry_out(orders)
         return log.follow(feedback=offer.feedback, own=True)
 

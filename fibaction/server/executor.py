@@ -73,6 +73,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         "_stall_timeout",
         "_steps",
         "_watch",
+        "goal",
         "handle",
         "is_interrupted",
     )
@@ -87,6 +88,8 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         watch: Watch,
     ) -> None:
         self.handle = handle
+        self.goal = log.goal
+        """The record of the goal that it runs now."""
         self._action = action
         self._executor = executor
         self._log = log
@@ -145,7 +148,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         """
         if self._result is not None:
             raise RuntimeError("take over a goal before the result of this one, not after it")
-        self.handle, self._log = handle, log
+        self.handle, self.goal, self._log = handle, log.goal, log
         self._owner = log.goal.sender.owner
 
     async def _run(self) -> Ending:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from weakref import WeakValueDictionary
 
 import anyio
@@ -52,7 +53,8 @@ class GoalLogs:
         self._registry = registry
         self._window = window
         self._latest = latest
-        self._active: dict[GoalID, FeedbackLog] = {}
+        self.find_active: Callable[[GoalID], FeedbackLog | None] = lambda _: None
+        """The function that returns the log of an active goal, and None for any other one."""
         self._unread: WeakValueDictionary[GoalID, FeedbackLog] = WeakValueDictionary()
         self._recent: deque[tuple[float, FeedbackLog]] = deque(maxlen=RECENT_GOALS)
         self._statuses = StatusBroadcast()
@@ -63,9 +65,7 @@ class GoalLogs:
 
     def open(self, goal: GoalRecord) -> FeedbackLog:
         """Return the log of a goal that was accepted just now."""
-        budget = self._registry.budget
-        log = self._active[goal.goal_id] = FeedbackLog(goal, self._window, self._latest, budget)
-        return log
+        return FeedbackLog(goal, self._window, self._latest, self._registry.budget)
 
     def tell_status(self, log: FeedbackLog) -> None:
         """Notify the followers of the goal, and of the statuses, of the goal's new status."""
@@ -75,13 +75,11 @@ class GoalLogs:
 
     def end(self, log: FeedbackLog, now: float) -> None:
         """Keep the log of a goal that has ended, for its followers only."""
-        goal_id = log.goal.goal_id
-        del self._active[goal_id]
         are_followed = self._statuses.is_followed
         if are_followed:
             self._recent.append((now + RECENT_TIME, log))
         if are_followed or log.is_followed:
-            self._unread[goal_id] = log
+            self._unread[log.goal.goal_id] = log
 
     def tell_outcome(self, log: FeedbackLog, now: float) -> None:
         """Notify the followers of the goal, and of the statuses, of the goal's end."""
@@ -123,7 +121,7 @@ class GoalLogs:
         return goal
 
     def _log_of(self, goal: GoalRecord) -> FeedbackLog:
-        log = self._active.get(goal.goal_id) or self._unread.get(goal.goal_id)
+        log = self.find_active(goal.goal_id) or self._unread.get(goal.goal_id)
         return log or FeedbackLog(goal)  # its feedback may not be kept any longer
 
     async def follow_statuses(self) -> StatusCursor:

@@ -97,6 +97,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._watch = watch
         self._runs: dict[GoalID, Run[GoalT, FeedbackT, ResultT]] = {}
         self._pool: TaskPool
+        logs.find_active = self._log_of
         self.on_left: Callable[[GoalID], None] | None = None
         """The function that is called when an executor is gone; None without a schedule."""
         self.succession: Succession[GoalT] | None = None
@@ -111,32 +112,36 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     # Start
 
-    def add(self, goal: GoalRecord, request: GoalT) -> FeedbackLog:
-        """Add an accepted goal, which waits until `begin`, and return its log."""
+    def add(self, goal: GoalRecord, request: GoalT, *, begin: bool) -> FeedbackLog:
+        """Add an accepted goal, and return its log. Unless it is to begin, it waits for `begin`."""
         log = self._logs.open(goal)
         handle = GoalHandle(goal, request, self.succession)
         execution = Execution(
             self._action, self._executor, handle, log, self._stall_timeout, self._watch
         )
-        self._runs[goal.goal_id] = Run(goal, log, execution)
+        run = self._runs[goal.goal_id] = Run(goal, log, execution)
         self._logs.tell_status(log)
+        if begin:
+            self._begin(run)
         return log
 
     def begin(self, goal_id: GoalID) -> None:
         """Run the executor of a goal that waits, beginning in the next turn of the event loop."""
         run = self._runs[goal_id]
-        run.is_waiting = False
         run.goal.place = NO_PLACE
-        self._pool.add(partial(self._run, run.execution), run.goal.sender.owner)
+        self._begin(run)
 
-    async def _run(
-        self, execution: Execution[GoalT, FeedbackT, ResultT], scopes: CancelOnce
-    ) -> None:
+    def _begin(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        run.is_waiting = False
+        self._pool.add(partial(self._run, run), run.goal.sender.owner)
+
+    async def _run(self, run: Run[GoalT, FeedbackT, ResultT], scopes: CancelOnce) -> None:
+        execution = run.execution
         try:
             if execution.handle.cancel_requested:
                 ending = Ending(EndKind.CANCELED)
             else:
-                self._execute(self._runs[execution.handle.goal_id])
+                self._execute(run)
                 ending = await execution.run(scopes)
         except BaseException as exc:
             # KeyboardInterrupt or SystemExit, which end the program.
@@ -146,7 +151,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     def _end(self, execution: Execution[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
         """Finish the goal that an executor has run last, unless it was killed."""
-        goal_id = execution.handle.goal_id
+        goal_id = execution.goal.goal_id
         run = self._runs.get(goal_id)
         # The ID of a goal that was killed may be that of another one by now.
         if run is not None and run.execution is execution:
@@ -157,6 +162,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def _execute(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         self._registry.execute(run.goal)
         self._logs.tell_status(run.log)
+
+    def _log_of(self, goal_id: GoalID) -> FeedbackLog | None:
+        run = self._runs.get(goal_id)
+        return None if run is None else run.log
 
     def handle_of(self, goal_id: GoalID) -> GoalHandle[GoalT]:
         """Return the handle of an active goal."""

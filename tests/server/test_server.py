@@ -421,9 +421,9 @@ async def test_what_is_to_end_python_itself_ends_the_goal_and_goes_on() -> None:
     server_runs = server._runs
     run_goal = server_runs._run
 
-    async def run_and_catch(execution: Any, scopes: CancelOnce) -> None:
+    async def run_and_catch(run: Any, scopes: CancelOnce) -> None:
         with pytest.raises(SystemExit):
-            await run_goal(execution, scopes)
+            await run_goal(run, scopes)
         scope.cancel()
 
     server_runs._run = run_and_catch  # type: ignore[method-assign]  # see above
