@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from enum import IntEnum
+from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
 import msgspec
@@ -84,8 +85,13 @@ class Sender(msgspec.Struct, frozen=True):
     """The address of the client, for example `127.0.0.1:51234`; empty if it has none."""
 
     def __str__(self) -> str:
-        name = excerpt(self.name)
-        return f"{name} at {self.address}" if name and self.address else name or self.address
+        return _sender_text(self.name, self.address)
+
+
+@lru_cache(maxsize=1000)  # it is in each line of a list of goals
+def _sender_text(name: str, address: str) -> str:
+    name = excerpt(name)
+    return f"{name} at {address}" if name and address else name or address
 
 
 UNKNOWN_SENDER = Sender()
