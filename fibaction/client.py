@@ -2,7 +2,7 @@
 
 A client calls the methods of an `Endpoint`, which may be a server in the same process or the client
 half of a transport. The client adds the types of the `Action`: it encodes goals, and decodes
-feedback and results. It keeps no state about goals but one set, `_blocks`.
+feedback and results. It keeps no state about goals but one table, `_blocks`, in the order of their beginning.
 
 Sending: `send_goal` returns a `SendingGoal`, which is both awaitable and an async context manager.
 Nothing is sent before one of the two begins. If the task is canceled while it waits for the answer,
@@ -44,7 +44,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         """The endpoint that the goals are sent to."""
         self.action = action
         self._thread = OwnThread()
-        self._blocks: set[SendingGoal[FeedbackT, ResultT]] = set()
+        self._blocks: dict[SendingGoal[FeedbackT, ResultT], None] = {}
 
     def send_goal(
         self, goal: GoalT, *, goal_id: GoalID | None = None, timeout: float | None = None

@@ -264,7 +264,7 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
         endpoint: Endpoint,
         goal_id: GoalID,
         sending: Coroutine[Any, Any, ClientGoal[FeedbackT, ResultT]],
-        blocks: set[SendingGoal[FeedbackT, ResultT]],
+        blocks: dict[SendingGoal[FeedbackT, ResultT], None],
         attempts: Attempts | None = None,
     ) -> None:
         """Prepare to send a goal; `blocks` are the open blocks of its client."""
@@ -279,11 +279,11 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
         return self._sending.__await__()
 
     async def __aenter__(self) -> ClientGoal[FeedbackT, ResultT]:
-        self._blocks.add(self)
+        self._blocks[self] = None
         try:
             self._goal = await self._sending
         except BaseException:
-            self._blocks.discard(self)
+            self._blocks.pop(self, None)
             raise
         return self._goal
 
@@ -296,7 +296,7 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
         assert self._goal is not None
         self._goal.close()
         if self in self._blocks:  # else `ActionClient.leave` has canceled the goal
-            self._blocks.discard(self)
+            del self._blocks[self]
             if not self._goal.status.is_terminal:
                 await self.leave()
 
