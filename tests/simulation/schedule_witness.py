@@ -10,7 +10,7 @@ from fibaction.goals import Sender
 from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.executor import Execution
 from fibaction.server.goal_record import Ending
-from fibaction.server.runs import Runs
+from fibaction.server.runs import Run, Runs
 from fibaction.server.scheduler import Busy
 from tests.simulation.facts import Life, Truth
 from tests.simulation.invariants import Record
@@ -22,7 +22,7 @@ AnyRuns = Runs[Any, Any, Any]
 def schedule_wrappers(record: Record) -> Iterator[tuple[type, str, Callable[[Any], Any]]]:
     """Yield methods of the product to be wrapped, each with the function that makes the wrapper."""
     yield Dispatcher, "offer", lambda real: _offering(real, record)
-    yield Runs, "begin", lambda real: _beginning(real, record)
+    yield Runs, "_begin", lambda real: _beginning(real, record)
     yield Runs, "interrupt", lambda real: _interrupting(real, record)
     yield Runs, "kill", lambda real: _killing(real, record)
     yield Runs, "take_over", lambda real: _taking_over(real, record)
@@ -48,13 +48,13 @@ def _offering(real: Any, record: Record) -> Any:
 
 
 def _beginning(real: Any, record: Record) -> Any:
-    def begin(self: AnyRuns, goal_id: GoalID) -> None:
-        truth = _truth_of(record, self, goal_id)
+    def _begin(self: AnyRuns, run: Run[Any, Any, Any]) -> None:
+        truth = record.truth(run.goal.goal_id, run.goal.stamp)
         if truth is not None:
             record.places.begun(truth)
-        real(self, goal_id)
+        real(self, run)
 
-    return begin
+    return _begin
 
 
 def _interrupting(real: Any, record: Record) -> Any:
