@@ -2,7 +2,7 @@
 
 A client calls the methods of an `Endpoint`, which may be a server in the same process or the client
 half of a transport. The client adds the types of the `Action`: it encodes goals, and decodes
-feedback and results. It keeps no state about goals but one table, `_blocks`, in the order of their beginning.
+feedback and results. It keeps no state about goals but one table, `_blocks`, in their order.
 
 Sending: `send_goal` returns a `SendingGoal`, which is both awaitable and an async context manager.
 Nothing is sent before one of the two begins. If the task is canceled while it waits for the answer,
