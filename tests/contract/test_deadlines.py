@@ -39,6 +39,9 @@ Client = ActionClient[Goal, Feedback, Result]
 Items = AsyncGenerator[Feedback | Result, None]
 AT_ONCE = Retry(delay=0)
 
+ACCEPTED = 1.5
+"""Seconds of a timeout within which a goal is accepted, also over ROS 2 and on a busy machine."""
+
 
 class Steps:
     """An executor that yields feedback up to its order, and then waits until it is let go."""
@@ -112,13 +115,13 @@ async def test_a_timeout_tells_the_status_and_the_feedback_that_was_read(reach: 
     steps = Steps()
     async with reach(ActionServer(FIBONACCI, steps)) as client:
         with pytest.raises(GoalTimeout) as caught:
-            await client.call(Goal(3), timeout=0.5, on_feedback=lambda _: None)
+            await client.call(Goal(3), timeout=ACCEPTED, on_feedback=lambda _: None)
         await steps.canceled.wait()
     error = caught.value
     assert error.status is GoalStatus.EXECUTING
     assert (error.feedback, error.feedback_count) == (Feedback([3]), 3)
     assert str(error) == (
-        f"goal {error.goal_id} timed out: it took longer than 0.5 s, and was EXECUTING after 3"
+        f"goal {error.goal_id} timed out: it took longer than 1.5 s, and was EXECUTING after 3"
         " feedback messages"
     )
 
@@ -163,9 +166,9 @@ async def test_an_outcome_in_time_counts_however_late_it_is_read(reach: Reach) -
     async with reach(ActionServer(FIBONACCI, let_go())) as client:
         assert await client.call(Goal(2), timeout=30) == Result([2])
         sent_at = anyio.current_time()
-        async with client.send_goal(Goal(2), timeout=0.5) as goal:
+        async with client.send_goal(Goal(2), timeout=ACCEPTED) as goal:
             await goal.outcome()
-            await anyio.sleep_until(sent_at + 0.6)
+            await anyio.sleep_until(sent_at + ACCEPTED + 0.1)
             assert [item async for item in goal.feedback] == [Feedback([1]), Feedback([2])]
             assert await goal.result() == Result([2])
 
@@ -185,8 +188,8 @@ async def test_feedback_without_end_does_not_put_the_deadline_off(reach: Reach) 
 async def test_a_goal_that_no_task_waits_for_is_not_canceled(reach: Reach) -> None:
     steps = Steps()
     async with reach(ActionServer(FIBONACCI, steps)) as client:
-        goal = await client.send_goal(Goal(0), timeout=0.3)
-        await anyio.sleep_until(anyio.current_time() + 0.3)
+        goal = await client.send_goal(Goal(0), timeout=ACCEPTED)
+        await anyio.sleep_until(anyio.current_time() + ACCEPTED)
         assert not steps.canceled.is_set()
         with pytest.raises(GoalTimeout):
             await goal.result()
