@@ -112,7 +112,7 @@ class Watch:
         self.begun = current_time()
 
     def shows(self, seconds: float) -> bool:
-        """Whether so many seconds have passed."""
+        """Return whether so many seconds have passed."""
         passed: bool = current_time() - self.begun == pytest.approx(seconds)
         return passed
 

@@ -77,7 +77,7 @@ class Callbacks:
             GoalRejected, CancelRejected: The type is that of `rejection`, here or in the coroutine:
                 the callback raised it, failed, or returned a value, or the server is stopping.
         """
-        with self._failures_as(rejection, name):
+        with failures_as(rejection, name, self._action):
             answer: object = _called(callback, arguments)
             if isinstance(answer, Awaitable):
                 # Added here, so that `stop` reaches it even before the coroutine begins.
@@ -112,7 +112,7 @@ class Callbacks:
     ) -> None:
         token = _running.set((*_running.get(), (self, name, about)))
         try:
-            with self._failures_as(rejection, name):
+            with failures_as(rejection, name, self._action):
                 if scope.cancel_called:  # stopped before this coroutine began
                     if isinstance(awaitable, Coroutine):
                         awaitable.close()
@@ -125,17 +125,21 @@ class Callbacks:
             self._waiting.discard(scope)
             _running.reset(token)
 
-    @contextmanager
-    def _failures_as(self, rejection: _Rejection, name: str) -> Generator[None, None, None]:
-        """Raise the rejection, and log the failure, if the block raises another exception."""
-        try:
-            yield
-        except rejection:
-            raise
-        except Exception as exc:
-            reason = f"{name} failed: {text_of(exc)}"
-            logger.error("action %r: %s", self._action, reason, exc_info=exc)
-            raise rejection(reason) from exc
+
+@contextmanager
+def failures_as(rejection: _Rejection, name: str, action: str) -> Generator[None, None, None]:
+    """Raise the rejection, and log the failure, if the block raises another exception.
+
+    The block calls the function of that name, which a user has written for the action.
+    """
+    try:
+        yield
+    except rejection:
+        raise
+    except Exception as exc:
+        reason = f"{name} failed: {text_of(exc)}"
+        logger.error("action %r: %s", action, reason, exc_info=exc)
+        raise rejection(reason) from exc
 
 
 def _check(name: str, answer: object, rejection: _Rejection) -> None:

@@ -24,13 +24,13 @@ import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
-from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._text import excerpt
 from fibaction.action import FeedbackT, GoalT, ResultT
-from fibaction.exceptions import GoalRejected, text_of
+from fibaction.exceptions import GoalRejected
 from fibaction.goals import GoalID, Sender
 from fibaction.server._sender_argument import with_sender
+from fibaction.server.callbacks import failures_as
 from fibaction.server.goal_handle import GoalHandle, Succession
 from fibaction.server.runs import Runs
 from fibaction.server.schedule import Schedule
@@ -41,8 +41,6 @@ MOST_AT_ONCE = 200
 
 MANY, PLACES_TIME = 1000, 0.1
 """If more goals wait than that, the seconds for which their places are not computed again."""
-
-logger = clean_logger("fibaction.server")
 
 
 class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
@@ -145,19 +143,13 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
         Raises:
             GoalRejected: It raised this or another exception, or its answer cannot be used.
         """
-        try:
+        with failures_as(GoalRejected, name, self._action):
             answer = function(request, sender)
             if isinstance(answer, Awaitable):
                 if isinstance(answer, Coroutine):
                     answer.close()  # or Python warns that it was never awaited
                 raise TypeError("it returned something to await, and not a value")
             return check(answer)
-        except GoalRejected:
-            raise
-        except Exception as exc:
-            reason = f"{name} failed: {text_of(exc)}"
-            logger.error("action %r: %s", self._action, reason, exc_info=exc)
-            raise GoalRejected(reason) from exc
 
     def note_places(self) -> None:
         """Note in the records of waiting goals their places in the queue, for observers.

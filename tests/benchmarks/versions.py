@@ -21,7 +21,7 @@ import anyio
 from tests.benchmarks.program import ROOT, Program, program
 
 WORK = {"goals": 800, "batches": 2, "feedback": 5000}
-"""What each version does in a round, and how many times."""
+"""The work of each version in a round, and the number of times."""
 ORDERS = [f"{where} {work}" for where in ("inproc", "tcp") for work in WORK]
 WARM_UP = 5
 """First rounds of a process, which are not counted."""

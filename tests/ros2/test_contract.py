@@ -31,7 +31,6 @@ pytestmark = pytest.mark.anyio
 anyio_backend = contract.anyio_backend
 
 REASON = "ROS 2's answers have no field for a reason"
-PLACE = "a GoalStatus has no field for a place"
 AGAIN = "a second goal with the ID of another is rejected, as rcl_action does"
 DEFAULT = "every field has a value in ROS 2, so one that is left out has its default"
 TYPE = "an action without a ROS type cannot be served"
