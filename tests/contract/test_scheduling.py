@@ -201,7 +201,7 @@ async def test_the_most_urgent_goal_starts_first_and_preempts_none(reach: Reach)
         assert bench.started == [15, 31, 51, 43, 27]
 
 
-@pytest.mark.promise("SCHEDULE-11")
+@pytest.mark.promise("STATUS-9")
 async def test_a_list_of_goals_tells_the_places_of_those_that_wait(reach: Reach) -> None:
     bench = Bench()
     schedule = Schedule(concurrency=1, queue=5, priority=lambda goal: goal.order)
@@ -474,7 +474,7 @@ FUNCTIONS: dict[str, tuple[Schedule, str]] = {
 }
 
 
-@pytest.mark.promise("SCHEDULE-12")
+@pytest.mark.promise("SCHEDULE-11")
 @pytest.mark.parametrize("schedule", [case[0] for case in FUNCTIONS.values()], ids=list(FUNCTIONS))
 async def test_a_goal_is_rejected_if_a_function_of_the_schedule_fails(
     reach: Reach, schedule: Schedule, caplog: pytest.LogCaptureFixture
@@ -487,7 +487,7 @@ async def test_a_goal_is_rejected_if_a_function_of_the_schedule_fails(
     assert " failed: " in caplog.text
 
 
-@pytest.mark.promise("SCHEDULE-12")
+@pytest.mark.promise("SCHEDULE-11")
 async def test_a_function_of_the_schedule_may_reject_a_goal_itself(
     reach: Reach, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -507,7 +507,7 @@ async def test_a_function_of_the_schedule_may_reject_a_goal_itself(
     assert not caplog.records
 
 
-@pytest.mark.promise("SCHEDULE-12")
+@pytest.mark.promise("SCHEDULE-11")
 @pytest.mark.parametrize(("schedule", "reason"), FUNCTIONS.values(), ids=list(FUNCTIONS))
 async def test_a_goal_is_told_which_function_of_the_schedule_has_failed(
     reach: Reach, schedule: Schedule, reason: str
