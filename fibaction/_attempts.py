@@ -225,11 +225,13 @@ class Attempts:
         )
         try:
             await self._limit(lambda: self._sleep(delay), lost)
+            if self._retry is None:
+                raise error
         except get_cancelled_exc_class():
             await self.give_up()
             raise
-        if self._retry is None:
-            raise error
+        finally:
+            del error  # the cancellation that ends the pause may reference this frame
 
     async def _sleep(self, seconds: float) -> None:
         """Wait so long, or until there are to be no more attempts."""
