@@ -10,10 +10,12 @@
     ├── InvalidTransition     an event that a status does not allow: a bug in fibaction
     ├── ProtocolError         the peer sent an invalid message
     │   └── InvalidMessage        this side's message is too large or malformed; it was not sent
+    ├── StoreError            goals cannot be kept in the server's store
     └── TransportError        the server could not be reached as asked
         ├── InvalidURL            the URL is malformed, or has settings that cannot be used
         ├── ServerNotFound        the server is not there, or does not serve this action
         ├── ConnectionLost        the connection ended
+        │   └── GoalKept              the server has stopped, and keeps the goal in its store
         ├── AuthenticationFailed  the credentials or the permissions do not suffice
         ├── LimitReached          a limit of the server or of the client is reached
         └── ServerFailed          the server has a bug
@@ -162,6 +164,13 @@ class InvalidMessage(ProtocolError):
     """
 
 
+class StoreError(ActionError):
+    """Goals cannot be kept in the server's store: it cannot be opened, or cannot be written to.
+
+    A server whose store fails stops, and raises it. Clients do not get it.
+    """
+
+
 class TransportError(ActionError):
     """The server could not be reached as asked.
 
@@ -183,6 +192,10 @@ class ServerNotFound(TransportError):
 
 class ConnectionLost(TransportError):
     """The connection ended while something was waited for; goals may run on at the server."""
+
+
+class GoalKept(ConnectionLost):
+    """The server has stopped, and keeps the goal in its store for the next start."""
 
 
 class AuthenticationFailed(TransportError):

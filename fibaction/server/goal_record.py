@@ -31,6 +31,7 @@ class GoalRecord:
     """The record of one accepted goal."""
 
     __slots__ = (
+        "attempt",
         "changed",
         "deadline",
         "digest",
@@ -63,6 +64,9 @@ class GoalRecord:
         """The client that sent the goal, and owns it."""
         self.deadline = deadline
         """Time at which the client gives the goal up, by the event loop's clock."""
+        self.attempt = 1
+        """Number of the attempt that runs, or that comes next. A server without a store makes one.
+        """
         self.status: GoalStatus = INITIAL
         self.outcome: Outcome[bytes] | None = None
         """The outcome; None while the goal is active, and again after the server has forgotten it.
