@@ -384,4 +384,4 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
     def _accept_cancel(self, cancellation: Cancellation, goal: GoalRecord) -> None:
         before = goal.status
         if cancellation.accept(goal) and goal.status is not before:
-            self._runs.cancel(goal, interrupt=self._interrupt_on_cancel)
+            self._runs.cancel(goal, before, interrupt=self._interrupt_on_cancel)
