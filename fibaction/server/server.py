@@ -259,6 +259,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 await stack.enter_async_context(self._keeper.open(self._recovery.claim))
                 tasks.start_soon(self._recovery.run, name=f"recovery of {self.action.name}")
                 await self._recovery.recovered()
+                self._logs.ended.notify()  # some outcomes may have been found that expire
                 self._block = stack.enter_context(CancelScope())
             self._stack = stack.pop_all()
         self._phase = "running"
