@@ -91,6 +91,10 @@ class View:
         """Check the counts at the end of the feedback."""
         dropped -= self._dropped_before
         truth = self._record.truth(self.goal_id, self.stamp)
+        if truth is not None and truth.is_restored:
+            truth = self._truth_of_attempt()
+            if truth is None or truth.outcome is None or not truth.starts:
+                return  # the attempt that it has seen was lost
         if truth is None or truth.outcome is None:
             if self._status is not GoalStatus.UNKNOWN:
                 self._fail("feedback", "it ended before the goal did")
@@ -99,8 +103,6 @@ class View:
         stops = truth.life.stops_at <= self._record.now()
         if self._status is GoalStatus.UNKNOWN:
             return  # the client does not know the goal's end
-        if truth.is_restored and self._attempt != truth.attempt:
-            return  # it has seen another attempt
         if told != truth.count and self.goal_id not in self._record.sent_again:
             self._fail(
                 "feedback",

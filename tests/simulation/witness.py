@@ -63,7 +63,7 @@ def recorded(
         def wrap(cls: type, name: str, make: Callable[[Any], Any]) -> None:
             stack.enter_context(patch.object(cls, name, make(getattr(cls, name))))
 
-        wrap(GoalRegistry, "add", lambda real: _accepting(real, record))
+        wrap(GoalRegistry, "accept", lambda real: _accepting(real, record))
         wrap(GoalRegistry, "restore", lambda real: _restoring(real, record))
         wrap(GoalRegistry, "execute", lambda real: _executing(real, record))
         wrap(GoalRegistry, "finish", lambda real: _finishing(real, record))
@@ -86,13 +86,13 @@ def recorded(
 
 
 def _accepting(real: Any, record: Record) -> Any:
-    def add(self: GoalRegistry, goal: GoalRecord) -> None:
+    def accept(self: GoalRegistry, goal: GoalRecord) -> None:
         real(self, goal)
         life = record.life_of(self)
         record.accepted(life, goal.goal_id, goal.stamp, str(goal.sender))
         life.goals[goal.goal_id, goal.stamp].goal = goal
 
-    return add
+    return accept
 
 
 def _restoring(real: Any, record: Record) -> Any:
