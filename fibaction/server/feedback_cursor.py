@@ -31,6 +31,7 @@ class FeedbackCursor(GoalStream):
         "_stalled",
         "_statuses_told",
         "_wanted",
+        "attempt",
         "cursor",
         "goal_id",
         "holding",
@@ -46,6 +47,7 @@ class FeedbackCursor(GoalStream):
         self.stamp = log.goal.stamp
         self.latest = log.latest
         self.own = own
+        self.attempt = log.goal.attempt
         self.cursor = start
         self.reads = feedback
         self._stalled = False

@@ -114,7 +114,9 @@ class GoalRecord:
         """Return the goal as an entry of a list, with this status."""
         place, length = self.place if status is INITIAL else NO_PLACE
         sender, count = str(self.sender), self.feedback_count
-        return GoalInfo(self.goal_id, self.stamp, status, count, sender, place, length)
+        return GoalInfo(
+            self.goal_id, self.stamp, status, count, sender, place, length, self.attempt
+        )
 
 
 class EndKind(Enum):

@@ -97,9 +97,14 @@ def send(request: int, goal_id: bytes = A, credit: int | None = ANY) -> SendGoal
 
 
 def follow(
-    after: int | None, *, own: bool = True, request: int = 1, credit: int | None = ANY
+    after: int | None,
+    *,
+    own: bool = True,
+    request: int = 1,
+    credit: int | None = ANY,
+    attempt: int = 1,
 ) -> Follow:
-    return Follow(request, "fibonacci", A, after, own, credit)
+    return Follow(request, "fibonacci", A, after, own, credit, attempt)
 
 
 def kinds(messages: list[Any]) -> list[type]:
