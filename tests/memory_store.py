@@ -211,14 +211,12 @@ class MemoryJournal(GoalJournal):
             if self._writes[0].due > -math.inf:
                 await sleep_until(self._writes[0].due)
             for _ in range(len(self._writes)):
-                write = self._writes[0]
-                if write.due > current_time() or self._store.is_holding:
+                if self._writes[0].due > current_time() or self._store.is_holding:
                     break
-                error = self._carry_out(write)
+                error = self._carry_out(self._writes[0])
                 if self.is_dead:
                     return
-                self._writes.popleft()
-                write.then(error)
+                self._writes.popleft().then(error)
             if not self._writes:
                 self._empty.notify()
             await checkpoint()  # what was written by the answers is answered in the next turn

@@ -27,6 +27,7 @@ from fibaction import (
     UnknownGoal,
 )
 from fibaction.server.goal_record import GoalRecord
+from fibaction.server.recovery import LEAST_TIME
 from fibaction.states import TRANSITIONS
 from tests.simulation.facts import EPSILON, ClientState, Life, Truth, short
 from tests.simulation.keeping import Keeping
@@ -211,6 +212,8 @@ class Record:
     def _may_run_again(self, truth: Truth, now: float) -> bool:
         if not self._has_expired(truth, now):
             return False
+        if truth.is_restored:
+            return True  # its server has no stream for the client that has waited for it
         if truth.goal_id in self.sent_again or truth.goal_id in self.copied:
             return True
         return self.was_orphaned_for(truth.goal_id, self.scenario.server.grace)
@@ -284,12 +287,15 @@ class Record:
         if not self._has_expired(truth, now):
             return False
         # A server keeps one stream for a client, and gives it to the next request.
-        is_shared = goal_id in self.sent_again
+        is_shared = goal_id in self.sent_again or truth.is_restored
         return not own or is_shared or self.was_orphaned_for(goal_id, self.scenario.server.grace)
 
     def _has_expired(self, truth: Truth, now: float) -> bool:
         server, ended = self.scenario.server, truth.life.ended
-        if now >= truth.ended_at + server.result_timeout - EPSILON:
+        expires_at = truth.ended_at + server.result_timeout
+        if truth.is_restored:  # its client may not have been back for long
+            expires_at = max(expires_at, truth.life.began_at + LEAST_TIME)
+        if truth.outcome is not None and now >= expires_at - EPSILON:
             return True
         later = len(ended) - 1 - ended.index(truth) if truth in ended else 0
         return truth.outcome is not None and later >= server.max_results

@@ -207,7 +207,7 @@ class World:
             watchdog=0,  # its thread reads the real clock, by which a run may be stopped for long
         )
 
-    def _server_transport(self) -> SimulatedTransport:
+    def _server_transport(self, life: Life) -> SimulatedTransport:
         plan = self.scenario.server
 
         may = {hostile.name: hostile.may for hostile in self.scenario.hostile}
@@ -223,13 +223,19 @@ class World:
         tokens = {HONEST_TOKEN: "honest", HOSTILE_TOKEN: "hostile"}
         access = AccessPolicy(tokens if plan.asks_for_tokens else None, rules[plan.authorize])
         terms = ServerSettings(plan.heartbeat, access, self.limits, plan.orphans, plan.grace)
-        return SimulatedTransport(self.network, terms=terms, calls_back=self.scenario.calls_back)
+        return SimulatedTransport(
+            self.network,
+            terms=terms,
+            calls_back=self.scenario.calls_back,
+            is_alive=lambda: not life.is_dead,
+        )
 
     async def _live(self, after: float) -> None:
         """Run a server, from its start until it is stopped or killed."""
         self._lives += 1
         await anyio.sleep(after)
-        while self._store is not None and self._store.journals:
+        store, host = self._store, self.network.host
+        while store is not None and (store.journals or host.listener is not None):
             await anyio.sleep(0.01)  # the server before it stops
         server = self._new_server()
         self._stop = anyio.Event()
@@ -240,7 +246,7 @@ class World:
             self.record.lives.append(life)
             self.record.tell(f"server {life.number} starts")
             try:
-                async with serve(server, self._server_transport()):
+                async with serve(server, self._server_transport(life)):
                     await stop.wait()
             except StoreError as error:
                 self.record.tell(f"server {life.number} fails: {error}")
