@@ -163,13 +163,15 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         if keeper is None or stored is None:
             self._begin(run)
         elif not stored.is_running:
+            run.is_waiting = False  # it has its place, and gives it back by `_leave`
             keeper.begin(run.goal, partial(self._begin, run))
         else:
             self._begin(run)
 
     def _begin(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
-        if run.goal.is_over:
-            return  # it was canceled while its begin was written
+        if run.goal.is_over:  # it was killed while its begin was written
+            self._leave(run.goal.goal_id)
+            return
         run.is_waiting = False
         self._pool.add(partial(self._run, run), run.goal.sender.owner)
 
