@@ -235,7 +235,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         old.execution.go_on_as(new.execution.handle, new.log)
         new.execution, new.is_waiting = old.execution, False
         if self._keeper is not None:
-            self._keeper.begin(new.goal)
+            # The executor runs already. Nothing of this attempt may be told before it is kept: the
+            # next attempt would have the same number.
+            new.log.is_hidden = True
+            self._keeper.begin(new.goal, new.log.reveal)
         self._finish(old, Ending(EndKind.CANCELED, reason=f"preempted by {successor}"))
         self._execute(new)
 
