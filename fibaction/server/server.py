@@ -261,6 +261,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 tasks.start_soon(self._recovery.run, name=f"recovery of {self.action.name}")
                 stack.push_async_callback(self._stop_early)
                 await self._recovery.recovered()
+                if self._keeper.failure is not None:
+                    raise copy_of(self._keeper.failure)
                 self._logs.ended.notify()  # some outcomes may have been found that expire
                 stack.enter_context(self._block)
             self._stack = stack.pop_all()
@@ -410,6 +412,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     def _check_running(self) -> None:
         if self._phase not in ("running", "stopping"):
             raise ServerNotFound(f"the action server {self.action.name!r} is not running")
+        if self._keeper is not None:
+            self._keeper.check()
 
     def __repr__(self) -> str:
         return f"<ActionServer {self.action.name!r} {self._phase} goals={len(self._runs)}>"
