@@ -212,10 +212,9 @@ class RemoteGoal(Call, GoalStream):
     # Attempts
 
     def _take_attempt(self, attempt: int) -> None:
-        """Number the feedback that arrives from now on anew."""
+        """Begin to count anew: the feedback that arrives from now on is of another attempt."""
         if self._earlier and not self._items:
-            # The attempt between the two has nothing to read: a server could make ever more.
-            self._dropped += self._last
+            # The attempt between the two had no feedback. A server could tell ever more of them.
             self._earlier[-1] = self._earlier[-1]._replace(next_attempt=attempt)
         else:
             self._earlier.append(_Earlier(self._items, self._last, attempt))
