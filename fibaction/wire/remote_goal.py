@@ -76,7 +76,6 @@ class RemoteGoal(Call, GoalStream):
         self.goal_id = goal_id
         self.stamp = 0
         self.latest = False
-        self.attempt = 1
         self.cursor = 0
         self._opening = opening
         self._window = window
@@ -84,6 +83,7 @@ class RemoteGoal(Call, GoalStream):
         self._deadline = deadline
         self._status = GoalStatus.UNKNOWN
         self._outcome: Outcome[bytes] | None = None
+        self._attempt = 1
         self._newest = 1  # the attempt of the feedback that arrives
         self._last = 0  # the number of the feedback that arrived last
         self._start = 0
@@ -100,6 +100,10 @@ class RemoteGoal(Call, GoalStream):
     @property
     def status(self) -> GoalStatus:
         return self._status
+
+    @property
+    def attempt(self) -> int:
+        return self._attempt
 
     @property
     def dropped(self) -> int:
@@ -206,7 +210,7 @@ class RemoteGoal(Call, GoalStream):
             self._is_answered = True
             self._status = message.status
             self.stamp, self.latest = message.stamp, message.latest
-            self.attempt = self._newest = message.attempt
+            self._attempt = self._newest = message.attempt
             self.cursor = self._start = self._last = message.place
 
     # Attempts
@@ -229,7 +233,7 @@ class RemoteGoal(Call, GoalStream):
             if self.reads:
                 self.cursor = earlier.last
             self._dropped = self.dropped
-            self.attempt = earlier.next_attempt
+            self._attempt = earlier.next_attempt
             self.cursor = self._start = self._delivered = 0
         return self._earlier[0].items if self._earlier else self._items
 
