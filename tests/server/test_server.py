@@ -708,6 +708,8 @@ async def test_a_goal_sent_again_is_the_senders_own_only_if_it_was_the_first_to_
             True,
             False,
         ]
+        assert server.owner_of(goal_id) == b"arm"
+        assert server.owner_of(GoalID.random()) == b""
         executor.go.set()
 
 
