@@ -20,6 +20,7 @@ from fibaction.exceptions import (
     ConnectionLost,
     GoalAborted,
     GoalCanceled,
+    GoalKept,
     GoalRejected,
     GoalTimeout,
     InvalidMessage,
@@ -29,6 +30,7 @@ from fibaction.exceptions import (
     ProtocolError,
     ServerFailed,
     ServerNotFound,
+    StoreError,
     TransportError,
     UnknownGoal,
 )
@@ -44,6 +46,8 @@ from fibaction.goals import (
 from fibaction.retry import Retry
 from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
 from fibaction.states import GoalEvent, GoalStatus
+from fibaction.stores.goal_store import GoalStore
+from fibaction.stores.sqlite_store import SqliteStore
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.settings import Limits
 
@@ -71,8 +75,10 @@ __all__ = [
     "GoalHandle",
     "GoalID",
     "GoalInfo",
+    "GoalKept",
     "GoalRejected",
     "GoalStatus",
+    "GoalStore",
     "GoalTimeout",
     "InvalidMessage",
     "InvalidTransition",
@@ -89,6 +95,8 @@ __all__ = [
     "SendingGoal",
     "ServerFailed",
     "ServerNotFound",
+    "SqliteStore",
+    "StoreError",
     "Transport",
     "TransportError",
     "UnknownGoal",
