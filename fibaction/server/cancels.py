@@ -129,4 +129,4 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
     def _accept_cancel(self, cancellation: Cancellation, goal: GoalRecord) -> None:
         before = goal.status
         if cancellation.accept(goal) and goal.status is not before:
-            self._runs.cancel(goal, interrupt=self._interrupt)
+            self._runs.cancel(goal, before, interrupt=self._interrupt)

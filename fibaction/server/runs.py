@@ -231,21 +231,26 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     # Stop
 
-    def cancel(self, goal: GoalRecord, *, interrupt: bool) -> None:
-        """Tell followers that a goal is CANCELING, and interrupt its executor if `interrupt`.
+    def cancel(self, goal: GoalRecord, before: GoalStatus, *, interrupt: bool) -> None:
+        """Tell followers that a goal is CANCELING, which was `before`, and interrupt its executor
+        if `interrupt`.
 
         A goal that waits ends at once.
         """
         run = self._runs[goal.goal_id]
-        tell = partial(self._logs.tell_status, run.log)
         if self._keeper is None:
-            tell()
+            self._logs.tell_status(run.log)
         else:
-            self._keeper.cancel(goal, tell)
+            goal.before_cancel = before
+            self._keeper.cancel(goal, partial(self._tell_cancel, run))
         if run.is_waiting:
             self._end(run.execution, Ending(EndKind.CANCELED))
         elif interrupt:
             run.execution.interrupt()
+
+    def _tell_cancel(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        run.goal.before_cancel = None
+        self._logs.tell_status(run.log)
 
     def interrupt(self, goal_id: GoalID, reason: str) -> None:
         """End a goal as ABORTED for that reason: interrupt its executor if it has begun."""

@@ -271,11 +271,14 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             if self._dispatcher is not None:
                 self._dispatcher.open(tasks)
             if self._keeper is not None:
+                self._block = CancelScope()  # the store may fail at the first write
                 tasks.start_soon(self._keeper.run, name=f"store of {self.action.name}")
                 await stack.enter_async_context(self._keeper.open(self._recovery.claim))
                 tasks.start_soon(self._recovery.run, name=f"recovery of {self.action.name}")
+                stack.push_async_callback(self._stop_early)
                 await self._recovery.recovered()
-                self._block = stack.enter_context(CancelScope())
+                self._logs.ended.notify()  # some outcomes may have been found that expire
+                stack.enter_context(self._block)
             self._stack = stack.pop_all()
         self._phase = "running"
         self._started.notify()
@@ -301,6 +304,13 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             is_over = await self._stack.__aexit__(exc_type, exc, traceback)
         if self._keeper is not None and self._keeper.failure is not None and (is_over or not exc):
             raise copy_of(self._keeper.failure)
+
+    async def _stop_early(self) -> None:
+        """Stop a server whose start was canceled, or has failed: it may run goals already."""
+        if self.is_new:
+            self._phase = "running"
+            with CancelScope(shield=True):
+                await self.stop()
 
     def _give_up(self) -> None:
         """Cancel the block, because the store has failed; `__aexit__` does the rest."""
