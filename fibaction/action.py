@@ -133,9 +133,13 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         goal: type[GoalT],
         feedback: type[FeedbackT],
         result: type[ResultT],
+        checkpoint: type[Any] | None = None,
         type_name: str = "",
     ) -> None:
         """Define an action.
+
+        `checkpoint` is the type of the states that its executor keeps in the server's store, to go
+        on from after a crash; None if it keeps none. Clients do not see it.
 
         `name` follows ROS 2's rule: parts of letters, digits and `_`, separated by `/`; a part does
         not start with a digit. `type_name` is the ROS 2 type, `package/action/Type`; empty if the
@@ -155,6 +159,7 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         self.goal: Codec[GoalT] = Codec(goal)
         self.feedback: Codec[FeedbackT] = Codec(feedback, f"feedback of action {name!r}")
         self.result: Codec[ResultT] = Codec(result, f"the result of action {name!r}")
+        self.checkpoint: Codec[Any] | None = None if checkpoint is None else Codec(checkpoint)
         self._info: ActionInfo | None = None
         for one in self.feedback.classes:
             for other in self.result.classes:
@@ -185,6 +190,7 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         action.goal = Codec(anything)
         action.feedback = Codec(anything, f"feedback of action {info.name!r}")
         action.result = Codec(anything, f"the result of action {info.name!r}")
+        action.checkpoint = None
         return action
 
     @classmethod

@@ -14,6 +14,11 @@ A goal that is sent again while it is being decided waits for the decision, and 
 with its ID. They wait for that goal alone: `_decisions` has one notifier per undecided goal, made
 by the first task that waits.
 
+With a store, an acceptance is written before the goal is accepted and anything is told. Until then
+the goal counts as undecided; its place in the schedule is taken already. If the call is canceled
+meanwhile, the goal is accepted all the same. `_AcceptanceInWriting` has what is to be done when the
+write is durable. Answers to cancels wait for all writes before them.
+
 A cancel goes through `cancel`. The registry says which goals it means; `on_cancel` is called for
 each of them, for `MOST_AT_ONCE` concurrently, because one slow answer should not delay the cancels
 of other goals. A client may cancel all goals as often as it likes, so the work is done in slices.
@@ -22,7 +27,8 @@ of other goals. A client may cancel all goals as often as it likes, so the work 
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Coroutine
+from collections.abc import Awaitable, Coroutine, Sequence
+from contextvars import copy_context
 from typing import Any, Generic, NamedTuple
 
 from anyio import Semaphore, create_task_group, current_time
@@ -32,7 +38,13 @@ from fibaction._notify import Notifier
 from fibaction._slices import Slices
 from fibaction._text import excerpt, shortened
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
-from fibaction.exceptions import CancelRejected, GoalRejected, ProtocolError
+from fibaction.exceptions import (
+    CancelRejected,
+    GoalKept,
+    GoalRejected,
+    ProtocolError,
+    StoreError,
+)
 from fibaction.goals import CancelAnswer, GoalID, Sender
 from fibaction.server._sender_argument import GoalFunction, with_sender
 from fibaction.server.callbacks import SERVER_STOPPING, Callback, Callbacks
@@ -40,11 +52,12 @@ from fibaction.server.cancellation import Cancellation
 from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.goal_handle import GoalHandle
+from fibaction.server.goal_keeper import STORE_FAILED, GoalKeeper
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.goal_record import GoalRecord
 from fibaction.server.registry import GoalRegistry, Verdict
-from fibaction.server.runs import Runs
-from fibaction.server.scheduler import Busy
+from fibaction.server.runs import GOAL_IS_TAKEN, Runs
+from fibaction.server.scheduler import Act, Busy, Order
 from fibaction.states import GoalStatus
 
 MOST_AT_ONCE = 100
@@ -61,6 +74,24 @@ class Offer(NamedTuple):
     feedback: bool
     sender: Sender
     deadline: float
+
+
+class _AcceptanceInWriting:
+    """The acceptance of a goal that the store does not have yet."""
+
+    __slots__ = ("is_left", "stream")
+
+    def __init__(self) -> None:
+        self.stream: FeedbackCursor | None = None
+        """The stream of the goal, once it is accepted."""
+        self.is_left = False
+        """True if the call that has sent the goal does not wait any longer."""
+
+    def leave(self) -> None:
+        """Wait no longer: the call was canceled."""
+        self.is_left = True
+        if self.stream is not None:
+            self.stream.close()
 
 
 class Admission(Generic[GoalT, FeedbackT, ResultT]):
@@ -83,12 +114,17 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._runs = runs
         self._logs = logs
         self._dispatcher = dispatcher
+        self._keeper: GoalKeeper | None = None
         self._on_goal = None if on_goal is None else with_sender("on_goal", on_goal)
         self._on_cancel = on_cancel
         self._interrupt_on_cancel = interrupt_on_cancel
         self._callbacks = Callbacks(action.name)
         self._decisions: dict[GoalID, Notifier] = {}
         self._is_closed = False
+
+    def keep_by(self, keeper: GoalKeeper) -> None:
+        """Write acceptances and cancels through this keeper before they are told."""
+        self._keeper = keeper
 
     def close(self) -> None:
         """Reject all goals from now on, and all that are still undecided."""
@@ -102,8 +138,11 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
 
         Raises:
             GoalRejected: The goal is rejected at once.
+            GoalKept: The store has failed.
         """
         goal_id = offer.goal_id
+        if self._keeper is not None:
+            self._keeper.check()
         if self._is_closed:
             raise GoalRejected(SERVER_STOPPING, goal_id=goal_id)
         verdict = self._registry.admit(goal_id, offer.goal, now=current_time())
@@ -150,7 +189,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
     ) -> FeedbackCursor:
         try:
             await asking
-            return self._accept(offer, request)
+            accepted = self._accept(offer, request)
         except GoalRejected as exc:
             raise self._reject(offer.goal_id, exc.reason) from None
         except Busy as exc:
@@ -158,6 +197,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         except BaseException:
             self._withdraw(offer.goal_id)
             raise
+        return accepted if isinstance(accepted, FeedbackCursor) else await accepted
 
     def _decode(self, goal: bytes) -> GoalT:
         try:
@@ -165,19 +205,79 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         except ProtocolError as exc:
             raise GoalRejected(str(exc)) from exc
 
-    def _accept(self, offer: Offer, request: GoalT) -> FeedbackCursor:
+    def _accept(
+        self, offer: Offer, request: GoalT
+    ) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
+        """Accept a goal, and return its stream; with a store, a coroutine that waits for it."""
         if self._is_closed:
             raise GoalRejected(SERVER_STOPPING)
         goal_id, sender, dispatcher = offer.goal_id, offer.sender, self._dispatcher
         orders = () if dispatcher is None else dispatcher.offer(goal_id, request, sender)
-        goal = self._registry.accept(
+        goal = self._registry.prepare(
             goal_id, stamp=time.time_ns(), sender=sender, deadline=offer.deadline
         )
+        if self._keeper is not None:
+            return self._write_acceptance(self._keeper, offer, request, goal, orders)
+        self._registry.add(goal)
         self._tell_decision(goal_id)
         log = self._runs.add(goal, request, begin=dispatcher is None)
         if dispatcher is not None:
             dispatcher.carry_out(orders)
         return log.follow(feedback=offer.feedback, own=True)
+
+    # Acceptance with a store
+
+    def _write_acceptance(
+        self,
+        keeper: GoalKeeper,
+        offer: Offer,
+        request: GoalT,
+        goal: GoalRecord,
+        orders: Sequence[Order],
+    ) -> Coroutine[Any, Any, FeedbackCursor]:
+        """Begin to write an acceptance, and return the wait for the stream of the goal."""
+        acceptance, context = _AcceptanceInWriting(), copy_context()
+
+        def accept() -> None:
+            self._registry.add(goal)
+            begin = self._dispatcher is None and not self._is_closed
+            log = self._runs.add(goal, request, begin=begin, context=context)
+            acceptance.stream = log.follow(feedback=offer.feedback, own=True)
+            if acceptance.is_left:
+                acceptance.stream.close()
+            self._tell_decision(goal.goal_id)
+            if self._dispatcher is not None:
+                self._dispatcher.accepted(goal.goal_id, orders)
+
+        is_running = self._dispatcher is None
+        if self._dispatcher is not None:
+            self._dispatcher.hold(goal.goal_id)
+            is_running = any(order.act is Act.START for order in orders)
+        write = keeper.accept(goal, offer.goal, is_running=is_running, then=accept)
+        return self._await_acceptance(keeper, write, acceptance)
+
+    async def _await_acceptance(
+        self, keeper: GoalKeeper, write: int, acceptance: _AcceptanceInWriting
+    ) -> FeedbackCursor:
+        try:
+            await keeper.kept(write)
+        except StoreError:
+            raise GoalKept(STORE_FAILED) from None
+        except BaseException:
+            acceptance.leave()
+            raise
+        if acceptance.stream is None:
+            raise GoalKept(GOAL_IS_TAKEN)
+        return acceptance.stream
+
+    def lose(self, goal_id: GoalID) -> None:
+        """Let go of a goal that belongs to another server by now."""
+        if self._registry.is_undecided(goal_id):
+            self._withdraw(goal_id)
+            if self._dispatcher is not None:
+                self._dispatcher.withdraw(goal_id)
+        else:
+            self._runs.lose(goal_id)
 
     def _reject(self, goal_id: GoalID, reason: str) -> GoalRejected:
         """Reject a goal, and return the error to raise."""
@@ -229,6 +329,9 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
                 await slices.pause()
         else:
             await self._cancel_together(cancellation)
+        if self._keeper is not None:
+            await self._keeper.settled()
+            self._keeper.check()
         return cancellation.answer()
 
     async def _cancel_together(self, cancellation: Cancellation) -> None:
@@ -251,7 +354,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
 
     def _cancel(self, cancellation: Cancellation, goal: GoalRecord) -> Awaitable[None] | None:
         """Cancel a goal, or have it rejected; return the answer to wait for if it takes time."""
-        if not goal.status.is_active:
+        if goal.is_over or not goal.status.is_active:
             return None  # it has ended since it was chosen
         if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
             self._callbacks.check_not_within("on_cancel", goal.goal_id, "cancels")

@@ -30,8 +30,8 @@ class Cancellation:
         self._length = 0
 
     def accept(self, goal: GoalRecord) -> bool:
-        """Move the goal to CANCELING, and return True; return False if it has ended meanwhile."""
-        if not goal.status.is_active:
+        """Move the goal to CANCELING, and return True; return False if its end is fixed by now."""
+        if goal.is_over or not goal.status.is_active:
             return False
         if goal.status is not GoalStatus.CANCELING:
             goal.status = transition(goal.status, GoalEvent.CANCEL_GOAL)
@@ -76,7 +76,7 @@ def cancellation_of(
         goal = find(goal_id)
         if goal is None:
             return Cancellation((), CancelCode.UNKNOWN_GOAL_ID)
-        candidates = (goal,) if goal.status.is_active else ()
+        candidates = () if goal.is_over or not goal.status.is_active else (goal,)
         return Cancellation(candidates, CancelCode.GOAL_TERMINATED)
     if not stamp:
         return Cancellation(tuple(active), CancelCode.NONE)

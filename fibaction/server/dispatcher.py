@@ -8,6 +8,9 @@ stands between them. `Admission` asks it for a place (`offer`) before it accepts
 the orders back (`carry_out`) when the goal is accepted, so that no goal gives way to one that is
 rejected after all. `Runs` tells it when a goal has left (`_leave`), which frees the place.
 
+With a store, a goal has its place while its acceptance is still being written, and `Runs` does not
+have it yet. Orders for such a goal are held back (`hold`), and carried out when it is accepted.
+
 One task, `_keep_time`, waits for the next time at which an order is due. It is woken only if that
 time becomes earlier.
 
@@ -67,6 +70,7 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
         )
         self._wake_at = math.inf
         self._successor_news: dict[GoalID, Notifier] = {}
+        self._held: dict[GoalID, list[Order]] = {}  # for goals that are not accepted yet
         self._placed_at = -math.inf
         self._is_closed = False
         runs.on_left = self._leave
@@ -89,20 +93,51 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
             Busy: There is no place to run or to wait.
             GoalRejected: The function `key` or `priority` of the schedule rejects it, or failed.
         """
+        key, urgency = self._rank(request, sender)
+        return self._scheduler.offer(goal_id, key=key, urgency=urgency, now=self._now())
+
+    def offer_again(self, goal_id: GoalID, request: GoalT, sender: Sender) -> list[Order]:
+        """Find a place for a goal that an earlier process has accepted: it waits if it cannot run,
+        also in a full queue.
+
+        Raises:
+            GoalRejected: As for `offer`.
+        """
+        key, urgency = self._rank(request, sender)
+        return self._scheduler.restore(goal_id, key=key, urgency=urgency, now=self._now())
+
+    def _rank(self, request: GoalT, sender: Sender) -> tuple[Hashable, float]:
+        """Return the key and the urgency of a goal."""
         key: Hashable = None
         urgency = 0.0
         if self._key is not None:
             key = self._answer("key", _hashable, self._key, request, sender)
         if self._priority is not None:
             urgency = self._answer("priority", _number, self._priority, request, sender)
-        return self._scheduler.offer(goal_id, key=key, urgency=urgency, now=self._now())
+        return key, urgency
+
+    def hold(self, goal_id: GoalID) -> None:
+        """Hold back all orders for a goal, until `accepted` or `withdraw`."""
+        self._held[goal_id] = []
+
+    def accepted(self, goal_id: GoalID, orders: Iterable[Order]) -> None:
+        """Carry out the orders of the offer, and those that were held back since."""
+        self.carry_out((*orders, *self._held.pop(goal_id, ())))
+
+    def withdraw(self, goal_id: GoalID) -> None:
+        """Free the place of a goal that is not accepted after all."""
+        self._held.pop(goal_id, None)
+        self._leave(goal_id)
 
     def carry_out(self, orders: Iterable[Order]) -> None:
         """Carry out the orders of the scheduler."""
         if self._is_closed:
             return
-        for act, goal_id, reason in orders:
-            if act is Act.START:
+        for order in orders:
+            act, goal_id, reason = order
+            if self._held and goal_id in self._held:
+                self._held[goal_id].append(order)
+            elif act is Act.START:
                 self._runs.begin(goal_id)
             elif act is Act.TELL:
                 self._tell(goal_id)
@@ -161,7 +196,8 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
         if not self._is_closed and (is_fast or now >= self._placed_at + PLACES_TIME):
             self._placed_at = now
             for goal_id, place in self._scheduler.places().items():
-                self._runs.record_of(goal_id).place = place
+                if (record := self._runs.record_of(goal_id)) is not None:
+                    record.place = place
 
     # As a succession
 
@@ -170,7 +206,9 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
         if self._is_closed or self._runs.is_interrupted(goal_id):
             return None
         successor = self._scheduler.successor(goal_id)
-        return None if successor is None else self._runs.handle_of(successor)
+        if successor is None or successor in self._held:
+            return None
+        return self._runs.handle_of(successor)
 
     def news_of(self, goal_id: GoalID) -> Notifier:
         return self._successor_news.setdefault(goal_id, Notifier())

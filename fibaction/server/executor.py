@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
-from contextvars import copy_context
+from contextvars import Context, copy_context
 from time import perf_counter
 from types import AsyncGeneratorType
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
@@ -86,6 +86,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         log: FeedbackLog,
         stall_timeout: float,
         watch: Watch,
+        context: Context | None = None,
     ) -> None:
         self.handle = handle
         self.goal = log.goal
@@ -98,7 +99,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._owner = log.goal.sender.owner
         self._result: bytes | None = None
         # The context variables of the call that sent the goal, as a task of its own would have.
-        self._context = copy_context()
+        self._context = context or copy_context()
         self.is_interrupted = False
         """True if a cancellation was sent to the executor."""
         self._scopes: CancelOnce | None = None

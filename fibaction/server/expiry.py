@@ -34,8 +34,12 @@ class ExpiringMap(Generic[T]):
 
     def put(self, goal_id: GoalID, value: T, now: float) -> None:
         """Add an entry, whose time begins now. Call `pop` afterwards to keep the limit."""
+        self.put_until(goal_id, value, now + self._seconds)
+
+    def put_until(self, goal_id: GoalID, value: T, until: float) -> None:
+        """Add an entry that expires then. It is freed after all entries that were added before."""
         self._entries.pop(goal_id, None)  # an old entry would keep its place in the order
-        self._entries[goal_id] = (now + self._seconds, value)
+        self._entries[goal_id] = (until, value)
 
     def discard(self, goal_id: GoalID) -> T | None:
         """Remove the entry, if there is one, and return its value."""
@@ -61,5 +65,5 @@ class ExpiringMap(Generic[T]):
     @property
     def next_expiry(self) -> float:
         """The time at which the next entry expires; `math.inf` if none does."""
-        # All are kept for the same time, so the oldest expires first.
+        # Those that are put expire in their order; one with a time of its own waits for its turn.
         return next(iter(self._entries.values()))[0] if self._entries else math.inf

@@ -49,6 +49,7 @@ import anyio
 from fibaction._budget import ByteBudget
 from fibaction._notify import Notifier
 from fibaction.abc import FeedbackItem
+from fibaction.exceptions import ActionError
 from fibaction.server._members import Members, with_member, without_member
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.goal_record import GoalRecord
@@ -205,6 +206,18 @@ class FeedbackLog:
         for other in others or ():
             if (left := other()) is not None:
                 left.news.notify()
+
+    def fail(self, error: ActionError) -> None:
+        """End the streams of all followers with an error: the goal does not end here."""
+        readers, self._readers = self._readers, ()
+        others, self._others = self._others, None
+        self._holders = ()
+        self.make_room()
+        for cursor in tuple(readers):
+            cursor.fail(error)
+        for other in others or ():
+            if (left := other()) is not None:
+                left.fail(error)
 
     def follow(
         self, *, feedback: bool = True, own: bool = False, after: int | None = None

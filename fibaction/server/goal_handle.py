@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Generic
+from typing import TYPE_CHECKING, Any, Generic
 
 from fibaction._notify import Notifier
 from fibaction.action import GoalT
@@ -11,6 +11,7 @@ from fibaction.states import GoalStatus
 
 if TYPE_CHECKING:
     from fibaction.goals import GoalID, Sender
+    from fibaction.server.checkpoints import Checkpoints
     from fibaction.server.goal_record import GoalRecord
 
 
@@ -37,14 +38,22 @@ class Succession(ABC, Generic[GoalT]):
 class GoalHandle(Generic[GoalT]):
     """One goal, as its executor sees it."""
 
-    __slots__ = ("_goal", "_succession", "request")
+    __slots__ = ("_checkpoints", "_goal", "_succession", "request", "restored")
 
     def __init__(
-        self, goal: GoalRecord, request: GoalT, succession: Succession[GoalT] | None = None
+        self,
+        goal: GoalRecord,
+        request: GoalT,
+        checkpoints: Checkpoints,
+        succession: Succession[GoalT] | None = None,
+        restored: Any = None,
     ) -> None:
         self.request = request
         """The goal that the client sent."""
+        self.restored = restored
+        """The last checkpoint of the attempt before this one; None if there is none."""
         self._goal = goal
+        self._checkpoints = checkpoints
         self._succession = succession
 
     @property
@@ -81,6 +90,39 @@ class GoalHandle(Generic[GoalT]):
     def cancel_requested(self) -> bool:
         """True if the goal is to stop: its cancel was accepted, or the server ends it."""
         return self._goal.status is GoalStatus.CANCELING or bool(self._goal.stop_reason)
+
+    # Beyond the life of the process
+
+    @property
+    def attempt(self) -> int:
+        """Number of this attempt at the goal, from 1.
+
+        There is more than one only with a store: after a crash of the server, or a planned restart.
+        """
+        return self._goal.attempt
+
+    async def checkpoint(self, state: Any) -> None:
+        """Keep a state in the server's store, and return when it is kept.
+
+        The next attempt at the goal gets it as `restored`: this one, or a later one. It replaces
+        the checkpoint before, and is encoded at once. Without a store nothing is kept, and nothing
+        is waited for.
+
+            async def paint(goal):
+                done = goal.restored or 0
+                while done < goal.request.strokes:
+                    await paint_one(done)
+                    done += 1
+                    await goal.checkpoint(done)
+                    yield Feedback(done)
+                yield Result()
+
+        Raises:
+            TypeError: The state is not of the type that the `Action` has for checkpoints.
+            RuntimeError: The goal has ended.
+            StoreError: It cannot be kept; the server stops.
+        """
+        await self._checkpoints.keep(self._goal, state)
 
     # The goal that comes next
 

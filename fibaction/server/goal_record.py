@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from enum import Enum
 from hashlib import blake2b
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from fibaction._budget import CountedBytes
 from fibaction.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.states import INITIAL, GoalStatus
+
+if TYPE_CHECKING:
+    from fibaction.stores.goal_store import StoredGoal
 
 NO_PLACE = (0, 0)
 """The place of a goal that does not wait."""
@@ -39,12 +43,14 @@ class GoalRecord:
         "feedback_count",
         "goal_id",
         "held",
+        "is_over",
         "outcome",
         "place",
         "sender",
         "stamp",
         "status",
         "stop_reason",
+        "stored",
     )
 
     def __init__(
@@ -71,6 +77,10 @@ class GoalRecord:
         self.outcome: Outcome[bytes] | None = None
         """The outcome; None while the goal is active, and again after the server has forgotten it.
         The log of the goal has its own reference, for those that still follow it."""
+        self.is_over = False
+        """True as soon as the outcome is fixed. The status follows when the end is kept."""
+        self.stored: StoredGoal | None = None
+        """The goal as its store has it; None without a store, and after the end."""
         self.held = held
         """The bytes that are held of the goal: its payload, then its result."""
         self.ended_at = 0

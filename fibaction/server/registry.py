@@ -35,7 +35,7 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -46,6 +46,9 @@ from fibaction.server.cancellation import Cancellation, cancellation_of
 from fibaction.server.expiry import ExpiringMap
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
 from fibaction.states import GoalEvent, GoalStatus, transition
+
+if TYPE_CHECKING:
+    from fibaction.stores.goal_store import StoredGoal
 
 ID_IN_USE = "its ID is in use by another goal"
 
@@ -160,21 +163,67 @@ class GoalRegistry:
     def accept(
         self, goal_id: GoalID, *, stamp: int, sender: Sender, deadline: float = math.inf
     ) -> GoalRecord:
-        """Accept an undecided goal, and return its record.
+        """Accept an undecided goal, and return its record: `prepare`, then `add`."""
+        goal = self.prepare(goal_id, stamp=stamp, sender=sender, deadline=deadline)
+        self.add(goal)
+        return goal
+
+    def prepare(
+        self, goal_id: GoalID, *, stamp: int, sender: Sender, deadline: float = math.inf
+    ) -> GoalRecord:
+        """Return the record with which an undecided goal is accepted later, by `add`.
 
         `stamp` is the wall clock's time in nanoseconds. The goal's own stamp is always later than
         that of every earlier goal, so that "accepted at or before" holds even if the clock is set
         back. `deadline` is the time, by the clock of `now`, at which the client gives the goal up.
         """
         self._last_stamp = max(stamp, self._last_stamp + 1)
-        digest, held = self._undecided.pop(goal_id)
-        goal = GoalRecord(goal_id, digest, self._last_stamp, sender, held, deadline)
-        earlier = self._ended.discard(goal_id)  # it may have expired without being freed yet
+        digest, held = self._undecided[goal_id]
+        return GoalRecord(goal_id, digest, self._last_stamp, sender, held, deadline)
+
+    def add(self, goal: GoalRecord) -> None:
+        """Accept an undecided goal with its record."""
+        del self._undecided[goal.goal_id]
+        earlier = self._ended.discard(goal.goal_id)  # it may have expired without being freed yet
         if earlier is not None:
             self._forget(earlier)
-        self._active[goal_id] = goal
+        self._active[goal.goal_id] = goal
         self._listing = None
+
+    def restore(
+        self, stored: StoredGoal, *, deadline: float = math.inf, until: float = math.inf
+    ) -> GoalRecord:
+        """Take a goal that was accepted by an earlier process, and return its record.
+
+        A goal that has ended is remembered until the time `until`.
+        """
+        goal_id, status = GoalID(stored.goal_id), stored.status
+        self._last_stamp = max(stored.stamp, self._last_stamp)
+        size = len(stored.goal) + len(stored.result or b"") + len(stored.reason)
+        held = CountedBytes(self.budget, size)
+        goal = GoalRecord(goal_id, stored.digest, stored.stamp, stored.sender, held, deadline)
+        goal.attempt = max(stored.attempt, 1)
+        self._listing = None
+        if status.is_terminal:
+            goal.status = status
+            goal.is_over, goal.outcome = True, Outcome(status, stored.result, stored.reason)
+            goal.feedback_count, goal.ended_at = stored.feedback_count, stored.ended_at
+            self._kept_bytes += size
+            self._ended.put_until(goal_id, goal, until)
+            return goal
+        goal.stored = stored
+        if status is GoalStatus.CANCELING:
+            goal.status = status
+        elif stored.attempt:  # followers know that it has begun, and a status never goes back
+            goal.status = GoalStatus.EXECUTING
+        self._active[goal_id] = goal
         return goal
+
+    def release(self, goal: GoalRecord) -> None:
+        """Forget an active goal that ends elsewhere, or after the next start of the server."""
+        del self._active[goal.goal_id]
+        goal.held = None
+        self._listing = None
 
     def reject(self, goal_id: GoalID, reason: str, *, now: float) -> None:
         """Reject an undecided goal; a retry gets the same answer."""

@@ -7,11 +7,14 @@ Each active goal has a `Run`: its record in the registry, its `FeedbackLog` and 
 `add` makes the run. `begin` adds it to the task pool, in which `_run` awaits the executor; with a
 schedule, a run may have to wait before that (`is_waiting`).
 
-The end of a goal has three steps, in `_finish` and nowhere else. `_fix_outcome` decides the
-outcome, which never changes afterwards. `_keep_outcome` makes it the goal's, and moves the goal
-from the active to the ended ones. Then `GoalLogs` notifies followers. All three run without a wait
-between them, so no part of the program sees a goal that is half ended. A store that keeps goals
-beyond the life of the process belongs into the second step: an outcome is kept before it is told.
+The end of a goal has two steps, in `_finish` and nowhere else. `_fix_outcome` decides the outcome,
+which never changes afterwards. `_tell_end` makes it the goal's, moves the goal from the active to
+the ended ones, and notifies followers. Without a store, one follows the other at once. With one,
+the outcome is written between them, and told when it is kept; no task waits for that. In the same
+way the begin of an attempt is written before the executor starts, and a cancel before it is told.
+
+A goal that is not to end here (`_let_go`) just leaves, and its streams fail: the server stops and
+keeps its goals, its store has failed, or another server has taken the goal over.
 
 An executor may end by itself, or because of a cancel (`cancel`), or because the server ends the
 goal for a reason of its own (`interrupt`, `stop`). Each interrupts it once. They differ in the
@@ -29,8 +32,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextvars import Context
 from functools import partial
-from typing import Generic
+from typing import Any, Generic
 
 import anyio
 from anyio import current_time
@@ -39,13 +43,16 @@ from anyio.abc import TaskGroup
 from fibaction._log import clean_logger
 from fibaction._slices import Slices
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.exceptions import GoalKept
 from fibaction.goals import GoalID, Outcome
 from fibaction.server._interruption import CancelOnce
 from fibaction.server._task_pool import TaskPool
 from fibaction.server._watchdog import Watch
+from fibaction.server.checkpoints import Checkpoints
 from fibaction.server.executor import Execution, Executor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_handle import GoalHandle, Succession
+from fibaction.server.goal_keeper import STORE_FAILED, GoalKeeper
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.goal_record import NO_PLACE, Ending, EndKind, GoalRecord
 from fibaction.server.registry import GoalRegistry
@@ -54,6 +61,8 @@ from fibaction.states import GoalStatus
 MOST_NAMED = 10
 """Goals that are named in the log when they are killed at the end; the others are counted."""
 
+GOAL_IS_KEPT = "the server has stopped, and runs the goal again after its next start"
+GOAL_IS_TAKEN = "another server has taken the goal over"
 CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
 
 logger = clean_logger("fibaction.server")
@@ -73,7 +82,7 @@ class Run(Generic[GoalT, FeedbackT, ResultT]):
         self.is_waiting = True
         """True until the executor is to begin."""
         self.outcome: Outcome[bytes] | None = None
-        """The outcome once it is fixed; the goal's record has it once it is kept."""
+        """The outcome once it is fixed; the goal's record has it once it is told."""
 
 
 class Runs(Generic[GoalT, FeedbackT, ResultT]):
@@ -93,6 +102,9 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._executor = executor
         self._registry = registry
         self._logs = logs
+        self._keeper: GoalKeeper | None = None
+        self._checkpoints = Checkpoints(action.name, action.checkpoint)
+        self._kept_for = ""  # the reason of a stop that keeps the goals
         self._stall_timeout = stall_timeout
         self._watch = watch
         self._runs: dict[GoalID, Run[GoalT, FeedbackT, ResultT]] = {}
@@ -106,18 +118,34 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def __len__(self) -> int:
         return len(self._runs)
 
+    def keep_by(self, keeper: GoalKeeper) -> None:
+        """Write through this keeper."""
+        self._keeper = self._checkpoints.keeper = keeper
+
     def open(self, tasks: TaskGroup) -> None:
         """Use these tasks for executors."""
         self._pool = TaskPool(tasks, f"goal of {self._action.name}")
 
     # Start
 
-    def add(self, goal: GoalRecord, request: GoalT, *, begin: bool) -> FeedbackLog:
-        """Add an accepted goal, and return its log. Unless it is to begin, it waits for `begin`."""
+    def add(
+        self,
+        goal: GoalRecord,
+        request: GoalT,
+        *,
+        begin: bool,
+        context: Context | None = None,
+        restored: Any = None,
+    ) -> FeedbackLog:
+        """Add an accepted goal, and return its log. Unless it is to begin, it waits for `begin`.
+
+        Its executor runs with the context variables of `context`, or of the caller, and gets the
+        checkpoint `restored`.
+        """
         log = self._logs.open(goal)
-        handle = GoalHandle(goal, request, self.succession)
+        handle = GoalHandle(goal, request, self._checkpoints, self.succession, restored)
         execution = Execution(
-            self._action, self._executor, handle, log, self._stall_timeout, self._watch
+            self._action, self._executor, handle, log, self._stall_timeout, self._watch, context
         )
         run = self._runs[goal.goal_id] = Run(goal, log, execution)
         self._logs.tell_status(log)
@@ -127,11 +155,21 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     def begin(self, goal_id: GoalID) -> None:
         """Run the executor of a goal that waits, beginning in the next turn of the event loop."""
-        run = self._runs[goal_id]
+        run = self._runs.get(goal_id)
+        if run is None or run.goal.is_over:
+            return  # its end is being written
         run.goal.place = NO_PLACE
-        self._begin(run)
+        keeper, stored = self._keeper, run.goal.stored
+        if keeper is None or stored is None:
+            self._begin(run)
+        elif not stored.is_running:
+            keeper.begin(run.goal, partial(self._begin, run))
+        else:
+            self._begin(run)
 
     def _begin(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        if run.goal.is_over:
+            return  # it was canceled while its begin was written
         run.is_waiting = False
         self._pool.add(partial(self._run, run), run.goal.sender.owner)
 
@@ -154,8 +192,11 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         goal_id = execution.goal.goal_id
         run = self._runs.get(goal_id)
         # The ID of a goal that was killed may be that of another one by now.
-        if run is not None and run.execution is execution:
+        if run is not None and run.execution is execution and not run.goal.is_over:
             self._finish(run, ending)
+        self._leave(goal_id)
+
+    def _leave(self, goal_id: GoalID) -> None:
         if self.on_left is not None:
             self.on_left(goal_id)
 
@@ -171,9 +212,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """Return the handle of an active goal."""
         return self._runs[goal_id].execution.handle
 
-    def record_of(self, goal_id: GoalID) -> GoalRecord:
-        """Return the record of an active goal."""
-        return self._runs[goal_id].goal
+    def record_of(self, goal_id: GoalID) -> GoalRecord | None:
+        """Return the record of an active goal; None if it is not accepted yet."""
+        run = self._runs.get(goal_id)
+        return None if run is None else run.goal
 
     def is_interrupted(self, goal_id: GoalID) -> bool:
         """Return whether the executor of a goal was interrupted, or is gone."""
@@ -189,6 +231,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         old, new = self._runs[goal_id], self._runs[successor]
         old.execution.go_on_as(new.execution.handle, new.log)
         new.execution, new.is_waiting = old.execution, False
+        if self._keeper is not None:
+            self._keeper.begin(new.goal)
         self._finish(old, Ending(EndKind.CANCELED, reason=f"preempted by {successor}"))
         self._execute(new)
 
@@ -200,7 +244,11 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         A goal that waits ends at once.
         """
         run = self._runs[goal.goal_id]
-        self._logs.tell_status(run.log)
+        tell = partial(self._logs.tell_status, run.log)
+        if self._keeper is None:
+            tell()
+        else:
+            self._keeper.cancel(goal, tell)
         if run.is_waiting:
             self._end(run.execution, Ending(EndKind.CANCELED))
         elif interrupt:
@@ -209,7 +257,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def interrupt(self, goal_id: GoalID, reason: str) -> None:
         """End a goal as ABORTED for that reason: interrupt its executor if it has begun."""
         run = self._runs.get(goal_id)
-        if run is None:
+        if run is None or run.goal.is_over:
             return  # it has ended since it was chosen
         run.goal.stop_reason = run.goal.stop_reason or reason
         if run.is_waiting:
@@ -217,16 +265,34 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         else:
             run.execution.interrupt()
 
+    def end(self, goal_id: GoalID, ending: Ending) -> None:
+        """End a goal that waits."""
+        self._finish(self._runs[goal_id], ending)
+
+    def lose(self, goal_id: GoalID) -> None:
+        """Interrupt the executor of a goal that another server has taken over."""
+        run = self._runs.get(goal_id)
+        if run is not None:
+            self._let_go(run, GOAL_IS_TAKEN)
+            if run.is_waiting:
+                self._leave(goal_id)
+            else:
+                run.execution.interrupt()
+
     def kill(self, goal_id: GoalID, timeout: float) -> None:
         """Kill the executor of a goal that was interrupted `timeout` seconds ago."""
-        run = self._runs[goal_id]
-        self._warn_of_kill(run, timeout)
-        self._kill(run, for_good=False)
+        run = self._runs.get(goal_id)
+        if run is not None:
+            self._warn_of_kill(run, timeout)
+            self._kill(run, for_good=False)
 
-    async def stop(self, reason: str, timeout: float) -> None:
+    async def stop(self, reason: str, timeout: float, *, keep: bool) -> None:
         """Interrupt all executors for that reason, and wait until they have ended; kill those whose
         clean-up has not ended within `timeout` seconds.
+
+        With `keep`, their goals stay in the store, and do not end here.
         """
+        self._kept_for = reason if keep else ""
         try:
             slices = Slices()
             for goal_id in tuple(self._runs):
@@ -241,8 +307,14 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             finally:
                 self._pool.close()
 
+    def abandon_ends(self) -> None:
+        """Let go of goals whose end is being written: the store has failed."""
+        for run in tuple(self._runs.values()):
+            if run.goal.is_over:
+                self._let_go(run, STORE_FAILED)
+
     async def _kill_all(self, reason: str, timeout: float) -> None:
-        runs = tuple(self._runs.values())
+        runs = tuple(run for run in self._runs.values() if not run.goal.is_over)
         for run in runs:  # asyncio itself may have canceled the task before it came to all
             run.goal.stop_reason = run.goal.stop_reason or reason
         for run in runs[:MOST_NAMED]:
@@ -270,17 +342,50 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         )
 
     def _kill(self, run: Run[GoalT, FeedbackT, ResultT], *, for_good: bool) -> None:
-        if run.outcome is None:
-            self._finish(run, Ending(EndKind.FAILED, reason=run.goal.stop_reason))
+        if not run.goal.is_over:
+            self._finish(run, Ending(EndKind.FAILED, reason=run.goal.stop_reason), killed=True)
             run.execution.kill(for_good=for_good)
 
     # Finish
 
-    def _finish(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
-        now = current_time()
-        self._fix_outcome(run, ending)
-        self._keep_outcome(run, now)
-        self._logs.tell_outcome(run.log, now)
+    def _finish(
+        self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending, *, killed: bool = False
+    ) -> None:
+        keeper = self._keeper
+        if keeper is None:
+            self._fix_outcome(run, ending)
+            self._tell_end(run)
+        elif keeper.failure is not None:
+            self._let_go(run, STORE_FAILED)
+        elif self._is_kept(run.goal, ending, killed=killed):
+            self._release(keeper, run)
+        else:
+            self._fix_outcome(run, ending)
+            assert run.outcome is not None
+            keeper.end(run.goal, run.outcome, partial(self._tell_end, run))
+
+    def _is_kept(self, goal: GoalRecord, ending: Ending, *, killed: bool) -> bool:
+        """Return whether a goal stays in the store: it has not ended by itself."""
+        return (
+            bool(self._kept_for)
+            and goal.stop_reason == self._kept_for
+            and goal.status is not GoalStatus.CANCELING
+            and (killed or ending.kind is EndKind.CANCELED)
+        )
+
+    def _release(self, keeper: GoalKeeper, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        run.goal.is_over = True
+        if run.goal.stored is not None and run.goal.stored.is_running:
+            keeper.release(run.goal, partial(self._let_go, run, GOAL_IS_KEPT))
+        else:
+            self._let_go(run, GOAL_IS_KEPT)
+
+    def _let_go(self, run: Run[GoalT, FeedbackT, ResultT], reason: str) -> None:
+        run.goal.is_over = True
+        del self._runs[run.goal.goal_id]
+        self._registry.release(run.goal)
+        run.log.fail(GoalKept(reason))
+        self._logs.ended.notify()
 
     def _fix_outcome(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
         """Decide the outcome, which never changes afterwards."""
@@ -291,10 +396,13 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             reason = goal.stop_reason or ending.reason or CANCELED_UNASKED
             ending = Ending(EndKind.CANCELED, ending.result, reason)
         run.outcome = self._registry.outcome_for(goal, ending)
+        goal.is_over = True
 
-    def _keep_outcome(self, run: Run[GoalT, FeedbackT, ResultT], now: float) -> None:
-        """Make the outcome the goal's, for as long as results are kept."""
+    def _tell_end(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        """Make the outcome the goal's, for as long as results are kept, and tell it."""
         assert run.outcome is not None
+        now = current_time()
         self._registry.finish(run.goal, run.outcome, now=now, stamp=time.time_ns())
         del self._runs[run.goal.goal_id]
         self._logs.end(run.log, now)
+        self._logs.tell_outcome(run.log, now)

@@ -129,6 +129,20 @@ class Scheduler:
         self._entries[goal_id] = entry
         return orders
 
+    def restore(
+        self, goal_id: GoalID, *, key: Hashable = None, urgency: float = 0, now: float
+    ) -> list[Order]:
+        """Take a goal that was accepted before this scheduler began: it runs, or waits beyond any
+        limit.
+        """
+        group = self._groups.setdefault(key, Group(key))
+        self._arrivals += 1
+        entry = self._entries[goal_id] = Entry(goal_id, group, (urgency, self._arrivals), now)
+        if self._has_place(group):
+            return [self._start(entry, now)]
+        self._wait(entry)
+        return []
+
     def leave(self, goal_id: GoalID, now: float) -> list[Order]:
         """Give back the place of a goal that has ended; of an unknown one, nothing."""
         entry = self._entries.get(goal_id)

@@ -10,19 +10,20 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Awaitable, Coroutine
+from contextlib import AsyncExitStack
 from functools import partial
 from types import TracebackType
 from typing import Any, Generic, Literal, Self
 
 import anyio
-from anyio import create_task_group, current_time
+from anyio import CancelScope, create_task_group, current_time
 
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
-from fibaction.exceptions import ServerNotFound
+from fibaction.exceptions import ServerNotFound, copy_of
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
 from fibaction.server._sender_argument import GoalFunction
 from fibaction.server._watchdog import Watch
@@ -32,11 +33,14 @@ from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.executor import Executor
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.goal_handle import GoalHandle
+from fibaction.server.goal_keeper import GoalKeeper
 from fibaction.server.goal_logs import GoalLogs
+from fibaction.server.recovery import Recovery, RecoveryRule
 from fibaction.server.registry import MAX_BYTES, MAX_GOALS, GoalRegistry
 from fibaction.server.runs import Runs
 from fibaction.server.schedule import Schedule
 from fibaction.server.status_broadcast import StatusCursor
+from fibaction.stores.goal_store import GoalStore
 
 SERVER_STOPPED = "server stopped"
 
@@ -67,6 +71,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         max_bytes: int = MAX_BYTES,
         shutdown_timeout: float = 5.0,
         schedule: Schedule | None = None,
+        store: GoalStore | None = None,
+        recovery: RecoveryRule[GoalT] = "abort",
+        max_attempts: int = 3,
+        at_stop: Literal["abort", "keep"] = "abort",
         watchdog: float = 1.0,
     ) -> None:
         """Set up a server; nothing runs yet.
@@ -99,6 +107,17 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 Then they are killed, and those that do not end are abandoned about a second later.
             schedule: The rules by which accepted goals run, wait and give way; None to run all of
                 them at once.
+            store: The place in which goals outlive this process; None to keep them in memory only.
+            recovery: The rule for goals that were running when the server was killed, at its next
+                start with the same store. With `abort`, they end as ABORTED; with `rerun`, they
+                run again, from their last checkpoint if they have made one. A function is called
+                with the `GoalHandle` of each, and returns None to run it again, or raises
+                `GoalAborted`. Goals that have not begun run in any case.
+            max_attempts: The number of attempts that a goal may lose in this way; then it ends as
+                ABORTED.
+            at_stop: With `abort`, a server that stops ends its goals. With `keep`, it interrupts
+                their executors, and goals that do not end by themselves stay in the store: they run
+                again after the next start.
             watchdog: Seconds that an executor may block the event loop before the log names its
                 goal and its line of code; 0 is never. The time at a debugger's breakpoint counts,
                 and so may the time for which the computer sleeps or is too busy.
@@ -107,7 +126,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             TypeError: The action is untyped, or the executor is not callable, is a coroutine
                 function, or is a generator function that is not async; `on_goal` takes neither
                 one argument nor two; or the schedule is not a `Schedule`.
-            ValueError: A number is out of range, or `feedback` is not a policy.
+            ValueError: A number is out of range; `feedback`, `recovery` or `at_stop` is not one of
+                its words; or goals are to be kept at a stop without a store.
         """
         if object in action.feedback.classes:
             raise TypeError(
@@ -130,6 +150,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         ):
             if not value >= 0:
                 raise ValueError(f"{name} is 0 or more, not {value}")
+        _check_recovery(recovery, max_attempts)
+        if at_stop not in ("abort", "keep"):
+            raise ValueError(f"at_stop is 'abort' or 'keep', not {at_stop!r}")
         self.action = action
         registry = GoalRegistry(
             result_timeout=result_timeout,
@@ -137,6 +160,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             max_goals=max_goals,
             max_bytes=max_bytes,
         )
+        self._logs = GoalLogs(registry, window=feedback_window, latest=feedback == "latest")
+        self._watch = Watch(action.name, watchdog)
         self._logs = GoalLogs(registry, window=feedback_window, latest=feedback == "latest")
         self._watch = Watch(action.name, watchdog)
         self._runs = Runs(
@@ -158,9 +183,24 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             on_cancel=on_cancel,
             interrupt_on_cancel=interrupt_on_cancel,
         )
+        self._recovery = Recovery(
+            action,
+            registry,
+            self._runs,
+            self._dispatcher,
+            rule=recovery,
+            max_attempts=max_attempts,
+            keep_for=result_timeout,
+        )
+        self._keep_for, self._max_results = result_timeout, max_results
+        self._at_stop = at_stop
+        self._keeper: GoalKeeper | None = None
+        self._stack: AsyncExitStack
+        self._block: CancelScope
+        if store is not None:
+            self.keep_in(store)
         self._shutdown_timeout = shutdown_timeout
         self._started = Notifier()
-        self._background: Background
         self._phase: Literal["new", "running", "stopping", "stopped"] = "new"
 
     # Life
@@ -175,25 +215,52 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         """True if the server accepts goals: it was entered, and has not begun to stop."""
         return self._phase == "running"
 
+    def keep_in(self, store: GoalStore) -> None:
+        """Keep goals in this store, as with the argument `store`.
+
+        Raises:
+            RuntimeError: The server was started before, or has a store.
+            TypeError: It is not a `GoalStore`.
+        """
+        if not self.is_new or self._keeper is not None:
+            state = "was started before" if self._keeper is None else "has a store"
+            raise RuntimeError(f"{self!r} {state}; give the store to another one")
+        _check_is_store(store)
+        keeper = self._keeper = GoalKeeper(
+            store, self.action.name, keep_for=self._keep_for, max_results=self._max_results
+        )
+        self._runs.keep_by(keeper)
+        self._admission.keep_by(keeper)
+        keeper.on_lost = self._admission.lose
+        keeper.on_failure = self._give_up
+
     async def __aenter__(self) -> Self:
-        """Start the server.
+        """Start the server. With a store, take over its goals before anything else.
 
         Raises:
             RuntimeError: It was started before.
+            ValueError: Goals are to be kept at a stop, and there is no store.
+            StoreError: The store cannot be used.
         """
         if not self.is_new:
             raise RuntimeError(f"{self!r} was started before; make another one")
-        self._background = Background()
-        self._watch.open()
-        try:
-            tasks = await self._background.__aenter__()
-        except BaseException:
-            self._watch.close()
-            raise
-        tasks.start_soon(self._logs.forget_expired, name=f"expiry of {self.action.name}")
-        self._runs.open(tasks)
-        if self._dispatcher is not None:
-            self._dispatcher.open(tasks)
+        if self._at_stop == "keep" and self._keeper is None:
+            raise ValueError(f"{self!r} has at_stop='keep', which needs a store")
+        async with AsyncExitStack() as stack:
+            self._watch.open()
+            stack.callback(self._watch.close)
+            tasks = await stack.enter_async_context(Background())
+            tasks.start_soon(self._logs.forget_expired, name=f"expiry of {self.action.name}")
+            self._runs.open(tasks)
+            if self._dispatcher is not None:
+                self._dispatcher.open(tasks)
+            if self._keeper is not None:
+                tasks.start_soon(self._keeper.run, name=f"store of {self.action.name}")
+                await stack.enter_async_context(self._keeper.open(self._recovery.claim))
+                tasks.start_soon(self._recovery.run, name=f"recovery of {self.action.name}")
+                await self._recovery.recovered()
+                self._block = stack.enter_context(CancelScope())
+            self._stack = stack.pop_all()
         self._phase = "running"
         self._started.notify()
         return self
@@ -204,23 +271,33 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Stop, as `stop()` does. An exception of the block is raised as itself."""
+        """Stop, as `stop()` does. An exception of the block is raised as itself.
+
+        Raises:
+            StoreError: The store has failed, which has canceled the block.
+        """
         try:
             # In a task of its own: asyncio can cancel this one itself, which no scope shields.
-            with anyio.CancelScope(shield=True):
+            with CancelScope(shield=True):
                 async with create_task_group() as tasks:
                     tasks.start_soon(self.stop)
         finally:
-            try:
-                await self._background.__aexit__(exc_type, exc, traceback)
-            finally:
-                self._watch.close()
+            is_over = await self._stack.__aexit__(exc_type, exc, traceback)
+        if self._keeper is not None and self._keeper.failure is not None and (is_over or not exc):
+            raise copy_of(self._keeper.failure)
+
+    def _give_up(self) -> None:
+        """Cancel the block, because the store has failed; `__aexit__` does the rest."""
+        self._admission.close()
+        self._runs.abandon_ends()
+        self._block.cancel()
 
     async def stop(self) -> None:
         """Reject new goals, end all active ones, and answer every client that waits.
 
         Executors are interrupted, and have `shutdown_timeout` seconds for their clean-up. Their
-        goals end as ABORTED with the reason `server stopped`. Stopping twice is harmless.
+        goals end as ABORTED with the reason `server stopped`, or stay in the store: see `at_stop`.
+        Stopping twice is harmless.
 
         Cancel scopes do not interrupt it; if asyncio cancels the task itself, the time for the
         clean-up is over at once. An executor that awaits `stop()` waits for itself, and is killed
@@ -233,11 +310,22 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if self._dispatcher is not None:
             self._dispatcher.close()
         try:
-            await self._runs.stop(SERVER_STOPPED, self._shutdown_timeout)
+            await self._settle()  # what is accepted by then is among the goals to stop
+            await self._runs.stop(
+                SERVER_STOPPED, self._shutdown_timeout, keep=self._at_stop == "keep"
+            )
+            await self._settle()
         finally:
+            self._runs.abandon_ends()
             self._logs.close()
             self._phase = "stopped"
             logger.info("action server %r has stopped", self.action.name)
+
+    async def _settle(self) -> None:
+        """Wait until all that was written is kept, as long as a clean-up may take."""
+        if self._keeper is not None:
+            with anyio.move_on_after(self._shutdown_timeout, shield=True):
+                await self._keeper.settled()
 
     # The endpoint
 
@@ -306,6 +394,18 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
     def __repr__(self) -> str:
         return f"<ActionServer {self.action.name!r} {self._phase} goals={len(self._runs)}>"
+
+
+def _check_recovery(recovery: object, max_attempts: int) -> None:
+    if not (recovery in ("abort", "rerun") or callable(recovery)):
+        raise ValueError(f"recovery is 'abort', 'rerun' or a function, not {recovery!r}")
+    if max_attempts < 1:
+        raise ValueError(f"max_attempts is at least 1, not {max_attempts}")
+
+
+def _check_is_store(store: object) -> None:
+    if not isinstance(store, GoalStore):
+        raise TypeError(f"store is a GoalStore, such as SqliteStore(path), not {store!r}")
 
 
 def _check_is_schedule(schedule: object) -> None:

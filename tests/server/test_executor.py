@@ -18,6 +18,7 @@ from fibaction.abc import FeedbackItem
 from fibaction.goals import UNKNOWN_SENDER
 from fibaction.server._interruption import CancelOnce, Steps
 from fibaction.server._watchdog import Watch
+from fibaction.server.checkpoints import Checkpoints
 from fibaction.server.executor import Execution, Executor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord
@@ -48,7 +49,7 @@ class Bench:
         self.goal.status = GoalStatus.EXECUTING
         self.log = FeedbackLog(self.goal, window=window)
         self.stream = self.log.follow(own=True)
-        handle = GoalHandle(self.goal, Goal(order))
+        handle = GoalHandle(self.goal, Goal(order), Checkpoints("fibonacci", None))
         self.execution = Execution(
             FIBONACCI, executor, handle, self.log, stall_timeout, Watch(FIBONACCI.name, 0)
         )

@@ -1,0 +1,235 @@
+"""`GoalKeeper`: the server's side of its store, through which it writes about its goals, in order.
+
+Theory of operation
+-------------------
+
+The keeper makes the `StoredGoal` of a goal when it is accepted, brings it up to date at each step,
+and hands it to the journal of the store. Each write has a number. The store answers the writes in
+their order, from any code on the event loop; one task, `run`, then calls the functions that were
+given with the writes, so that they run as in any other task, and in slices. What is to be told only
+when it is kept, is told by such a function; `kept` and `settled` wait for writes.
+
+The first write that fails is the end: nothing was told about it, nothing is written any more, and
+`on_failure` stops the server. A goal that belongs to another server by now is lost for this one
+alone: `on_lost`.
+
+Without a store, a server has no keeper.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections import deque
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from functools import partial
+from heapq import heappop, heappush
+
+from anyio import current_time
+
+from fibaction._log import clean_logger
+from fibaction._notify import Notifier
+from fibaction._slices import Slices
+from fibaction.exceptions import GoalKept, StoreError, copy_of
+from fibaction.goals import GoalID, Outcome
+from fibaction.server.goal_record import GoalRecord
+from fibaction.states import GoalStatus
+from fibaction.stores.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
+
+OUTCOME_GRACE = 60.0
+"""Seconds for which a store keeps an outcome beyond the result timeout: the client may have waited
+for it while the server was away."""
+
+STORE_FAILED = "the server has stopped, because its store has failed"
+
+SECOND = 1_000_000_000
+
+logger = clean_logger("fibaction.server")
+
+Kept = Callable[[], None]
+"""A function that is called when a write is durable."""
+_Answer = tuple[GoalID, Kept | None, StoreError | None]
+
+
+class GoalKeeper:
+    """The writes of one server to its store."""
+
+    def __init__(self, store: GoalStore, action: str, *, keep_for: float, max_results: int) -> None:
+        """Keep outcomes for so many seconds, and so many of them at most."""
+        self._store = store
+        self._action = action
+        self._keep_for = keep_for
+        self._max_results = max_results
+        self._journal: GoalJournal
+        self._written = 0
+        self._answered = 0
+        self._answers: deque[_Answer] = deque()
+        self._news = Notifier()
+        self._waits: list[tuple[int, int, Notifier]] = []  # a heap, by the numbers of the writes
+        self._turns = itertools.count()
+        self.failure: StoreError | None = None
+        """The error of the first write that has failed."""
+        self.on_failure: Callable[[], None] = lambda: None
+        self.on_lost: Callable[[GoalID], None] = lambda _: None
+
+    @asynccontextmanager
+    async def open(self, claim: Callable[[StoredGoal], None]) -> AsyncGenerator[None, None]:
+        """Open the store for as long as the block lasts; `claim` is called for each stored goal.
+
+        Raises:
+            StoreError: The store cannot be used.
+        """
+        async with self._store.open(
+            self._action,
+            max_results=self._max_results,
+            claim=claim,
+            lose=lambda goal_id: self.on_lost(goal_id),
+        ) as self._journal:
+            yield
+
+    # Writes
+
+    def accept(self, goal: GoalRecord, payload: bytes, *, is_running: bool, then: Kept) -> int:
+        """Keep a goal that is about to be accepted, and return the number of the write."""
+        deadline = 0
+        if goal.deadline < math.inf:
+            deadline = time.time_ns() + int((goal.deadline - current_time()) * SECOND)
+        goal.stored = StoredGoal(
+            goal.goal_id,
+            goal.stamp,
+            goal.sender,
+            goal.digest,
+            payload,
+            deadline,
+            is_running=is_running,
+            attempt=int(is_running),
+        )
+        return self._write(self._journal.accept, goal, goal.stored, then)
+
+    def begin(self, goal: GoalRecord, then: Kept | None = None) -> None:
+        """Keep that an attempt at the goal begins."""
+        stored = _stored(goal)
+        stored.is_running, stored.attempt = True, goal.attempt
+        self._write(self._journal.begin, goal, stored, then)
+
+    def cancel(self, goal: GoalRecord, then: Kept) -> None:
+        """Keep that a cancel of the goal was accepted."""
+        stored = _stored(goal)
+        stored.status = GoalStatus.CANCELING
+        self._write(self._journal.cancel, goal, stored, then)
+
+    def checkpoint(self, goal: GoalRecord, state: bytes) -> int:
+        """Keep a checkpoint, and return the number of the write."""
+        stored = _stored(goal)
+        stored.checkpoint = state
+        return self._write(self._journal.checkpoint, goal, stored, None)
+
+    def end(self, goal: GoalRecord, outcome: Outcome[bytes], then: Kept) -> None:
+        """Keep the end of the goal."""
+        stored, goal.stored = _stored(goal), None
+        now = time.time_ns()
+        stored.status, stored.result, stored.reason = (
+            outcome.status,
+            outcome.result,
+            outcome.reason,
+        )
+        stored.is_running, stored.goal, stored.checkpoint = False, b"", None
+        stored.feedback_count, stored.ended_at = goal.feedback_count, now
+        if self._keep_for < math.inf:
+            stored.keep_until = now + int((self._keep_for + OUTCOME_GRACE) * SECOND)
+        self._write(self._journal.end, goal, stored, then)
+
+    def release(self, goal: GoalRecord, then: Kept) -> None:
+        """Keep that the goal is free, to be run again."""
+        stored = _stored(goal)
+        stored.is_running = False
+        self._write(self._journal.release, goal, stored, then)
+
+    def _write(
+        self,
+        method: Callable[[StoredGoal, Then], None],
+        goal: GoalRecord,
+        stored: StoredGoal,
+        then: Kept | None,
+    ) -> int:
+        self._written += 1
+        if self.failure is None:
+            method(stored, partial(self._answer, goal.goal_id, then))
+        return self._written
+
+    # Answers
+
+    def _answer(self, goal_id: GoalID, then: Kept | None, error: StoreError | None) -> None:
+        self._answers.append((goal_id, then, error))
+        if len(self._answers) == 1:
+            self._news.notify()
+
+    async def run(self) -> None:
+        """Carry out the answers of the store, until canceled."""
+        while True:
+            while not self._answers:
+                await self._news.wait()
+            slices = Slices()
+            while self._answers:
+                self._carry_out(*self._answers[0])
+                self._answers.popleft()
+                await slices.pause()
+
+    def _carry_out(self, goal_id: GoalID, then: Kept | None, error: StoreError | None) -> None:
+        if self.failure is not None:
+            return
+        self._answered += 1
+        if isinstance(error, GoalTaken):
+            self.on_lost(goal_id)
+        elif error is not None:
+            self._fail(error)
+        elif then is not None:
+            then()
+        while self._waits and self._waits[0][0] <= self._answered:
+            heappop(self._waits)[-1].notify()
+
+    def _fail(self, error: StoreError) -> None:
+        logger.error("action server %r stops: %s", self._action, error)
+        self.failure = error
+        for *_, news in self._waits:
+            news.notify()
+        self._waits.clear()
+        self.on_failure()
+
+    # Waits
+
+    def check(self) -> None:
+        """Check that the store has not failed.
+
+        Raises:
+            GoalKept: It has.
+        """
+        if self.failure is not None:
+            raise GoalKept(STORE_FAILED)
+
+    async def kept(self, write: int) -> None:
+        """Wait until the write of that number is durable.
+
+        Raises:
+            StoreError: It has failed, or one before it.
+        """
+        await self._wait(write)
+        if self.failure is not None:
+            raise copy_of(self.failure)
+
+    async def settled(self) -> None:
+        """Wait until all writes so far are durable, or one has failed."""
+        await self._wait(self._written)
+
+    async def _wait(self, write: int) -> None:
+        if self._answered < write and self.failure is None:
+            news = Notifier()
+            heappush(self._waits, (write, next(self._turns), news))
+            await news.wait()
+
+
+def _stored(goal: GoalRecord) -> StoredGoal:
+    assert goal.stored is not None
+    return goal.stored
