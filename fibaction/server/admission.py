@@ -218,7 +218,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         )
         if self._keeper is not None:
             return self._write_acceptance(self._keeper, offer, request, goal, orders)
-        self._registry.add(goal)
+        self._registry.accept(goal)
         self._tell_decision(goal_id)
         log = self._runs.add(goal, request, begin=dispatcher is None)
         if dispatcher is not None:
@@ -239,7 +239,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         acceptance, context = _AcceptanceInWriting(), copy_context()
 
         def accept() -> None:
-            self._registry.add(goal)
+            self._registry.accept(goal)
             begin = self._dispatcher is None and not self._is_closed
             log = self._runs.add(goal, request, begin=begin, context=context)
             acceptance.stream = log.follow(feedback=offer.feedback, own=True)

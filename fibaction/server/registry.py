@@ -10,7 +10,8 @@ does not log, and does not depend on executors, transports or the content of a p
 A goal that was sent is in one of four places:
 
 - *undecided*: `admit` has returned `Verdict.DECIDE`, and `accept`, `reject` or `withdraw` must
-  follow. Sending the goal again meanwhile gets `Verdict.WAIT`.
+  follow. Sending the goal again meanwhile gets `Verdict.WAIT`. `prepare` makes the record of a
+  goal, with its stamp, before it is accepted, so that it can be written first.
 - *rejected*: only its digest and the reason are kept, for the result timeout, so that a retry gets
   the same answer.
 - *active*: ACCEPTED, EXECUTING or CANCELING. Sending it again gets `Verdict.REPEAT`.
@@ -160,18 +161,10 @@ class GoalRegistry:
             return f"busy: goals and feedback would take {needed} bytes, the limit is {limit}"
         return ""
 
-    def accept(
-        self, goal_id: GoalID, *, stamp: int, sender: Sender, deadline: float = math.inf
-    ) -> GoalRecord:
-        """Accept an undecided goal, and return its record: `prepare`, then `add`."""
-        goal = self.prepare(goal_id, stamp=stamp, sender=sender, deadline=deadline)
-        self.add(goal)
-        return goal
-
     def prepare(
         self, goal_id: GoalID, *, stamp: int, sender: Sender, deadline: float = math.inf
     ) -> GoalRecord:
-        """Return the record with which an undecided goal is accepted later, by `add`.
+        """Return the record of an undecided goal, which `accept` then takes.
 
         `stamp` is the wall clock's time in nanoseconds. The goal's own stamp is always later than
         that of every earlier goal, so that "accepted at or before" holds even if the clock is set
@@ -181,7 +174,7 @@ class GoalRegistry:
         digest, held = self._undecided[goal_id]
         return GoalRecord(goal_id, digest, self._last_stamp, sender, held, deadline)
 
-    def add(self, goal: GoalRecord) -> None:
+    def accept(self, goal: GoalRecord) -> None:
         """Accept an undecided goal with its record."""
         del self._undecided[goal.goal_id]
         earlier = self._ended.discard(goal.goal_id)  # it may have expired without being freed yet

@@ -201,8 +201,9 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             self.on_left(goal_id)
 
     def _execute(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
-        self._registry.execute(run.goal)
-        self._logs.tell_status(run.log)
+        if run.goal.status is GoalStatus.ACCEPTED:  # else an earlier attempt has begun
+            self._registry.execute(run.goal)
+            self._logs.tell_status(run.log)
 
     def _log_of(self, goal_id: GoalID) -> FeedbackLog | None:
         run = self._runs.get(goal_id)
@@ -390,8 +391,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def _fix_outcome(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
         """Decide the outcome, which never changes afterwards."""
         goal = run.goal
-        if goal.status is GoalStatus.ACCEPTED:
-            self._execute(run)  # the table has no edge from ACCEPTED to an end
+        self._execute(run)  # the table has no edge from ACCEPTED to an end
         if ending.kind is EndKind.CANCELED and goal.status is GoalStatus.EXECUTING:
             reason = goal.stop_reason or ending.reason or CANCELED_UNASKED
             ending = Ending(EndKind.CANCELED, ending.result, reason)

@@ -197,11 +197,11 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._keeper: GoalKeeper | None = None
         self._stack: AsyncExitStack
         self._block: CancelScope
-        if store is not None:
-            self.keep_in(store)
         self._shutdown_timeout = shutdown_timeout
         self._started = Notifier()
         self._phase: Literal["new", "running", "stopping", "stopped"] = "new"
+        if store is not None:
+            self.keep_in(store)
 
     # Life
 

@@ -48,6 +48,7 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     deadline: int = 0
     """Time at which the client gives the goal up: nanoseconds since 1970; 0 if it does not."""
     status: GoalStatus = GoalStatus.ACCEPTED
+    """ACCEPTED, CANCELING, or an end; never EXECUTING, which `attempt` tells."""
     is_running: bool = False
     """True from the begin of an attempt until the goal ends or is released."""
     attempt: int = 0

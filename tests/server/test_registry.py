@@ -52,7 +52,9 @@ def accepted(
     now: float = 0.0,
 ) -> GoalRecord:
     assert registry.admit(goal_id, payload, now=now) is Verdict.DECIDE
-    return registry.accept(goal_id, stamp=stamp, sender=UNKNOWN_SENDER)
+    goal = registry.prepare(goal_id, stamp=stamp, sender=UNKNOWN_SENDER)
+    registry.accept(goal)
+    return goal
 
 
 def executing(registry: GoalRegistry, goal_id: GoalID, *, stamp: int = 1) -> GoalRecord:
@@ -126,7 +128,9 @@ def test_a_new_goal_is_to_be_decided_and_is_then_accepted() -> None:
     assert registry.admit(A, b"x", now=0.0) is Verdict.DECIDE
     assert registry.is_undecided(A)
     assert infos(registry) == []
-    goal = registry.accept(A, stamp=7, sender=UNKNOWN_SENDER)
+    goal = registry.prepare(A, stamp=7, sender=UNKNOWN_SENDER)
+    assert registry.is_undecided(A)
+    registry.accept(goal)
     assert not registry.is_undecided(A)
     assert goal.info == GoalInfo(A, 7, GoalStatus.ACCEPTED)
     assert goal.outcome is None
@@ -140,7 +144,7 @@ def test_the_list_of_goals_names_the_sender_of_each_as_far_as_it_is_known() -> N
     registry = GoalRegistry()
     accepted(registry, A)
     registry.admit(B, b"x", now=0.0)
-    registry.accept(B, stamp=1, sender=Sender("10.0.0.7:51234"))
+    registry.accept(registry.prepare(B, stamp=1, sender=Sender("10.0.0.7:51234")))
     assert [info.client for info in infos(registry)] == ["", "10.0.0.7:51234"]
 
 
@@ -867,7 +871,8 @@ class ProtocolMachine(RuleBasedStateMachine):
     def accept(self, number: int, step: int) -> None:
         goal_id = self.any_undecided(number)
         self.wall += step
-        goal = self.registry.accept(goal_id, stamp=self.wall, sender=UNKNOWN_SENDER)
+        goal = self.registry.prepare(goal_id, stamp=self.wall, sender=UNKNOWN_SENDER)
+        self.registry.accept(goal)
         assert goal.stamp > self.stamps[-1]
         assert goal.stamp == self.wall or self.wall <= self.stamps[-1]
         self.stamps.append(goal.stamp)

@@ -71,11 +71,9 @@ def recorded(
 
 
 def _accepting(real: Any, record: Record) -> Any:
-    def accept(self: GoalRegistry, goal_id: GoalID, **keywords: Any) -> GoalRecord:
-        goal: GoalRecord = real(self, goal_id, **keywords)
-        sender = str(keywords["sender"])
-        record.accepted(record.life_of(self), goal_id, goal.stamp, sender)
-        return goal
+    def accept(self: GoalRegistry, goal: GoalRecord) -> None:
+        real(self, goal)
+        record.accepted(record.life_of(self), goal.goal_id, goal.stamp, str(goal.sender))
 
     return accept
 
