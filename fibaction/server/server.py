@@ -251,12 +251,13 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             stack.callback(self._watch.close)
             tasks = await stack.enter_async_context(Background())
             tasks.start_soon(self._logs.forget_expired, name=f"expiry of {self.action.name}")
-            self._runs.open(tasks)
-            if self._dispatcher is not None:
-                self._dispatcher.open(tasks)
             if self._keeper is not None:
                 tasks.start_soon(self._keeper.run, name=f"store of {self.action.name}")
                 await stack.enter_async_context(self._keeper.open(self._recovery.claim))
+            self._runs.open(tasks)  # its tasks wait for `stop`, so nothing may fail before that
+            if self._dispatcher is not None:
+                self._dispatcher.open(tasks)
+            if self._keeper is not None:
                 tasks.start_soon(self._recovery.run, name=f"recovery of {self.action.name}")
                 await self._recovery.recovered()
                 self._block = stack.enter_context(CancelScope())
