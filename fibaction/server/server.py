@@ -199,6 +199,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._block: CancelScope
         self._shutdown_timeout = shutdown_timeout
         self._started = Notifier()
+        self.store: GoalStore | None = None
+        """The store that keeps the goals of this server; None if none does."""
         self._phase: Literal["new", "running", "stopping", "stopped"] = "new"
         if store is not None:
             self.keep_in(store)
@@ -226,6 +228,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             state = "was started before" if self._keeper is None else "has a store"
             raise RuntimeError(f"{self!r} {state}; give the store to another one")
         _check_is_store(store)
+        self.store = store
         keeper = self._keeper = GoalKeeper(
             store, self.action.name, keep_for=self._keep_for, max_results=self._max_results
         )
