@@ -373,6 +373,7 @@ async def print_through(folder: Path, url: str, number: signal.Signals | None) -
     async with connect(url, durable_print.PRINT) as client:
         with printing(folder, url) as process:
             await anyio.to_thread.run_sync(lines_until, "^serving", process)
+            await client.wait_for_server()
             goal = await client.send_goal(durable_print.Goal("gear", 8))
             waiting = await client.send_goal(durable_print.Goal("nut", 2))
             seen = []
