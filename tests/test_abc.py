@@ -115,7 +115,7 @@ class OneGoal(Endpoint):
         return self.stream
 
     async def feedback(
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False, attempt: int = 1
     ) -> GoalStream:
         assert not own, "asking for a result slows nothing down"
         if goal_id != KNOWN:

@@ -112,7 +112,7 @@ class Broken(Endpoint):
         return self.stream
 
     async def feedback(
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False, attempt: int = 1
     ) -> GoalStream:
         self.follows.append(goal_id)
         return self.stream

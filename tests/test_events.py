@@ -197,7 +197,7 @@ class Watched(ActionServer[Goal, Feedback, Result]):
         return self._told
 
     async def feedback(  # type: ignore[override]  # as above
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False, attempt: int = 1
     ) -> GoalStream:
         self.asked.append(after)
         assert self._error is not None

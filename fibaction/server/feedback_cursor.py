@@ -65,6 +65,10 @@ class FeedbackCursor(GoalStream):
         return self._log.goal.status
 
     @property
+    def attempt(self) -> int:
+        return self._log.goal.attempt
+
+    @property
     def dropped(self) -> int:
         return self._dropped
 

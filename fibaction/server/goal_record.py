@@ -99,7 +99,10 @@ class GoalRecord:
         """The goal as an entry of the status list."""
         place, length = self.place if self.status is INITIAL else NO_PLACE
         sender, count = str(self.sender), self.feedback_count
-        return GoalInfo(self.goal_id, self.stamp, self.status, count, sender, place, length)
+        attempt = self.attempt
+        return GoalInfo(
+            self.goal_id, self.stamp, self.status, count, sender, place, length, attempt
+        )
 
 
 class EndKind(Enum):

@@ -372,11 +372,20 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         return self._admission.offer(Offer(goal_id, goal, feedback, sender, deadline))
 
     async def feedback(
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self,
+        goal_id: GoalID,
+        *,
+        after: int | None = None,
+        own: bool = False,
+        attempt: int = 1,
     ) -> FeedbackCursor:
         """See `Endpoint.feedback`."""
         self._check_running()
-        return self._logs.follow(goal_id, after=after, own=own)
+        return self._logs.follow(goal_id, after=after, own=own, attempt=attempt)
+
+    def owner_of(self, goal_id: GoalID) -> bytes:
+        """See `Endpoint.owner_of`."""
+        return self._logs.owner_of(goal_id)
 
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None
