@@ -214,6 +214,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._block: CancelScope
         self._shutdown_timeout = shutdown_timeout
         self._started = Notifier()
+        self.store: GoalStore | None = None
+        """The store that keeps the goals of this server; None if none does."""
         self._phase: Literal["new", "running", "stopping", "stopped"] = "new"
         if store is not None:
             self.keep_in(store)
@@ -241,6 +243,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             state = "was started before" if self._keeper is None else "has a store"
             raise RuntimeError(f"{self!r} {state}; give the store to another one")
         check_is_store(store)
+        self.store = store
         keeper = self._keeper = GoalKeeper(
             store, self.action.name, keep_for=self._keep_for, max_results=self._max_results
         )
@@ -267,13 +270,14 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             stack.callback(self._watch.close)
             tasks = await stack.enter_async_context(Background())
             tasks.start_soon(self._logs.forget_expired, name=f"expiry of {self.action.name}")
-            self._runs.open(tasks)
-            if self._dispatcher is not None:
-                self._dispatcher.open(tasks)
             if self._keeper is not None:
                 self._block = CancelScope()  # the store may fail at the first write
                 tasks.start_soon(self._keeper.run, name=f"store of {self.action.name}")
                 await stack.enter_async_context(self._keeper.open(self._recovery.claim))
+            self._runs.open(tasks)  # its tasks wait for `stop`, so nothing may fail before that
+            if self._dispatcher is not None:
+                self._dispatcher.open(tasks)
+            if self._keeper is not None:
                 tasks.start_soon(self._recovery.run, name=f"recovery of {self.action.name}")
                 stack.push_async_callback(self._stop_early)
                 await self._recovery.recovered()
