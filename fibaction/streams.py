@@ -80,9 +80,6 @@ class GoalStream(_Closing):
     own: bool = True
     """True if the goal belongs to the client that asked for this stream, as far as the server can
     tell clients apart. A stream of another client's goal never makes the executor wait."""
-    attempt: int = 1
-    """The attempt at the goal, from 1, in which `cursor` counts: that of the feedback that was
-    taken last, or a newer one if its feedback comes next."""
     cursor: int
     """The number of the last feedback that was taken or skipped; 0 before the first of an attempt.
     """
@@ -96,6 +93,13 @@ class GoalStream(_Closing):
     @abstractmethod
     def status(self) -> GoalStatus:
         """The newest status that this stream knows."""
+
+    @property
+    def attempt(self) -> int:
+        """The attempt at the goal, from 1, in which `cursor` counts: that of the feedback that was
+        taken last, or a newer one if its feedback comes next.
+        """
+        return 1
 
     @property
     @abstractmethod

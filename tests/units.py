@@ -15,6 +15,7 @@ UNITS = {
     "fibaction/cli": ["tests/cli"],
     "transports/fibaction_transports/_command.py": ["tests/cli"],
     "fibaction/server": ["tests/server"],
+    "fibaction/stores": ["tests/stores"],
     # The rules without I/O.
     "fibaction/server/cancellation.py": ["tests/server/test_registry.py"],
     "fibaction/server/expiry.py": ["tests/server/test_registry.py"],

@@ -31,7 +31,6 @@ class FeedbackCursor(GoalStream):
         "_stalled",
         "_statuses_told",
         "_wanted",
-        "attempt",
         "cursor",
         "goal_id",
         "holding",
@@ -47,7 +46,6 @@ class FeedbackCursor(GoalStream):
         self.stamp = log.goal.stamp
         self.latest = log.latest
         self.own = own
-        self.attempt = log.goal.attempt
         self.cursor = start
         self.reads = feedback
         self._stalled = False
@@ -65,6 +63,10 @@ class FeedbackCursor(GoalStream):
     @property
     def status(self) -> GoalStatus:
         return self._log.goal.told_status
+
+    @property
+    def attempt(self) -> int:
+        return self._log.goal.attempt
 
     @property
     def dropped(self) -> int:

@@ -286,11 +286,11 @@ def _stream_of(call: GoalSubscription) -> GoalStream:
 class EndOnly(GoalStream):
     """One more stream of a goal that has ended, which has the outcome and no feedback."""
 
-    __slots__ = ("_stream", "attempt", "cursor", "goal_id", "latest", "news", "reads", "stamp")
+    __slots__ = ("_stream", "cursor", "goal_id", "latest", "news", "reads", "stamp")
 
     def __init__(self, stream: GoalStream) -> None:
         self.goal_id, self.stamp, self.latest = stream.goal_id, stream.stamp, stream.latest
-        self.attempt, self.cursor = stream.attempt, stream.cursor
+        self.cursor = stream.cursor
         self.reads = False
         self.news = Notifier()
         self._stream = stream
@@ -298,6 +298,10 @@ class EndOnly(GoalStream):
     @property
     def status(self) -> GoalStatus:
         return self._stream.status
+
+    @property
+    def attempt(self) -> int:
+        return self._stream.attempt
 
     @property
     def dropped(self) -> int:

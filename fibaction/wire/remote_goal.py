@@ -76,7 +76,6 @@ class RemoteGoal(Call, GoalStream):
         self.goal_id = goal_id
         self.stamp = 0
         self.latest = False
-        self.attempt = 1
         self.cursor = 0
         self._opening = opening
         self._window = window
@@ -84,6 +83,7 @@ class RemoteGoal(Call, GoalStream):
         self._deadline = deadline
         self._status = GoalStatus.UNKNOWN
         self._outcome: Outcome[bytes] | None = None
+        self._attempt = 1
         self._newest = 1  # the attempt of the feedback that arrives
         self._last = 0  # the number of the feedback that arrived last
         self._start = 0
@@ -100,6 +100,10 @@ class RemoteGoal(Call, GoalStream):
     @property
     def status(self) -> GoalStatus:
         return self._status
+
+    @property
+    def attempt(self) -> int:
+        return self._attempt
 
     @property
     def dropped(self) -> int:
@@ -206,16 +210,15 @@ class RemoteGoal(Call, GoalStream):
             self._is_answered = True
             self._status = message.status
             self.stamp, self.latest = message.stamp, message.latest
-            self.attempt = self._newest = message.attempt
+            self._attempt = self._newest = message.attempt
             self.cursor = self._start = self._last = message.place
 
     # Attempts
 
     def _take_attempt(self, attempt: int) -> None:
-        """Number the feedback that arrives from now on anew."""
+        """Begin to count anew: the feedback that arrives from now on is of another attempt."""
         if self._earlier and not self._items:
-            # The attempt between the two has nothing to read: a server could make ever more.
-            self._dropped += self._last
+            # The attempt between the two had no feedback. A server could tell ever more of them.
             self._earlier[-1] = self._earlier[-1]._replace(next_attempt=attempt)
         else:
             self._earlier.append(_Earlier(self._items, self._last, attempt))
@@ -230,7 +233,7 @@ class RemoteGoal(Call, GoalStream):
             if self.reads:
                 self.cursor = earlier.last
             self._dropped = self.dropped
-            self.attempt = earlier.next_attempt
+            self._attempt = earlier.next_attempt
             self.cursor = self._start = self._delivered = 0
         return self._earlier[0].items if self._earlier else self._items
 

@@ -68,11 +68,11 @@ def _interrupting(real: Any, record: Record) -> Any:
 
 
 def _killing(real: Any, record: Record) -> Any:
-    def kill(self: AnyRuns, goal_id: GoalID, timeout: float) -> None:
+    def kill(self: AnyRuns, goal_id: GoalID, reason: str = "", *, for_good: bool) -> None:
         truth = _truth_of(record, self, goal_id)
-        if truth is not None:
+        if truth is not None and not for_good:
             record.places.killed(truth)
-        real(self, goal_id, timeout)
+        real(self, goal_id, reason, for_good=for_good)
 
     return kill
 

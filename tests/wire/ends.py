@@ -10,7 +10,7 @@ from typing import Any, Literal
 import anyio
 
 from fibaction._notify import Notifier
-from fibaction.abc import Connection, Endpoint
+from fibaction.abc import Connection, Endpoint, ForwardingEndpoint
 from fibaction.exceptions import ServerNotFound, TransportError
 from fibaction.goals import GoalID
 from fibaction.server import ActionServer, Schedule
@@ -184,7 +184,7 @@ class Served:
 
 @asynccontextmanager
 async def serving(
-    *servers: ActionServer[Any, Any, Any],
+    *servers: ActionServer[Any, Any, Any] | ForwardingEndpoint,
     access: AccessPolicy | None = None,
     limits: Limits | None = None,
     heartbeat: float = LONG,
