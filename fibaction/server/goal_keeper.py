@@ -92,7 +92,7 @@ class GoalKeeper:
             try:
                 yield
             finally:
-                self._close()
+                self.close()
 
     # Writes
 
@@ -201,7 +201,7 @@ class GoalKeeper:
         self._end_waits()
         self.on_failure()
 
-    def _close(self) -> None:
+    def close(self) -> None:
         """Carry out no more answers: the server has stopped, and did not wait for them any longer.
 
         What they are about is kept, and is told after the next start.

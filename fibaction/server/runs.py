@@ -49,7 +49,7 @@ from fibaction.server.checkpoints import Checkpoints
 from fibaction.server.executor import Execution, Executor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_handle import GoalHandle, Succession
-from fibaction.server.goal_keeper import STORE_FAILED, GoalKeeper
+from fibaction.server.goal_keeper import STORE_FAILED, STORE_IS_LATE, GoalKeeper
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.goal_record import NO_PLACE, Ending, EndKind, GoalRecord
 from fibaction.server.registry import GoalRegistry
@@ -311,6 +311,11 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         for run in tuple(self._runs.values()):
             if run.goal.is_over:
                 self._let_go(run, STORE_FAILED)
+
+    def let_go(self) -> None:
+        """Let go of all goals: the server has stopped before its store has answered."""
+        for run in tuple(self._runs.values()):
+            self._let_go(run, STORE_IS_LATE)
 
     # Finish
 

@@ -358,7 +358,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             ).run()
             await self._settle()
         finally:
-            self._runs.abandon_ends()
+            if self._keeper is not None:
+                self._keeper.close()
+                self._runs.let_go()
             self._logs.close()
             self._phase = "stopped"
             logger.info("action server %r has stopped", self.action.name)
