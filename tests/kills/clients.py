@@ -42,6 +42,7 @@ class Visitor:
         ]
         async with connect(self._url, WORK, heartbeat=1, reconnect_timeout=PATIENCE) as client:
             self._client = client
+            await client.wait_for_server()
             while anyio.current_time() < until:
                 thing = self._chance.choice(things)
                 with self._returns(thing.__name__), anyio.fail_after(PATIENCE):

@@ -10,7 +10,7 @@ from fibaction import GoalID, GoalStatus, Outcome
 from tests.kills.victim import TOO_HARD, Done, Entry, Work
 
 RESTARTED = "the server was restarted"
-GIVEN_UP = "given up after {} attempts"
+GIVEN_UP = f"given up after {{}} attempts: {RESTARTED}"
 
 
 class Told:

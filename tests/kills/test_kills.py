@@ -46,7 +46,9 @@ GOAL = GoalID(bytes(15) + b"1")
 SUCCEEDED = Outcome(GoalStatus.SUCCEEDED, Done(4, 1), "")
 CANCELED = Outcome(GoalStatus.CANCELED, Done(1, 1), "")
 RESTARTED: Outcome[Done] = Outcome(GoalStatus.ABORTED, None, "the server was restarted")
-GIVEN_UP: Outcome[Done] = Outcome(GoalStatus.ABORTED, None, "given up after 3 attempts")
+GIVEN_UP: Outcome[Done] = Outcome(
+    GoalStatus.ABORTED, None, "given up after 3 attempts: the server was restarted"
+)
 RERUN, ABORT = Rules(rerun=True, max_attempts=3), Rules(rerun=False, max_attempts=3)
 
 
@@ -158,4 +160,4 @@ def test_ends_are_counted_by_status_and_reason() -> None:
     ledger.goals[GOAL] = told = Told(Work(1, 0.0), 1)
     told.outcomes.append(GIVEN_UP)
 
-    assert ledger.ends() == {"ABORTED given up after 3 attempts": 1}
+    assert ledger.ends() == {f"ABORTED {GIVEN_UP.reason}": 1}

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, closing
 from functools import partial
 from pathlib import Path
 
@@ -19,8 +19,9 @@ import pytest
 
 from fibaction import GoalStatus, SqliteStore, StoreError
 from fibaction.stores import _writer
+from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.goal_store import GoalJournal, StoredGoal
-from fibaction.stores.journal_rows import Start
+from fibaction.stores.journal_rows import Record, Start, encode_row
 from tests.stores.made import a_goal, after_end, as_kept
 
 pytestmark = pytest.mark.anyio
@@ -363,19 +364,37 @@ def test_a_program_that_leaves_its_store_open_ends(path: Path, backend: str) -> 
 
 
 @pytest.mark.parametrize("backend", ["asyncio", "trio"])
-def test_the_thread_ends_with_the_first_write_after_the_event_loop(
-    path: Path, backend: str
+def test_the_thread_ends_with_a_write_that_outlives_the_event_loop(
+    path: Path, backend: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def begin() -> _writer.Writer:
-        return _writer.Writer(str(path), "full")
+    has_ended = threading.Event()
 
-    writer = anyio.run(begin, backend=backend)
+    def late(number: int, records: list[Record]) -> bytes:
+        has_ended.wait()
+        return encode_row(number, records)
+
+    async def begin() -> None:
+        writer = _writer.Writer(str(path), "full")
+        await writer.load("paint", 0)
+        monkeypatch.setattr(_writer, "encode_row", late)
+        writer.write(Start(), lambda error: None)
+        await anyio.wait_all_tasks_blocked()
+
+    anyio.run(begin, backend=backend)
     [thread] = [thread for thread in threading.enumerate() if thread.name == "fibaction store"]
-
-    writer.write(Start(), lambda error: None)
+    has_ended.set()
 
     thread.join(10)
     assert not thread.is_alive()
+
+
+async def test_what_one_turn_of_the_event_loop_writes_is_one_commit(path: Path) -> None:
+    async with opened(SqliteStore(path)) as kept:
+        for number in range(1, 100):
+            kept.journal.accept(a_goal(number), lambda error: None)
+        await kept(kept.journal.accept, a_goal(100))
+    with closing(JournalFile(str(path), "full")) as file:
+        assert [number for number, _ in file.rows()] == [2, 3]  # the start, and a commit
 
 
 KILLED = """
