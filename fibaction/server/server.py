@@ -360,7 +360,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         finally:
             if self._keeper is not None:
                 self._keeper.close()
-                self._runs.abandon_ends()
+                self._runs.let_go()
             self._logs.close()
             self._phase = "stopped"
             logger.info("action server %r has stopped", self.action.name)

@@ -278,7 +278,7 @@ class Record:
         """
         now = self.now()
         if self.lives and self.lives[-1].stops_at <= now:
-            return True
+            return not self.keeping.is_active(goal_id, stamp)
         truth = self.truth(goal_id, stamp)
         if truth is None:
             return True

@@ -95,6 +95,14 @@ class Keeping:
         assert fact is not None
         return (fact.stored.ended_at - PAST) / 1e9 - EPOCH
 
+    def is_active(self, goal_id: GoalID, stamp: int | None) -> bool:
+        """Return whether a goal is kept, and is active."""
+        return any(
+            fact.outcome is None
+            for key, fact in self._facts.items()
+            if key[0] == goal_id and stamp in (None, key[1])
+        )
+
     # The server
 
     def accepted(self, goal_id: GoalID, stamp: int) -> None:
