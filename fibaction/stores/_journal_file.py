@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import sqlite3
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
 
 from fibaction._text import excerpt
 from fibaction.exceptions import StoreError
+from fibaction.stores._wal import PAGE, is_damaged
 from fibaction.stores.journal_rows import DamagedRow, KeptGoals
 
 APPLICATION = 0x66696261
@@ -46,6 +48,8 @@ class JournalFile:
         self.first_size = 0
         """Bytes of the rows that `replace` wrote last."""
         _check_place(path)
+        if sync == "full":  # without it, several of the last commits may be torn after a power cut
+            self._check_log()
         with self._explained():
             # Without a timeout: whoever holds the lock does so until it ends.
             self._db = sqlite3.connect(path, timeout=0, isolation_level=None)
@@ -59,10 +63,23 @@ class JournalFile:
             self._db.close()
             raise
 
+    def _check_log(self) -> None:
+        """Check what SQLite would read as the end of the log, then remove."""
+        if not is_damaged(self._path + "-wal"):
+            return
+        with self._explained():
+            # The process that uses the file may have written to its log meanwhile. Reading leaves
+            # the log as it is, so that the next start finds the damage, too.
+            uri = f"{Path(self._path).as_uri()}?mode=ro"
+            with closing(sqlite3.connect(uri, timeout=0, uri=True)) as db:
+                db.execute("select count(*) from sqlite_master")
+            raise DamagedRow("its write-ahead log has changed")
+
     def _prepare(self, sync: str) -> None:
         # Before anything is read: then WAL needs no shared memory, and the lock is kept.
         self._db.execute("pragma locking_mode=exclusive")
         if self._is_empty():
+            self._db.execute(f"pragma page_size={PAGE}")
             self._db.execute("pragma journal_mode=wal")
             self._create()
         else:

@@ -3,11 +3,12 @@
 Theory of operation
 -------------------
 
-The event loop puts records into a queue, each with the function to call when it is durable. The
-thread takes all records that came while it wrote the last ones, and writes them as one row in one
-commit; then one call in the event loop tells the end of all of them, in order. So a commit takes as
-long as the disk needs, and the more goals are under way, the more of them share it. The thread does
-little else, since each time it needs the interpreter it waits for a busy event loop.
+The event loop puts records into a queue, each with the function to call when it is durable: at the
+end of a turn all that were written in it, since the thread would commit the first of them alone.
+The thread takes all records that came while it wrote the last ones, and writes them as one row in
+one commit; then one call in the event loop tells the end of all of them, in order. So a commit
+takes as long as the disk needs, and the more goals are under way, the more of them share it. The
+thread does little else, since each time it needs the interpreter it waits for a busy event loop.
 
 Commands, to read goals for example, are in the same queue: each comes after all records before it.
 
@@ -46,17 +47,20 @@ LARGEST_ROW = 64 * 1024 * 1024
 """Bytes of a row above which its records are written in two."""
 
 Call: TypeAlias = Callable[..., object]
-"""The function that has a function called on the event loop, from any thread."""
+"""A function that has another one called on the event loop, with arguments."""
+Batch: TypeAlias = list[tuple[Record, Then]]
 
 
-def loop_caller() -> Call:
-    """Return the `Call` of the event loop that runs the caller."""
+def loop_callers() -> tuple[Call, Call]:
+    """Return the `Call`s of the event loop that runs the caller: for itself, and for threads."""
     task = asyncio_task()
     if task is not None:
-        return task.get_loop().call_soon_threadsafe
+        loop = task.get_loop()
+        return loop.call_soon, loop.call_soon_threadsafe
     import trio
 
-    return trio.lowlevel.current_trio_token().run_sync_soon
+    call = trio.lowlevel.current_trio_token().run_sync_soon
+    return call, call
 
 
 class Writer:
@@ -65,8 +69,9 @@ class Writer:
     def __init__(self, path: str, sync: str) -> None:
         """Start the thread. The file is opened there, and its error is that of each command."""
         self._path, self._sync = path, sync
-        self._call = loop_caller()
-        self._queue: SimpleQueue[tuple[Record, Then] | _Command] = SimpleQueue()
+        self._call_soon, self._call = loop_callers()
+        self._written: Batch = []
+        self._queue: SimpleQueue[Batch | _Command] = SimpleQueue()
         self._is_closing = False
         self._file: JournalFile | None = None
         self._has_begun = False
@@ -78,9 +83,17 @@ class Writer:
     def write(self, record: Record, then: Then) -> None:
         """Write a record; `then` is called on the event loop when it is durable or has failed."""
         if self._is_closing:
-            self._call(then, StoreError(f"the store {excerpt(self._path)} is closed"))
-        else:
-            self._queue.put((record, then))
+            self._call_soon(then, StoreError(f"the store {excerpt(self._path)} is closed"))
+            return
+        self._written.append((record, then))
+        if len(self._written) == 1:
+            self._call_soon(self._flush)
+
+    def _flush(self) -> None:
+        """Give the thread what this turn of the event loop has written."""
+        if self._written:
+            self._queue.put(self._written)
+            self._written = []
 
     async def load(self, action: str, max_results: int) -> list[StoredGoal]:
         """Return the goals of an action, in the order in which a server takes them.
@@ -105,6 +118,7 @@ class Writer:
 
     async def _do(self, work: Callable[[], object] | None) -> str:
         command = _Command(work)
+        self._flush()
         self._queue.put(command)
         await command.is_done.wait()
         return command.error
@@ -127,12 +141,12 @@ class Writer:
         if last is not None:
             self._call(last.is_done.set)
 
-    def _handle(self, items: list[tuple[Record, Then] | _Command]) -> _Command | None:
+    def _handle(self, items: list[Batch | _Command]) -> _Command | None:
         """Do everything in order; return the command to close, after which nothing comes."""
-        batch: list[tuple[Record, Then]] = []
+        batch: Batch = []
         for item in items:
-            if isinstance(item, tuple):
-                batch.append(item)
+            if isinstance(item, list):
+                batch += item
                 continue
             self._commit(batch)
             batch = []
@@ -144,7 +158,7 @@ class Writer:
         self._commit(batch)
         return None
 
-    def _commit(self, batch: list[tuple[Record, Then]]) -> None:
+    def _commit(self, batch: Batch) -> None:
         if batch:
             self._try(partial(self._add, [record for record, _ in batch]))
             self._call(_tell, batch, self._error)
@@ -210,7 +224,7 @@ class _Command:
         self.error = ""
 
 
-def _tell(batch: list[tuple[Record, Then]], error: str) -> None:
+def _tell(batch: Batch, error: str) -> None:
     """Call the function of each record, on the event loop."""
     for _, then in batch:
         then(StoreError(error) if error else None)

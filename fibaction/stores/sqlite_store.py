@@ -48,6 +48,7 @@ class SqliteStore(GoalStore):
         self._sync = sync
         self._writer: Writer | None = None
         self._thread = 0
+        self._users = 0
         self._actions: set[str] = set()
         self._closing: Event | None = None
 
@@ -84,12 +85,14 @@ class SqliteStore(GoalStore):
             raise self._error(f"a server of the action {excerpt(action)!r} uses it already")
         if self._writer is None:
             self._writer, self._thread = Writer(self._path, self._sync), get_ident()
+        self._users += 1
         self._actions.add(action)
         return self._writer
 
     async def _end(self, action: str, writer: Writer) -> None:
         """Wait for the writes that are under way; the last action ends the thread."""
-        if self._actions == {action}:
+        self._users -= 1
+        if not self._users:
             self._closing = Event()
             await writer.close()
             self._writer = None

@@ -385,6 +385,17 @@ async def test_a_gateway_tells_another_attempt_before_its_first_feedback(
             ]
 
 
+async def test_a_goal_that_is_followed_before_it_is_run_again_begins_anew_then() -> None:
+    kept = Kept()
+    async with serving(kept) as served:
+        client = await served.greet()
+        assert (await client.ask(follow(17), Following)).attempt == 1
+        kept.goal.attempt = 2  # the server has decided
+        kept.tell(1)
+        again, item = await client.hear_all()
+        assert (again.attempt, again.place, item.number) == (2, 0, 1)
+
+
 async def test_an_attempt_that_begins_after_a_close_counts_nothing_as_missed() -> None:
     async with reached() as (connection, server):
         async with serving(ForwardingEndpoint(endpoint_of(connection))) as served:
@@ -507,7 +518,7 @@ async def test_a_request_to_a_server_that_keeps_its_goals_has_no_answer(message:
         assert await client.hear_all() == []
         assert await client.is_served()
         kept.error = None  # and its ID is free
-        assert await client.ask(send(1), Following)
+        await client.ask(send(1), Following)
 
 
 # Both together
