@@ -47,6 +47,7 @@ from fibaction.retry import Retry
 from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
 from fibaction.states import GoalEvent, GoalStatus
 from fibaction.stores.goal_store import GoalStore
+from fibaction.stores.sqlite_store import SqliteStore
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.settings import Limits
 
@@ -94,6 +95,7 @@ __all__ = [
     "SendingGoal",
     "ServerFailed",
     "ServerNotFound",
+    "SqliteStore",
     "StoreError",
     "Transport",
     "TransportError",

@@ -408,7 +408,7 @@ async def test_leaving_a_goal_whose_cancel_is_rejected_or_that_is_unknown_does_n
 
     hold = anyio.Event()
     server = ScriptedServer(FIBONACCI, [hold, Result([])])
-    server._admission._on_cancel = refuse
+    server._cancels._on_cancel = refuse
     async with server:
         async with client_of(server).send_goal(Goal(1)):
             pass

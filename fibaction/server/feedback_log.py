@@ -81,6 +81,7 @@ class FeedbackLog:
         "_standing",
         "_window",
         "goal",
+        "is_hidden",
         "latest",
         "outcome",
         "statuses",
@@ -98,6 +99,8 @@ class FeedbackLog:
         """The goal's outcome, which is kept here if the server forgets the goal."""
         self.latest = latest
         """True if a slow reader gets the newest feedback only."""
+        self.is_hidden = False
+        """True if followers may not read the feedback yet: its attempt is still being written."""
         # Tuples, because most have one item or none, and a list is twice as large.
         self.statuses: tuple[GoalStatus, ...] = ()
         """The statuses that the goal has had since its acceptance."""
@@ -319,7 +322,13 @@ class FeedbackLog:
 
     def has_after(self, cursor: int) -> bool:
         """Return whether any feedback behind that number is remembered."""
-        return cursor < self.count and bool(self._items)
+        return cursor < self.count and bool(self._items) and not self.is_hidden
+
+    def reveal(self) -> None:
+        """Let followers read feedback that was hidden until now."""
+        self.is_hidden = False
+        for cursor in tuple(self._readers):
+            cursor.news.notify()
 
     def after(self, cursor: int, limit: int) -> list[FeedbackItem]:
         """Return the remembered feedback behind that number, at most `limit` messages; with the

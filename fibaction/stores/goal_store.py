@@ -33,7 +33,7 @@ from fibaction.goals import GoalID, Sender
 from fibaction.states import GoalStatus
 
 
-class StoredGoal(msgspec.Struct, gc=False):
+class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     """The state of a goal as it is kept in a store."""
 
     goal_id: GoalID

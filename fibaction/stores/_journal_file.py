@@ -1,0 +1,214 @@
+"""The file of a journal: a database of SQLite with one table, used by one thread of one process."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+
+from fibaction._text import excerpt
+from fibaction.exceptions import StoreError
+from fibaction.stores._wal import PAGE, is_damaged
+from fibaction.stores.journal_rows import DamagedRow, KeptGoals
+
+APPLICATION = 0x66696261
+"""The `application_id` in the header of the file: "fiba"."""
+VERSION = 1
+"""The `user_version` in the header of the file: the version of the table and of its rows."""
+
+WHAT_TO_DO = {
+    sqlite3.SQLITE_BUSY: (
+        "it is in use by another process or another SqliteStore; stop that one, or use another file"
+    ),
+    sqlite3.SQLITE_FULL: "the disk is full; make room on it and start the server again",
+    sqlite3.SQLITE_READONLY: "the file or its folder is read-only; allow this process to write",
+    sqlite3.SQLITE_NOTADB: "it is not a store of goals; use another file",
+    sqlite3.SQLITE_CORRUPT: (
+        "the file is damaged; restore it from a copy, or remove it to start without its goals"
+    ),
+}
+"""The text for each of SQLite's errors that people can do something about."""
+
+
+class JournalFile:
+    """The open file of a journal. Each method can raise a StoreError."""
+
+    def __init__(self, path: str, sync: str) -> None:
+        """Open the file, or make a new one, and lock it.
+
+        Raises:
+            StoreError: It cannot be used; the text says why.
+        """
+        self._path = path
+        self._last = 0
+        self.size = 0
+        """Bytes of all rows."""
+        self.first_size = 0
+        """Bytes of the rows that `replace` wrote last."""
+        _check_place(path)
+        if sync == "full":  # without it, several of the last commits may be torn after a power cut
+            self._check_log()
+        with self._explained():
+            # Without a timeout: whoever holds the lock does so until it ends.
+            self._db = sqlite3.connect(path, timeout=0, isolation_level=None)
+        try:
+            with self._explained():
+                self._prepare(sync)
+                self._last = self._db.execute("select coalesce(max(n), 0) from log").fetchone()[0]
+                found = os.stat(path)
+            self._identity = (found.st_dev, found.st_ino)
+        except BaseException:
+            self._db.close()
+            raise
+
+    def _check_log(self) -> None:
+        """Check what SQLite would read as the end of the log, then remove."""
+        if not is_damaged(self._path + "-wal"):
+            return
+        with self._explained():
+            # The process that uses the file may have written to its log meanwhile. Reading leaves
+            # the log as it is, so that the next start finds the damage, too.
+            uri = f"{Path(self._path).as_uri()}?mode=ro"
+            with closing(sqlite3.connect(uri, timeout=0, uri=True)) as db:
+                db.execute("select count(*) from sqlite_master")
+            raise DamagedRow("its write-ahead log has changed")
+
+    def _prepare(self, sync: str) -> None:
+        # Before anything is read: then WAL needs no shared memory, and the lock is kept.
+        self._db.execute("pragma locking_mode=exclusive")
+        if self._is_empty():
+            self._db.execute(f"pragma page_size={PAGE}")
+            self._db.execute("pragma journal_mode=wal")
+            self._create()
+        else:
+            self._check_header()
+            self._db.execute("pragma journal_mode=wal")
+        self._db.execute(f"pragma synchronous={sync}")
+        self._db.execute(f"pragma fullfsync={int(sync == 'full')}")
+        if self._pragma("quick_check") != "ok":
+            raise DamagedRow("its pages do not fit together")
+
+    def _pragma(self, name: str) -> object:
+        return self._db.execute(f"pragma {name}").fetchone()[0]
+
+    def _is_empty(self) -> bool:
+        count = self._db.execute("select count(*) from sqlite_master").fetchone()[0]
+        return count == 0 and self._pragma("application_id") == 0
+
+    def _create(self) -> None:
+        self._db.execute("begin immediate")
+        self._db.execute("create table log(n integer primary key, data blob not null)")
+        self._db.execute(f"pragma application_id={APPLICATION}")
+        self._db.execute(f"pragma user_version={VERSION}")
+        self._db.execute("insert into log values (?, ?)", (1, next(KeptGoals().rows(1))))
+        self._db.execute("commit")
+
+    def _check_header(self) -> None:
+        if self._pragma("application_id") != APPLICATION:
+            raise self._error("it is a database of another program; use another file")
+        version = self._pragma("user_version")
+        if version != VERSION:
+            raise self._error(
+                f"it is of version {version}, and this release of fibaction knows version"
+                f" {VERSION}; use the release that wrote it, or another file"
+            )
+
+    @property
+    def next_number(self) -> int:
+        """The number of the row that is added next."""
+        return self._last + 1
+
+    def add(self, row: bytes) -> None:
+        """Add a row; it is durable when this returns."""
+        with self._explained():
+            self._db.execute("insert into log values (?, ?)", (self._last + 1, row))
+            self._last += 1
+            self.size += len(row)
+            self._check_path()
+
+    def rows(self) -> Iterator[tuple[int, bytes]]:
+        """Yield the number and the bytes of each row."""
+        with self._explained():
+            yield from self._db.execute("select n, data from log order by n")
+
+    def goals(self) -> KeptGoals:
+        """Return the goals that all rows add up to."""
+        goals = KeptGoals()
+        with self._explained():
+            size = 0
+            for number, row in self.rows():
+                goals.read(number, row)
+                size += len(row)
+            if not size:
+                raise DamagedRow("all rows are missing")
+        return goals
+
+    def replace(self, rows: Iterable[bytes]) -> None:
+        """Write these rows instead of all that there are."""
+        with self._explained():
+            last, size = self._last, 0
+            self._db.execute("begin immediate")
+            for number, row in enumerate(rows, last + 1):
+                self._db.execute("insert into log values (?, ?)", (number, row))
+                self._last = number
+                size += len(row)
+            self._db.execute("delete from log where n <= ?", (last,))
+            self._db.execute("commit")
+            self.size = self.first_size = size
+            self._check_path()
+
+    def close(self) -> None:
+        """Close the file, whatever state it is in."""
+        with suppress(sqlite3.Error):
+            self._db.close()
+
+    def _check_path(self) -> None:
+        """Check that the file that was written to is still there for the next start."""
+        try:
+            found = os.stat(self._path)
+        except OSError:
+            found = None
+        if found is None or (found.st_dev, found.st_ino) != self._identity:
+            raise self._error("the file was removed or replaced while it was in use")
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        """Turn whatever goes wrong into a StoreError of one sentence."""
+        try:
+            yield
+        except StoreError:
+            raise
+        except DamagedRow as exc:
+            raise self._error(f"{WHAT_TO_DO[sqlite3.SQLITE_CORRUPT]} ({exc})") from exc
+        except sqlite3.Error as exc:
+            code = getattr(exc, "sqlite_errorcode", 0) & 0xFF
+            raise self._error(WHAT_TO_DO.get(code, str(exc))) from exc
+        except Exception as exc:
+            raise self._error(f"{type(exc).__name__}: {exc}") from exc
+
+    def _error(self, reason: str) -> StoreError:
+        return StoreError(f"cannot keep goals in {excerpt(self._path)}: {excerpt(reason, 400)}")
+
+
+def _check_place(path: str) -> None:
+    """Check what SQLite would only call "unable to open database file".
+
+    Raises:
+        StoreError: There cannot be a file at the path.
+    """
+    folder = os.path.dirname(path)
+    reason = ""
+    if os.path.isdir(path):
+        reason = "it is a folder; name a file in it"
+    elif not os.path.isdir(folder):
+        reason = f"there is no folder {excerpt(folder)}; make it first"
+    elif os.path.exists(path) and not os.path.isfile(path):
+        reason = "it is not a regular file; name another one"
+    elif not os.access(folder, os.W_OK | os.X_OK):
+        reason = "this process may not write to the folder; use another one, or allow it"
+    elif os.path.exists(path) and not os.access(path, os.R_OK | os.W_OK):
+        reason = "this process may not read and write the file; use another one, or allow it"
+    if reason:
+        raise StoreError(f"cannot keep goals in {excerpt(path)}: {reason}")

@@ -1,0 +1,230 @@
+"""The thread that writes a journal, between an event loop and a file.
+
+Theory of operation
+-------------------
+
+The event loop puts records into a queue, each with the function to call when it is durable: at the
+end of a turn all that were written in it, since the thread would commit the first of them alone.
+The thread takes all records that came while it wrote the last ones, and writes them as one row in
+one commit; then one call in the event loop tells the end of all of them, in order. So a commit
+takes as long as the disk needs, and the more goals are under way, the more of them share it. The
+thread does little else, since each time it needs the interpreter it waits for a busy event loop.
+
+Commands, to read goals for example, are in the same queue: each comes after all records before it.
+
+The first write that fails is the last one: the disk may have lost what it said it had (no call of
+`fsync` after a failed one can be trusted), so that record and all later ones get a StoreError.
+
+The queue holds as much as the goals that are under way: each of them waits for its write before the
+next. The thread is a daemon: a program that ends without closing its store is not held up.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from queue import SimpleQueue
+from threading import Thread
+from typing import TYPE_CHECKING, TypeAlias
+
+import anyio
+
+from fibaction._asyncio_task import asyncio_task
+from fibaction._text import excerpt
+from fibaction.exceptions import StoreError
+from fibaction.stores.goal_store import StoredGoal, Then
+from fibaction.stores.journal_rows import KeptGoals, Record, encode_row
+
+if TYPE_CHECKING:
+    from fibaction.stores._journal_file import JournalFile  # imports sqlite3
+
+COMPACT_FROM = 8 * 1024 * 1024
+"""Bytes of rows below which a journal is not compacted while it is in use."""
+GROWTH = 4
+"""The journal is compacted when it has this many times the bytes that its goals had."""
+LARGEST_ROW = 64 * 1024 * 1024
+"""Bytes of a row above which its records are written in two."""
+
+Call: TypeAlias = Callable[..., object]
+"""A function that has another one called on the event loop, with arguments."""
+Batch: TypeAlias = list[tuple[Record, Then]]
+
+
+def loop_callers() -> tuple[Call, Call]:
+    """Return the `Call`s of the event loop that runs the caller: for itself, and for threads."""
+    task = asyncio_task()
+    if task is not None:
+        loop = task.get_loop()
+        return loop.call_soon, loop.call_soon_threadsafe
+    import trio
+
+    call = trio.lowlevel.current_trio_token().run_sync_soon
+    return call, call
+
+
+class Writer:
+    """A thread that writes a journal for one event loop, from its creation until `close`."""
+
+    def __init__(self, path: str, sync: str) -> None:
+        """Start the thread. The file is opened there, and its error is that of each command."""
+        self._path, self._sync = path, sync
+        self._call_soon, self._call = loop_callers()
+        self._written: Batch = []
+        self._queue: SimpleQueue[Batch | _Command] = SimpleQueue()
+        self._is_closing = False
+        self._file: JournalFile | None = None
+        self._has_begun = False
+        self._max_results: dict[str, int] = {}
+        self._error = ""
+        self._thread = Thread(target=self._run, name="fibaction store", daemon=True)
+        self._thread.start()
+
+    def write(self, record: Record, then: Then) -> None:
+        """Write a record; `then` is called on the event loop when it is durable or has failed."""
+        if self._is_closing:
+            self._call_soon(then, StoreError(f"the store {excerpt(self._path)} is closed"))
+            return
+        self._written.append((record, then))
+        if len(self._written) == 1:
+            self._call_soon(self._flush)
+
+    def _flush(self) -> None:
+        """Give the thread what this turn of the event loop has written."""
+        if self._written:
+            self._queue.put(self._written)
+            self._written = []
+
+    async def load(self, action: str, max_results: int) -> list[StoredGoal]:
+        """Return the goals of an action, in the order in which a server takes them.
+
+        Raises:
+            StoreError: The file cannot be opened, or a write has failed.
+        """
+        goals: list[StoredGoal] = []
+        if error := await self._do(partial(self._load, action, max_results, goals)):
+            raise StoreError(error)
+        return goals
+
+    async def finish(self, action: str) -> None:
+        """Wait until everything that was written is told; the action is no longer open."""
+        await self._do(partial(self._max_results.pop, action, None))
+
+    async def close(self) -> None:
+        """Wait until everything that was written is told, then close the file."""
+        self._is_closing = True
+        await self._do(None)
+        self._thread.join()  # it has nothing left to do
+
+    async def _do(self, work: Callable[[], object] | None) -> str:
+        command = _Command(work)
+        self._flush()
+        self._queue.put(command)
+        await command.is_done.wait()
+        return command.error
+
+    # All that follows runs in the thread.
+
+    def _run(self) -> None:
+        last = None
+        try:
+            self._try(self._open)
+            while last is None:
+                # Those that come meanwhile are for the next commit.
+                items = [self._queue.get()]
+                items += [self._queue.get_nowait() for _ in range(self._queue.qsize())]
+                last = self._handle(items)
+        except RuntimeError:
+            pass  # the event loop has ended without closing the store: there is nothing to tell
+        if self._file is not None:
+            self._file.close()
+        if last is not None:
+            self._call(last.is_done.set)
+
+    def _handle(self, items: list[Batch | _Command]) -> _Command | None:
+        """Do everything in order; return the command to close, after which nothing comes."""
+        batch: Batch = []
+        for item in items:
+            if isinstance(item, list):
+                batch += item
+                continue
+            self._commit(batch)
+            batch = []
+            if item.work is None:
+                return item
+            self._try(item.work)
+            item.error = self._error
+            self._call(item.is_done.set)
+        self._commit(batch)
+        return None
+
+    def _commit(self, batch: Batch) -> None:
+        if batch:
+            self._try(partial(self._add, [record for record, _ in batch]))
+            self._call(_tell, batch, self._error)
+            self._try(self._compact)
+
+    def _try(self, work: Callable[[], object]) -> None:
+        """Do it unless something has failed before."""
+        if not self._error:
+            try:
+                work()
+            except StoreError as exc:
+                self._error = str(exc)
+            except Exception as exc:
+                self._error = excerpt(
+                    f"cannot keep goals in {self._path}: {type(exc).__name__}: {exc}", 400
+                )
+
+    def _open(self) -> None:
+        from fibaction.stores._journal_file import JournalFile  # the import takes its time
+
+        self._file = JournalFile(self._path, self._sync)
+
+    def _add(self, records: list[Record]) -> None:
+        assert self._file is not None
+        row = encode_row(self._file.next_number, records)
+        if len(row) > LARGEST_ROW and len(records) > 1:
+            half = len(records) // 2
+            self._add(records[:half])
+            self._add(records[half:])
+        else:
+            self._file.add(row)
+
+    def _load(self, action: str, max_results: int, found: list[StoredGoal]) -> None:
+        assert self._file is not None
+        self._max_results[action] = max_results
+        goals = self._goals()
+        if not self._has_begun:
+            self._file.replace(goals.rows(self._file.next_number))
+            self._has_begun = True
+        found += goals.of(action).in_order()
+
+    def _compact(self) -> None:
+        assert self._file is not None
+        if self._file.size > max(COMPACT_FROM, GROWTH * self._file.first_size):
+            self._file.replace(self._goals().rows(self._file.next_number))
+
+    def _goals(self) -> KeptGoals:
+        """Return the goals in the file, without those that the open actions can forget."""
+        assert self._file is not None
+        goals = self._file.goals()
+        now = time.time_ns()
+        for action, max_results in self._max_results.items():
+            goals.of(action).drop_expired(max_results, now)
+        return goals
+
+
+class _Command:
+    """Something that the thread is to do between its writes; to close, if it is None."""
+
+    def __init__(self, work: Callable[[], object] | None) -> None:
+        self.work = work
+        self.is_done = anyio.Event()
+        self.error = ""
+
+
+def _tell(batch: Batch, error: str) -> None:
+    """Call the function of each record, on the event loop."""
+    for _, then in batch:
+        then(StoreError(error) if error else None)

@@ -1,0 +1,133 @@
+"""`SqliteStore`: goals in a file, by the SQLite of Python's standard library."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from copy import copy
+from threading import get_ident
+from typing import Literal
+
+from anyio import CancelScope, Event
+
+from fibaction._slices import Slices
+from fibaction._text import excerpt
+from fibaction.exceptions import StoreError
+from fibaction.goals import GoalID
+from fibaction.stores._writer import Writer
+from fibaction.stores.goal_store import GoalJournal, GoalStore, StoredGoal, Then
+from fibaction.stores.journal_rows import Checkpointed, Whole, ended, moved
+
+
+class SqliteStore(GoalStore):
+    """A store in one file, for all servers of one process.
+
+    The file is made if there is none. It is locked while a server uses it, and a second process
+    gets a StoreError. The goals of actions that are not served stay as they are. Beside the file
+    there are one or two more while it is in use; a copy needs all of them.
+
+    The file is on a disk of this machine, since network file systems do not lock reliably.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], sync: Literal["full", "normal"] = "full"
+    ) -> None:
+        """Name the file; it is opened when a server starts.
+
+        With `sync="full"`, what a client was told is kept also when the power fails, as far as the
+        disk keeps what it says it does. With `"normal"` it is kept when the process ends in any
+        way, but the last moments before a power failure can be lost; a write is then ready sooner.
+
+        Raises:
+            ValueError: `sync` is neither of the two.
+        """
+        if sync not in ("full", "normal"):
+            raise ValueError(f"sync is 'full' or 'normal', not {sync!r}")
+        self._path = os.path.abspath(os.fspath(path))
+        self._sync = sync
+        self._writer: Writer | None = None
+        self._thread = 0
+        self._users = 0
+        self._actions: set[str] = set()
+        self._closing: Event | None = None
+
+    def __repr__(self) -> str:
+        return f"SqliteStore({self._path!r}, sync={self._sync!r})"
+
+    @asynccontextmanager
+    async def open(
+        self,
+        action: str,
+        *,
+        max_results: int,
+        claim: Callable[[StoredGoal], None],
+        lose: Callable[[GoalID], None],
+    ) -> AsyncIterator[GoalJournal]:
+        writer = await self._begin(action)
+        try:
+            slices = Slices()
+            for goal in await writer.load(action, max_results):
+                claim(goal)
+                await slices.pause()
+            yield SqliteJournal(action, writer)
+        finally:
+            with CancelScope(shield=True):
+                await self._end(action, writer)
+
+    async def _begin(self, action: str) -> Writer:
+        """Return the thread that writes; the first action starts it."""
+        if self._writer is not None and self._thread != get_ident():
+            raise self._error("it is in use by the event loop of another thread")
+        while self._closing is not None:
+            await self._closing.wait()
+        if action in self._actions:
+            raise self._error(f"a server of the action {excerpt(action)!r} uses it already")
+        if self._writer is None:
+            self._writer, self._thread = Writer(self._path, self._sync), get_ident()
+        self._users += 1
+        self._actions.add(action)
+        return self._writer
+
+    async def _end(self, action: str, writer: Writer) -> None:
+        """Wait for the writes that are under way; the last action ends the thread."""
+        self._users -= 1
+        if not self._users:
+            self._closing = Event()
+            await writer.close()
+            self._writer = None
+            self._closing.set()
+            self._closing = None
+        else:
+            await writer.finish(action)
+        self._actions.remove(action)
+
+    def _error(self, reason: str) -> StoreError:
+        return StoreError(f"cannot keep goals in {excerpt(self._path)}: {reason}")
+
+
+class SqliteJournal(GoalJournal):
+    """The goals of one action in a `SqliteStore` that is open."""
+
+    def __init__(self, action: str, writer: Writer) -> None:
+        self._action = action
+        self._write = writer.write
+
+    def accept(self, goal: StoredGoal, then: Then) -> None:
+        # A copy: the goal goes on while it waits for the thread.
+        self._write(Whole(self._action, copy(goal)), then)
+
+    def begin(self, goal: StoredGoal, then: Then) -> None:
+        self._write(moved(self._action, goal), then)
+
+    def cancel(self, goal: StoredGoal, then: Then) -> None:
+        self._write(moved(self._action, goal), then)
+
+    def checkpoint(self, goal: StoredGoal, then: Then) -> None:
+        self._write(Checkpointed(self._action, goal.goal_id, goal.checkpoint), then)
+
+    def end(self, goal: StoredGoal, then: Then) -> None:
+        self._write(ended(self._action, goal), then)
+
+    def release(self, goal: StoredGoal, then: Then) -> None:
+        self._write(moved(self._action, goal), then)

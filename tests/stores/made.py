@@ -1,0 +1,31 @@
+"""Goals and journals for the tests of stores."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fibaction.goals import GoalID, Sender
+from fibaction.states import GoalStatus
+from fibaction.stores.goal_store import StoredGoal
+
+
+def a_goal(number: int = 1, **fields: Any) -> StoredGoal:
+    """Return a goal whose ID and stamp are the number."""
+    goal_id = GoalID(number.to_bytes(16, "big"))
+    sender = Sender("robot", b"owner", "here")
+    return StoredGoal(goal_id, number, sender, b"digest", b"goal", **fields)
+
+
+def after_end(goal: StoredGoal, **fields: Any) -> StoredGoal:
+    """Set the fields of an end, and return the goal."""
+    goal.status, goal.is_running, goal.ended_at = GoalStatus.SUCCEEDED, False, 5
+    goal.result = b"result"
+    for name, value in fields.items():
+        setattr(goal, name, value)
+    return goal
+
+
+def as_kept(goal: StoredGoal) -> StoredGoal:
+    """Return the goal that has ended without what was needed only to run it."""
+    goal.goal, goal.checkpoint = b"", None
+    return goal

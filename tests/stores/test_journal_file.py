@@ -1,0 +1,351 @@
+"""The file of a journal: which files can be used, and what is said about the others."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from fibaction.exceptions import StoreError
+from fibaction.stores import _journal_file, _wal
+from fibaction.stores._journal_file import JournalFile
+from fibaction.stores.journal_rows import Whole, encode_row
+from tests.stores.made import a_goal
+
+SIZE = 3000
+"""Bytes of the result of each goal: with the goals of 20 commits there are pages of all kinds."""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "goals.db"
+
+
+def add(file: JournalFile, number: int) -> None:
+    goal = a_goal(number, result=bytes([number]) * SIZE)
+    file.add(encode_row(file.next_number, [Whole("paint", goal)]))
+
+
+def write(path: Path, count: int) -> None:
+    with closing(JournalFile(str(path), "full")) as file:
+        for number in range(1, count + 1):
+            add(file, number)
+
+
+def stamps(path: Path) -> list[int]:
+    with closing(JournalFile(str(path), "full")) as file:
+        return [goal.stamp for goal in file.goals().of("paint").in_order()]
+
+
+def why_not(path: Path) -> str:
+    """Return the error of opening the file and reading its goals."""
+    with pytest.raises(StoreError) as caught:
+        stamps(path)
+    text = str(caught.value)
+    assert text.startswith(f"cannot keep goals in {path}: ")
+    return text.removeprefix(f"cannot keep goals in {path}: ")
+
+
+@pytest.fixture
+def left(path: Path, tmp_path: Path) -> Path:
+    """A file with 20 commits, as a killed process leaves it: all of them are in the log."""
+    left = tmp_path / "left" / "goals.db"
+    left.parent.mkdir()
+    with closing(JournalFile(str(path), "full")) as file:
+        for number in range(1, 21):
+            add(file, number)
+        for name in ("goals.db", "goals.db-wal"):
+            shutil.copy(path.with_name(name), left.with_name(name))
+    return left
+
+
+def test_rows_are_there_at_the_next_start(path: Path) -> None:
+    write(path, 3)
+    assert stamps(path) == [1, 2, 3]
+
+
+def test_what_a_killed_process_has_written_is_there(left: Path) -> None:
+    assert stamps(left) == list(range(1, 21))
+
+
+@pytest.mark.parametrize("count", [1, 100, 4120, 5000])
+def test_the_torn_end_of_the_last_commit_is_as_if_it_had_not_begun(left: Path, count: int) -> None:
+    log = left.with_name("goals.db-wal")
+    os.truncate(log, log.stat().st_size - count)
+    assert stamps(left) in (list(range(1, 20)), list(range(1, 19)))
+
+
+def test_a_log_that_has_only_begun_is_read_as_none(path: Path) -> None:
+    write(path, 3)
+    path.with_name("goals.db-wal").write_bytes(b"\x37\x7f")
+    assert stamps(path) == [1, 2, 3]
+
+
+def test_rows_can_be_replaced(path: Path) -> None:
+    with closing(JournalFile(str(path), "normal")) as file:
+        for number in range(1, 11):
+            add(file, number)
+        before = file.size
+        goals = file.goals()
+        goals.of("paint").active.clear()
+        file.replace(goals.rows(file.next_number))
+        assert file.size == file.first_size < before
+        add(file, 11)
+    assert stamps(path) == [11]
+
+
+def test_a_file_that_is_empty_becomes_a_store(path: Path) -> None:
+    path.touch()
+    write(path, 1)
+    assert stamps(path) == [1]
+
+
+# Files that cannot be used
+
+
+def test_a_folder_is_not_a_file(tmp_path: Path) -> None:
+    assert why_not(tmp_path) == "it is a folder; name a file in it"
+
+
+def test_the_folder_must_be_there(tmp_path: Path) -> None:
+    path = tmp_path / "none" / "goals.db"
+    assert why_not(path) == f"there is no folder {path.parent}; make it first"
+
+
+def test_a_device_is_not_a_file() -> None:
+    assert why_not(Path("/dev/null")) == "it is not a regular file; name another one"
+
+
+def test_text_is_not_a_store(path: Path) -> None:
+    path.write_text("goals: none\n" * 1000)
+    assert why_not(path) == "it is not a store of goals; use another file"
+    assert path.read_text() == "goals: none\n" * 1000
+
+
+def test_a_database_of_another_program_is_not_a_store(path: Path) -> None:
+    with closing(sqlite3.connect(path)) as db:
+        db.execute("create table songs(name)")
+    before = path.read_bytes()
+    assert why_not(path) == "it is a database of another program; use another file"
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("version", [0, 2])
+def test_a_store_of_another_version_is_left_as_it_is(path: Path, version: int) -> None:
+    write(path, 1)
+    with closing(sqlite3.connect(path)) as db:
+        db.execute(f"pragma user_version={version}")
+    assert why_not(path) == (
+        f"it is of version {version}, and this release of fibaction knows version 1; use the"
+        " release that wrote it, or another file"
+    )
+
+
+ANOTHER = """
+import sqlite3, sys
+sqlite3.connect(sys.argv[1], timeout=0).execute('select 1 from log')
+"""
+
+
+def test_a_file_in_use_is_not_opened_again(path: Path) -> None:
+    expected = (
+        "it is in use by another process or another SqliteStore; stop that one, or use another file"
+    )
+    with closing(JournalFile(str(path), "full")) as file:
+        assert why_not(path) == expected
+        child = subprocess.run(
+            [sys.executable, "-c", ANOTHER, str(path)], capture_output=True, text=True
+        )
+        assert "database is locked" in child.stderr
+        add(file, 1)
+    assert stamps(path) == [1]
+
+
+def test_a_full_disk_is_an_error(path: Path) -> None:
+    with closing(JournalFile(str(path), "full")) as file:
+        file._db.execute("pragma max_page_count=20")
+        with pytest.raises(StoreError, match="the disk is full; make room on it and start"):
+            for number in range(1, 100):
+                add(file, number)
+    assert stamps(path) == list(range(1, number))
+
+
+def test_a_file_that_is_removed_is_an_error(path: Path) -> None:
+    with closing(JournalFile(str(path), "full")) as file:
+        path.unlink()
+        with pytest.raises(StoreError, match="the file was removed or replaced while it was in us"):
+            add(file, 1)
+
+
+def test_a_file_that_is_replaced_is_an_error(path: Path) -> None:
+    with closing(JournalFile(str(path), "full")) as file:
+        path.rename(path.with_name("old.db"))
+        path.touch()
+        with pytest.raises(StoreError, match="the file was removed or replaced while it was in us"):
+            file.replace(file.goals().rows(file.next_number))
+
+
+def test_any_other_error_is_one_sentence(path: Path) -> None:
+    with closing(JournalFile(str(path), "full")) as file:
+        with pytest.raises(StoreError, match=r"TypeError: 'int' object is not iterable$"):
+            file.replace(5)  # type: ignore[arg-type]  # that is the point
+    with closing(JournalFile(str(path), "full")) as file:
+        file._db.close()
+        with pytest.raises(StoreError, match="Cannot operate on a closed database"):
+            add(file, 1)
+
+
+# Permissions, in a process that has fewer of them
+
+OPEN = """
+import os, sys
+from fibaction.stores._journal_file import JournalFile
+if os.getuid() == 0:
+    os.setgid(65534)
+    os.setuid(65534)
+try:
+    JournalFile(sys.argv[1], "full").replace([])
+except Exception as exc:
+    print(exc)
+"""
+
+
+def without_rights(path: Path) -> str:
+    """Return the error of a process that is not the owner of everything."""
+    child = subprocess.run(
+        [sys.executable, "-c", OPEN, str(path)], capture_output=True, text=True, check=True
+    )
+    return child.stdout.strip().removeprefix(f"cannot keep goals in {path}: ")
+
+
+@pytest.fixture
+def open_folder() -> Iterator[Path]:
+    """A folder that every user can reach, unlike the one of `tmp_path`."""
+    folder = Path("/tmp") / f"fibaction-{os.getpid()}"
+    folder.mkdir(mode=0o777)
+    yield folder
+    folder.chmod(0o777)
+    shutil.rmtree(folder)
+
+
+def test_a_folder_that_is_read_only_is_an_error(open_folder: Path) -> None:
+    open_folder.chmod(0o555)
+    assert without_rights(open_folder / "goals.db") == (
+        "this process may not write to the folder; use another one, or allow it"
+    )
+
+
+def test_a_file_that_is_read_only_is_an_error(open_folder: Path) -> None:
+    write(open_folder / "goals.db", 1)
+    open_folder.chmod(0o777)
+    (open_folder / "goals.db").chmod(0o444)
+    assert without_rights(open_folder / "goals.db") == (
+        "this process may not read and write the file; use another one, or allow it"
+    )
+
+
+def test_permissions_are_looked_at_before_the_file_is_opened(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.X_OK)
+    assert why_not(path).startswith("this process may not write to the folder; use another")
+    path.touch()
+    monkeypatch.setattr(os, "access", lambda path, mode: mode & os.X_OK)
+    assert why_not(path).startswith("this process may not read and write the file; use another")
+
+
+# Damage
+
+
+def flipped(path: Path, place: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[place] ^= 0x55
+    path.write_bytes(data)
+
+
+def test_damage_in_any_page_is_found_or_does_no_harm(path: Path) -> None:
+    write(path, 20)
+    whole = path.read_bytes()
+    found = 0
+    for place in [*range(0, 120, 7), *range(120, len(whole), 613)]:
+        path.write_bytes(whole)
+        flipped(path, place)
+        try:
+            assert stamps(path) == list(range(1, 21))
+        except StoreError:
+            found += 1
+    assert found > 50
+
+
+def test_a_row_that_has_changed_is_damage(path: Path) -> None:
+    write(path, 3)
+    flipped(path, path.read_bytes().index(b"\x02" * 100))
+    assert why_not(path) == (
+        "the file is damaged; restore it from a copy, or remove it to start without its goals (row"
+        " 3 is not what was written)"
+    )
+
+
+def test_a_table_without_rows_is_damage(path: Path) -> None:
+    write(path, 3)
+    with closing(sqlite3.connect(path)) as db:
+        db.execute("delete from log")
+        db.commit()
+    assert why_not(path).endswith("(all rows are missing)")
+
+
+def test_pages_that_do_not_fit_together_are_damage(path: Path) -> None:
+    write(path, 20)
+    with closing(sqlite3.connect(path)) as db:
+        db.execute("pragma writable_schema=1")
+        db.execute("create table other(x)")
+        db.execute("update sqlite_master set rootpage=2 where name='other'")
+        db.commit()
+    assert why_not(path).startswith("the file is damaged; restore")
+
+
+@pytest.mark.parametrize("part", [0.0, 0.1, 0.5, 0.8])
+def test_damage_in_the_log_of_a_killed_process_is_found_at_each_start(
+    left: Path, part: float
+) -> None:
+    log = left.with_name("goals.db-wal")
+    for place in (20, 40, 2000):
+        flipped(log, int(part * log.stat().st_size) + place)
+        for _ in range(2):
+            assert why_not(left).endswith("(its write-ahead log has changed)")
+        flipped(log, int(part * log.stat().st_size) + place)
+    assert stamps(left) == list(range(1, 21))
+
+
+def test_a_log_in_use_is_not_damage(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with closing(JournalFile(str(path), "full")):
+        monkeypatch.setattr(_journal_file, "is_damaged", lambda path: True)
+        assert why_not(path).startswith("it is in use by another process")
+
+
+def test_a_log_of_a_machine_with_another_byte_order_is_read(left: Path) -> None:
+    log = left.with_name("goals.db-wal")
+    log.write_bytes(with_other_sums(log.read_bytes()))
+    assert stamps(left) == list(range(1, 21))
+
+
+def with_other_sums(data: bytes) -> bytes:
+    """Return the log with checksums that a machine of the other byte order would make."""
+    result = bytearray(data)
+    result[3] ^= 1
+    order = "big" if result[3] & 1 else "little"
+    sums = _wal._summed(bytes(result[:24]), (0, 0), order)
+    result[24:32] = struct.pack(">II", *sums)
+    for start in range(32, len(data), 24 + 4096):
+        sums = _wal._summed(bytes(result[start : start + 8]), sums, order)
+        sums = _wal._summed(bytes(result[start + 24 : start + 24 + 4096]), sums, order)
+        result[start + 16 : start + 24] = struct.pack(">II", *sums)
+    return bytes(result)

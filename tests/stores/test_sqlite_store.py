@@ -1,0 +1,464 @@
+"""`SqliteStore`, in files of its own, on both event loops."""
+
+from __future__ import annotations
+
+import random
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, closing
+from functools import partial
+from pathlib import Path
+
+import anyio
+import anyio.to_thread
+import pytest
+
+from fibaction import GoalStatus, SqliteStore, StoreError
+from fibaction.stores import _writer
+from fibaction.stores._journal_file import JournalFile
+from fibaction.stores.goal_store import GoalJournal, StoredGoal
+from fibaction.stores.journal_rows import Record, Start, encode_row
+from tests.stores.made import a_goal, after_end, as_kept
+
+pytestmark = pytest.mark.anyio
+
+
+class Kept:
+    """An open journal whose writes are waited for."""
+
+    def __init__(self, journal: GoalJournal, found: list[StoredGoal]) -> None:
+        self.journal = journal
+        self.found = found
+
+    async def __call__(self, write: Callable[..., None], goal: StoredGoal) -> None:
+        told = anyio.Event()
+        errors: list[StoreError | None] = []
+
+        def then(error: StoreError | None) -> None:
+            errors.append(error)
+            told.set()
+
+        write(goal, then)
+        assert not errors  # it returns before anything is written
+        await told.wait()
+        if errors[0] is not None:
+            raise errors[0]
+
+
+@asynccontextmanager
+async def opened(
+    store: SqliteStore, action: str = "paint", max_results: int = 100
+) -> AsyncIterator[Kept]:
+    found: list[StoredGoal] = []
+    async with store.open(
+        action, max_results=max_results, claim=found.append, lose=lambda goal_id: None
+    ) as journal:
+        yield Kept(journal, found)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "goals.db"
+
+
+async def test_a_goal_is_there_at_the_next_start(path: Path) -> None:
+    async with opened(SqliteStore(path)) as kept:
+        assert kept.found == []
+        await kept(kept.journal.accept, a_goal())
+    async with opened(SqliteStore(path)) as kept:
+        assert kept.found == [a_goal()]
+
+
+async def test_each_step_is_kept(path: Path) -> None:
+    goal = a_goal()
+    store = SqliteStore(path)
+    async with opened(store) as kept:
+        await kept(kept.journal.accept, goal)
+        goal.status, goal.is_running, goal.attempt = GoalStatus.EXECUTING, True, 1
+        await kept(kept.journal.begin, goal)
+    async with opened(store) as kept:
+        assert kept.found == [goal]
+        goal.checkpoint = b"half"
+        await kept(kept.journal.checkpoint, goal)
+        goal.status = GoalStatus.CANCELING
+        await kept(kept.journal.cancel, goal)
+    async with opened(store) as kept:
+        assert kept.found == [goal]
+        goal.is_running = False
+        await kept(kept.journal.release, goal)
+    async with opened(store) as kept:
+        assert kept.found == [goal]
+        await kept(kept.journal.end, after_end(goal, reason="done ü"))
+    async with opened(store) as kept:
+        assert kept.found == [as_kept(goal)]
+
+
+async def test_a_second_store_cannot_use_the_file(path: Path) -> None:
+    async with opened(SqliteStore(path)):
+        with pytest.raises(StoreError, match="it is in use by another process or another Sqlite"):
+            async with opened(SqliteStore(path)):
+                pass
+    async with opened(SqliteStore(path)):
+        pass
+
+
+async def test_goals_come_by_their_ends_and_then_by_their_stamps(path: Path) -> None:
+    store = SqliteStore(path)
+    async with opened(store) as kept:
+        for number in (5, 1, 4, 2, 3):
+            await kept(kept.journal.accept, a_goal(number))
+        for number in (3, 1):
+            await kept(kept.journal.end, after_end(a_goal(number)))
+    for _ in range(2):
+        async with opened(store) as kept:
+            assert [goal.stamp for goal in kept.found] == [3, 1, 2, 4, 5]
+
+
+async def test_results_are_forgotten_at_a_start_when_there_are_too_many_or_too_old(
+    path: Path,
+) -> None:
+    store = SqliteStore(path)
+    async with opened(store) as kept:
+        for number, until in enumerate([0, 0, time.time_ns() + 10**12, 1, 0], 1):
+            await kept(kept.journal.accept, a_goal(number))
+            await kept(kept.journal.end, after_end(a_goal(number), keep_until=until))
+    async with opened(store, max_results=3) as kept:
+        assert [goal.stamp for goal in kept.found] == [2, 3, 5]
+    async with opened(store) as kept:
+        assert [goal.stamp for goal in kept.found] == [2, 3, 5]
+
+
+async def test_the_end_of_the_block_waits_for_what_is_written(path: Path) -> None:
+    store = SqliteStore(path)
+    told: list[tuple[int, StoreError | None]] = []
+
+    def note(number: int, error: StoreError | None) -> None:
+        told.append((number, error))
+
+    async with opened(store, "drive"):
+        async with opened(store) as paint:
+            for number in range(1, 100):
+                paint.journal.accept(a_goal(number), partial(note, number))
+        assert told == [(number, None) for number in range(1, 100)]
+        async with opened(store) as paint:
+            assert len(paint.found) == 99
+            for number in range(1, 100):
+                goal = after_end(a_goal(number))
+                paint.journal.end(goal, partial(note, -number))
+    assert told[99:] == [(-number, None) for number in range(1, 100)]
+
+
+async def test_a_goal_that_changes_after_a_call_is_kept_as_it_was(path: Path) -> None:
+    goal = a_goal()
+    async with opened(SqliteStore(path)) as kept:
+        kept.journal.accept(goal, lambda error: None)
+        goal.status = GoalStatus.CANCELING
+    async with opened(SqliteStore(path)) as kept:
+        assert kept.found == [a_goal()]
+
+
+async def test_servers_of_several_actions_share_a_store(path: Path) -> None:
+    store = SqliteStore(path)
+    async with opened(store, "paint") as paint:
+        async with opened(store, "drive") as drive:
+            await paint(paint.journal.accept, a_goal(1, checkpoint=b"paint"))
+            await drive(drive.journal.accept, a_goal(1, checkpoint=b"drive"))
+        await paint(paint.journal.accept, a_goal(2))
+    async with opened(store, "drive") as drive:
+        assert [goal.checkpoint for goal in drive.found] == [b"drive"]
+        async with opened(store, "paint") as paint:
+            assert [goal.stamp for goal in paint.found] == [1, 2]
+
+
+async def test_stores_of_several_actions_are_opened_at_once(path: Path) -> None:
+    store = SqliteStore(path)
+
+    async def use(action: str) -> None:
+        for number in range(1, 4):
+            async with opened(store, action) as kept:
+                assert len(kept.found) == number - 1
+                await kept(kept.journal.accept, a_goal(number))
+
+    async with anyio.create_task_group() as tasks:
+        for number in range(5):
+            tasks.start_soon(use, f"action{number}")
+
+
+async def test_an_action_is_served_once(path: Path) -> None:
+    store = SqliteStore(path)
+    async with opened(store) as kept:
+        with pytest.raises(StoreError, match="a server of the action 'paint' uses it already"):
+            async with opened(store):
+                pass
+        await kept(kept.journal.accept, a_goal())
+
+
+async def test_a_store_belongs_to_one_event_loop_at_a_time(
+    path: Path, anyio_backend_name: str
+) -> None:
+    store = SqliteStore(path)
+
+    async def use(action: str) -> None:
+        async with opened(store, action) as kept:
+            await kept(kept.journal.accept, a_goal())
+
+    run = partial(anyio.run, use, "drive", backend=anyio_backend_name)
+    async with opened(store):
+        with pytest.raises(StoreError, match="in use by the event loop of another thread"):
+            await anyio.to_thread.run_sync(run)
+    await anyio.to_thread.run_sync(run)
+
+
+async def test_goals_of_actions_that_are_not_served_stay_when_the_file_is_compacted(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_writer, "COMPACT_FROM", 10_000)
+    store = SqliteStore(path)
+    async with opened(store, "drive") as drive:
+        await drive(drive.journal.accept, a_goal())
+        await drive(drive.journal.accept, a_goal(2))
+        await drive(drive.journal.end, after_end(a_goal(2), keep_until=1))
+    async with opened(store, "paint", max_results=2) as paint:
+        for number in range(1, 300):
+            await paint(paint.journal.accept, a_goal(number))
+            await paint(paint.journal.end, after_end(a_goal(number)))
+    with sqlite3.connect(path) as db:
+        assert db.execute("select sum(length(data)) from log").fetchone()[0] < 11_000
+        assert db.execute("select min(n) from log").fetchone()[0] > 10
+    db.close()
+    async with opened(store, "paint") as paint:
+        assert [goal.stamp for goal in paint.found] in ([298, 299], list(range(297, 300)))[:1] or (
+            paint.found[-1].stamp == 299
+        )
+    async with opened(store, "drive") as drive:
+        assert [goal.stamp for goal in drive.found] == [1]
+
+
+async def test_large_records_are_written_in_several_rows(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_writer, "LARGEST_ROW", 1000)
+    async with opened(SqliteStore(path)) as kept:
+        for number in range(1, 10):
+            kept.journal.accept(a_goal(number, result=bytes(600)), lambda error: None)
+    async with opened(SqliteStore(path)) as kept:
+        assert len(kept.found) == 9
+
+
+# Errors
+
+
+async def test_a_file_that_cannot_be_opened_is_an_error_for_each_action(tmp_path: Path) -> None:
+    store = SqliteStore(tmp_path / "none" / "goals.db")
+    for _ in range(2):
+        with pytest.raises(StoreError, match="there is no folder"):
+            async with opened(store):
+                pass
+    (tmp_path / "none").mkdir()
+    async with opened(store):
+        pass
+
+
+async def test_what_sync_can_be_is_checked(path: Path) -> None:
+    with pytest.raises(ValueError, match="sync is 'full' or 'normal', not 'off'"):
+        SqliteStore(path, sync="off")  # type: ignore[arg-type]  # that is the point
+    assert repr(SqliteStore(path, "normal")) == f"SqliteStore({str(path)!r}, sync='normal')"
+
+
+async def test_after_a_failed_write_all_others_fail_in_order(path: Path) -> None:
+    store = SqliteStore(path)
+    told: list[tuple[int, str]] = []
+
+    def note(number: int, error: StoreError | None) -> None:
+        told.append((number, str(error)))
+
+    async with opened(store) as kept:
+        await kept(kept.journal.accept, a_goal(1))
+        await anyio.Path(path).unlink()
+        for number in range(2, 10):
+            kept.journal.accept(a_goal(number), partial(note, number))
+        with pytest.raises(StoreError, match="was removed or replaced"):
+            await kept(kept.journal.accept, a_goal(10))
+        await anyio.Path(path).touch()
+        with pytest.raises(StoreError, match="was removed or replaced"):
+            await kept(kept.journal.accept, a_goal(11))
+        with pytest.raises(StoreError, match="was removed or replaced"):
+            async with opened(store, "drive"):
+                pass
+    error = f"cannot keep goals in {path}: the file was removed or replaced while it was in use"
+    assert told == [(number, error) for number in range(2, 10)]
+
+
+async def test_a_record_that_cannot_be_written_is_an_error(path: Path) -> None:
+    async with opened(SqliteStore(path)) as kept:
+        with pytest.raises(StoreError, match="OverflowError"):
+            await kept(kept.journal.accept, a_goal(1, deadline=2**64))
+
+
+async def test_a_write_after_the_end_of_the_block_is_an_error(path: Path) -> None:
+    async with opened(SqliteStore(path)) as kept:
+        pass
+    with pytest.raises(StoreError, match=r"the store .* is closed"):
+        await kept(kept.journal.accept, a_goal())
+
+
+async def test_a_block_that_is_canceled_waits_for_its_writes(path: Path) -> None:
+    told: list[object] = []
+    with anyio.CancelScope() as scope:
+        async with opened(SqliteStore(path)) as kept:
+            kept.journal.accept(a_goal(), told.append)
+            scope.cancel()
+            await anyio.sleep_forever()
+    assert told == [None]
+    assert not [thread for thread in threading.enumerate() if thread.name == "fibaction store"]
+
+
+async def test_a_block_that_is_canceled_before_it_begins_leaves_the_file_free(path: Path) -> None:
+    store = SqliteStore(path)
+    with anyio.CancelScope() as scope:
+        scope.cancel()
+        async with opened(store):
+            raise AssertionError("it does not begin")
+    async with opened(store):
+        pass
+
+
+# Processes
+
+ABANDON = """
+import asyncio
+import sys
+import trio
+from fibaction import SqliteStore
+from fibaction.goals import GoalID, Sender
+from fibaction.stores.goal_store import StoredGoal
+
+async def use():
+    block = SqliteStore(sys.argv[2]).open("a", max_results=1, claim=print, lose=print)
+    journal = await block.__aenter__()
+    told = []
+    journal.accept(StoredGoal(GoalID.random(), 1, Sender(), b"", b""), told.append)
+    return block, journal
+
+if sys.argv[1] == "trio":
+    kept = trio.run(use)
+else:
+    kept = asyncio.run(use())
+print("ended")
+"""
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+def test_a_program_that_leaves_its_store_open_ends(path: Path, backend: str) -> None:
+    child = subprocess.run(
+        [sys.executable, "-c", ABANDON, backend, str(path)],
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    assert (child.stdout, child.returncode) == ("ended\n", 0), child.stderr
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+def test_the_thread_ends_with_a_write_that_outlives_the_event_loop(
+    path: Path, backend: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    has_ended = threading.Event()
+
+    def late(number: int, records: list[Record]) -> bytes:
+        has_ended.wait()
+        return encode_row(number, records)
+
+    async def begin() -> None:
+        writer = _writer.Writer(str(path), "full")
+        await writer.load("paint", 0)
+        monkeypatch.setattr(_writer, "encode_row", late)
+        writer.write(Start(), lambda error: None)
+        await anyio.wait_all_tasks_blocked()
+
+    anyio.run(begin, backend=backend)
+    [thread] = [thread for thread in threading.enumerate() if thread.name == "fibaction store"]
+    has_ended.set()
+
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+async def test_what_one_turn_of_the_event_loop_writes_is_one_commit(path: Path) -> None:
+    async with opened(SqliteStore(path)) as kept:
+        for number in range(1, 100):
+            kept.journal.accept(a_goal(number), lambda error: None)
+        await kept(kept.journal.accept, a_goal(100))
+    with closing(JournalFile(str(path), "full")) as file:
+        assert [number for number, _ in file.rows()] == [2, 3]  # the start, and a commit
+
+
+KILLED = """
+import itertools, sys, time
+import anyio
+from fibaction import SqliteStore
+from fibaction.goals import GoalID, Sender
+from fibaction.states import GoalStatus
+from fibaction.stores.goal_store import StoredGoal
+
+def tell(what, goal, error):
+    assert error is None
+    print(what, goal.stamp, flush=True)
+
+async def live(journal, first):
+    for number in itertools.count(first, 20):
+        goal = StoredGoal(GoalID(number.to_bytes(16, "big")), number, Sender(), b"", b"goal")
+        for what, write in ("accepted", journal.accept), ("ended", journal.end):
+            told = anyio.Event()
+            def then(error, what=what, told=told):
+                tell(what, goal, error)
+                told.set()
+            if what == "ended":
+                goal.status, goal.result = GoalStatus.SUCCEEDED, b"x" * (number % 5000)
+            write(goal, then)
+            await told.wait()
+
+async def main():
+    store = SqliteStore(sys.argv[1], sys.argv[2])
+    async with store.open("a", max_results=10**6, claim=id, lose=id) as journal:
+        start = time.time_ns() >> 16 << 8
+        async with anyio.create_task_group() as tasks:
+            for number in range(20):
+                tasks.start_soon(live, journal, start + number)
+
+anyio.run(main)
+"""
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])  # it is about the file
+async def test_everything_that_was_told_is_there_after_kills(path: Path) -> None:
+    told: dict[int, str] = {}
+    for kill in range(30):
+        told |= await anyio.to_thread.run_sync(killed, path, "full" if kill % 2 else "normal")
+        async with opened(SqliteStore(path), "a", 10**6) as kept:
+            found = {goal.stamp: goal.status for goal in kept.found}
+            for goal in kept.found:
+                if goal.status.is_terminal:
+                    assert goal.result == b"x" * (goal.stamp % 5000)
+        for number, what in told.items():
+            assert found[number] == GoalStatus.SUCCEEDED or what == "accepted"
+            assert found[number] in (GoalStatus.ACCEPTED, GoalStatus.SUCCEEDED)
+    assert len(told) > 300
+
+
+def killed(path: Path, sync: str) -> dict[int, str]:
+    """Run a program until it has told enough, kill it, and return what it has told."""
+    program = [sys.executable, "-c", KILLED, str(path), sync]
+    child = subprocess.Popen(program, stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    lines = [child.stdout.readline() for _ in range(random.randrange(1, 100))]
+    child.kill()
+    lines += child.stdout.read().splitlines(keepends=True)
+    child.wait()
+    child.stdout.close()
+    words = (line.split() for line in lines if line.endswith("\n"))
+    return {int(number): what for what, number in words}
