@@ -27,6 +27,7 @@ from fibaction.exceptions import (
     ProtocolError,
     ServerFailed,
     ServerNotFound,
+    StoreError,
     TransportError,
     UnknownGoal,
 )
@@ -60,6 +61,7 @@ _CODES: tuple[tuple[type[ActionError], ExitCode], ...] = (
     (AuthenticationFailed, ExitCode.UNREACHABLE),
     (LimitReached, ExitCode.UNREACHABLE),
     (ServerFailed, ExitCode.UNREACHABLE),
+    (StoreError, ExitCode.USAGE),
     (TransportError, ExitCode.USAGE),  # all other transport errors: the URL cannot be used
     (ProtocolError, ExitCode.UNREACHABLE),
 )
