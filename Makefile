@@ -29,7 +29,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test format lint types imports unit docs docs-serve bench simulate soak fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
+.PHONY: help demo test format lint types imports unit docs docs-serve bench simulate soak kills fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -77,6 +77,10 @@ simulate: $(VENV)/.tools  ## Run random scenarios in virtual time for ten minute
 
 soak: $(VENV)/.tools  ## Run fifty connections for ten minutes, and check that nothing grows
 	$(BIN)/python -m tests.soak
+
+kills: $(VENV)/.tools  ## Kill a server that keeps its goals, for two minutes twice, and start it again
+	$(BIN)/python -m tests.kills --seconds 120 --clients 20
+	$(BIN)/python -m tests.kills --seconds 120 --clients 20 --recovery rerun
 
 fuzz: $(VENV)/.fuzz  ## Send random bytes to a server for two minutes
 	$(BIN)/python -m tests.fuzz.wire -max_total_time=120

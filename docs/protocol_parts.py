@@ -33,7 +33,7 @@ MEANINGS = {
     "version": "Version of the protocol: 1.",
     "heartbeat": "Longest time between two messages of this side, in seconds.",
     "count": "Messages that the server may send in addition to those already granted.",
-    "number": "Number of the feedback message among all feedback of the goal, from 1.",
+    "number": "Number of the feedback message among the feedback of the attempt, from 1.",
     "payload": "The feedback message, a payload.",
     "result": "The result, a payload; nil if there is none.",
     "return_code": "[Return code](#return-codes).",

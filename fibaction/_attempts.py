@@ -202,7 +202,9 @@ class Attempts:
 
     async def _follow(self, lost: GoalStream) -> GoalStream:
         after = lost.cursor if lost.reads else None
-        return await self._endpoint.feedback(self._goal_id, after=after, own=True)
+        return await self._endpoint.feedback(
+            self._goal_id, after=after, own=True, attempt=lost.attempt
+        )
 
     def _is_retried(self, error: ActionError) -> bool:
         """Return whether there is another attempt after this error."""

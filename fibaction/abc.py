@@ -108,7 +108,12 @@ class Endpoint(ABC):
 
     @abstractmethod
     async def feedback(
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self,
+        goal_id: GoalID,
+        *,
+        after: int | None = None,
+        own: bool = False,
+        attempt: int = 1,
     ) -> GoalStream:
         """Follow a goal that was sent before.
 
@@ -116,6 +121,8 @@ class Endpoint(ABC):
         follows that number, as far back as the server remembers (the rest counts as dropped). A
         follower never slows the goal down, except with `own=True`, which is for the client that
         sent the goal, lost the stream that `send_goal` returned, and continues from there.
+        `attempt` is the attempt that `after` is a number of. If the goal is in another one by now,
+        the stream begins with the first feedback of that one.
 
         Raises:
             UnknownGoal: The server has no such goal.
@@ -154,6 +161,14 @@ class Endpoint(ABC):
             TransportError, ProtocolError: The connection ended for good, or the server rejects the
                 request.
         """
+
+    def owner_of(self, goal_id: GoalID) -> bytes:
+        """Return the owner of a goal, as in `Sender.owner`; empty if it is not known.
+
+        A goal may come from the time before a restart. The server half of a transport recognises
+        its client by this.
+        """
+        return b""
 
     async def get_result(self, goal_id: GoalID) -> Outcome[bytes]:
         """Wait for the end of a goal, and return its outcome; UNKNOWN if the server has no such
@@ -235,9 +250,14 @@ class ForwardingEndpoint(Endpoint):
         )
 
     async def feedback(
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self,
+        goal_id: GoalID,
+        *,
+        after: int | None = None,
+        own: bool = False,
+        attempt: int = 1,
     ) -> GoalStream:
-        return await self.inner.feedback(goal_id, after=after, own=own)
+        return await self.inner.feedback(goal_id, after=after, own=own, attempt=attempt)
 
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None
@@ -249,6 +269,9 @@ class ForwardingEndpoint(Endpoint):
 
     async def wait_for_server(self) -> None:
         await self.inner.wait_for_server()
+
+    def owner_of(self, goal_id: GoalID) -> bytes:
+        return self.inner.owner_of(goal_id)
 
     @property
     def is_running(self) -> bool:

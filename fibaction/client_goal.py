@@ -188,11 +188,21 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
         return self.feedback.stream.status
 
     @property
+    def attempt(self) -> int:
+        """The attempt at the goal that the feedback is of, from 1.
+
+        A server that keeps its goals in a store may run a goal again after a restart. The feedback
+        of the new attempt follows what is unread of the one before.
+        """
+        return self.feedback.stream.attempt
+
+    @property
     def feedback_dropped(self) -> int:
         """The number of feedback messages that were not delivered, because they were not read in
         time.
 
         It counts the messages before the last one that was read; at the end of the feedback, all.
+        The rest of an attempt that ended with its server is not known, and not counted.
         """
         return self.feedback.dropped
 

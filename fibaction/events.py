@@ -54,9 +54,11 @@ class GoalFeedback(msgspec.Struct, Generic[FeedbackT], frozen=True):
 
     goal_id: GoalID
     number: int
-    """The number of the message among the goal's feedback: 1, 2, 3 and so on; a gap shows that
-    messages were missed."""
+    """The number of the message among the feedback of its attempt: 1, 2, 3 and so on; a gap shows
+    that messages were missed."""
     feedback: FeedbackT
+    attempt: int = 1
+    """The attempt at the goal, from 1: see `ClientGoal.attempt`."""
 
 
 class Events(Generic[FeedbackT]):
@@ -169,7 +171,7 @@ class _Merger(Generic[FeedbackT]):
                 with await self._endpoint.feedback(goal_id, after=after) as stream:
                     while (item := await stream.receive()) is not None:
                         feedback = self._codec.decode(item.payload)
-                        await sink.send(GoalFeedback(goal_id, item.number, feedback))
+                        await sink.send(GoalFeedback(goal_id, item.number, feedback, item.attempt))
             except UnknownGoal:
                 pass  # it ended and was forgotten in the meantime
             except ActionError as exc:

@@ -107,7 +107,8 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     status: GoalStatus
     """The goal's status; UNKNOWN if the server has forgotten the goal."""
     feedback_count: int = 0
-    """The number of feedback messages so far; 0 also if the transport does not carry it."""
+    """The number of feedback messages of the attempt so far; 0 also if the transport does not carry
+    it."""
     client: str = ""
     """The client that sent the goal, for people to read: its `Sender` as text; empty if it is
     unknown."""
@@ -117,6 +118,9 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
     places of all goals change with each start."""
     queue_length: int = 0
     """The number of goals that wait in the same queue; 0 with a place of 0."""
+    attempt: int = 1
+    """The attempt at the goal, from 1: a server that keeps its goals in a store may run a goal
+    again after a restart. 1 also if the transport does not carry it."""
 
 
 class Outcome(msgspec.Struct, Generic[T], frozen=True):

@@ -288,10 +288,13 @@ class _GoalState:
         waiting = info if info.place else self.info  # events tell no places
         if status is not GoalStatus.ACCEPTED:
             waiting = _NOT_WAITING
+        attempt = max(self.info.attempt, info.attempt)
+        counts = (one.feedback_count for one in (self.info, info) if one.attempt == attempt)
         self.info = msgspec.structs.replace(
             info,
             status=status,
-            feedback_count=max(self.info.feedback_count, info.feedback_count),
+            attempt=attempt,
+            feedback_count=max(counts),
             client=info.client or self.info.client,
             place=waiting.place,
             queue_length=waiting.queue_length,
@@ -299,11 +302,13 @@ class _GoalState:
 
     def add_feedback(self, event: GoalFeedback[Any]) -> int:
         """Take feedback. Return how many messages there were since the one before."""
-        # If the first one seen here is not number 1, its number says nothing about the rate.
-        more = event.number - self._number if self._number else 1
+        # If the first one seen here is not number 1, its number says nothing about the rate. The
+        # numbers begin anew with each attempt.
+        more = event.number - self._number if 0 < self._number < event.number else 1
         self._number, self._new = event.number, event
         self._rate.count += more
-        self.merge(msgspec.structs.replace(self.info, feedback_count=event.number))
+        count, attempt = event.number, event.attempt
+        self.merge(msgspec.structs.replace(self.info, feedback_count=count, attempt=attempt))
         return more
 
     def sample(self, now: float) -> None:

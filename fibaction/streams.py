@@ -24,8 +24,11 @@ class FeedbackItem(msgspec.Struct, frozen=True, gc=False):
     """One feedback message of a goal."""
 
     number: int
-    """Number of the message among all feedback of the goal: 1, 2, 3 and so on, without gaps."""
+    """Number of the message among the feedback of its attempt: 1, 2, 3 and so on, without gaps."""
     payload: bytes
+    attempt: int = 1
+    """The attempt at the goal that the feedback is of. A server that keeps its goals in a store may
+    run a goal again after a restart."""
 
 
 class _Closing(ABC):
@@ -78,7 +81,8 @@ class GoalStream(_Closing):
     """True if the goal belongs to the client that asked for this stream, as far as the server can
     tell clients apart. A stream of another client's goal never makes the executor wait."""
     cursor: int
-    """The number of the last feedback that was taken or skipped; 0 before the first."""
+    """The number of the last feedback that was taken or skipped; 0 before the first of an attempt.
+    """
     reads: bool
     """True while feedback and status changes are delivered. After `close()`, or if the goal was
     sent with `feedback=False`, only the outcome is."""
@@ -91,14 +95,23 @@ class GoalStream(_Closing):
         """The newest status that this stream knows."""
 
     @property
+    def attempt(self) -> int:
+        """The attempt at the goal, from 1, in which `cursor` counts: that of the feedback that was
+        taken last, or a newer one if its feedback comes next.
+        """
+        return 1
+
+    @property
     @abstractmethod
     def dropped(self) -> int:
-        """The number of feedback messages that this stream has missed."""
+        """The number of feedback messages that this stream has missed, in all attempts that it has
+        followed. The rest of an attempt that ended with its server is not known, and not counted.
+        """
 
     @abstractmethod
     def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
         """Return the next updates that have arrived: one status change, or at most `limit` feedback
-        messages; empty if none has arrived.
+        messages of one attempt; empty if none has arrived.
 
         When nothing else is left and the goal has ended, return its `Outcome`, each time.
 

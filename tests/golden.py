@@ -76,8 +76,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "971101a96669626f6e61636369c410000102030405060708090a0b0c0d0e0fc40881a56f726465720a40cb4014000000000000",
     ),
     (
-        Follow(2, "fibonacci", GOAL_ID, 3, True, 64),
-        "971202a96669626f6e61636369c410000102030405060708090a0b0c0d0e0f03c340",
+        Follow(2, "fibonacci", GOAL_ID, 3, True, 64, 2),
+        "981202a96669626f6e61636369c410000102030405060708090a0b0c0d0e0f03c34002",
     ),
     (
         CancelGoals(3, "fibonacci", GOAL_ID, None),
@@ -120,8 +120,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "952001cb3ff0000000000000ce00010000cb402e000000000000",
     ),
     (
-        Following(1, STAMP, GoalStatus.ACCEPTED, False, 0),
-        "962101cf17979cfe362a000001c200",
+        Following(1, STAMP, GoalStatus.ACCEPTED, False, 0, 1),
+        "972101cf17979cfe362a000001c20001",
     ),
     (
         Rejected(1, "the order is negative"),
@@ -148,8 +148,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "952703009193c410000102030405060708090a0b0c0d0e0fcf17979cfe362a000003a0",
     ),
     (
-        GoalChanged(4, GOAL_ID, STAMP, GoalStatus.ACCEPTED, 0, 0, "arm", 2, 5),
-        "9a2804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000010000a361726d0205",
+        GoalChanged(4, GOAL_ID, STAMP, GoalStatus.ACCEPTED, 0, 0, "arm", 2, 5, 1),
+        "9b2804c410000102030405060708090a0b0c0d0e0fcf17979cfe362a0000010000a361726d020501",
     ),
     (
         Done(5),

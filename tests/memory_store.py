@@ -1,7 +1,7 @@
 """`MemoryStore`: a store for tests, in memory, which can answer late, fail, and die.
 
 A write waits until it is due, then it becomes durable, then it is answered: in order, and by
-default in the next turn of the event loop. `fate` decides on each write, by its number from 1 on.
+default in the next turn of the event loop. `fate` decides on each write when it is due.
 A journal whose process is dead keeps nothing any more and answers nothing, and the store can be
 opened again, as after a restart.
 
@@ -61,12 +61,12 @@ class MemoryStore(GoalStore):
 
     def __init__(
         self,
-        fate: Callable[[int], Fate] = lambda _: Fate.KEPT,
+        fate: Callable[[int, str], Fate] = lambda _number, _what: Fate.KEPT,
         *,
         clock: Callable[[], int] = time.time_ns,
     ) -> None:
         self.fate = fate
-        """The function that decides on the write of a number."""
+        """The function that decides on a write, by its number and its method."""
         self.delay: Callable[[], float] = lambda: 0.0
         """The function that returns the seconds from a write to its answer."""
         self.is_holding = False
@@ -76,12 +76,16 @@ class MemoryStore(GoalStore):
         self.writes = 0
         """The number of writes so far."""
         self.on_kept: Callable[[str, StoredGoal], None] = lambda _what, _goal: None
-        """The function that is called when a write is durable: with its method, and the goal."""
+        """The function that is called before a write is answered as durable: with its method, and
+        the goal."""
+        self.on_claim: Callable[[StoredGoal], None] = lambda _goal: None
+        """The function that is called before a goal is given to the next server."""
         self.on_death: Callable[[], None] = lambda: None
         """The function that is called when a fate lets the process die."""
         self.clock = clock
         self.journals: dict[str, MemoryJournal] = {}
         """The journals that are open, by their actions."""
+        self._dead: list[MemoryJournal] = []
 
     @asynccontextmanager
     async def open(
@@ -101,9 +105,10 @@ class MemoryStore(GoalStore):
             kept = [goal for (name, _), goal in self.goals.items() if name == action]
             ended = [goal for goal in kept if goal.status.is_terminal]
             active = [goal for goal in kept if goal.status.is_active]
-            for goal in sorted(ended, key=lambda one: one.ended_at):
-                claim(replace(goal))
-            for goal in sorted(active, key=lambda one: one.stamp):
+            ended.sort(key=lambda one: one.ended_at)
+            active.sort(key=lambda one: one.stamp)
+            for goal in (*ended, *active):
+                self.on_claim(goal)
                 claim(replace(goal))
             async with Background() as answering:
                 answering.start_soon(journal.answer)
@@ -118,9 +123,16 @@ class MemoryStore(GoalStore):
 
     def die(self, applied: int = 0) -> None:
         """Let the process die: all writes under way are lost, but for the first `applied` ones."""
-        for journal in tuple(self.journals.values()):
+        for journal in self.journals.values():
             journal.die(applied)
+            self._dead.append(journal)
         self.journals.clear()
+
+    def bury(self) -> None:
+        """Fail what dead processes still wait for, so that their tasks can end."""
+        for journal in self._dead:
+            journal.bury()
+        self._dead.clear()
 
     def hold(self) -> None:
         """Let all writes from now on wait."""
@@ -199,20 +211,18 @@ class MemoryJournal(GoalJournal):
             if self._writes[0].due > -math.inf:
                 await sleep_until(self._writes[0].due)
             for _ in range(len(self._writes)):
-                write = self._writes[0]
-                if write.due > current_time() or self._store.is_holding:
+                if self._writes[0].due > current_time() or self._store.is_holding:
                     break
-                error = self._carry_out(write)
+                error = self._carry_out(self._writes[0])
                 if self.is_dead:
                     return
-                self._writes.popleft()
-                write.then(error)
+                self._writes.popleft().then(error)
             if not self._writes:
                 self._empty.notify()
             await checkpoint()  # what was written by the answers is answered in the next turn
 
     def _carry_out(self, write: _Write) -> StoreError | None:
-        fate = self._store.fate(write.number)
+        fate = self._store.fate(write.number, write.what)
         if self._failure is None and fate in (Fate.FAILED, Fate.DOUBTFUL):
             self._failure = StoreError(BROKEN)
             if fate is Fate.DOUBTFUL:
@@ -223,7 +233,10 @@ class MemoryJournal(GoalJournal):
             return GoalTaken(BROKEN)
         if fate is not Fate.LOST:
             self._keep(write)
-        if fate is not Fate.KEPT:
+        if fate is Fate.KEPT:
+            goal = self._store.goals.get((self._action, write.goal.goal_id), write.goal)
+            self._store.on_kept(write.what, goal)
+        else:
             self._store.die()
             self._store.on_death()
         return None
@@ -241,7 +254,7 @@ class MemoryJournal(GoalJournal):
         self._empty.notify()
 
     def bury(self) -> None:
-        """Fail what a dead process still waits for, so that its tasks can end."""
+        """Fail what its dead process still waits for."""
         while self._writes:
             self._writes.popleft().then(StoreError(BROKEN))
 
@@ -261,7 +274,6 @@ class MemoryJournal(GoalJournal):
             goals[key] = known = _changed(known, what, goal)
         if what == "end":
             self.forget_old()
-        self._store.on_kept(what, goals.get(key, goal))
 
     def forget_old(self) -> None:
         """Forget the outcomes that are too old or too many."""

@@ -115,7 +115,7 @@ class OneGoal(Endpoint):
         return self.stream
 
     async def feedback(
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False, attempt: int = 1
     ) -> GoalStream:
         assert not own, "asking for a result slows nothing down"
         if goal_id != KNOWN:
@@ -435,6 +435,14 @@ async def test_a_forwarding_endpoint_passes_every_call_on() -> None:
             assert await client.call(Goal(2)) == Result([0, 1, 1])
             (known,) = await client.goals()
             assert (await client.attach(known.goal_id)).status is GoalStatus.SUCCEEDED
+            # The goal has one feedback, and none of it is of another attempt.
+            for attempt, place in ((1, 1), (2, 0)):
+                stream = await wrapper.feedback(known.goal_id, after=1, attempt=attempt)
+                assert (stream.attempt, stream.cursor) == (1, place)
+            sender = Sender(owner=b"ann")
+            goal = FIBONACCI.goal.encode(Goal(1))
+            await wrapper.send_goal(OTHER, goal, sender=sender)
+            assert wrapper.owner_of(OTHER) == b"ann"
             answer = await client.cancel_goals(known.goal_id)
             assert answer.return_code is CancelCode.GOAL_TERMINATED
             await wrapper.stop()
@@ -445,6 +453,7 @@ async def test_a_forwarding_endpoint_passes_every_call_on() -> None:
 async def test_around_an_endpoint_without_a_life_of_its_own_there_is_nothing_to_start() -> None:
     wrapper = ForwardingEndpoint(OneGoal(OneEnd()))
     assert wrapper.is_running
+    assert wrapper.owner_of(KNOWN) == b""
     async with wrapper as entered:
         assert entered is wrapper
         await wrapper.stop()

@@ -29,6 +29,7 @@ from fibaction import (
 )
 from fibaction._attempts import check_timeout
 from fibaction.abc import Endpoint, ForwardingEndpoint, GoalStream
+from fibaction.server.feedback_cursor import FeedbackCursor
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.virtual_time import in_virtual_time
 
@@ -341,6 +342,25 @@ async def test_an_accepted_goal_is_followed_again_until_that_succeeds() -> None:
         assert watch.shows(6)
     assert seen == [1, 2, 3, 4, 5, 6]
     assert endpoint.calls == ["send"] + ["follow"] * 4
+
+
+async def test_a_goal_is_followed_again_within_the_attempt_that_was_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server)
+        seen: list[int] = []
+
+        def on_feedback(feedback: Feedback) -> None:
+            seen.extend(feedback.partial_sequence)
+            if len(seen) == 2:
+                endpoint.lose()
+
+        monkeypatch.setattr(FeedbackCursor, "attempt", 2)  # and the goal is in the first
+        client = endpoint.client
+        result = await client.call(Goal(3), on_feedback=on_feedback, retry=Retry(delay=0.1))
+        assert result == Result([3])
+    assert seen == [1, 2, 1, 2, 3]
 
 
 async def test_the_attempts_are_counted_from_the_first_to_the_last() -> None:

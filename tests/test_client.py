@@ -53,6 +53,7 @@ class BrokenStream(GoalStream):
     reads = True
     status = GoalStatus.EXECUTING
     dropped = 0
+    attempt = 3
 
     def __init__(self, *, nonsense: bool = False, unknown: bool = False) -> None:
         self.nonsense = nonsense
@@ -112,7 +113,7 @@ class Broken(Endpoint):
         return self.stream
 
     async def feedback(
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False, attempt: int = 1
     ) -> GoalStream:
         self.follows.append(goal_id)
         return self.stream
@@ -162,6 +163,11 @@ async def test_a_goal_is_followed_from_its_acceptance_to_its_result() -> None:
         assert goal.feedback_dropped == 0
         assert goal.stamp > 0
         assert repr(goal) == f"<ClientGoal {goal.goal_id} SUCCEEDED>"
+
+
+async def test_a_goal_says_which_attempt_its_feedback_is_of() -> None:
+    goal = await client_of(Broken(BrokenStream())).attach(BrokenStream.goal_id)
+    assert goal.attempt == 3
 
 
 async def test_a_call_is_one_line() -> None:
@@ -402,7 +408,7 @@ async def test_leaving_a_goal_whose_cancel_is_rejected_or_that_is_unknown_does_n
 
     hold = anyio.Event()
     server = ScriptedServer(FIBONACCI, [hold, Result([])])
-    server._admission._on_cancel = refuse
+    server._cancels._on_cancel = refuse
     async with server:
         async with client_of(server).send_goal(Goal(1)):
             pass

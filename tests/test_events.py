@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncGenerator
+from typing import Any
 
 import anyio
 import pytest
@@ -23,6 +24,9 @@ from fibaction import (
 )
 from fibaction.abc import GoalStream, StatusStream
 from fibaction.exceptions import ActionError
+from fibaction.goals import UNKNOWN_OUTCOME, UNKNOWN_SENDER
+from fibaction.server.feedback_log import FeedbackLog
+from fibaction.server.goal_record import GoalRecord
 from fibaction.testing import ScriptedServer
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
@@ -197,7 +201,7 @@ class Watched(ActionServer[Goal, Feedback, Result]):
         return self._told
 
     async def feedback(  # type: ignore[override]  # as above
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False, attempt: int = 1
     ) -> GoalStream:
         self.asked.append(after)
         assert self._error is not None
@@ -235,6 +239,24 @@ async def test_a_new_goal_is_followed_from_its_beginning_and_a_known_one_from_no
     server = Watched(Statuses(*infos, known=1), UnknownGoal(ONE))
     await events_over(server)
     assert server.asked == [None, 0]
+
+
+async def test_feedback_says_which_attempt_it_is_of() -> None:
+    record = GoalRecord(ONE, b"", 1, UNKNOWN_SENDER)
+    record.attempt = 2
+    log = FeedbackLog(record)
+
+    class Kept(Watched):
+        async def feedback(self, goal_id: GoalID, **_: Any) -> GoalStream:  # type: ignore[override]  # as above
+            return log.follow(after=0)
+
+    log.append(FIBONACCI.feedback.encode(Feedback([1])))
+    record.outcome = UNKNOWN_OUTCOME
+    log.finish()
+    server = Kept(Statuses(GoalInfo(ONE, 1, GoalStatus.EXECUTING)))
+    async with ActionClient(server, FIBONACCI).events() as events:
+        seen = [event async for event in events]
+    assert seen[1:] == [GoalFeedback(ONE, 1, Feedback([1]), attempt=2)]
 
 
 async def test_a_lost_connection_is_raised_where_the_events_are_read() -> None:

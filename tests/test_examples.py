@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import shutil
 import signal
 import socket
@@ -36,6 +37,7 @@ from tests.processes import PATIENCE, ended, lines_until
 # Examples are scripts beside each other, and import one another as such.
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 
+import durable_print
 import exclusive_arm
 import fibonacci_client
 import fibonacci_server
@@ -351,6 +353,93 @@ async def test_a_shot_that_cannot_be_done_in_time_is_not_begun(
 def test_a_shot_without_frames_is_rejected() -> None:
     with pytest.raises(GoalRejected, match="a shot has 1 frame or more, not 0"):
         worker_pool.on_goal(worker_pool.Goal("empty", 0))
+
+
+# The printer
+
+
+@contextmanager
+def printing(folder: Path, url: str) -> Iterator[subprocess.Popen[str]]:
+    """The printer as a process, which is killed at the end."""
+    process = start("durable_print.py", "--url", url, "--period", "0.05", cwd=folder)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate(timeout=PATIENCE)
+
+
+async def print_through(folder: Path, url: str, number: signal.Signals | None) -> tuple[Any, ...]:
+    """Send the printer an object, end the printer at layer 3, and start it again. Return the layers
+    that were told, the results, and the line with which the printer begins again.
+    """
+    async with connect(url, durable_print.PRINT) as client:
+        with printing(folder, url) as process:
+            await anyio.to_thread.run_sync(lines_until, "^serving", process)
+            await client.wait_for_server()
+            goal = await client.send_goal(durable_print.Goal("gear", 8))
+            waiting = await client.send_goal(durable_print.Goal("nut", 2))
+            seen = []
+            async for feedback in goal.feedback:
+                seen.append(feedback.layers)
+                if len(seen) == 3:
+                    break
+            if number is not None:
+                process.send_signal(number)
+                await anyio.to_thread.run_sync(process.wait)
+        with printing(folder, url) as process:
+            begun = await anyio.to_thread.run_sync(lines_until, "gear", process)
+            seen += [feedback.layers async for feedback in goal.feedback]
+            return seen, await goal.result(), await waiting.result(), begun[-1]
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("number", [None, SIGINT], ids=["killed", "stopped"])
+async def test_a_printer_that_was_ended_goes_on_with_the_next_layer(
+    tmp_path: Path, number: signal.Signals | None
+) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        url = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+    with anyio.fail_after(PATIENCE):
+        seen, gear, nut, begun = await print_through(tmp_path, url, number)
+    assert (gear.layers, nut.layers) == (8, 2)
+    assert re.search(r"attempt 2, from layer [45678]$", begun.strip())
+    assert seen[:3] == [1, 2, 3]
+    assert seen == sorted(set(seen)), "no layer is told twice"
+    layers = (tmp_path / gear.file).read_text(encoding="utf-8").splitlines()
+    assert layers == [f"layer {number:6}" for number in range(1, 9)]
+
+
+@pytest.mark.anyio
+async def test_an_object_that_is_canceled_has_the_layers_so_far(tmp_path: Path) -> None:
+    printer = durable_print.Printer(tmp_path, 1.0)
+    goal = durable_print.Goal("gear", 9)
+    trial = await run_executor(durable_print.PRINT, printer.print, goal, cancel_after=2)
+    assert trial.outcome.status is GoalStatus.CANCELED
+    assert trial.outcome.result is not None
+    assert trial.outcome.result.layers == 2
+    text = (tmp_path / trial.outcome.result.file).read_text(encoding="utf-8")
+    assert text == "layer      1\nlayer      2\n"
+
+
+def test_a_layer_that_is_printed_again_is_where_it_was(tmp_path: Path) -> None:
+    for number in (1, 2, 2, 3):
+        durable_print.put_layer(tmp_path / "gear.txt", number)
+    text = (tmp_path / "gear.txt").read_text(encoding="utf-8")
+    assert text == "layer      1\nlayer      2\nlayer      3\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "layers", "reason"),
+    [
+        ("../gear", 1, r"'\.\./gear' is not a name of letters and digits"),
+        ("gear", 0, "an object has 1 layer or more, not 0"),
+    ],
+)
+def test_an_object_that_cannot_be_printed_is_rejected(name: str, layers: int, reason: str) -> None:
+    with pytest.raises(GoalRejected, match=reason):
+        durable_print.on_goal(durable_print.Goal(name, layers))
 
 
 # The Fibonacci action
@@ -711,6 +800,10 @@ def test_a_client_says_in_one_line_that_nobody_listens(tmp_path: Path) -> None:
         ("worker_pool.py --workers 0", 2, "concurrency is 1 or more, not 0"),
         ("worker_pool.py --queue=-1 --url inproc://x", 2, "queue is 0 or more, not -1"),
         ("worker_pool.py --queue many", 2, "argument --queue: invalid int value: 'many'"),
+        ("durable_print.py --url pigeon://x", 2, "no transport for pigeon:// is installed"),
+        ("durable_print.py --store nowhere/print.db", 2, "there is no folder "),
+        ("durable_print.py --folder nowhere", 2, "argument --folder: invalid folder value"),
+        ("durable_print.py --period=-1", 2, "argument --period: invalid seconds value"),
         ("fibonacci_client.py --url inproc://nobody", 6, "the action 'fibonacci' is not served"),
     ],
 )

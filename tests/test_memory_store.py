@@ -149,7 +149,7 @@ async def test_writes_can_take_time_and_stay_in_order(answers: Answers) -> None:
 
 @pytest.mark.parametrize(("fate", "is_kept"), [(Fate.FAILED, False), (Fate.DOUBTFUL, True)])
 async def test_after_a_failure_all_writes_fail(answers: Answers, fate: Fate, is_kept: bool) -> None:
-    store = MemoryStore(lambda number: fate if number == 2 else Fate.KEPT)
+    store = MemoryStore(lambda number, _: fate if number == 2 else Fate.KEPT)
     async with opened(store) as (journal, _):
         for number in (1, 2, 3):
             journal.accept(goal(number), answers.to(str(number)))
@@ -159,7 +159,7 @@ async def test_after_a_failure_all_writes_fail(answers: Answers, fate: Fate, is_
 
 
 async def test_a_goal_can_be_taken_by_another_server(answers: Answers) -> None:
-    store = MemoryStore(lambda number: Fate.TAKEN if number == 1 else Fate.KEPT)
+    store = MemoryStore(lambda number, _: Fate.TAKEN if number == 1 else Fate.KEPT)
     async with opened(store) as (journal, _):
         journal.accept(goal(1), answers.to("taken"))
         journal.accept(goal(2), answers.to("mine"))
@@ -172,7 +172,7 @@ async def test_a_goal_can_be_taken_by_another_server(answers: Answers) -> None:
 async def test_a_dead_process_keeps_nothing_and_is_answered_nothing(
     answers: Answers, fate: Fate, is_kept: bool
 ) -> None:
-    store = MemoryStore(lambda number: fate if number == 2 else Fate.KEPT)
+    store = MemoryStore(lambda number, _: fate if number == 2 else Fate.KEPT)
     deaths: list[str] = []
     store.on_death = lambda: deaths.append("dead")
     async with opened(store) as (journal, _):
@@ -185,7 +185,7 @@ async def test_a_dead_process_keeps_nothing_and_is_answered_nothing(
         assert deaths == ["dead"]
         async with opened(store) as (_, claimed):  # the next process
             assert len(claimed) == 1 + is_kept
-        journal.bury()
+        store.bury()
         assert answers.names == ["first", "second"]
 
 
@@ -202,11 +202,13 @@ async def test_of_the_writes_under_way_some_survive_a_death(answers: Answers) ->
 async def test_what_is_kept_is_told(answers: Answers) -> None:
     store, one, kept = MemoryStore(), goal(), list[str]()
     store.on_kept = lambda what, goal: kept.append(f"{what} {goal.stamp}")
+    store.on_claim = lambda goal: kept.append(f"claim {goal.stamp}")
     async with opened(store) as (journal, _):
         journal.accept(one, answers.to("accept"))
         journal.end(ended(one), answers.to("end"))
         await turns()
-    assert kept == ["accept 1", "end 1"]
+    async with opened(store):
+        assert kept == ["accept 1", "end 1", "claim 1"]
 
 
 async def test_a_store_is_open_once_for_an_action() -> None:

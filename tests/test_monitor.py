@@ -154,6 +154,20 @@ def test_the_latest_of_very_many_goals_are_kept(monkeypatch: pytest.MonkeyPatch)
     assert {goal.info.goal_id for goal in monitor.snapshot().goals} == set(ids[1:])
 
 
+def test_the_feedback_of_another_attempt_is_counted_anew(monitor: Monitor) -> None:
+    monitor.on_event("one", info(2))
+    monitor.on_event("one", feedback(7))
+    monitor.snapshot()
+    for number, attempt in ((8, 1), (1, 2), (2, 2)):
+        monitor.on_event("one", GoalFeedback(ID, number, 0, attempt))
+    monitor.on_event("one", info(2, count=9))  # an answer that comes late
+    goal = monitor.snapshot().goals[0]
+    assert (goal.info.feedback_count, goal.info.attempt) == (2, 2)
+    assert goal.feedback_rate == 3.0
+    monitor.on_event("one", GoalInfo(ID, 1, GoalStatus.EXECUTING, 5, attempt=3))
+    assert the_goal(monitor).info.feedback_count == 5
+
+
 def test_a_rate_is_that_of_the_last_seconds() -> None:
     rate = monitor_module._Rate()
     assert rate.per_second == 0

@@ -14,7 +14,7 @@ UNITS = {
     "fibaction/streams.py": ["tests/test_abc.py"],
     "fibaction/cli": ["tests/cli"],
     "transports/fibaction_transports/_command.py": ["tests/cli"],
-    "fibaction/server": ["tests/server"],
+    "fibaction/server": ["tests/server", "tests/test_durable.py"],
     "fibaction/stores": ["tests/stores"],
     # The rules without I/O.
     "fibaction/server/cancellation.py": ["tests/server/test_registry.py"],

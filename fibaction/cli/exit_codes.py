@@ -44,6 +44,8 @@ class ExitCode(IntEnum):
     TIMED_OUT = 5
     UNREACHABLE = 6
     """There is no such server or action, or the connection was lost."""
+    STORE = 7
+    """The file that keeps the goals cannot be used, or cannot be written to any more."""
     BUG = 70
     """`EX_SOFTWARE` of `sysexits.h`: an error of fibaction itself."""
     INTERRUPTED = ctrl_c.INTERRUPTED
@@ -64,6 +66,7 @@ _CODES: tuple[tuple[type[ActionError], ExitCode], ...] = (
     (StoreError, ExitCode.USAGE),
     (TransportError, ExitCode.USAGE),  # all other transport errors: the URL cannot be used
     (ProtocolError, ExitCode.UNREACHABLE),
+    (StoreError, ExitCode.STORE),
 )
 
 # Hints of the library for Python code.

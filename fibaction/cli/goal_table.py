@@ -81,6 +81,7 @@ class GoalRow(msgspec.Struct, frozen=True):
             "client": info.client,
             "place": info.place,
             "queue_length": info.queue_length,
+            "attempt": info.attempt,
         }
 
 

@@ -34,8 +34,12 @@ PERIOD = 1.0
 """Seconds between two looks of that process for its parent."""
 
 
-def run_reloading(target: str, urls: Sequence[str], default_url: str) -> NoReturn:
+def run_reloading(
+    target: str, urls: Sequence[str], default_url: str, options: Sequence[str] = ()
+) -> NoReturn:
     """Serve until a signal comes, with a new process after each change in the module's folder.
+
+    The process gets the `options` of `fibaction serve`.
 
     Raises:
         Failure: There is no such module, or watchfiles is not installed.
@@ -59,7 +63,7 @@ def run_reloading(target: str, urls: Sequence[str], default_url: str) -> NoRetur
     os.environ["FIBACTION_URL"] = default_url
     watchfiles.run_process(
         folder,
-        target=shlex.join(_command(target, urls)),
+        target=shlex.join(_command(target, urls, options)),
         target_type="command",
         watch_filter=counts,
         callback=report,
@@ -67,13 +71,13 @@ def run_reloading(target: str, urls: Sequence[str], default_url: str) -> NoRetur
     raise click.exceptions.Exit(ExitCode.SUCCEEDED)
 
 
-def _command(target: str, urls: Sequence[str]) -> list[str]:
+def _command(target: str, urls: Sequence[str], options: Sequence[str]) -> list[str]:
     flags = [f"-W{one}" for one in sys.warnoptions]
     code = "from fibaction.cli import main; main()"
     # -B: a module's bytecode is taken for that of the next version, if both have the same size and
     # were written in the same second.
     python = [sys.executable, "-B", *flags, "-c", code]
-    return [*python, "serve", "--started-by", str(os.getpid()), "--", target, *urls]
+    return [*python, "serve", "--started-by", str(os.getpid()), *options, "--", target, *urls]
 
 
 def folder_of(module: str) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import AsyncGenerator, Callable, Generator, Sequence
 from contextlib import asynccontextmanager, contextmanager
+from typing import Literal
 
 import anyio
 import click
@@ -13,7 +14,7 @@ from fibaction._api import serve
 from fibaction._log import clean_logger
 from fibaction.abc import StatusStream
 from fibaction.cli.action_names import names_of
-from fibaction.cli.exit_codes import ExitCode, run
+from fibaction.cli.exit_codes import ExitCode, Failure, run
 from fibaction.cli.import_target import AnyServer, import_servers
 from fibaction.cli.last_seconds import LastSeconds
 from fibaction.cli.logs import log_events, log_with_time
@@ -22,6 +23,7 @@ from fibaction.cli.output import say
 from fibaction.cli.reload import SAME_STOP, run_reloading, started_by
 from fibaction.cli.signals import stop_signals
 from fibaction.states import GoalStatus
+from fibaction.stores.sqlite_store import SqliteStore
 
 LAST_SECONDS = 0.5
 """Seconds between the stop of all servers and the end of the process, at most."""
@@ -39,15 +41,28 @@ logger = clean_logger(__name__)
 Examples:
   fibaction serve robot:server
   fibaction serve robot:make_servers tcp://127.0.0.1:7400 unix:///run/robot.sock ros2://
+  fibaction serve robot:server --store goals.db
   fibaction serve robot:server --reload""",
 )
 @click.argument("target", metavar="MODULE:SERVER")
 @click.argument("urls", metavar="[URL]...", nargs=-1)
+@click.option("--store", metavar="FILE", help="Keep the goals in this file, over restarts.")
+@click.option(
+    "--sync",
+    type=click.Choice(["full", "normal"]),
+    help="With --store: normal is faster, and may lose the last goals if the power fails.",
+)
 @click.option("--reload", is_flag=True, help="Start again when the module's .py files change.")
 @click.option("--started-by", "parent", type=int, hidden=True)
 @click.pass_context
 def serve_command(
-    context: click.Context, target: str, urls: tuple[str, ...], reload: bool, parent: int | None
+    context: click.Context,
+    target: str,
+    urls: tuple[str, ...],
+    store: str | None,
+    sync: Literal["full", "normal"] | None,
+    reload: bool,
+    parent: int | None,
 ) -> None:
     """Run the action servers of a module of yours, at one URL or at several at once.
 
@@ -55,18 +70,34 @@ def serve_command(
     The module is looked for in the current folder first.
 
     Ctrl-C or SIGTERM ends all goals, tells their clients and stops. A second one ends at once.
+
+    With --store, servers that have no store of their own keep their goals in that file: their
+    `recovery` and `at_stop` say what becomes of active ones.
     """
+    if sync is not None and store is None:
+        raise Failure("--sync is a setting of --store FILE", ExitCode.USAGE)
     where = urls or (url_of(context),)
     reject_inproc(*where)  # beside another one it is for clients in the module itself
     with log_with_time():
         if reload:
-            run_reloading(target, urls, url_of(context))
+            options = () if store is None else ("--store", store, "--sync", sync or "full")
+            run_reloading(target, urls, url_of(context), options)
         else:
             with started_by(parent):
                 same = None if parent is None else SAME_STOP
                 servers = import_servers(target)
+                if store is not None:
+                    keep_in_file(servers, store, sync or "full")
                 with LastSeconds(LAST_SECONDS, ExitCode.SUCCEEDED) as last:
                     run(serve_servers, servers, where, same=same, at_end=last.begin, uvloop=True)
+
+
+def keep_in_file(servers: Sequence[AnyServer], path: str, sync: Literal["full", "normal"]) -> None:
+    """Let the servers that have no store keep their goals in a file."""
+    store = SqliteStore(path, sync=sync)
+    for server in servers:
+        if server.store is None:
+            server.keep_in(store)
 
 
 async def serve_servers(

@@ -1,4 +1,4 @@
-"""Decisions on goals and cancels: `Admission` calls the callbacks, and carries out their answers.
+"""Decisions on goals: `Admission` calls `on_goal`, and carries out its answers.
 
 Theory of operation
 -------------------
@@ -10,18 +10,14 @@ accepted or rejected; if the call is canceled before that, the goal is withdrawn
 a coroutine: the server half of a transport then starts no task for most goals, and serves short
 goals over TCP 1.4 times as fast (`python -m tests.benchmarks.parts`).
 
-A goal that is sent again while it is being decided waits for the decision, and so does a cancel
-with its ID. They wait for that goal alone: `_decisions` has one notifier per undecided goal, made
-by the first task that waits.
+A goal that is sent again while it is being decided waits for the decision (`decided`), and so does
+a cancel with its ID. They wait for that goal alone: `_decisions` has one notifier per undecided
+goal, made by the first task that waits.
 
 With a store, an acceptance is written before the goal is accepted and anything is told. Until then
 the goal counts as undecided; its place in the schedule is taken already. If the call is canceled
 meanwhile, the goal is accepted all the same. `_AcceptanceInWriting` has what is to be done when the
-write is durable. Answers to cancels wait for all writes before them.
-
-A cancel goes through `cancel`. The registry says which goals it means; `on_cancel` is called for
-each of them, for `MOST_AT_ONCE` concurrently, because one slow answer should not delay the cancels
-of other goals. A client may cancel all goals as often as it likes, so the work is done in slices.
+write is durable.
 """
 
 from __future__ import annotations
@@ -31,37 +27,29 @@ from collections.abc import Awaitable, Coroutine, Sequence
 from contextvars import copy_context
 from typing import Any, Generic, NamedTuple
 
-from anyio import Semaphore, create_task_group, current_time
+from anyio import current_time
 
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
-from fibaction._slices import Slices
 from fibaction._text import excerpt, shortened
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import (
-    CancelRejected,
     GoalKept,
     GoalRejected,
     ProtocolError,
     StoreError,
 )
-from fibaction.goals import CancelAnswer, GoalID, Sender
+from fibaction.goals import GoalID, Sender
 from fibaction.server._sender_argument import GoalFunction, with_sender
-from fibaction.server.callbacks import SERVER_STOPPING, Callback, Callbacks
-from fibaction.server.cancellation import Cancellation
+from fibaction.server.callbacks import SERVER_STOPPING, Callbacks
 from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_keeper import STORE_FAILED, GoalKeeper
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.goal_record import GoalRecord
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.server.runs import GOAL_IS_TAKEN, Runs
 from fibaction.server.scheduler import Act, Busy, Order
-from fibaction.states import GoalStatus
-
-MOST_AT_ONCE = 100
-"""Calls of `on_cancel` that one cancel waits for at the same time."""
 
 logger = clean_logger("fibaction.server")
 
@@ -106,8 +94,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None,
         *,
         on_goal: GoalFunction[GoalT, Awaitable[None] | None] | None,
-        on_cancel: Callback[GoalHandle[GoalT]] | None,
-        interrupt_on_cancel: bool,
+        callbacks: Callbacks,
     ) -> None:
         self._action = action
         self._registry = registry
@@ -116,20 +103,17 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._dispatcher = dispatcher
         self._keeper: GoalKeeper | None = None
         self._on_goal = None if on_goal is None else with_sender("on_goal", on_goal)
-        self._on_cancel = on_cancel
-        self._interrupt_on_cancel = interrupt_on_cancel
-        self._callbacks = Callbacks(action.name)
+        self._callbacks = callbacks
         self._decisions: dict[GoalID, Notifier] = {}
         self._is_closed = False
 
     def keep_by(self, keeper: GoalKeeper) -> None:
-        """Write acceptances and cancels through this keeper before they are told."""
+        """Write acceptances through this keeper before they are told."""
         self._keeper = keeper
 
     def close(self) -> None:
         """Reject all goals from now on, and all that are still undecided."""
         self._is_closed = True
-        self._callbacks.stop()
 
     # Goals
 
@@ -180,7 +164,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise self._reject_for_now(goal_id, busy)
 
     async def _offer_again(self, offer: Offer) -> FeedbackCursor:
-        await self._decided(offer.goal_id)
+        await self.decided(offer.goal_id)
         offered = self.offer(offer)
         return offered if isinstance(offered, FeedbackCursor) else await offered
 
@@ -302,7 +286,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._registry.withdraw(goal_id)
         self._tell_decision(goal_id)
 
-    async def _decided(self, goal_id: GoalID) -> None:
+    async def decided(self, goal_id: GoalID) -> None:
         """Wait until the goal is decided; return at once if it is not undecided."""
         while self._registry.is_undecided(goal_id):
             self._callbacks.check_not_within("on_goal", goal_id, "cancels, or sends again,")
@@ -312,76 +296,3 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         decision = self._decisions.pop(goal_id, None)
         if decision is not None:
             decision.notify()
-
-    # Cancels
-
-    async def cancel(self, goal_id: GoalID | None, stamp: int | None) -> CancelAnswer:
-        """Cancel the goals that an ID and a stamp mean: see `Endpoint.cancel_goals`."""
-        if goal_id is not None:
-            await self._decided(goal_id)
-        cancellation = self._registry.cancel(goal_id, stamp, now=current_time())
-        if self._on_cancel is None or len(cancellation.candidates) < 2:
-            slices = Slices()
-            for goal in cancellation.candidates:
-                asking = self._cancel(cancellation, goal)
-                if asking is not None:
-                    await self._cancel_later(cancellation, goal, asking)
-                await slices.pause()
-        else:
-            await self._cancel_together(cancellation)
-        if self._keeper is not None:
-            await self._keeper.settled()
-            self._keeper.check()
-        return cancellation.answer()
-
-    async def _cancel_together(self, cancellation: Cancellation) -> None:
-        """Cancel goals, and wait for several calls of an async `on_cancel` at the same time."""
-        slices, room = Slices(), Semaphore(MOST_AT_ONCE, fast_acquire=True)
-
-        async def wait(goal: GoalRecord, asking: Awaitable[None]) -> None:
-            await self._cancel_later(cancellation, goal, asking)
-            room.release()
-
-        async with create_task_group() as tasks:
-            for goal in cancellation.candidates:
-                await room.acquire()
-                asking = self._cancel(cancellation, goal)
-                if asking is None:
-                    room.release()
-                else:
-                    tasks.start_soon(wait, goal, asking)
-                await slices.pause()
-
-    def _cancel(self, cancellation: Cancellation, goal: GoalRecord) -> Awaitable[None] | None:
-        """Cancel a goal, or have it rejected; return the answer to wait for if it takes time."""
-        if goal.is_over or not goal.status.is_active:
-            return None  # it has ended since it was chosen
-        if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
-            self._callbacks.check_not_within("on_cancel", goal.goal_id, "cancels")
-            handle = self._runs.handle_of(goal.goal_id)
-            try:
-                asking = self._callbacks.ask(
-                    "on_cancel", self._on_cancel, (handle,), CancelRejected, about=goal.goal_id
-                )
-            except CancelRejected as exc:
-                cancellation.reject(exc.reason)
-                return None
-            if asking is not None:
-                return asking
-        self._accept_cancel(cancellation, goal)
-        return None
-
-    async def _cancel_later(
-        self, cancellation: Cancellation, goal: GoalRecord, asking: Awaitable[None]
-    ) -> None:
-        try:
-            await asking
-        except CancelRejected as exc:
-            cancellation.reject(exc.reason)
-        else:
-            self._accept_cancel(cancellation, goal)
-
-    def _accept_cancel(self, cancellation: Cancellation, goal: GoalRecord) -> None:
-        before = goal.status
-        if cancellation.accept(goal) and goal.status is not before:
-            self._runs.cancel(goal, interrupt=self._interrupt_on_cancel)

@@ -35,7 +35,7 @@ class Cancellation:
             return False
         if goal.status is not GoalStatus.CANCELING:
             goal.status = transition(goal.status, GoalEvent.CANCEL_GOAL)
-        self._canceling[goal.goal_id] = goal.info
+        self._canceling[goal.goal_id] = goal.info_as(goal.status)
         return True
 
     def reject(self, reason: str) -> None:

@@ -38,6 +38,7 @@ from fibaction.server.goal_handle import GoalHandle, Succession
 from fibaction.server.runs import Runs
 from fibaction.server.schedule import Schedule
 from fibaction.server.scheduler import Act, Order, Scheduler
+from fibaction.server.shutdown import warn_of_kill
 
 MOST_AT_ONCE = 200
 """Orders that are carried out in one turn of the event loop when their time has come."""
@@ -142,7 +143,8 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
             elif act is Act.TELL:
                 self._tell(goal_id)
             elif act is Act.KILL:
-                self._runs.kill(goal_id, self._kill_after)
+                warn_of_kill(goal_id, self._action, self._kill_after)
+                self._runs.kill(goal_id, for_good=False)
             else:
                 self._runs.interrupt(goal_id, reason)
         if self._scheduler.next_due < self._wake_at:

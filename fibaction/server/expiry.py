@@ -32,9 +32,11 @@ class ExpiringMap(Generic[T]):
     def __iter__(self) -> Iterator[T]:
         return (value for _, value in self._entries.values())
 
-    def put(self, goal_id: GoalID, value: T, now: float) -> None:
+    def put(
+        self, goal_id: GoalID, value: T, now: float, *, at_least_until: float = 0.0
+    ) -> None:
         """Add an entry, whose time begins now. Call `pop` afterwards to keep the limit."""
-        self.put_until(goal_id, value, now + self._seconds)
+        self.put_until(goal_id, value, max(now + self._seconds, at_least_until))
 
     def put_until(self, goal_id: GoalID, value: T, until: float) -> None:
         """Add an entry that expires then. It is freed after all entries that were added before."""

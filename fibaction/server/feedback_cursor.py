@@ -62,7 +62,11 @@ class FeedbackCursor(GoalStream):
 
     @property
     def status(self) -> GoalStatus:
-        return self._log.goal.status
+        return self._log.goal.told_status
+
+    @property
+    def attempt(self) -> int:
+        return self._log.goal.attempt
 
     @property
     def dropped(self) -> int:

@@ -49,7 +49,7 @@ import anyio
 from fibaction._budget import ByteBudget
 from fibaction._notify import Notifier
 from fibaction.abc import FeedbackItem
-from fibaction.exceptions import ActionError
+from fibaction.exceptions import ActionError, copy_of
 from fibaction.server._members import Members, with_member, without_member
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.goal_record import GoalRecord
@@ -69,6 +69,7 @@ class FeedbackLog:
     __slots__ = (
         "__weakref__",
         "_budget",
+        "_error",
         "_held",
         "_holders",
         "_items",
@@ -80,6 +81,7 @@ class FeedbackLog:
         "_standing",
         "_window",
         "goal",
+        "is_hidden",
         "latest",
         "outcome",
         "statuses",
@@ -97,6 +99,8 @@ class FeedbackLog:
         """The goal's outcome, which is kept here if the server forgets the goal."""
         self.latest = latest
         """True if a slow reader gets the newest feedback only."""
+        self.is_hidden = False
+        """True if followers may not read the feedback yet: its attempt is still being written."""
         # Tuples, because most have one item or none, and a list is twice as large.
         self.statuses: tuple[GoalStatus, ...] = ()
         """The statuses that the goal has had since its acceptance."""
@@ -111,6 +115,7 @@ class FeedbackLog:
         self._others: list[ref[FeedbackCursor]] | None = None  # they wait for the end only
         self._prune_at = 0  # the number of others at which those that are gone are removed
         self._room: Notifier | None = None
+        self._error: ActionError | None = None
 
     @property
     def count(self) -> int:
@@ -131,7 +136,7 @@ class FeedbackLog:
             self._items = items = deque(maxlen=self._window)
         elif len(items) == self._window:
             budget.used -= len(items[0].payload)
-        items.append(FeedbackItem(number, payload))
+        items.append(FeedbackItem(number, payload, self.goal.attempt))
         budget.used += len(payload)
         if budget.used > budget.limit:
             self._push_out()
@@ -208,11 +213,15 @@ class FeedbackLog:
                 left.news.notify()
 
     def fail(self, error: ActionError) -> None:
-        """End the streams of all followers with an error: the goal does not end here."""
+        """End all streams of the goal with an error, and those that are asked for later: its end is
+        not told here.
+        """
+        self._error = error
         readers, self._readers = self._readers, ()
         others, self._others = self._others, None
-        self._holders = ()
-        self.make_room()
+        if self._holders:
+            self._holders = ()
+            self.make_room()
         for cursor in tuple(readers):
             cursor.fail(error)
         for other in others or ():
@@ -220,13 +229,29 @@ class FeedbackLog:
                 left.fail(error)
 
     def follow(
-        self, *, feedback: bool = True, own: bool = False, after: int | None = None
+        self,
+        *,
+        feedback: bool = True,
+        own: bool = False,
+        after: int | None = None,
+        attempt: int | None = None,
     ) -> FeedbackCursor:
-        """Return a new cursor, at the end of the log or behind the feedback of number `after`.
+        """Return a new cursor, at the end of the log or behind the feedback of number `after`, or
+        at its beginning if that is a number of another attempt.
 
         Only an `own` cursor may make the executor wait.
+
+        Raises:
+            ActionError: The streams of the goal have ended with this error: see `fail`.
         """
-        start = self.count if after is None else min(max(after, 0), self.count)
+        if self._error is not None:
+            raise copy_of(self._error)
+        if after is None:
+            start = self.count
+        elif attempt is not None and attempt != self.goal.attempt:
+            start = 0
+        else:
+            start = min(max(after, 0), self.count)
         hold = own and feedback and not self.latest
         # Without names, which Python would first collect in a dict.
         cursor = FeedbackCursor(self, start, feedback, own, hold)
@@ -297,7 +322,13 @@ class FeedbackLog:
 
     def has_after(self, cursor: int) -> bool:
         """Return whether any feedback behind that number is remembered."""
-        return cursor < self.count and bool(self._items)
+        return cursor < self.count and bool(self._items) and not self.is_hidden
+
+    def reveal(self) -> None:
+        """Let followers read feedback that was hidden until now."""
+        self.is_hidden = False
+        for cursor in tuple(self._readers):
+            cursor.news.notify()
 
     def after(self, cursor: int, limit: int) -> list[FeedbackItem]:
         """Return the remembered feedback behind that number, at most `limit` messages; with the

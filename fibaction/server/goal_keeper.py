@@ -43,6 +43,7 @@ OUTCOME_GRACE = 60.0
 for it while the server was away."""
 
 STORE_FAILED = "the server has stopped, because its store has failed"
+STORE_IS_LATE = "the server has stopped before its store has answered"
 
 SECOND = 1_000_000_000
 
@@ -69,6 +70,7 @@ class GoalKeeper:
         self._news = Notifier()
         self._waits: list[tuple[int, int, Notifier]] = []  # a heap, by the numbers of the writes
         self._turns = itertools.count()
+        self._is_closed = False
         self.failure: StoreError | None = None
         """The error of the first write that has failed."""
         self.on_failure: Callable[[], None] = lambda: None
@@ -87,7 +89,10 @@ class GoalKeeper:
             claim=claim,
             lose=lambda goal_id: self.on_lost(goal_id),
         ) as self._journal:
-            yield
+            try:
+                yield
+            finally:
+                self._close()
 
     # Writes
 
@@ -178,7 +183,7 @@ class GoalKeeper:
                 await slices.pause()
 
     def _carry_out(self, goal_id: GoalID, then: Kept | None, error: StoreError | None) -> None:
-        if self.failure is not None:
+        if self.failure is not None or self._is_closed:
             return
         self._answered += 1
         if isinstance(error, GoalTaken):
@@ -193,21 +198,34 @@ class GoalKeeper:
     def _fail(self, error: StoreError) -> None:
         logger.error("action server %r stops: %s", self._action, error)
         self.failure = error
+        self._end_waits()
+        self.on_failure()
+
+    def _close(self) -> None:
+        """Carry out no more answers: the server has stopped, and did not wait for them any longer.
+
+        What they are about is kept, and is told after the next start.
+        """
+        self._is_closed = True
+        self._end_waits()
+
+    def _end_waits(self) -> None:
         for *_, news in self._waits:
             news.notify()
         self._waits.clear()
-        self.on_failure()
 
     # Waits
 
     def check(self) -> None:
-        """Check that the store has not failed.
+        """Check that the store has not failed, and that the server has not stopped.
 
         Raises:
-            GoalKept: It has.
+            GoalKept: One of these has happened.
         """
         if self.failure is not None:
             raise GoalKept(STORE_FAILED)
+        if self._is_closed:
+            raise GoalKept(STORE_IS_LATE)
 
     async def kept(self, write: int) -> None:
         """Wait until the write of that number is durable.
@@ -218,13 +236,15 @@ class GoalKeeper:
         await self._wait(write)
         if self.failure is not None:
             raise copy_of(self.failure)
+        if self._answered < write:
+            raise StoreError(STORE_IS_LATE)
 
     async def settled(self) -> None:
         """Wait until all writes so far are durable, or one has failed."""
         await self._wait(self._written)
 
     async def _wait(self, write: int) -> None:
-        if self._answered < write and self.failure is None:
+        if self._answered < write and self.failure is None and not self._is_closed:
             news = Notifier()
             heappush(self._waits, (write, next(self._turns), news))
             await news.wait()

@@ -106,13 +106,20 @@ class GoalLogs:
         own = goal.sender.owner == sender.owner
         return self._log_of(goal).follow(feedback=feedback, own=own, after=0)
 
-    def follow(self, goal_id: GoalID, *, own: bool, after: int | None) -> FeedbackCursor:
+    def follow(
+        self, goal_id: GoalID, *, own: bool, after: int | None, attempt: int
+    ) -> FeedbackCursor:
         """Return a stream of a goal that is active or remembered: see `Endpoint.feedback`.
 
         Raises:
             UnknownGoal: The goal was never accepted, or has been forgotten.
         """
-        return self._log_of(self._find(goal_id)).follow(own=own, after=after)
+        return self._log_of(self._find(goal_id)).follow(own=own, after=after, attempt=attempt)
+
+    def owner_of(self, goal_id: GoalID) -> bytes:
+        """Return the owner of a goal; empty if it is unknown: see `Endpoint.owner_of`."""
+        goal = self._registry.find(goal_id, now=current_time())
+        return b"" if goal is None else goal.sender.owner
 
     def _find(self, goal_id: GoalID) -> GoalRecord:
         goal = self._registry.find(goal_id, now=current_time())

@@ -36,6 +36,7 @@ class GoalRecord:
 
     __slots__ = (
         "attempt",
+        "before_cancel",
         "changed",
         "deadline",
         "digest",
@@ -46,6 +47,7 @@ class GoalRecord:
         "is_over",
         "outcome",
         "place",
+        "remember_until",
         "sender",
         "stamp",
         "status",
@@ -74,6 +76,8 @@ class GoalRecord:
         """Number of the attempt that runs, or that comes next. A server without a store makes one.
         """
         self.status: GoalStatus = INITIAL
+        self.before_cancel: GoalStatus | None = None
+        """The status before a cancel whose acceptance is being written; None if none is."""
         self.outcome: Outcome[bytes] | None = None
         """The outcome; None while the goal is active, and again after the server has forgotten it.
         The log of the goal has its own reference, for those that still follow it."""
@@ -85,6 +89,8 @@ class GoalRecord:
         """The bytes that are held of the goal: its payload, then its result."""
         self.ended_at = 0
         """Time of the end: nanoseconds since 1970; 0 while the goal is active."""
+        self.remember_until = 0.0
+        """Time until which the outcome is remembered at least, by the event loop's clock."""
         self.feedback_count = 0
         self.changed = 0
         """Number of the last published change of its status; 0 if no one follows the statuses."""
@@ -95,11 +101,22 @@ class GoalRecord:
         """The reason for which the server ends the goal by itself; empty if it does not."""
 
     @property
+    def told_status(self) -> GoalStatus:
+        """The status that followers may know: without a cancel that is still being written."""
+        return self.status if self.before_cancel is None else self.before_cancel
+
+    @property
     def info(self) -> GoalInfo:
         """The goal as an entry of the status list."""
-        place, length = self.place if self.status is INITIAL else NO_PLACE
+        return self.info_as(self.told_status)
+
+    def info_as(self, status: GoalStatus) -> GoalInfo:
+        """Return the goal as an entry of a list, with this status."""
+        place, length = self.place if status is INITIAL else NO_PLACE
         sender, count = str(self.sender), self.feedback_count
-        return GoalInfo(self.goal_id, self.stamp, self.status, count, sender, place, length)
+        return GoalInfo(
+            self.goal_id, self.stamp, status, count, sender, place, length, self.attempt
+        )
 
 
 class EndKind(Enum):

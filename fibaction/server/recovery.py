@@ -118,7 +118,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         deadline = math.inf
         if stored.deadline:
             deadline = now + (stored.deadline - wall) / SECOND
-        goal = self._registry.restore(stored, deadline=deadline)
+        goal = self._registry.restore(stored, deadline=deadline, until=now + LEAST_TIME)
         try:
             request = self._action.goal.decode(stored.goal)
             restored = self._checkpoints.restored(goal)

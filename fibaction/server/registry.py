@@ -184,18 +184,19 @@ class GoalRegistry:
         self._listing = None
 
     def restore(
-        self, stored: StoredGoal, *, deadline: float = math.inf, until: float = math.inf
+        self, stored: StoredGoal, *, deadline: float = math.inf, until: float = 0.0
     ) -> GoalRecord:
         """Take a goal that was accepted by an earlier process, and return its record.
 
-        A goal that has ended is remembered until the time `until`.
+        Its outcome is remembered until the time `until`, and that of a goal that has not ended yet
+        at least so long.
         """
         goal_id, status = GoalID(stored.goal_id), stored.status
         self._last_stamp = max(stored.stamp, self._last_stamp)
         size = len(stored.goal) + len(stored.result or b"") + len(stored.reason)
         held = CountedBytes(self.budget, size)
         goal = GoalRecord(goal_id, stored.digest, stored.stamp, stored.sender, held, deadline)
-        goal.attempt = max(stored.attempt, 1)
+        goal.attempt, goal.remember_until = max(stored.attempt, 1), until
         self._listing = None
         if status.is_terminal:
             goal.status = status
@@ -270,7 +271,7 @@ class GoalRegistry:
         goal.held.resize(len(outcome.result or b"") + len(outcome.reason))
         self._kept_bytes += goal.held.size
         del self._active[goal.goal_id]
-        self._ended.put(goal.goal_id, goal, now)
+        self._ended.put(goal.goal_id, goal, now, at_least_until=goal.remember_until)
         self._listing = None
 
     def cancel(self, goal_id: GoalID | None, stamp: int | None, *, now: float) -> Cancellation:

@@ -17,7 +17,7 @@ A goal that is not to end here (`_let_go`) just leaves, and its streams fail: th
 keeps its goals, its store has failed, or another server has taken the goal over.
 
 An executor may end by itself, or because of a cancel (`cancel`), or because the server ends the
-goal for a reason of its own (`interrupt`, `stop`). Each interrupts it once. They differ in the
+goal for a reason of its own (`interrupt`). Each interrupts it once. They differ in the
 reason, which `_fix_outcome` takes from the goal's record. An executor whose clean-up takes too long
 is killed: its goal is finished first, so `_run` does not find it among the active ones any more.
 
@@ -36,12 +36,9 @@ from contextvars import Context
 from functools import partial
 from typing import Any, Generic
 
-import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
-from fibaction._log import clean_logger
-from fibaction._slices import Slices
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import GoalKept
 from fibaction.goals import GoalID, Outcome
@@ -58,14 +55,9 @@ from fibaction.server.goal_record import NO_PLACE, Ending, EndKind, GoalRecord
 from fibaction.server.registry import GoalRegistry
 from fibaction.states import GoalStatus
 
-MOST_NAMED = 10
-"""Goals that are named in the log when they are killed at the end; the others are counted."""
-
 GOAL_IS_KEPT = "the server has stopped, and runs the goal again after its next start"
 GOAL_IS_TAKEN = "another server has taken the goal over"
 CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
-
-logger = clean_logger("fibaction.server")
 
 
 class Run(Generic[GoalT, FeedbackT, ResultT]):
@@ -163,13 +155,15 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         if keeper is None or stored is None:
             self._begin(run)
         elif not stored.is_running:
+            run.is_waiting = False  # it has its place, and gives it back by `_leave`
             keeper.begin(run.goal, partial(self._begin, run))
         else:
             self._begin(run)
 
     def _begin(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
-        if run.goal.is_over:
-            return  # it was canceled while its begin was written
+        if run.goal.is_over:  # it was killed while its begin was written
+            self._leave(run.goal.goal_id)
+            return
         run.is_waiting = False
         self._pool.add(partial(self._run, run), run.goal.sender.owner)
 
@@ -233,27 +227,35 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         old.execution.go_on_as(new.execution.handle, new.log)
         new.execution, new.is_waiting = old.execution, False
         if self._keeper is not None:
-            self._keeper.begin(new.goal)
+            # The executor runs already. Nothing of this attempt may be told before it is kept: the
+            # next attempt would have the same number.
+            new.log.is_hidden = True
+            self._keeper.begin(new.goal, new.log.reveal)
         self._finish(old, Ending(EndKind.CANCELED, reason=f"preempted by {successor}"))
         self._execute(new)
 
     # Stop
 
-    def cancel(self, goal: GoalRecord, *, interrupt: bool) -> None:
-        """Tell followers that a goal is CANCELING, and interrupt its executor if `interrupt`.
+    def cancel(self, goal: GoalRecord, before: GoalStatus, *, interrupt: bool) -> None:
+        """Tell followers that a goal is CANCELING, which was `before`, and interrupt its executor
+        if `interrupt`.
 
         A goal that waits ends at once.
         """
         run = self._runs[goal.goal_id]
-        tell = partial(self._logs.tell_status, run.log)
         if self._keeper is None:
-            tell()
+            self._logs.tell_status(run.log)
         else:
-            self._keeper.cancel(goal, tell)
+            goal.before_cancel = before
+            self._keeper.cancel(goal, partial(self._tell_cancel, run))
         if run.is_waiting:
             self._end(run.execution, Ending(EndKind.CANCELED))
         elif interrupt:
             run.execution.interrupt()
+
+    def _tell_cancel(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        run.goal.before_cancel = None
+        self._logs.tell_status(run.log)
 
     def interrupt(self, goal_id: GoalID, reason: str) -> None:
         """End a goal as ABORTED for that reason: interrupt its executor if it has begun."""
@@ -280,72 +282,35 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             else:
                 run.execution.interrupt()
 
-    def kill(self, goal_id: GoalID, timeout: float) -> None:
-        """Kill the executor of a goal that was interrupted `timeout` seconds ago."""
-        run = self._runs.get(goal_id)
-        if run is not None:
-            self._warn_of_kill(run, timeout)
-            self._kill(run, for_good=False)
+    def kill(self, goal_id: GoalID, reason: str = "", *, for_good: bool) -> None:
+        """Kill the executor of a goal that was interrupted, and end the goal, for that reason if it
+        has no other.
 
-    async def stop(self, reason: str, timeout: float, *, keep: bool) -> None:
-        """Interrupt all executors for that reason, and wait until they have ended; kill those whose
-        clean-up has not ended within `timeout` seconds.
-
-        With `keep`, their goals stay in the store, and do not end here.
+        An executor that survives this is given up if `for_good`; otherwise it runs on.
         """
-        self._kept_for = reason if keep else ""
-        try:
-            slices = Slices()
-            for goal_id in tuple(self._runs):
-                self.interrupt(goal_id, reason)
-                await slices.pause()
-            with anyio.move_on_after(timeout, shield=True):
-                while self._runs:
-                    await self._logs.ended.wait()
-        finally:
-            try:
-                await self._kill_all(reason, timeout)
-            finally:
-                self._pool.close()
+        run = self._runs.get(goal_id)
+        if run is not None and not run.goal.is_over:
+            run.goal.stop_reason = run.goal.stop_reason or reason
+            self._finish(run, Ending(EndKind.FAILED, reason=run.goal.stop_reason), killed=True)
+            run.execution.kill(for_good=for_good)
+
+    def active(self) -> tuple[GoalID, ...]:
+        """Return the goals whose end is not fixed."""
+        return tuple(goal_id for goal_id, run in self._runs.items() if not run.goal.is_over)
+
+    def close(self) -> None:
+        """End the tasks for executors, after the last goal."""
+        self._pool.close()
+
+    def keep_for(self, reason: str) -> None:
+        """Keep the goals in the store that are interrupted for this reason, and not end them."""
+        self._kept_for = reason
 
     def abandon_ends(self) -> None:
         """Let go of goals whose end is being written: the store has failed."""
         for run in tuple(self._runs.values()):
             if run.goal.is_over:
                 self._let_go(run, STORE_FAILED)
-
-    async def _kill_all(self, reason: str, timeout: float) -> None:
-        runs = tuple(run for run in self._runs.values() if not run.goal.is_over)
-        for run in runs:  # asyncio itself may have canceled the task before it came to all
-            run.goal.stop_reason = run.goal.stop_reason or reason
-        for run in runs[:MOST_NAMED]:
-            self._warn_of_kill(run, timeout)
-        if len(runs) > MOST_NAMED:
-            more = len(runs) - MOST_NAMED
-            logger.warning(
-                "%d more goals of action %r did not stop in time either", more, self._action.name
-            )
-        slices = Slices()
-        try:
-            for run in runs:
-                self._kill(run, for_good=True)
-                await slices.pause()
-        finally:
-            for run in tuple(self._runs.values()):  # asyncio itself canceled the task in a pause
-                self._kill(run, for_good=True)
-
-    def _warn_of_kill(self, run: Run[GoalT, FeedbackT, ResultT], timeout: float) -> None:
-        logger.warning(
-            "goal %s of action %r did not stop in time (%g s), and is killed",
-            run.goal.goal_id,
-            self._action.name,
-            timeout,
-        )
-
-    def _kill(self, run: Run[GoalT, FeedbackT, ResultT], *, for_good: bool) -> None:
-        if not run.goal.is_over:
-            self._finish(run, Ending(EndKind.FAILED, reason=run.goal.stop_reason), killed=True)
-            run.execution.kill(for_good=for_good)
 
     # Finish
 

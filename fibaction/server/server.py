@@ -1,17 +1,16 @@
 """`ActionServer`: the settings, start and stop, and the client-facing methods of an action server.
 
-The work is done by its parts: `Admission` decides on goals and cancels, `Runs` runs executors, and
-`GoalRegistry` has every goal and its rules. The server does not depend on transports: they call it
-as an `Endpoint`.
+The work is done by its parts: `Admission` decides on goals and `Cancels` on cancels, `Runs` runs
+executors, `GoalRegistry` has every goal and its rules, and with a store, `GoalKeeper` writes to it
+and `Recovery` takes over what it has. The server does not depend on transports: they call it as an
+`Endpoint`.
 """
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Awaitable, Coroutine
 from contextlib import AsyncExitStack
-from functools import partial
 from types import TracebackType
 from typing import Any, Generic, Literal, Self
 
@@ -25,10 +24,17 @@ from fibaction.abc import Endpoint
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import ServerNotFound, copy_of
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
+from fibaction.server._argument_checks import (
+    check_is_executor,
+    check_is_schedule,
+    check_is_store,
+    check_recovery,
+)
 from fibaction.server._sender_argument import GoalFunction
 from fibaction.server._watchdog import Watch
 from fibaction.server.admission import Admission, Offer
-from fibaction.server.callbacks import Callback
+from fibaction.server.callbacks import Callback, Callbacks
+from fibaction.server.cancels import Cancels
 from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.executor import Executor
 from fibaction.server.feedback_cursor import FeedbackCursor
@@ -39,6 +45,7 @@ from fibaction.server.recovery import Recovery, RecoveryRule
 from fibaction.server.registry import MAX_BYTES, MAX_GOALS, GoalRegistry
 from fibaction.server.runs import Runs
 from fibaction.server.schedule import Schedule
+from fibaction.server.shutdown import Shutdown
 from fibaction.server.status_broadcast import StatusCursor
 from fibaction.stores.goal_store import GoalStore
 
@@ -134,7 +141,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 f"{action!r} is untyped, and a server needs types: define an Action with the types"
                 f" of goal, feedback and result"
             )
-        _check_is_executor(executor)
+        check_is_executor(executor)
         if feedback not in ("every", "latest"):
             raise ValueError(f"feedback is 'every' or 'latest', not {feedback!r}")
         if feedback_window < 1:
@@ -150,7 +157,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         ):
             if not value >= 0:
                 raise ValueError(f"{name} is 0 or more, not {value}")
-        _check_recovery(recovery, max_attempts)
+        check_recovery(recovery, max_attempts)
         if at_stop not in ("abort", "keep"):
             raise ValueError(f"at_stop is 'abort' or 'keep', not {at_stop!r}")
         self.action = action
@@ -169,10 +176,11 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         )
         self._dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None = None
         if schedule is not None:
-            _check_is_schedule(schedule)
+            check_is_schedule(schedule)
             self._dispatcher = Dispatcher(
                 schedule, self._runs, action=action.name, kill_after=shutdown_timeout
             )
+        self._callbacks = Callbacks(action.name)
         self._admission = Admission(
             action,
             registry,
@@ -180,8 +188,15 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             self._logs,
             self._dispatcher,
             on_goal=on_goal,
+            callbacks=self._callbacks,
+        )
+        self._cancels = Cancels(
+            registry,
+            self._runs,
+            self._admission.decided,
             on_cancel=on_cancel,
-            interrupt_on_cancel=interrupt_on_cancel,
+            interrupt=interrupt_on_cancel,
+            callbacks=self._callbacks,
         )
         self._recovery = Recovery(
             action,
@@ -199,6 +214,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._block: CancelScope
         self._shutdown_timeout = shutdown_timeout
         self._started = Notifier()
+        self.store: GoalStore | None = None
+        """The store that keeps the goals of this server; None if none does."""
         self._phase: Literal["new", "running", "stopping", "stopped"] = "new"
         if store is not None:
             self.keep_in(store)
@@ -225,12 +242,14 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if not self.is_new or self._keeper is not None:
             state = "was started before" if self._keeper is None else "has a store"
             raise RuntimeError(f"{self!r} {state}; give the store to another one")
-        _check_is_store(store)
+        check_is_store(store)
+        self.store = store
         keeper = self._keeper = GoalKeeper(
             store, self.action.name, keep_for=self._keep_for, max_results=self._max_results
         )
         self._runs.keep_by(keeper)
         self._admission.keep_by(keeper)
+        self._cancels.keep_by(keeper)
         keeper.on_lost = self._admission.lose
         keeper.on_failure = self._give_up
 
@@ -251,15 +270,21 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             stack.callback(self._watch.close)
             tasks = await stack.enter_async_context(Background())
             tasks.start_soon(self._logs.forget_expired, name=f"expiry of {self.action.name}")
-            self._runs.open(tasks)
+            if self._keeper is not None:
+                self._block = CancelScope()  # the store may fail at the first write
+                tasks.start_soon(self._keeper.run, name=f"store of {self.action.name}")
+                await stack.enter_async_context(self._keeper.open(self._recovery.claim))
+            self._runs.open(tasks)  # its tasks wait for `stop`, so nothing may fail before that
             if self._dispatcher is not None:
                 self._dispatcher.open(tasks)
             if self._keeper is not None:
-                tasks.start_soon(self._keeper.run, name=f"store of {self.action.name}")
-                await stack.enter_async_context(self._keeper.open(self._recovery.claim))
                 tasks.start_soon(self._recovery.run, name=f"recovery of {self.action.name}")
+                stack.push_async_callback(self._stop_early)
                 await self._recovery.recovered()
-                self._block = stack.enter_context(CancelScope())
+                if self._keeper.failure is not None:
+                    raise copy_of(self._keeper.failure)
+                self._logs.ended.notify()  # some outcomes may have been found that expire
+                stack.enter_context(self._block)
             self._stack = stack.pop_all()
         self._phase = "running"
         self._started.notify()
@@ -286,11 +311,22 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if self._keeper is not None and self._keeper.failure is not None and (is_over or not exc):
             raise copy_of(self._keeper.failure)
 
+    async def _stop_early(self) -> None:
+        """Stop a server whose start was canceled, or has failed: it may run goals already."""
+        if self.is_new:
+            self._phase = "running"
+            with CancelScope(shield=True):
+                await self.stop()
+
     def _give_up(self) -> None:
         """Cancel the block, because the store has failed; `__aexit__` does the rest."""
-        self._admission.close()
+        self._close()
         self._runs.abandon_ends()
         self._block.cancel()
+
+    def _close(self) -> None:
+        self._admission.close()
+        self._callbacks.stop()
 
     async def stop(self) -> None:
         """Reject new goals, end all active ones, and answer every client that waits.
@@ -306,14 +342,20 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if not self.is_running:
             return
         self._phase = "stopping"
-        self._admission.close()
+        self._close()
         if self._dispatcher is not None:
             self._dispatcher.close()
         try:
             await self._settle()  # what is accepted by then is among the goals to stop
-            await self._runs.stop(
-                SERVER_STOPPED, self._shutdown_timeout, keep=self._at_stop == "keep"
-            )
+            if self._at_stop == "keep":
+                self._runs.keep_for(SERVER_STOPPED)
+            await Shutdown(
+                self._runs,
+                self._logs.ended,
+                self.action.name,
+                SERVER_STOPPED,
+                self._shutdown_timeout,
+            ).run()
             await self._settle()
         finally:
             self._runs.abandon_ends()
@@ -368,18 +410,27 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         return self._admission.offer(Offer(goal_id, goal, feedback, sender, deadline))
 
     async def feedback(
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self,
+        goal_id: GoalID,
+        *,
+        after: int | None = None,
+        own: bool = False,
+        attempt: int = 1,
     ) -> FeedbackCursor:
         """See `Endpoint.feedback`."""
         self._check_running()
-        return self._logs.follow(goal_id, after=after, own=own)
+        return self._logs.follow(goal_id, after=after, own=own, attempt=attempt)
+
+    def owner_of(self, goal_id: GoalID) -> bytes:
+        """See `Endpoint.owner_of`."""
+        return self._logs.owner_of(goal_id)
 
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None
     ) -> CancelAnswer:
         """See `Endpoint.cancel_goals`."""
         self._check_running()
-        return await self._admission.cancel(goal_id, stamp)
+        return await self._cancels.cancel(goal_id, stamp)
 
     async def status(self) -> StatusCursor:
         """See `Endpoint.status`."""
@@ -391,47 +442,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     def _check_running(self) -> None:
         if self._phase not in ("running", "stopping"):
             raise ServerNotFound(f"the action server {self.action.name!r} is not running")
+        if self._keeper is not None:
+            self._keeper.check()
 
     def __repr__(self) -> str:
         return f"<ActionServer {self.action.name!r} {self._phase} goals={len(self._runs)}>"
-
-
-def _check_recovery(recovery: object, max_attempts: int) -> None:
-    if not (recovery in ("abort", "rerun") or callable(recovery)):
-        raise ValueError(f"recovery is 'abort', 'rerun' or a function, not {recovery!r}")
-    if max_attempts < 1:
-        raise ValueError(f"max_attempts is at least 1, not {max_attempts}")
-
-
-def _check_is_store(store: object) -> None:
-    if not isinstance(store, GoalStore):
-        raise TypeError(f"store is a GoalStore, such as SqliteStore(path), not {store!r}")
-
-
-def _check_is_schedule(schedule: object) -> None:
-    if not isinstance(schedule, Schedule):
-        raise TypeError(f"schedule is a Schedule, not {schedule!r}")
-
-
-def _check_is_executor(executor: object) -> None:
-    """Raise TypeError for a function that is not an async generator function.
-
-    This finds a forgotten `async` or `yield` before the first goal. The value that a lambda returns
-    is known only when it is called, so a goal checks that.
-    """
-    while isinstance(executor, partial):
-        executor = executor.func
-    if not callable(executor):
-        raise TypeError(f"the executor is an async generator function, and not {executor!r}")
-    name = getattr(executor, "__name__", type(executor).__name__)
-    for function in (executor, executor.__call__):
-        if inspect.iscoroutinefunction(function):
-            raise TypeError(
-                f"the executor {name!r} is a coroutine function: yield its feedback, and yield its"
-                f" result last, instead of returning it"
-            )
-        if inspect.isgeneratorfunction(function):
-            raise TypeError(
-                f"the executor {name!r} is a generator function that is not async: write"
-                f" `async def`, and await what takes time"
-            )

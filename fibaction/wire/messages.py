@@ -26,6 +26,7 @@ ID: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
 """ID of a request and of all messages that belong to it; the client uses each number once."""
 GoalBytes: TypeAlias = Annotated[bytes, msgspec.Meta(min_length=16, max_length=16)]
 Stamp: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
+AttemptNumber: TypeAlias = Annotated[int, msgspec.Meta(ge=1, le=LARGEST)]
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
 FrameSize: TypeAlias = Annotated[int, msgspec.Meta(ge=1, lt=2**32)]
 LONGEST_HEARTBEAT = 3600.0
@@ -107,6 +108,9 @@ class Follow(_Message, tag=18):
     """True if this client owns the goal: it sent the goal, and resumes after a lost connection."""
     credit: Count | None
     """As in `SendGoal`."""
+    attempt: AttemptNumber = 1
+    """Attempt in which `after` counts. If the goal is in another one by now, the stream begins with
+    the first feedback of that one."""
 
 
 @final
@@ -213,7 +217,8 @@ class Welcome(_Message, tag=32):
 class Following(_Message, tag=33):
     """Acceptance of a goal, or the state of a known goal. Answers `SendGoal` and `Follow`.
 
-    `Feedback`, `StatusChanged` and `Ended` follow.
+    `Feedback`, `StatusChanged` and `Ended` follow. It is sent once more if a new attempt at the
+    goal begins, before the first feedback of that attempt.
     """
 
     id: ID
@@ -222,6 +227,8 @@ class Following(_Message, tag=33):
     latest: bool
     place: Stamp
     """Number of the feedback after which the stream begins; 0 if it begins with the first."""
+    attempt: AttemptNumber = 1
+    """Attempt at the goal, from 1, in which the feedback is numbered from now on."""
 
 
 @final
@@ -307,13 +314,15 @@ class GoalChanged(_Message, tag=40):
     dropped: Stamp
     """Messages of this type left out so far, because the client read too slowly."""
     feedback_count: Stamp = 0
-    """Feedback messages of the goal so far."""
+    """Feedback messages of the attempt so far."""
     client: str = ""
     """Name of the client that sent the goal; empty if the server does not know it."""
     place: Stamp = 0
     """Place among the goals that wait, from 1; 0 if the goal does not wait."""
     queue_length: Stamp = 0
     """Goals that wait in the same queue."""
+    attempt: AttemptNumber = 1
+    """Attempt at the goal, from 1."""
 
 
 @final

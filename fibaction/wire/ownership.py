@@ -44,7 +44,7 @@ from anyio.abc import TaskGroup
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._slices import Slices
-from fibaction.abc import GoalStream, GoalUpdate
+from fibaction.abc import Endpoint, GoalStream, GoalUpdate
 from fibaction.exceptions import ActionError, GoalRejected
 from fibaction.goals import GoalID, Outcome
 from fibaction.server.goal_record import digest_of
@@ -153,7 +153,9 @@ class Owners:
         ended = [call for call in owned.calls if _stream_of(call).status.is_terminal]
         if not ended:
             return None
-        if goal is not None and owned.digest != digest_of(goal):
+        if goal is not None and owned.digest is None and _endpoint_of(ended[-1]).owner_of(goal_id):
+            return None  # the endpoint has kept the goal since before a restart, and compares it
+        if goal is not None and owned.digest not in (None, digest_of(goal)):
             raise GoalRejected(ID_IN_USE, goal_id=goal_id)
         lost = [_stream_of(call) for call in ended if call.held.is_lost]
         if not lost:
@@ -262,14 +264,18 @@ class Owners:
 
     async def _cancel(self, call: GoalSubscription) -> None:
         """Cancel the goal of a lost call, which holds its executor until then."""
-        assert call.endpoint is not None
         goal_id = GoalID(call.goal_id)
         try:
-            await call.endpoint.cancel_goals(goal_id)
+            await _endpoint_of(call).cancel_goals(goal_id)
         except Exception as exc:  # an endpoint may be foreign code
             logger.warning("goal %s could not be canceled: %s", goal_id, exc)
         if call.held.has(call):  # else the client has come back meanwhile
             self._end_lost(call)
+
+
+def _endpoint_of(call: GoalSubscription) -> Endpoint:
+    assert call.endpoint is not None
+    return call.endpoint
 
 
 def _stream_of(call: GoalSubscription) -> GoalStream:
@@ -292,6 +298,10 @@ class EndOnly(GoalStream):
     @property
     def status(self) -> GoalStatus:
         return self._stream.status
+
+    @property
+    def attempt(self) -> int:
+        return self._stream.attempt
 
     @property
     def dropped(self) -> int:

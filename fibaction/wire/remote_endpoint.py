@@ -63,13 +63,20 @@ class RemoteEndpoint(Endpoint):
         )
 
     async def feedback(
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self,
+        goal_id: GoalID,
+        *,
+        after: int | None = None,
+        own: bool = False,
+        attempt: int = 1,
     ) -> RemoteGoal:
         if after is not None:
             after = min(max(after, 0), LARGEST)  # as the server would do
         return await self._calls.follow(
             goal_id,
-            lambda call_id, credit: Follow(call_id, self._info.name, goal_id, after, own, credit),
+            lambda call_id, credit: Follow(
+                call_id, self._info.name, goal_id, after, own, credit, attempt
+            ),
         )
 
     async def cancel_goals(

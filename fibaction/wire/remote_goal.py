@@ -2,6 +2,12 @@
 
 It keeps a window of feedback that was not read, grants credit for what was, and knows the number of
 the last feedback, from which it goes on after a connection was lost.
+
+A server that keeps its goals may have begun another attempt at the goal by then, whose feedback is
+numbered from 1 again. `Following` tells it. Feedback of the earlier attempt that was not read yet
+moves to `_earlier`, and is read first; `attempt` and `cursor` are those of the reader. The attempt
+may also be a lower one, since a store that need not outlive a power failure can lose its last
+writes: each attempt that is not the one before begins anew.
 """
 
 from __future__ import annotations
@@ -9,7 +15,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from anyio import current_time
 
@@ -46,6 +52,15 @@ def timeout_until(deadline: float) -> float | None:
     return max(left, LEAST_TIMEOUT) if left <= LONGEST_TIMEOUT else None
 
 
+class _Earlier(NamedTuple):
+    """The unread feedback of an attempt that another one has followed."""
+
+    items: deque[FeedbackItem]
+    last: int
+    """The number of the feedback that arrived last."""
+    next_attempt: int
+
+
 class RemoteGoal(Call, GoalStream):
     """One goal of a server, followed over a connection."""
 
@@ -68,10 +83,14 @@ class RemoteGoal(Call, GoalStream):
         self._deadline = deadline
         self._status = GoalStatus.UNKNOWN
         self._outcome: Outcome[bytes] | None = None
+        self._attempt = 1
+        self._newest = 1  # the attempt of the feedback that arrives
         self._last = 0  # the number of the feedback that arrived last
         self._start = 0
-        self._delivered = 0
+        self._delivered = 0  # of the attempt that is read
+        self._dropped = 0  # in the attempts before
         self._items: deque[FeedbackItem] = deque()
+        self._earlier: deque[_Earlier] = deque()
         self._statuses: deque[GoalStatus] = deque()
         self._credit = Credits(opening.id, window, post)
         self._own = isinstance(opening, SendGoal) or opening.own
@@ -83,8 +102,12 @@ class RemoteGoal(Call, GoalStream):
         return self._status
 
     @property
+    def attempt(self) -> int:
+        return self._attempt
+
+    @property
     def dropped(self) -> int:
-        return self.cursor - self._start - self._delivered
+        return self._dropped + self.cursor - self._start - self._delivered
 
     @property
     def is_own(self) -> bool:
@@ -102,7 +125,7 @@ class RemoteGoal(Call, GoalStream):
     def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
         if self._statuses:
             return (self._statuses.popleft(),)
-        waiting = self._items
+        waiting = self._unread_of_earlier() if self._earlier else self._items
         if not waiting:
             if self._outcome is None:
                 self.raise_error()
@@ -133,20 +156,21 @@ class RemoteGoal(Call, GoalStream):
     def close(self) -> None:
         if self.reads:
             self.reads = False
-            self._items.clear()
+            self._forget_unread()
             self._statuses.clear()
             self.news.notify()
             if self._outcome is None:
                 self._post(Close(self.id))
 
     def opening(self) -> FromClient:
-        allowed = self._credit.restart(0 if self.latest else len(self._items))
+        allowed = self._credit.restart(0 if self.latest else self._unread)
         if not self._is_answered:
             if self._deadline < math.inf and isinstance(self._opening, SendGoal):
                 self._opening.timeout = timeout_until(self._deadline)
             return self._opening
         credit = allowed if self.reads else None
-        return Follow(self.id, self._opening.action, self.goal_id, self._last, self._own, credit)
+        action, last, attempt = self._opening.action, self._last, self._newest
+        return Follow(self.id, action, self.goal_id, last, self._own, credit, attempt)
 
     def on_message(self, message: Any) -> bool:
         # Where most messages pass: for a class of msgspec's, `isinstance` takes ten times as long.
@@ -180,11 +204,53 @@ class RemoteGoal(Call, GoalStream):
             self._post(Close(self.id))
         elif self._is_answered:
             self._take_status(message.status)  # it may have changed while there was no connection
+            if message.attempt != self._newest:
+                self._take_attempt(message.attempt)
         else:
             self._is_answered = True
             self._status = message.status
             self.stamp, self.latest = message.stamp, message.latest
+            self._attempt = self._newest = message.attempt
             self.cursor = self._start = self._last = message.place
+
+    # Attempts
+
+    def _take_attempt(self, attempt: int) -> None:
+        """Begin to count anew: the feedback that arrives from now on is of another attempt."""
+        if self._earlier and not self._items:
+            # The attempt between the two had no feedback. A server could tell ever more of them.
+            self._earlier[-1] = self._earlier[-1]._replace(next_attempt=attempt)
+        else:
+            self._earlier.append(_Earlier(self._items, self._last, attempt))
+            self._items = deque()
+        self._newest, self._last = attempt, 0
+        self._unread_of_earlier()
+
+    def _unread_of_earlier(self) -> deque[FeedbackItem]:
+        """Return the unread feedback that comes next; go on to its attempt if it is another one."""
+        while self._earlier and not self._earlier[0].items:
+            earlier = self._earlier.popleft()
+            if self.reads:
+                self.cursor = earlier.last
+            self._dropped = self.dropped
+            self._attempt = earlier.next_attempt
+            self.cursor = self._start = self._delivered = 0
+        return self._earlier[0].items if self._earlier else self._items
+
+    @property
+    def _unread(self) -> int:
+        unread = len(self._items)
+        for earlier in self._earlier:
+            unread += len(earlier.items)
+        return unread
+
+    def _forget_unread(self) -> None:
+        self._items.clear()
+        for earlier in self._earlier:
+            earlier.items.clear()
+        self._unread_of_earlier()
+
+    # Messages of the server
 
     def _take_status(self, status: GoalStatus) -> None:
         # Statuses only ever grow. On a new connection the server says first what it is by now, and
@@ -201,9 +267,9 @@ class RemoteGoal(Call, GoalStream):
         self._last = message.number
         if self.reads:
             if self.latest:
-                self._items.clear()
+                self._forget_unread()
                 self._credit.grant()
-            self._items.append(FeedbackItem(message.number, message.payload))
+            self._items.append(FeedbackItem(message.number, message.payload, self._newest))
             if not self._holds:
                 self._make_room()
 
@@ -216,6 +282,6 @@ class RemoteGoal(Call, GoalStream):
         """Drop the oldest feedback for the next, unless the executor is to wait."""
         if self._holds or self.latest or self._outcome is not None:
             return
-        while len(self._items) > max(self._window // 2, 1):
-            self._items.popleft()
+        while self._unread > max(self._window // 2, 1):
+            self._unread_of_earlier().popleft()
             self._credit.grant()

@@ -172,6 +172,7 @@ class StatusWatch(Call):
             excerpt(message.client),
             message.place,
             message.queue_length,
+            message.attempt,
         )
         self._learn(info)
         for statuses in self._followers:

@@ -166,6 +166,7 @@ class RequestHandlers:
                 info.client,
                 info.place,
                 info.queue_length,
+                info.attempt,
             )
             await self._say(changed)
             await slices.pause()

@@ -49,6 +49,7 @@ from fibaction.exceptions import (
     ActionError,
     AuthenticationFailed,
     ConnectionLost,
+    GoalKept,
     GoalRejected,
     LimitReached,
     ProtocolError,
@@ -246,5 +247,6 @@ class Session:
             logger.error("%s: its %s failed", self._link.peer, what, exc_info=exc)
             exc = failure_of(exc)
         self._goals.fail(message.id)
-        if self._link.is_open:
+        # Without an answer, the client asks again on its next connection.
+        if self._link.is_open and not isinstance(exc, GoalKept):
             self._link.post(failed(message.id, exc, self.client.max_frame))

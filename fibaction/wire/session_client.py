@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from hmac import compare_digest
 
 from fibaction._text import excerpt
 from fibaction.abc import Endpoint
 from fibaction.exceptions import AuthenticationFailed, ProtocolError, ServerNotFound
-from fibaction.goals import Sender
+from fibaction.goals import GoalID, Sender
 from fibaction.server.goal_record import digest_of
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.codec import FromClient
@@ -106,6 +107,12 @@ class SessionClient:
                 f"this client may not {permission.value} at the action {excerpt(action)!r}"
             )
         return self.find(action)
+
+    def is_owner(self, action: str, goal_id: GoalID) -> bool:
+        """Return whether the endpoint of an action knows this client as the owner of a goal."""
+        endpoint = self._endpoints.get(action)
+        owner = b"" if endpoint is None else endpoint.owner_of(goal_id)
+        return bool(owner) and compare_digest(owner, self.sender.owner)
 
     def find(self, action: str) -> Endpoint:
         """Return the endpoint of an action.

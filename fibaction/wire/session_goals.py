@@ -11,7 +11,11 @@ A goal that waits, for the answer of its endpoint or for a permission, counts wi
 A goal may be sent again. If another client has sent it before, this one becomes an observer: it
 needs the permission to observe before anything is told, and the executor does not wait for it. The
 endpoint tells it by `GoalStream.own`; behind a gateway, which has one client for all of its
-clients, `Owners` knows it.
+clients, `Owners` knows it. If a client follows a goal as its own, `Owners` knows it, or the
+endpoint (`Endpoint.owner_of`), which may have kept the goal since before a restart.
+
+A server that stops and keeps its goals says nothing about them: a stream or a request that ends
+with `GoalKept` is forgotten here, and its client asks again on its next connection.
 """
 
 from __future__ import annotations
@@ -256,19 +260,24 @@ class SessionGoals:
     async def _follow(self, message: Follow, subscription: GoalSubscription) -> None:
         with self._answering(message):
             goal_id, owner = GoalID(message.goal_id), self._client.sender.owner
-            own = message.own and self._owners.is_own(goal_id, owner)
+            own = message.own and (
+                self._owners.is_own(goal_id, owner)
+                or self._client.is_owner(message.action, goal_id)
+            )
             permission = Permission.SEND if own else Permission.OBSERVE
             endpoint = await self._client.endpoint(message.action, permission)
             stream: GoalStream | None
             try:
-                stream = await endpoint.feedback(goal_id, after=message.after, own=own)
+                stream = await endpoint.feedback(
+                    goal_id, after=message.after, own=own, attempt=message.attempt
+                )
             except UnknownGoal:
                 # Its server has forgotten the goal, but its client has not been told the end yet.
                 stream = self._owners.ended(goal_id, owner) if own else None
                 if stream is None:
                     raise
                 if message.after is not None:
-                    stream.seek(message.after)
+                    stream.seek(message.after if message.attempt == stream.attempt else 0)
             own = own and self._owners.own(subscription, stream, owner)
             self._begin(subscription, endpoint, stream, own=own)
 

@@ -12,7 +12,7 @@ from anyio import CancelScope
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction.abc import Endpoint, FeedbackItem, GoalStream
-from fibaction.exceptions import ActionError
+from fibaction.exceptions import ActionError, GoalKept
 from fibaction.goals import GoalID, Outcome
 from fibaction.states import GoalStatus
 from fibaction.wire.channel import CHUNK
@@ -117,6 +117,7 @@ class GoalSubscription(Subscription):
     """One goal that the client follows; calls `ready` when `next_frames` has something to send."""
 
     __slots__ = (
+        "_attempt",
         "_has_omitted",
         "_max_frame",
         "_opening",
@@ -154,6 +155,7 @@ class GoalSubscription(Subscription):
         self._ready = ready
         self._max_frame = max_frame
         self._opening = b""
+        self._attempt = 1
         self._piece = PIECE
         self._place = 0
         self._has_omitted = False
@@ -162,13 +164,19 @@ class GoalSubscription(Subscription):
         """Begin to follow the goal by a stream."""
         self.endpoint, self.stream, self.own = endpoint, stream, own
         # Encoded now, because the statuses of the stream begin with this one.
-        following = Following(
-            self.request, stream.stamp, stream.status, stream.latest, stream.cursor
-        )
-        self._opening = encode(following)
+        self._opening = self._following(stream, stream.cursor)
         if self.closed:
             self._close(stream)
         self._tell()
+
+    def _following(self, stream: GoalStream, place: int) -> bytes:
+        """Return the frame that tells the state of the goal, and the attempt that comes next."""
+        self._attempt = stream.attempt
+        return encode(
+            Following(
+                self.request, stream.stamp, stream.status, stream.latest, place, stream.attempt
+            )
+        )
 
     def add(self, count: int) -> None:
         super().add(count)
@@ -209,6 +217,10 @@ class GoalSubscription(Subscription):
         """Return the frames to send next, as far as there is credit; empty if there are none."""
         try:
             return self._next_frames()
+        except GoalKept:
+            # The client follows the goal again on its next connection.
+            self._fail()
+            return []
         except Exception as exc:
             if not isinstance(exc, ActionError):
                 # A bug of the endpoint. It concerns this client only.
@@ -229,6 +241,8 @@ class GoalSubscription(Subscription):
             opening, self._opening = self._opening, b""
             return [opening]
         updates = stream.take(min(self.credit, self._piece))
+        # The numbers of the feedback may begin anew, at a gateway whose server was started again.
+        begins = self._begin_attempt(stream) if stream.attempt != self._attempt else []
         frames: list[bytes] = []
         size = 0
         for update in updates:
@@ -239,15 +253,20 @@ class GoalSubscription(Subscription):
                 if size >= CHUNK and self._goes_back(stream, update.number):
                     break
             elif isinstance(update, GoalStatus):
-                return [encode(StatusChanged(request, update))]
+                return [*begins, encode(StatusChanged(request, update))]
             else:
-                return self._end(stream, update)
+                return [*begins, *self._end(stream, update)]
         # A stream that cannot go back gives large messages one at a time from now on.
         self._piece = 1 if size >= CHUNK else PIECE
         if max(map(len, frames), default=0) > self._max_frame:
             frames = self._fitting(frames)
         self.credit -= len(frames)
-        return frames
+        return begins + frames
+
+    def _begin_attempt(self, stream: GoalStream) -> list[bytes]:
+        """Return the frame that begins another attempt of the stream, from its first feedback."""
+        self._place = 0
+        return [self._following(stream, 0)]
 
     def _goes_back(self, stream: GoalStream, number: int) -> bool:
         """Let the stream go on behind that number, if it can; return whether it does."""

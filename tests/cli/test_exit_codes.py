@@ -25,6 +25,7 @@ from fibaction import (
     GoalRejected,
     ProtocolError,
     ServerNotFound,
+    StoreError,
     TransportError,
     UnknownGoal,
     connect,
@@ -58,6 +59,7 @@ def run(verb: Callable[[], Awaitable[int]]) -> None:
         (TransportError("no"), 2),
         (UnknownGoal(GoalID(bytes(16))), 2),
         (CancelRejected("no"), 1),
+        (StoreError("no"), 7),
     ],
 )
 def test_every_error_has_its_exit_code_alone_and_in_a_group(error: ActionError, code: int) -> None:

@@ -101,6 +101,7 @@ def test_a_row_for_programs_has_all_of_it() -> None:
         "client": "me",
         "place": 0,
         "queue_length": 0,
+        "attempt": 1,
     }
     assert GoalRow("a", WAITING).json()["place"] == 2
     assert GoalRow("a", WAITING).json()["queue_length"] == 5

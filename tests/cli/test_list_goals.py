@@ -58,6 +58,7 @@ def test_goals_as_json_has_all_that_is_known(here: Run, url: str) -> None:
         "feedback_count": 4,
         "place": 0,
         "queue_length": 0,
+        "attempt": 1,
     }
 
 

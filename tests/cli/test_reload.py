@@ -185,13 +185,16 @@ def test_the_other_process_is_the_command_without_reload(
     monkeypatch.setattr(watchfiles, "run_process", run_process)
     monkeypatch.setenv("FIBACTION_URL", "")
     with pytest.raises(click.exceptions.Exit) as exit:
-        reload.run_reloading("reloaded:server", ["unix:///a b"], "tcp://robot?token=secret")
+        reload.run_reloading(
+            "reloaded:server", ["unix:///a b"], "tcp://robot?token=secret", ["--store", "a b.db"]
+        )
 
     assert exit.value.exit_code == 0
     assert os.environ["FIBACTION_URL"] == "tcp://robot?token=secret"
     assert asked["folder"] == file.parent
-    *_, verb, parent, number, dashes, target, url = shlex.split(asked["target"])
+    *_, verb, parent, number, option, path, dashes, target, url = shlex.split(asked["target"])
     assert (verb, parent, number) == ("serve", "--started-by", str(os.getpid()))
+    assert (option, path) == ("--store", "a b.db")
     assert (dashes, target, url) == ("--", "reloaded:server", "unix:///a b")
     counts = asked["watch_filter"]
     assert counts(watchfiles.Change.modified, "/robot/arm.py")

@@ -17,11 +17,12 @@ from threading import Thread
 
 import pytest
 
-from fibaction import ActionServer, connect
+from fibaction import ActionServer, SqliteStore, connect
 from fibaction.cli import serve
 from fibaction.cli.exit_codes import ExitCode
 from fibaction.cli.signals import SAME_SIGNAL
-from tests.cli.conftest import Invoke, Open, Run, Start, eventually
+from tests.cli.conftest import Invoke, Open, Run, Start, detached, eventually
+from tests.cli.robot_module import MODULE
 from tests.fibonacci import FIBONACCI, fibonacci
 from tests.processes import ended, lines_until
 
@@ -119,11 +120,14 @@ def test_a_used_address_is_one_sentence_and_nothing_else(folder: Path, invoke: I
 
 
 def test_reload_is_another_process(invoke: Invoke, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[str, tuple[str, ...], str]] = []
+    asked: list[tuple[str, tuple[str, ...], str, tuple[str, ...]]] = []
     monkeypatch.setattr(serve, "run_reloading", lambda *arguments: asked.append(arguments))
+    command = ("serve", "robot:server", "unix:///a", "--reload")
 
-    assert invoke("serve", "robot:server", "unix:///a", "--reload", url="tcp://b").exit_code == 0
-    assert asked == [("robot:server", ("unix:///a",), "tcp://b")]
+    assert invoke(*command, url="tcp://b").exit_code == 0
+    assert invoke(*command, "--store", "goals.db", url="tcp://b").exit_code == 0
+    common = ("robot:server", ("unix:///a",), "tcp://b")
+    assert asked == [(*common, ()), (*common, ("--store", "goals.db", "--sync", "full"))]
 
 
 def test_ctrl_c_during_the_import_is_an_interruption(folder: Path, invoke: Invoke) -> None:
@@ -193,6 +197,65 @@ async def test_each_change_of_a_goal_is_logged_and_that_it_is_forgotten_is_not(
         for name, _, message in caplog.record_tuples
         if name == serve.__name__
     ] == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
+
+
+# With a store
+
+
+def test_a_goal_that_has_ended_is_there_after_a_kill(
+    folder: Path, started: Start, fibaction: Run
+) -> None:
+    (folder / "robot.py").write_text(
+        f"{MODULE}\nserver = ActionServer(COUNT, count, result_timeout=99)\n"
+    )
+    unix = f"unix://{folder}/socket"
+    command = ("serve", "robot:server", unix, "--store", "goals.db", "--sync", "normal")
+    server = started(*command)
+    lines_until("serving", server)
+    goal_id = detached(fibaction, unix, "count", "3")
+    assert fibaction("attach", goal_id, url=unix).code == ExitCode.SUCCEEDED
+    second = fibaction(*command)
+    assert (second.code, second.out) == (ExitCode.STORE, "")
+    assert second.err.startswith(f"Error: cannot keep goals in {folder}/goals.db: it is in use by ")
+    assert second.err.count("\n") == 1
+    server.kill()
+    server.wait()
+
+    (folder / "socket").unlink()
+    lines_until("serving", started(*command))
+    assert fibaction("attach", goal_id, url=unix).code == ExitCode.SUCCEEDED
+
+
+@pytest.mark.asyncio
+async def test_servers_that_have_a_store_keep_it(tmp_path: Path) -> None:
+    own = SqliteStore(tmp_path / "own.db")
+    servers = [ActionServer(FIBONACCI, fibonacci, store=own), ActionServer(FIBONACCI, fibonacci)]
+    serve.keep_in_file(servers, str(tmp_path / "goals.db"), "full")
+
+    assert servers[0].store is own
+    async with servers[1]:
+        assert (tmp_path / "goals.db").exists()
+
+
+def test_a_store_that_cannot_be_used_is_one_sentence(folder: Path, invoke: Invoke) -> None:
+    result = invoke("serve", "robot:make", f"unix://{folder}/socket", "--store", "none/goals.db")
+
+    assert result.exit_code == ExitCode.STORE
+    assert result.stdout == ""
+    assert result.stderr == (
+        f"Error: cannot keep goals in {folder}/none/goals.db: there is no folder {folder}/none;"
+        f" make it first\n"
+    )
+
+
+def test_how_to_sync_is_a_setting_of_a_store(folder: Path, invoke: Invoke) -> None:
+    result = invoke("serve", "robot:make", "--sync", "normal")
+
+    assert result.exit_code == ExitCode.USAGE
+    assert result.stderr == "Error: --sync is a setting of --store FILE\n"
+
+
+# Garbage
 
 
 class Cycle:

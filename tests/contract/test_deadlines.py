@@ -387,10 +387,10 @@ class Breaking(ForwardingEndpoint):
         return self._opened(await super().send_goal(goal_id, goal, **options))
 
     async def feedback(
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False, attempt: int = 1
     ) -> GoalStream:
         self.follows.append(after)
-        return self._opened(await super().feedback(goal_id, after=after, own=own))
+        return self._opened(await super().feedback(goal_id, after=after, own=own, attempt=attempt))
 
     def _opened(self, stream: GoalStream) -> GoalStream:
         self.streams.append(stream)

@@ -75,7 +75,7 @@ class Failing(Endpoint):
         raise self._error
 
     async def feedback(
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False, attempt: int = 1
     ) -> GoalStream:
         raise self._error
 

@@ -14,7 +14,7 @@ from hypothesis import example, given, strategies
 
 from fibaction._budget import ByteBudget
 from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
-from fibaction.exceptions import ConnectionLost
+from fibaction.exceptions import ConnectionLost, GoalKept
 from fibaction.goals import UNKNOWN_SENDER, GoalID, Outcome
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
@@ -123,6 +123,67 @@ async def test_a_follower_begins_where_it_asks_to(after: int | None, expected: l
     with anyio.fail_after(5):
         assert await numbers(stream) == expected
     assert stream.dropped == 0
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("attempt", "expected"), [(1, [1, 2, 3, 4]), (2, [3, 4]), (3, [1, 2, 3, 4]), (None, [3, 4])]
+)
+async def test_a_number_of_another_attempt_is_not_one_to_begin_behind(
+    attempt: int | None, expected: list[int]
+) -> None:
+    log = new_log()
+    log.goal.attempt = 2
+    append(log, 3)
+    stream = log.follow(after=2, attempt=attempt)
+    append(log, 1)
+    end(log)
+    with anyio.fail_after(5):
+        assert await numbers(stream) == expected
+    assert (stream.attempt, stream.dropped) == (2, 0)
+
+
+def test_feedback_says_which_attempt_it_is_of() -> None:
+    log = new_log()
+    log.goal.attempt = 3
+    stream = log.follow()
+    append(log, 1)
+    assert stream.take() == [FeedbackItem(1, b"1", 3)]
+
+
+KEPT = GoalKept("the server keeps the goal")
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("feedback", [True, False])
+async def test_a_log_that_fails_fails_all_that_follow_it_now_or_later(feedback: bool) -> None:
+    log = new_log()
+    stream, closed, gone = (log.follow(feedback=feedback) for _ in range(3))
+    closed.close()
+    del gone
+    append(log, 1)
+
+    async def outcome() -> None:
+        with pytest.raises(GoalKept, match=r"^the server keeps the goal$"):
+            await stream.outcome()
+
+    await while_waiting(outcome, lambda: log.fail(KEPT))
+    for other in (stream, closed):
+        with pytest.raises(GoalKept):
+            other.take()
+    with pytest.raises(GoalKept):
+        log.follow()
+
+
+@pytest.mark.asyncio
+async def test_an_executor_waits_for_no_follower_of_a_log_that_has_failed() -> None:
+    log = new_log(window=1)
+    stream = log.follow(own=True)
+    append(log, 1)
+    await while_waiting(lambda: log.wait_for_room(math.inf), lambda: log.fail(KEPT))
+    assert not stream.holding
+    append(log, 2)
+    assert not log.is_full
 
 
 @pytest.mark.parametrize("reads", [True, False])

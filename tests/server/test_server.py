@@ -36,7 +36,7 @@ from fibaction import (
 from fibaction._budget import ByteBudget
 from fibaction.abc import FeedbackItem, GoalStream, StatusStream
 from fibaction.goals import Sender
-from fibaction.server import goal_logs, runs
+from fibaction.server import goal_logs, shutdown
 from fibaction.server._interruption import CancelOnce
 from fibaction.server._turns import Turns
 from fibaction.server.goal_logs import EXPIRY_STEP, RECENT_TIME
@@ -708,6 +708,8 @@ async def test_a_goal_sent_again_is_the_senders_own_only_if_it_was_the_first_to_
             True,
             False,
         ]
+        assert server.owner_of(goal_id) == b"arm"
+        assert server.owner_of(GoalID.random()) == b""
         executor.go.set()
 
 
@@ -1024,7 +1026,7 @@ async def test_a_goal_that_ends_while_others_are_killed_keeps_its_end(
                     server._runs._finish(run, Ending(EndKind.RESULT, result([])))
                     run.execution.kill()
 
-    monkeypatch.setattr(runs, "Slices", Ends)
+    monkeypatch.setattr(shutdown, "Slices", Ends)
     async with ActionServer(FIBONACCI, Stubborn(), shutdown_timeout=0) as server:
         streams = await start_many(server, 3)
         await server.stop()

@@ -7,6 +7,7 @@ import json
 import secrets
 import sys
 import time
+from collections import Counter
 
 from tests.simulation.generator import scenario_of
 from tests.simulation.world import Report, simulate
@@ -27,18 +28,19 @@ def main() -> int:
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--seed", type=int, help="run this scenario, and no other")
     which.add_argument("--from", type=int, dest="first", help="begin with this seed, and count on")
+    parser.add_argument("--store", action="store_true", help="give all servers a store")
     parser.add_argument("--trace", action="store_true", help="with --seed: print all events")
     chosen = parser.parse_args()
     if chosen.trace and chosen.seed is None:
         parser.error("--trace needs --seed: it prints the events of one scenario")
     if chosen.seed is not None:
-        return _replay(chosen.seed, trace=chosen.trace)
+        return _replay(chosen.seed, trace=chosen.trace, store=chosen.store)
     first = secrets.randbelow(SEEDS) if chosen.first is None else chosen.first
-    return _explore(first, chosen.seconds)
+    return _explore(first, chosen.seconds, store=chosen.store)
 
 
-def _replay(seed: int, *, trace: bool) -> int:
-    report = simulate(scenario_of(seed))
+def _replay(seed: int, *, trace: bool, store: bool) -> int:
+    report = simulate(scenario_of(seed, store=store))
     if trace or report.violations:
         print("\n".join(report.trace))
     for violation in report.violations:
@@ -47,32 +49,32 @@ def _replay(seed: int, *, trace: bool) -> int:
     return int(bool(report.violations))
 
 
-def _explore(first: int, seconds: float) -> int:
+def _explore(first: int, seconds: float, *, store: bool) -> int:
     print(f"first seed: {first}", flush=True)
     begun = time.perf_counter()
-    counts = dict.fromkeys(
-        ("scenarios", "goals", "connections", "cuts", "restarts", "virtual_seconds"), 0.0
-    )
+    counts: Counter[str] = Counter()
     seed = first
     while (elapsed := time.perf_counter() - begun) < seconds:
-        report = simulate(scenario_of(seed))
+        report = simulate(scenario_of(seed, store=store))
         if report.violations:
             tell_failure(report)
             return 1
         _count(counts, report)
         seed += 1
-    counts["per_minute"] = 60 * counts["scenarios"] / elapsed
-    print(json.dumps({name: round(count) for name, count in counts.items()}))
+    counts["per_minute"] = round(60 * counts["scenarios"] / elapsed)
+    print(json.dumps(counts))
     return 0
 
 
-def _count(counts: dict[str, float], report: Report) -> None:
+def _count(counts: Counter[str], report: Report) -> None:
     counts["scenarios"] += 1
+    counts.update(report.crashes)
+    counts.update(report.checks)
     counts["goals"] += report.goals
     counts["connections"] += report.connections
     counts["cuts"] += report.cuts
     counts["restarts"] += report.restarts
-    counts["virtual_seconds"] += report.seconds
+    counts["virtual_seconds"] += round(report.seconds)
 
 
 def tell_failure(report: Report) -> None:
@@ -81,7 +83,8 @@ def tell_failure(report: Report) -> None:
     print(f"\nseed {report.scenario.seed} fails:")
     for violation in report.violations:
         print(f"  {violation}")
-    print(f"again: python -m tests.simulation --seed {report.scenario.seed} --trace")
+    store = " --store" if report.scenario.server.store is not None else ""
+    print(f"again: python -m tests.simulation --seed {report.scenario.seed}{store} --trace")
 
 
 if __name__ == "__main__":

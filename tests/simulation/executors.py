@@ -9,6 +9,7 @@ import anyio
 
 from fibaction import CancelRejected, GoalAborted, GoalCanceled, GoalHandle, GoalRejected
 from fibaction.server.executor import Executor
+from tests.simulation.facts import Life
 from tests.simulation.invariants import Record
 from tests.simulation.scenario import ON_PURPOSE, Done, Step, Work
 
@@ -21,14 +22,24 @@ ENDLESS = 30.0
 class Job:
     """A goal that is being executed, and the record of it."""
 
-    def __init__(self, record: Record, goal: GoalHandle[Work]) -> None:
+    def __init__(self, record: Record, life: Life, goal: GoalHandle[Work]) -> None:
         self._record = record
+        self._life = life
         self._begin(goal)
+        record.keeping.started(self._truth, goal)
 
     def _begin(self, goal: GoalHandle[Work]) -> None:
         self.goal = goal
         self.work = goal.request
-        self._truth = self._record.started(goal.goal_id, goal.stamp)
+        self._truth = self._life.goals[goal.goal_id, goal.stamp]
+        self._truth.attempt = goal.attempt
+        self._done = goal.restored or 0  # steps, with those of earlier attempts
+        self._record.started(self._truth)
+
+    @property
+    def left_to_do(self) -> int:
+        """The number of steps that no attempt has done yet."""
+        return max(0, self.work.steps - self._done)
 
     def take_over(self) -> bool:
         """Go on as the successor, and return True, if there is one."""
@@ -53,15 +64,16 @@ class Job:
 
     def step(self) -> Step:
         """Return the next feedback."""
-        if self._truth.outcome is not None:  # it was killed, and its feedback is discarded
+        if self.goal._goal.is_over:  # it was killed, and its feedback is discarded
             return Step(self._truth.count + 1)
         self._truth.count += 1
-        return Step(self._truth.count, bytes(self.work.size))
+        self._done += 1
+        return Step(self._truth.count, bytes(self.work.size), self.goal.attempt)
 
     def done(self) -> Done:
         """Return the result."""
         result = self.part()
-        if self._truth.outcome is None:  # else it was killed, and the result is discarded
+        if not self.goal._goal.is_over:  # else it was killed, and the result is discarded
             self._truth.result = result
         return result
 
@@ -70,12 +82,22 @@ class Job:
         return Done(self.work.key, self._truth.count, bytes(self.work.size))
 
     async def rest(self) -> None:
-        """Await, for as long as the goal says."""
+        """Await, for as long as the goal says, and keep a checkpoint if it is time for one."""
         await anyio.sleep(self.work.pause)
+        if self.work.keeps and self._truth.count % self.work.keeps == 0:
+            await self.keep()
+
+    async def keep(self) -> None:
+        """Keep a checkpoint, unless the goal has ended."""
+        goal, done = self.goal, self._done
+        if not goal._goal.is_over:
+            truth = self._truth
+            await goal.checkpoint(done)
+            self._record.keeping.checkpoint_returned(truth, done)
 
 
 async def steady(job: Job) -> Items:
-    for _ in range(job.work.steps):
+    for _ in range(job.left_to_do):
         yield job.step()
         await job.rest()
     yield job.done()
@@ -101,11 +123,13 @@ async def instant(job: Job) -> Items:
 
 async def tidy(job: Job) -> Items:
     try:
-        for _ in range(job.work.steps):
+        for _ in range(job.left_to_do):
             yield job.step()
             await job.rest()
         await anyio.sleep(0.2)
     except anyio.get_cancelled_exc_class():
+        if job.work.keeps:
+            await job.keep()
         await anyio.sleep(job.work.cleanup)
         raise GoalCanceled(ON_PURPOSE, result=job.part()) from None
     yield job.done()
@@ -228,11 +252,13 @@ EXECUTORS: dict[str, Callable[[Job], Items]] = {
 }
 
 
-def executor_for(record: Record) -> Executor[Work, Step, Done]:
-    """Return the executor of all goals, which reports its starts to the record."""
+def executor_for(record: Record, number: int) -> Executor[Work, Step, Done]:
+    """Return the executor of all goals of the server of that number, counted from 0, which reports
+    its starts to the record.
+    """
 
     def execute(goal: GoalHandle[Work]) -> Items:
-        return _Watched(Job(record, goal))
+        return _Watched(Job(record, record.lives[number], goal))
 
     return execute
 
@@ -249,6 +275,20 @@ async def decide_goal_later(work: Work) -> None:
     """Decide on a goal after a while: an async `on_goal`."""
     await anyio.sleep(work.decide)
     decide_goal(work)
+
+
+def recover(goal: GoalHandle[Work]) -> None:
+    """Decide on a goal that was interrupted by a crash: a sync `recovery`."""
+    if goal.request.key % 3 == 0:
+        raise GoalAborted(ON_PURPOSE, result=Done(goal.request.key, goal.restored or 0))
+    if goal.request.key % 11 == 0:
+        raise ValueError(ON_PURPOSE)
+
+
+async def recover_later(goal: GoalHandle[Work]) -> None:
+    """Decide on a goal that was interrupted by a crash, after a while: an async `recovery`."""
+    await anyio.sleep(goal.request.decide)
+    recover(goal)
 
 
 def decide_cancel(goal: GoalHandle[Work]) -> None:

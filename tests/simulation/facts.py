@@ -9,6 +9,7 @@ import math
 from typing import Any
 
 from fibaction import GoalID, Outcome
+from fibaction.server.goal_record import GoalRecord
 from fibaction.states import INITIAL
 from tests.simulation.scenario import ClientPlan, Done, Work
 
@@ -29,6 +30,11 @@ class Truth:
         self.life = life
         self.accepted_at = at
         self.statuses = [INITIAL]
+        self.goal: GoalRecord | None = None
+        """The record of the server."""
+        self.attempt = 1
+        self.is_restored = False
+        """True if an earlier server has accepted it."""
         self.starts = 0
         self.count = 0
         """The number of feedback messages that the executor has yielded."""
@@ -57,6 +63,8 @@ class Life:
         self.number = number
         self.began_at = at
         self.stops_at = math.inf
+        self.is_dead = False
+        """True if its process has died: whatever its tasks still do, nobody can see."""
         self.registry = registry
         self.goals: dict[tuple[GoalID, int], Truth] = {}
         self.ended: list[Truth] = []

@@ -138,8 +138,10 @@ def a_cancel_beats_the_result(real: Any) -> Any:
 def a_result_expires_too_early(real: Any) -> Any:
     """Keep outcomes for half the time."""
 
-    def put(self: ExpiringMap[Any], goal_id: GoalID, thing: Any, now: float) -> None:
-        real(self, goal_id, thing, now - self._seconds / 2)
+    def put(
+        self: ExpiringMap[Any], goal_id: GoalID, thing: Any, now: float, **keywords: Any
+    ) -> None:
+        real(self, goal_id, thing, now - self._seconds / 2, **keywords)
 
     return put
 

@@ -21,6 +21,7 @@ from tests.simulation.scenario import (
     Work,
 )
 from tests.simulation.schedule_generator import with_schedule
+from tests.simulation.store_generator import with_store
 from tests.simulation.streams import Manner, Weather
 
 
@@ -184,8 +185,9 @@ class _Generator:
         return fault
 
 
-def scenario_of(seed: int) -> Scenario:
-    """Return the scenario of a seed."""
+def scenario_of(seed: int, *, store: bool = False) -> Scenario:
+    """Return the scenario of a seed; with `store`, its variant that has a store in any case."""
     generator = _Generator(seed)
     scenario = with_hostile_clients(generator.scenario(), generator.span)
-    return with_schedule(scenario, generator.span)
+    scenario = with_schedule(scenario, generator.span)
+    return with_store(scenario, generator.span, always=store)

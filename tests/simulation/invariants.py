@@ -26,9 +26,12 @@ from fibaction import (
     ServerNotFound,
     UnknownGoal,
 )
+from fibaction.server.goal_record import GoalRecord
+from fibaction.server.recovery import LEAST_TIME
 from fibaction.states import TRANSITIONS
 from tests.simulation.facts import EPSILON, ClientState, Life, Truth, short
-from tests.simulation.places import Places
+from tests.simulation.keeping import Keeping
+from tests.simulation.places import NoPlaces, Places
 from tests.simulation.scenario import ON_PURPOSE, SIMULATED, Scenario
 
 INVARIANTS = {
@@ -43,6 +46,7 @@ INVARIANTS = {
     "cancel": "the answer to a cancel is what happens",
     "place": "no more goals run than the schedule allows, and no place is lost",
     "turn": "goals begin, and give way, as the schedule says",
+    "keep": "what was told is kept, survives every crash, and never changes",
     "rest": "no task, no connection and no goal is left at the end",
     "hostile": "a hostile client gets an answer, or the end of its connection",
     "access": "a client is told, and can do, only what it is permitted",
@@ -63,6 +67,11 @@ class Violation(msgspec.Struct, frozen=True):
 
     def __str__(self) -> str:
         return f"[{self.at:.6f}] {self.invariant} ({INVARIANTS[self.invariant]}): {self.text}"
+
+
+def _decoded(outcome: Outcome[bytes]) -> Outcome[Any]:
+    result = None if outcome.result is None else SIMULATED.result.decode(outcome.result)
+    return Outcome(outcome.status, result, outcome.reason)
 
 
 def _reachable() -> dict[GoalStatus, frozenset[GoalStatus]]:
@@ -105,9 +114,12 @@ class Record:
         self._outages: dict[GoalID, list[float]] = {}
         server = scenario.server
         faults = [fault.kind for fault in scenario.faults]
-        self.all_ends_are_told = bool(faults) and all(kind == "restart" for kind in faults)
+        self.all_ends_are_told = (
+            bool(faults) and all(kind == "restart" for kind in faults) and server.store is None
+        )
         """True if the only faults are restarts, before which servers tell their clients."""
-        self.places = Places(self)
+        self.places = Places(self) if server.store is None else NoPlaces(self)
+        self.keeping = Keeping(self)
         self.promises_all = server.feedback == "every" and scenario.climate != "rough"
 
     def tell(self, text: str) -> None:
@@ -138,13 +150,13 @@ class Record:
 
     def truth(self, goal_id: GoalID, stamp: int | None) -> Truth | None:
         """Return the facts of a goal; of the last with that ID if `stamp` is None."""
-        return next(self._truths(goal_id, stamp), None)
+        return next(self.truths(goal_id, stamp), None)
 
     def outcomes(self, goal_id: GoalID, stamp: int | None) -> list[Outcome[Any] | None]:
         """Return the outcomes of the goals with that ID, several if it was sent again later."""
-        return [truth.outcome for truth in self._truths(goal_id, stamp)]
+        return [truth.outcome for truth in self.truths(goal_id, stamp)]
 
-    def _truths(self, goal_id: GoalID, stamp: int | None) -> Iterator[Truth]:
+    def truths(self, goal_id: GoalID, stamp: int | None) -> Iterator[Truth]:
         """Yield the goals with that ID and stamp (None for any), the last one first."""
         for life in reversed(self.lives):
             for (known, known_stamp), truth in reversed(life.goals.items()):
@@ -170,6 +182,7 @@ class Record:
         """Check that a goal was accepted at most once."""
         now = self.now()
         self.tell(f"server {life.number} accepts {short(goal_id)}")
+        self.keeping.accepted(goal_id, stamp)
         for known in life.goals.values():
             if known.goal_id == goal_id and not self._may_run_again(known, now):
                 lost = any(one.losses for one in self.clients.values() if goal_id in one.goals)
@@ -180,9 +193,27 @@ class Record:
         truth = life.goals[goal_id, stamp] = Truth(goal_id, stamp, life, now, sender)
         self.places.accepted(truth)
 
+    def restored(self, life: Life, goal: GoalRecord) -> None:
+        """Note a goal that a server has taken from its store."""
+        self.tell(f"server {life.number} restores {short(goal.goal_id)} as {goal.status.name}")
+        before = self.truth(goal.goal_id, goal.stamp)
+        at = self.now() if before is None else before.accepted_at
+        truth = Truth(goal.goal_id, goal.stamp, life, at, str(goal.sender))
+        truth.goal, truth.is_restored, truth.statuses = goal, True, [goal.status]
+        life.goals[goal.goal_id, goal.stamp] = truth
+        if goal.status.is_terminal:
+            assert goal.outcome is not None
+            truth.outcome = _decoded(goal.outcome)
+            truth.count, truth.ended_at = goal.feedback_count, self.keeping.ended_at(truth)
+            life.ended.append(truth)
+        else:
+            self.places.accepted(truth)
+
     def _may_run_again(self, truth: Truth, now: float) -> bool:
         if not self._has_expired(truth, now):
             return False
+        if truth.is_restored:
+            return True  # its server has no stream for the client that has waited for it
         if truth.goal_id in self.sent_again or truth.goal_id in self.copied:
             return True
         return self.was_orphaned_for(truth.goal_id, self.scenario.server.grace)
@@ -190,35 +221,38 @@ class Record:
     def changed(self, truth: Truth, status: GoalStatus) -> None:
         """Check the change of a goal's status."""
         before = truth.statuses[-1]
-        if status is before:
+        if status is before or truth.life.is_dead:
             return
         self.tell(f"{short(truth.goal_id)} is {status.name}")
         if (before, status) not in NEXT:
             self.fail("status", f"a goal went from {before.name} to {status.name}")
         truth.statuses.append(status)
 
-    def started(self, goal_id: GoalID, stamp: int) -> Truth:
-        """Check that an executor was started at most once."""
-        truth = self.truth(goal_id, stamp)
-        assert truth is not None
+    def started(self, truth: Truth) -> None:
+        """Check that an executor was started at most once, in one life of the server."""
         truth.starts += 1
         if truth.starts > 1:
-            self.fail("once", f"the executor of {short(goal_id)} was started {truth.starts} times")
+            name = short(truth.goal_id)
+            self.fail("once", f"the executor of {name} was started {truth.starts} times")
         self.places.started(truth)
-        return truth
 
     def ended(self, truth: Truth, outcome: Outcome[bytes], count: int) -> None:
         """Check the end of a goal."""
+        if truth.life.is_dead:
+            return
         name = short(truth.goal_id)
-        result = None if outcome.result is None else SIMULATED.result.decode(outcome.result)
         self.tell(f"{name} ends {outcome.status.name} {outcome.reason} after {count}")
         if truth.outcome is not None:
             self.fail("end", f"goal {name} ended twice")
-        truth.outcome = Outcome(outcome.status, result, outcome.reason)
+        truth.outcome = _decoded(outcome)
+        result = truth.outcome.result
         truth.ended_at = self.now()
         truth.life.ended.append(truth)
         succeeded = outcome.status is GoalStatus.SUCCEEDED
-        if succeeded != (truth.result is not None) or (succeeded and result != truth.result):
+        is_by_recovery = truth.is_restored and not truth.starts
+        if is_by_recovery:
+            self.keeping.ended_by_recovery(truth)
+        elif succeeded != (truth.result is not None) or (succeeded and result != truth.result):
             self.fail("end", f"goal {name} ended {truth.outcome}; it had yielded {truth.result}")
         if count != truth.count:
             self.fail("feedback", f"goal {name} has yielded {truth.count}, and {count} are counted")
@@ -253,12 +287,15 @@ class Record:
         if not self._has_expired(truth, now):
             return False
         # A server keeps one stream for a client, and gives it to the next request.
-        is_shared = goal_id in self.sent_again
+        is_shared = goal_id in self.sent_again or truth.is_restored
         return not own or is_shared or self.was_orphaned_for(goal_id, self.scenario.server.grace)
 
     def _has_expired(self, truth: Truth, now: float) -> bool:
         server, ended = self.scenario.server, truth.life.ended
-        if now >= truth.ended_at + server.result_timeout - EPSILON:
+        expires_at = truth.ended_at + server.result_timeout
+        if truth.is_restored:  # its client may not have been back for long
+            expires_at = max(expires_at, truth.life.began_at + LEAST_TIME)
+        if truth.outcome is not None and now >= expires_at - EPSILON:
             return True
         later = len(ended) - 1 - ended.index(truth) if truth in ended else 0
         return truth.outcome is not None and later >= server.max_results
@@ -315,8 +352,8 @@ class Record:
     ) -> None:
         """Check the answer to a cancel."""
         for info in answer.goals_canceling:
-            truth = self.truth(info.goal_id, info.stamp)
-            if truth is None or GoalStatus.CANCELING not in truth.statuses:
+            truths = self.truths(info.goal_id, info.stamp)
+            if not any(GoalStatus.CANCELING in truth.statuses for truth in truths):
                 self.fail("cancel", f"{short(info.goal_id)} is not canceling, unlike {answer}")
         if bool(answer.goals_canceling) and answer.return_code is not CancelCode.NONE:
             self.fail("cancel", f"goals are canceling, and the answer is {answer}")
@@ -341,7 +378,8 @@ class Record:
 
     def over(self) -> None:
         """Check that all goals have ended, when the run is over."""
-        for life in self.lives:
+        self.keeping.over()
+        for life in self.lives if self.scenario.server.store is None else ():
             for truth in life.goals.values():
                 if truth.outcome is None:
                     self.fail("end", f"goal {short(truth.goal_id)} has not ended")

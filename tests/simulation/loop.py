@@ -24,6 +24,8 @@ TURN = 2e-6
 """Virtual seconds that one turn of the loop takes, so that time passes for busy tasks, too."""
 EPOCH = 1000.0
 """The beginning of virtual time. A clock that begins at 0 hides code that takes 0 for "never"."""
+PAST = 1_700_000_000 * 10**9
+"""The time of day at 0 of virtual time, in nanoseconds since 1970."""
 
 
 class Deadlock(Exception):

@@ -25,8 +25,6 @@ from tests.simulation.goal_names import goal_names
 LOOK = 5e-5
 """Virtual seconds that each reading of the clock takes, so that a generator that never awaits uses
 up its slice, as on a real machine."""
-PAST = 1_700_000_000 * 10**9
-"""The beginning of virtual time, in nanoseconds since 1970."""
 
 _FUNCTION = types.BuiltinFunctionType | types.FunctionType | types.MethodType
 
@@ -61,8 +59,8 @@ def made_up(loop: virtual.VirtualLoop, seed: int) -> Generator[None, None, None]
 
     replaced: dict[types.ModuleType, dict[str, Any]] = {
         time: {
-            "time": lambda: PAST / 1e9 + loop.now,
-            "time_ns": lambda: PAST + int(loop.now * 1e9),
+            "time": lambda: virtual.PAST / 1e9 + loop.now,
+            "time_ns": lambda: virtual.PAST + int(loop.now * 1e9),
             "monotonic": look,
             "perf_counter": look,
             "monotonic_ns": lambda: int(look() * 1e9),

@@ -274,3 +274,42 @@ class Places:
             due = truth.interrupted_at + self._record.scenario.server.shutdown_timeout
             if now > due + LATE and truth.outcome is None:
                 self._fail("turn", truth, "cleans up for too long")
+
+
+class NoPlaces(Places):
+    """The places of goals whose rules are not checked: a store delays what a schedule orders."""
+
+    def offered(self, life: Life, goal_id: GoalID, work: Work) -> None:
+        """Check nothing."""
+
+    def rejected(self, life: Life, goal_id: GoalID, reason: str) -> None:
+        """Count the rejection."""
+        self.counts["busy"] += 1
+
+    def accepted(self, truth: Truth) -> None:
+        """Check nothing."""
+
+    def begun(self, truth: Truth) -> None:
+        """Check nothing."""
+
+    def started(self, truth: Truth) -> None:
+        """Check nothing."""
+
+    def interrupted(self, truth: Truth, reason: str) -> None:
+        """Note why the server ends a goal."""
+        truth.stop_reason = truth.stop_reason or reason
+
+    def killed(self, truth: Truth) -> None:
+        """Check nothing."""
+
+    def taken_over(self, truth: Truth, successor: Truth) -> None:
+        """Check nothing."""
+
+    def ended(self, truth: Truth) -> None:
+        """Check nothing."""
+
+    def left(self, truth: Truth) -> None:
+        """Check nothing."""
+
+    def check(self, life: Life) -> None:
+        """Check nothing."""

@@ -15,6 +15,7 @@ import msgspec
 from fibaction import Action, Schedule
 from fibaction.wire.auth import Permission
 from fibaction.wire.frames import MAX_FRAME
+from tests.memory_store import Fate
 from tests.simulation.network import Direction
 from tests.simulation.streams import Manner, Weather
 
@@ -41,13 +42,16 @@ class Work(msgspec.Struct, frozen=True):
     """Seconds that an async `on_goal` takes."""
     rejects: str = ""
     """The rejection by a callback: `goal`, `goal by failing`, or `cancel`; empty for none."""
+    keeps: int = 0
+    """The number of feedback messages between two checkpoints; 0 for no checkpoints."""
 
 
-class Step(msgspec.Struct, frozen=True):
+class Step(msgspec.Struct, frozen=True, omit_defaults=True):
     """Feedback: the executor's own count, to be compared with the number that it arrives with."""
 
     count: int
     pad: bytes = b""
+    attempt: int = 1
 
 
 class Done(msgspec.Struct, frozen=True):
@@ -58,7 +62,7 @@ class Done(msgspec.Struct, frozen=True):
     pad: bytes = b""
 
 
-SIMULATED = Action("simulated", goal=Work, feedback=Step, result=Done)
+SIMULATED = Action("simulated", goal=Work, feedback=Step, result=Done, checkpoint=int)
 
 KINDS = (
     "steady",  # awaits between its yields
@@ -134,6 +138,31 @@ class SchedulePlan(msgspec.Struct, frozen=True):
         )
 
 
+class StoreFault(msgspec.Struct, frozen=True):
+    """A fault of the store, or the death of the process, at a write."""
+
+    what: str
+    """The method of the write; empty for any."""
+    number: int
+    """Number of the write among those of that method, from 1."""
+    fate: Fate
+
+
+class StorePlan(msgspec.Struct, frozen=True):
+    """The store of all servers of the run."""
+
+    recovery: Literal["abort", "rerun", "sync", "async"] = "abort"
+    max_attempts: int = 3
+    at_stop: Literal["abort", "keep"] = "abort"
+    delays: tuple[float, ...] = (0.0,)
+    """Seconds between a write and its answer, by turns."""
+    faults: tuple[StoreFault, ...] = ()
+    survivors: int = 0
+    """The number of writes under way that are kept in a crash."""
+    away: float = 0.0
+    """Seconds between the death of a server and the start of the next."""
+
+
 class ServerPlan(msgspec.Struct, frozen=True):
     """The settings of each server of the run."""
 
@@ -162,6 +191,8 @@ class ServerPlan(msgspec.Struct, frozen=True):
     """True if clients need a token."""
     schedule: SchedulePlan | None = None
     """The rules by which goals run; None to run all of them at once."""
+    store: StorePlan | None = None
+    """The store that keeps the goals; None to keep none."""
 
 
 class Deed(msgspec.Struct, frozen=True):

@@ -88,8 +88,8 @@ def a_free_place_is_given_to_no_goal(real: Any) -> Any:
 def a_killed_goal_leaves_before_its_executor(real: Any) -> Any:
     """Free the place of a killed goal although its executor still runs."""
 
-    def kill(self: AnyRuns, goal_id: GoalID, timeout: float) -> None:
-        real(self, goal_id, timeout)
+    def kill(self: AnyRuns, goal_id: GoalID, reason: str = "", *, for_good: bool) -> None:
+        real(self, goal_id, reason, for_good=for_good)
         assert self.on_left is not None
         self.on_left(goal_id)
 

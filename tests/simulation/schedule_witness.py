@@ -68,11 +68,11 @@ def _interrupting(real: Any, record: Record) -> Any:
 
 
 def _killing(real: Any, record: Record) -> Any:
-    def kill(self: AnyRuns, goal_id: GoalID, timeout: float) -> None:
+    def kill(self: AnyRuns, goal_id: GoalID, reason: str = "", *, for_good: bool) -> None:
         truth = _truth_of(record, self, goal_id)
-        if truth is not None:
+        if truth is not None and not for_good:
             record.places.killed(truth)
-        real(self, goal_id, timeout)
+        real(self, goal_id, reason, for_good=for_good)
 
     return kill
 
@@ -85,7 +85,7 @@ def _taking_over(real: Any, record: Record) -> Any:
         if old.result is None:  # else it fails
             record.places.taken_over(old, new)
         real(self, goal_id, successor)
-        if old.outcome is None:
+        if old.outcome is None and record.scenario.server.store is None:
             record.fail("turn", f"goal {goal_id} goes on beside the one that it has taken over")
 
     return take_over

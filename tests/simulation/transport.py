@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -31,12 +31,14 @@ class SimulatedTransport(Transport):
         terms: ServerSettings | None = None,
         *,
         calls_back: bool = False,
+        is_alive: Callable[[], bool] = lambda: True,
     ) -> None:
         """Make a transport: with a line and settings for a client, or with settings for a server.
 
         With `calls_back`, the loop calls a protocol, as for TCP without TLS; otherwise tasks read
-        and write.
+        and write. A server that is not alive when it begins to listen cannot be reached.
         """
+        self._is_alive = is_alive
         self._calls_back = calls_back
         self._network = network
         self._line = line
@@ -52,7 +54,8 @@ class SimulatedTransport(Transport):
         assert self._terms is not None
         served = {endpoint.info.name: endpoint for endpoint in endpoints}
         async with open_server(served, self._terms) as connections:
-            listener = self._network.host.listen()
+            host = self._network.host
+            listener = host.listen() if self._is_alive() else Listener(host)
             try:
                 async with Background() as accepting:
                     accepting.start_soon(self._accept, listener, connections)

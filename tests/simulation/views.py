@@ -29,6 +29,9 @@ class View:
         self._start = start
         self._seen = 0
         self._last = start
+        self._attempt = 0
+        self._dropped_before = 0
+        """The number of messages that were dropped in earlier attempts."""
         self._status = INITIAL
         self.own = goal_id in client.goals
         self.losses = client.losses
@@ -52,24 +55,46 @@ class View:
         count = step.count
         if number is not None and number != count:
             self._fail("feedback", f"number {number} is what was yielded as {count}")
+        if step.attempt != self._attempt:
+            self._begin_attempt(step, dropped)
         if count <= self._last:
             self._fail("feedback", f"{count} came after {self._last}")
         self._last = count
         self._seen += 1
+        dropped = None if dropped is None else dropped - self._dropped_before
         if dropped is not None and self._start + self._seen + dropped != count:
             self._fail(
                 "feedback",
                 f"{count} came as the {self._seen}th behind {self._start},"
                 f" and {dropped} are said to be dropped",
             )
-        truth = self._record.truth(self.goal_id, self.stamp)
+        truth = self._truth_of_attempt()
         again = self.goal_id in self._record.sent_again
         if truth is None or (count > truth.count and not again):
             self._fail("feedback", f"{count} was never yielded")
 
+    def _begin_attempt(self, step: Step, dropped: int | None) -> None:
+        """Count the feedback of another attempt anew."""
+        if self._attempt:
+            if step.attempt < self._attempt and self.goal_id not in self._record.sent_again:
+                self._fail("feedback", f"attempt {step.attempt} came after {self._attempt}")
+            self._start = self._last = self._seen = 0
+            self._dropped_before = (dropped or 0) - (step.count - 1)
+        self._attempt = step.attempt
+
+    def _truth_of_attempt(self) -> Truth | None:
+        truths = list(self._record.truths(self.goal_id, self.stamp))
+        begun = (one for one in truths if one.starts and one.attempt == self._attempt)
+        return next(begun, truths[0] if truths else None)
+
     def end_of_feedback(self, dropped: int) -> None:
         """Check the counts at the end of the feedback."""
+        dropped -= self._dropped_before
         truth = self._record.truth(self.goal_id, self.stamp)
+        if truth is not None and truth.is_restored:
+            truth = self._truth_of_attempt()
+            if truth is None or truth.outcome is None or not truth.starts:
+                return  # the attempt that it has seen was lost
         if truth is None or truth.outcome is None:
             if self._status is not GoalStatus.UNKNOWN:
                 self._fail("feedback", "it ended before the goal did")
@@ -154,8 +179,7 @@ class Watch:
         key = (info.goal_id, info.stamp)
         before_or_none = self._known.get(key)
         self._known[key] = status
-        truth = self._record.truth(*key)
-        if truth is None or status not in truth.statuses:
+        if not any(status in truth.statuses for truth in self._record.truths(*key)):
             self._fail(info, f"it never was {status.name}")
         if before_or_none is None:
             if exact and not is_known and status is not INITIAL:

@@ -13,21 +13,32 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 from unittest.mock import patch
 
-from fibaction import ActionError, GoalID, Outcome, ProtocolError
+from fibaction import ActionError, ActionServer, GoalID, Outcome, ProtocolError
 from fibaction.abc import GoalStream
 from fibaction.server.cancellation import Cancellation
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import GoalRecord
 from fibaction.server.registry import GoalRegistry
 from fibaction.wire.connection import RemoteConnection
+from fibaction.wire.codec import decode_from_server
+from fibaction.wire.messages import (
+    CancelAnswered,
+    Ended,
+    Feedback,
+    Following,
+    GoalChanged,
+    StatusChanged,
+)
 from fibaction.wire.ownership import Owners
 from fibaction.wire.reconnect import Reconnector
+from fibaction.wire.requests import Answer
 from fibaction.wire.session import Session
 from fibaction.wire.subscriptions import GoalSubscription, HeldGoals
 from fibaction.wire.wire_server import WireServer
+from fibaction.stores.goal_store import StoredGoal
 from tests.simulation.facts import Truth
 from tests.simulation.invariants import Record
-from tests.simulation.scenario import ON_PURPOSE
+from tests.simulation.scenario import ON_PURPOSE, SIMULATED
 from tests.simulation.schedule_witness import schedule_wrappers
 
 LONGEST_LINE = 1000
@@ -53,6 +64,7 @@ def recorded(
             stack.enter_context(patch.object(cls, name, make(getattr(cls, name))))
 
         wrap(GoalRegistry, "accept", lambda real: _accepting(real, record))
+        wrap(GoalRegistry, "restore", lambda real: _restoring(real, record))
         wrap(GoalRegistry, "execute", lambda real: _executing(real, record))
         wrap(GoalRegistry, "finish", lambda real: _finishing(real, record))
         wrap(Cancellation, "accept", lambda real: _canceling(real, record))
@@ -66,6 +78,9 @@ def recorded(
         wrap(Owners, "own", lambda real: _owning(real, record))
         wrap(WireServer, "__init__", lambda real: _opening_hub(real, on_hub))
         wrap(Session, "_handle", lambda real: _handling(real, on_message))
+        if record.scenario.server.store is not None:
+            wrap(GoalSubscription, "next_frames", lambda real: _telling(real, record))
+            wrap(Session, "_say", lambda real: _answering(real, record))
         wrap(FeedbackLog, "wait_for_room", lambda real: _holding(real, on_hold))
         yield
 
@@ -73,15 +88,26 @@ def recorded(
 def _accepting(real: Any, record: Record) -> Any:
     def accept(self: GoalRegistry, goal: GoalRecord) -> None:
         real(self, goal)
-        record.accepted(record.life_of(self), goal.goal_id, goal.stamp, str(goal.sender))
+        life = record.life_of(self)
+        record.accepted(life, goal.goal_id, goal.stamp, str(goal.sender))
+        life.goals[goal.goal_id, goal.stamp].goal = goal
 
     return accept
 
 
+def _restoring(real: Any, record: Record) -> Any:
+    def restore(self: GoalRegistry, stored: StoredGoal, **keywords: Any) -> GoalRecord:
+        goal: GoalRecord = real(self, stored, **keywords)
+        record.restored(record.life_of(self), goal)
+        return goal
+
+    return restore
+
+
 def _truth(record: Record, goal: GoalRecord) -> Truth:
-    truth = record.truth(goal.goal_id, goal.stamp)
-    assert truth is not None
-    return truth
+    return next(
+        truth for truth in record.truths(goal.goal_id, goal.stamp) if truth.goal is goal
+    )
 
 
 def _executing(real: Any, record: Record) -> Any:
@@ -214,6 +240,43 @@ def _holding(real: Any, on_hold: Callable[[FeedbackLog], None]) -> Any:
         await real(self, seconds)
 
     return wait_for_room
+
+
+def _telling(real: Any, record: Record) -> Any:
+    def next_frames(self: GoalSubscription) -> list[bytes]:
+        frames: list[bytes] = real(self)
+        if self.stream is None or not isinstance(self.endpoint, ActionServer):
+            return frames
+        life = record.life_of(self.endpoint._runs._registry)
+        goal_id, stamp = GoalID(self.goal_id), self.stream.stamp
+        for frame in frames:
+            message = decode_from_server(frame)
+            if isinstance(message, Following | StatusChanged):
+                record.keeping.told(life, goal_id, stamp, message.status)
+            elif isinstance(message, Ended):
+                outcome = Outcome(message.status, message.result, message.reason)
+                record.keeping.told(life, goal_id, stamp, message.status, outcome)
+            elif isinstance(message, Feedback):
+                attempt = SIMULATED.feedback.decode(message.payload).attempt
+                record.keeping.told_feedback(life, goal_id, stamp, attempt)
+        return frames
+
+    return next_frames
+
+
+def _answering(real: Any, record: Record) -> Any:
+    async def _say(self: Session, answer: Answer) -> None:
+        (server,) = self._handlers._endpoints.values()
+        assert isinstance(server, ActionServer)
+        life = record.life_of(server._runs._registry)
+        if isinstance(answer, GoalChanged):
+            record.keeping.told(life, GoalID(answer.goal_id), answer.stamp, answer.status)
+        elif isinstance(answer, CancelAnswered):
+            for goal_id, stamp, status in answer.goals:
+                record.keeping.told(life, GoalID(goal_id), stamp, status)
+        await real(self, answer)
+
+    return _say
 
 
 def _name_in(where: str) -> str:

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import itertools
 import math
 import random
 import traceback
+from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import anyio
@@ -20,12 +23,14 @@ import msgspec
 from anyio import CancelScope, create_task_group, current_time
 from anyio.abc import TaskGroup
 
-from fibaction import ActionServer, serve
+from fibaction import ActionError, ActionServer, serve
+from fibaction.exceptions import StoreError
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
 from fibaction.wire.session import Session
 from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
 from fibaction.wire.wire_server import WireServer
+from tests.memory_store import Fate, MemoryStore
 from tests.simulation import loop as virtual
 from tests.simulation.clients import Client
 from tests.simulation.custody import excesses, holders, left_for_clients, left_without_clients
@@ -35,6 +40,8 @@ from tests.simulation.executors import (
     decide_goal,
     decide_goal_later,
     executor_for,
+    recover,
+    recover_later,
 )
 from tests.simulation.facts import HONEST_TOKEN, HOSTILE_TOKEN, Life
 from tests.simulation.hostile import Hostile
@@ -42,7 +49,8 @@ from tests.simulation.hostile_generator import last_attack_of
 from tests.simulation.invariants import Record, Violation
 from tests.simulation.machine import made_up
 from tests.simulation.network import Line, Network
-from tests.simulation.scenario import SIMULATED, Done, Fault, Scenario, Step, Work
+from tests.simulation.scenario import SIMULATED, Done, Fault, Scenario, Step, StorePlan, Work
+from tests.simulation.streams import Manner
 from tests.simulation.transport import SimulatedTransport
 from tests.simulation.witness import listening, lost, recorded
 
@@ -71,6 +79,10 @@ class Report(msgspec.Struct, frozen=True):
     """Virtual seconds of the run."""
     places: dict[str, int]
     """The number of events of schedules, for each kind."""
+    crashes: dict[str, int]
+    """The number of faults of the store, for each kind."""
+    checks: dict[str, int]
+    """The number of checks of the rules of stores, for each kind."""
 
     @property
     def digest(self) -> str:
@@ -99,6 +111,12 @@ class World:
             requests=plan.requests,
         )
         self._loop = loop
+        self._store = None if plan.store is None else self._new_store(plan.store)
+        self._writes: Counter[str] = Counter()
+        """The number of writes to the store, for each method, and of all."""
+        self.crashes: Counter[str] = Counter()
+        """The number of faults of the store, for each kind."""
+        self._is_ending = False
         self._server: ActionServer[Work, Step, Done] | None = None
         self._life_scope: CancelScope
         self._stop = anyio.Event()
@@ -171,7 +189,7 @@ class World:
         on_cancel = {"none": None, "sync": decide_cancel, "async": decide_cancel_later}
         return ActionServer(
             SIMULATED,
-            executor_for(self.record),
+            executor_for(self.record, len(self.record.lives)),
             on_goal=on_goal[plan.on_goal],
             on_cancel=on_cancel[plan.on_cancel],
             interrupt_on_cancel=plan.interrupt_on_cancel,
@@ -182,10 +200,14 @@ class World:
             max_results=plan.max_results,
             shutdown_timeout=plan.shutdown_timeout,
             schedule=None if plan.schedule is None else plan.schedule.schedule(),
+            store=self._store,
+            recovery=self._recovery(),
+            max_attempts=(plan.store or StorePlan()).max_attempts,
+            at_stop=(plan.store or StorePlan()).at_stop,
             watchdog=0,  # its thread reads the real clock, by which a run may be stopped for long
         )
 
-    def _server_transport(self) -> SimulatedTransport:
+    def _server_transport(self, life: Life) -> SimulatedTransport:
         plan = self.scenario.server
 
         may = {hostile.name: hostile.may for hostile in self.scenario.hostile}
@@ -201,12 +223,20 @@ class World:
         tokens = {HONEST_TOKEN: "honest", HOSTILE_TOKEN: "hostile"}
         access = AccessPolicy(tokens if plan.asks_for_tokens else None, rules[plan.authorize])
         terms = ServerSettings(plan.heartbeat, access, self.limits, plan.orphans, plan.grace)
-        return SimulatedTransport(self.network, terms=terms, calls_back=self.scenario.calls_back)
+        return SimulatedTransport(
+            self.network,
+            terms=terms,
+            calls_back=self.scenario.calls_back,
+            is_alive=lambda: not life.is_dead,
+        )
 
     async def _live(self, after: float) -> None:
         """Run a server, from its start until it is stopped or killed."""
         self._lives += 1
         await anyio.sleep(after)
+        store, host = self._store, self.network.host
+        while store is not None and (store.journals or host.listener is not None):
+            await anyio.sleep(0.01)  # the server before it stops
         server = self._new_server()
         self._stop = anyio.Event()
         stop = self._stop
@@ -215,11 +245,15 @@ class World:
             life = Life(len(self.record.lives) + 1, self.record.now(), server._runs._registry)
             self.record.lives.append(life)
             self.record.tell(f"server {life.number} starts")
-            async with serve(server, self._server_transport()):
-                await stop.wait()
+            try:
+                async with serve(server, self._server_transport(life)):
+                    await stop.wait()
+            except StoreError as error:
+                self.record.tell(f"server {life.number} fails: {error}")
+                self._end_life(life)
         self.record.tell(f"server {life.number} has stopped")
         self._lives -= 1
-        if server._runs:
+        if server._runs and not life.is_dead:
             self.record.fail("rest", f"goals run on in a server that has stopped: {server!r}")
 
     async def _restart(self, fault: Fault) -> None:
@@ -228,13 +262,64 @@ class World:
             return
         self.record.lives[-1].stops_at = self.record.now()
         if fault.kind == "crash":
-            # Its connections are cut first, so the clean-up of its tasks reaches no client.
-            self.network.host.die(fault.manner)
-            self._life_scope.cancel()
+            self._die(fault.manner)
         else:
             self._stop.set()
             await self._until(lambda: self.network.host.listener is None, "the server to close")
         self._tasks.start_soon(self._live, fault.seconds)
+
+    def _die(self, manner: Manner) -> None:
+        """End the process of the server at once."""
+        # Its connections are cut first, so the clean-up of its tasks reaches no client.
+        self.network.host.die(manner)
+        if self._store is not None:
+            self.record.lives[-1].is_dead = True
+            assert self.scenario.server.store is not None
+            self._store.die(self.scenario.server.store.survivors)
+            self._store.bury()
+        self._life_scope.cancel()
+
+    # The store
+
+    def _new_store(self, plan: StorePlan) -> MemoryStore:
+        store = MemoryStore(self._fate, clock=lambda: virtual.PAST + int(self._loop.now * 1e9))
+        delays = itertools.cycle(plan.delays)
+        store.delay = lambda: next(delays)
+        store.on_kept = self.record.keeping.kept
+        store.on_claim = self.record.keeping.claimed
+        store.on_death = self._on_death
+        return store
+
+    def _recovery(self) -> Any:
+        plan = self.scenario.server.store or StorePlan()
+        return {"sync": recover, "async": recover_later}.get(plan.recovery, plan.recovery)
+
+    def _fate(self, _number: int, what: str) -> Fate:
+        assert self.scenario.server.store is not None
+        if self._is_ending:
+            return Fate.KEPT
+        self._writes[what] += 1
+        self._writes[""] += 1
+        for fault in self.scenario.server.store.faults:
+            if fault.number == self._writes[fault.what] and fault.what in ("", what):
+                self.record.tell(f"FAULT {fault.fate.value} {what}")
+                self.crashes[f"{fault.fate.value} {what}"] += 1
+                if fault.fate in (Fate.FAILED, Fate.DOUBTFUL):
+                    self._end_life(self.record.lives[-1])
+                return fault.fate
+        return Fate.KEPT
+
+    def _on_death(self) -> None:
+        life = self.record.lives[-1]
+        self._end_life(life)
+        self._die("reset")
+
+    def _end_life(self, life: Life) -> None:
+        """Start the next server after a while, unless another part of the run does."""
+        if life.stops_at == math.inf and not self._is_ending:
+            assert self.scenario.server.store is not None
+            life.stops_at = self.record.now()
+            self._tasks.start_soon(self._live, self.scenario.server.store.away)
 
     # What goes wrong
 
@@ -325,7 +410,8 @@ class World:
             # Long goals are canceled, so that the run ends.
             if self._is_served and self._server is not None:
                 self.record.may_cancel(None)
-                await self._server.cancel_goals()
+                with suppress(ActionError):  # its store may fail just now
+                    await self._server.cancel_goals()
             await anyio.sleep(2)
 
     def _is_quiet(self) -> bool:
@@ -361,6 +447,7 @@ class World:
 
     async def _end(self) -> None:
         """Let the clients and the server leave, in an order that depends on the seed."""
+        self._is_ending = True
         if self.scenario.seed % 2:
             await self._stop_server()
         for client in self._clients:
@@ -425,6 +512,8 @@ def simulate(scenario: Scenario) -> Report:
         restarts=max(0, len(record.lives) - 1),
         seconds=loop.now - virtual.EPOCH,
         places=record.places.counts,
+        crashes=dict(world.crashes),
+        checks=dict(record.keeping.counts),
     )
 
 

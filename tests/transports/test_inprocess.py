@@ -6,6 +6,7 @@ import gc
 
 import anyio
 import pytest
+from msgspec.structs import replace
 
 from fibaction import (
     Action,
@@ -154,6 +155,8 @@ async def test_an_endpoint_hands_everything_on() -> None:
             stream = await endpoint.send_goal(GoalID.random(), FIBONACCI.goal.encode(Goal(1)))
             assert (await stream.outcome()).status is GoalStatus.SUCCEEDED
             assert (await endpoint.feedback(stream.goal_id)).goal_id == stream.goal_id
+            again = await endpoint.feedback(stream.goal_id, after=1, own=True, attempt=2)
+            assert again.cursor == 0
             assert not (await endpoint.cancel_goals(stream.goal_id)).accepted
             first = await (await endpoint.status()).receive()
             assert first is not None
@@ -171,6 +174,10 @@ async def test_a_gateway_names_the_owner_of_a_goal_and_any_other_sender_is_its_c
         assert not (await endpoint.send_goal(theirs, goal)).own
         assert (await endpoint.send_goal(own, goal)).own
         assert not (await server.send_goal(own, goal, sender=ann)).own
+        assert endpoint.owner_of(theirs) == b"ann"
+        assert endpoint.owner_of(own) == server.owner_of(own) != b""
+        elsewhere = connection.endpoint(replace(FIBONACCI.info, name="elsewhere"))
+        assert elsewhere.owner_of(own) == b""
 
 
 async def test_a_place_that_is_not_used_any_more_is_forgotten() -> None:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import anyio
 
 from fibaction._notify import Notifier
-from fibaction.abc import Connection, Endpoint
+from fibaction.abc import Connection, Endpoint, ForwardingEndpoint
 from fibaction.exceptions import ServerNotFound, TransportError
 from fibaction.goals import GoalID
 from fibaction.server import ActionServer, Schedule
@@ -97,9 +97,14 @@ def send(request: int, goal_id: bytes = A, credit: int | None = ANY) -> SendGoal
 
 
 def follow(
-    after: int | None, *, own: bool = True, request: int = 1, credit: int | None = ANY
+    after: int | None,
+    *,
+    own: bool = True,
+    request: int = 1,
+    credit: int | None = ANY,
+    attempt: int = 1,
 ) -> Follow:
-    return Follow(request, "fibonacci", A, after, own, credit)
+    return Follow(request, "fibonacci", A, after, own, credit, attempt)
 
 
 def kinds(messages: list[Any]) -> list[type]:
@@ -179,7 +184,7 @@ class Served:
 
 @asynccontextmanager
 async def serving(
-    *servers: ActionServer[Any, Any, Any],
+    *servers: ActionServer[Any, Any, Any] | ForwardingEndpoint,
     access: AccessPolicy | None = None,
     limits: Limits | None = None,
     heartbeat: float = LONG,

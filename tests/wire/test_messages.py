@@ -149,7 +149,7 @@ def test_the_garbage_collector_need_not_look_at_a_message(
 def test_statuses_and_goal_ids_are_sent_as_plain_numbers_and_bytes() -> None:
     goal_id = GoalID(bytes(range(16)))
     assert fields(GoalChanged(1, goal_id, 2, GoalStatus.CANCELING, 0)) == [
-        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "", 0, 0)
+        *(40, 1, bytes(range(16)), 2, 3, 0, 0, "", 0, 0, 1)
     ]
 
 
@@ -167,6 +167,7 @@ def test_no_token_can_be_read_in_a_log() -> None:
 
 IDS = strategies.integers(0, 2**63 - 1)
 STAMPS = strategies.integers(0, 2**63 - 1)
+ATTEMPTS = strategies.integers(1, 2**63 - 1)
 STATUSES = strategies.sampled_from(GoalStatus)
 COUNTS = strategies.integers(0, 2**31 - 1)
 FRAME_SIZES = strategies.integers(1, 2**32 - 1)
@@ -195,7 +196,8 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
         strategies.none() | strategies.floats(0, 1e9, exclude_min=True),
     ),
     Follow: builds(
-        *(Follow, IDS, TEXT, GOAL_IDS, strategies.none() | STAMPS, strategies.booleans(), COUNTS)
+        *(Follow, IDS, TEXT, GOAL_IDS, strategies.none() | STAMPS, strategies.booleans(), COUNTS),
+        ATTEMPTS,
     ),
     CancelGoals: builds(
         CancelGoals, IDS, TEXT, strategies.none() | GOAL_IDS, strategies.none() | STAMPS
@@ -209,7 +211,7 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
     AskPeers: builds(AskPeers, IDS, TEXT),
     AskPlaces: builds(AskPlaces, IDS, TEXT, COUNTS),
     Welcome: builds(Welcome, NUMBERS, SECONDS, FRAME_SIZES, SECONDS),
-    Following: builds(Following, IDS, STAMPS, STATUSES, strategies.booleans(), STAMPS),
+    Following: builds(Following, IDS, STAMPS, STATUSES, strategies.booleans(), STAMPS, ATTEMPTS),
     Rejected: builds(Rejected, IDS, TEXT),
     Failed: builds(Failed, IDS, NUMBERS, TEXT),
     Feedback: builds(Feedback, IDS, STAMPS, BYTES),
@@ -221,7 +223,8 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
         TEXT,
     ),
     GoalChanged: builds(
-        *(GoalChanged, IDS, GOAL_IDS, STAMPS, STATUSES, STAMPS, STAMPS, TEXT, STAMPS, STAMPS)
+        *(GoalChanged, IDS, GOAL_IDS, STAMPS, STATUSES, STAMPS, STAMPS, TEXT, STAMPS, STAMPS),
+        ATTEMPTS,
     ),
     Done: builds(Done, IDS),
     Finished: builds(Finished, IDS),
@@ -299,6 +302,7 @@ LIMITS = {
     **dict.fromkeys(["id", "stamp", "after", "place", "number"], (0, LARGEST)),
     **dict.fromkeys(["dropped", "feedback_count", "known", "queue_length"], (0, LARGEST)),
     **dict.fromkeys(["credit", "count", "most"], (0, 2**31 - 1)),
+    "attempt": (1, LARGEST),
     "status": (0, 6),
     "return_code": (0, 3),
     "max_frame": (1, 2**32 - 1),

@@ -549,6 +549,13 @@ REQUESTS: dict[Permission, list[Any]] = {
 }
 
 
+class Unasked:
+    """An endpoint that can only be asked whose a goal is, which decides on the permission."""
+
+    def owner_of(self, goal_id: GoalID) -> bytes:
+        return b"of another"
+
+
 @pytest.mark.parametrize(
     ("verb", "message"),
     [(verb, message) for verb, messages in REQUESTS.items() for message in messages],
@@ -565,7 +572,7 @@ async def test_a_request_that_is_not_allowed_fails_and_the_endpoint_is_not_asked
 
     access = AccessPolicy({"secret": "ann"}, authorize)
     async with serving(access=access) as served:
-        served.endpoints["fibonacci"] = object()  # type: ignore[assignment]  # any use would fail
+        served.endpoints["fibonacci"] = Unasked()  # type: ignore[assignment]  # other uses fail
         client = await served.greet(token="secret")
         failed = await client.ask(message, Failed)
         text = f"this client may not {verb.value} at the action 'fibonacci'"

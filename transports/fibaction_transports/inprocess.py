@@ -165,9 +165,15 @@ class _NamedEndpoint(Endpoint):
         return self._connection.opened(stream)
 
     async def feedback(
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self,
+        goal_id: GoalID,
+        *,
+        after: int | None = None,
+        own: bool = False,
+        attempt: int = 1,
     ) -> GoalStream:
-        return self._connection.opened(await self._server.feedback(goal_id, after=after, own=own))
+        stream = await self._server.feedback(goal_id, after=after, own=own, attempt=attempt)
+        return self._connection.opened(stream)
 
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None
@@ -186,6 +192,10 @@ class _NamedEndpoint(Endpoint):
                     return await served.wait_for_server()
             if place.endpoints.get(name) is served:
                 await place.changed.wait()
+
+    def owner_of(self, goal_id: GoalID) -> bytes:
+        served = self._connection.place.endpoints.get(self._info.name)
+        return b"" if served is None else served.owner_of(goal_id)
 
     @property
     def _server(self) -> Endpoint:

@@ -88,9 +88,16 @@ class RosEndpoint(Endpoint):
         return stream
 
     async def feedback(
-        self, goal_id: GoalID, *, after: int | None = None, own: bool = False
+        self,
+        goal_id: GoalID,
+        *,
+        after: int | None = None,
+        own: bool = False,
+        attempt: int = 1,
     ) -> RosGoalStream:
-        """See `Endpoint.feedback`. ROS remembers no feedback, so `after` has no effect."""
+        """See `Endpoint.feedback`. ROS remembers no feedback, so `after` and `attempt` have no
+        effect.
+        """
         stream = RosGoalStream(goal_id, self._decoder, self._client.depth, reads=True)
         await self._client.follow(stream)
         return stream

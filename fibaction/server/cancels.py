@@ -1,0 +1,132 @@
+"""Cancels: `Cancels` calls `on_cancel`, and carries out its answers.
+
+The registry says which goals a cancel means; `on_cancel` is called for each of them, for
+`MOST_AT_ONCE` concurrently, because one slow answer should not delay the cancels of other goals. A
+client may cancel all goals as often as it likes, so the work is done in slices.
+
+With a store, the executor of a goal is interrupted at once, and the cancel is told when it is kept:
+the answer waits for all writes before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Generic
+
+from anyio import Semaphore, create_task_group, current_time
+
+from fibaction._slices import Slices
+from fibaction.action import FeedbackT, GoalT, ResultT
+from fibaction.exceptions import CancelRejected
+from fibaction.goals import CancelAnswer, GoalID
+from fibaction.server.callbacks import Callback, Callbacks
+from fibaction.server.cancellation import Cancellation
+from fibaction.server.goal_handle import GoalHandle
+from fibaction.server.goal_keeper import GoalKeeper
+from fibaction.server.goal_record import GoalRecord
+from fibaction.server.registry import GoalRegistry
+from fibaction.server.runs import Runs
+from fibaction.states import GoalStatus
+
+MOST_AT_ONCE = 100
+"""Calls of `on_cancel` that one cancel waits for at the same time."""
+
+
+class Cancels(Generic[GoalT, FeedbackT, ResultT]):
+    """The cancels of one server's goals."""
+
+    def __init__(
+        self,
+        registry: GoalRegistry,
+        runs: Runs[GoalT, FeedbackT, ResultT],
+        decided: Callable[[GoalID], Awaitable[None]],
+        *,
+        on_cancel: Callback[GoalHandle[GoalT]] | None,
+        interrupt: bool,
+        callbacks: Callbacks,
+    ) -> None:
+        """Wait with `decided` for goals that are undecided, and interrupt executors if
+        `interrupt`.
+        """
+        self._registry = registry
+        self._runs = runs
+        self._decided = decided
+        self._on_cancel = on_cancel
+        self._interrupt = interrupt
+        self._callbacks = callbacks
+        self._keeper: GoalKeeper | None = None
+
+    def keep_by(self, keeper: GoalKeeper) -> None:
+        """Answer when this keeper has written all that was before."""
+        self._keeper = keeper
+
+    async def cancel(self, goal_id: GoalID | None, stamp: int | None) -> CancelAnswer:
+        """Cancel the goals that an ID and a stamp mean: see `Endpoint.cancel_goals`."""
+        if goal_id is not None:
+            await self._decided(goal_id)
+        cancellation = self._registry.cancel(goal_id, stamp, now=current_time())
+        if self._on_cancel is None or len(cancellation.candidates) < 2:
+            slices = Slices()
+            for goal in cancellation.candidates:
+                asking = self._cancel(cancellation, goal)
+                if asking is not None:
+                    await self._cancel_later(cancellation, goal, asking)
+                await slices.pause()
+        else:
+            await self._cancel_together(cancellation)
+        if self._keeper is not None:
+            await self._keeper.settled()
+            self._keeper.check()
+        return cancellation.answer()
+
+    async def _cancel_together(self, cancellation: Cancellation) -> None:
+        """Cancel goals, and wait for several calls of an async `on_cancel` at the same time."""
+        slices, room = Slices(), Semaphore(MOST_AT_ONCE, fast_acquire=True)
+
+        async def wait(goal: GoalRecord, asking: Awaitable[None]) -> None:
+            await self._cancel_later(cancellation, goal, asking)
+            room.release()
+
+        async with create_task_group() as tasks:
+            for goal in cancellation.candidates:
+                await room.acquire()
+                asking = self._cancel(cancellation, goal)
+                if asking is None:
+                    room.release()
+                else:
+                    tasks.start_soon(wait, goal, asking)
+                await slices.pause()
+
+    def _cancel(self, cancellation: Cancellation, goal: GoalRecord) -> Awaitable[None] | None:
+        """Cancel a goal, or have it rejected; return the answer to wait for if it takes time."""
+        if goal.is_over or not goal.status.is_active:
+            return None  # it has ended since it was chosen
+        if self._on_cancel is not None and goal.status is not GoalStatus.CANCELING:
+            self._callbacks.check_not_within("on_cancel", goal.goal_id, "cancels")
+            handle = self._runs.handle_of(goal.goal_id)
+            try:
+                asking = self._callbacks.ask(
+                    "on_cancel", self._on_cancel, (handle,), CancelRejected, about=goal.goal_id
+                )
+            except CancelRejected as exc:
+                cancellation.reject(exc.reason)
+                return None
+            if asking is not None:
+                return asking
+        self._accept_cancel(cancellation, goal)
+        return None
+
+    async def _cancel_later(
+        self, cancellation: Cancellation, goal: GoalRecord, asking: Awaitable[None]
+    ) -> None:
+        try:
+            await asking
+        except CancelRejected as exc:
+            cancellation.reject(exc.reason)
+        else:
+            self._accept_cancel(cancellation, goal)
+
+    def _accept_cancel(self, cancellation: Cancellation, goal: GoalRecord) -> None:
+        before = goal.status
+        if cancellation.accept(goal) and goal.status is not before:
+            self._runs.cancel(goal, before, interrupt=self._interrupt)

@@ -1,0 +1,136 @@
+"""One run: a server in a process that is killed and started again, its clients, and the verdict."""
+
+from __future__ import annotations
+
+import random
+import socket
+from collections import Counter
+from collections.abc import AsyncGenerator, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+
+import anyio
+import msgspec
+
+from tests.kills.clients import Visitor, settle
+from tests.kills.ledger import Ledger, Rules, attempts_of, faults_of
+from tests.kills.victim import Setup, entries_of, run_victim
+
+LIFE = (0.0, 0.9)
+"""The shortest and the longest life of a server, in seconds, from when clients can connect."""
+BIRTH = 0.1
+"""Seconds from the start of a process within which it is killed, if that is before it serves."""
+
+
+class Report(msgspec.Struct):
+    """The figures of a run, and the promises that were broken."""
+
+    kills: int
+    kills_before_it_served: int
+    goals: int
+    calls: Mapping[str, int]
+    ends: Mapping[str, int]
+    attempts: Mapping[int, int]
+    faults: list[str]
+
+
+class Keeper:
+    """Starts the server's process, kills it, and starts it again."""
+
+    def __init__(self, setup: Setup, seed: int) -> None:
+        self._setup = setup
+        self._chance = random.Random(seed)
+        self._processes = get_context("forkserver")
+        self._processes.set_forkserver_preload(["tests.kills.victim", "fibaction_transports.tcp"])
+        self.kills = Counter[str]()
+
+    def start(self) -> tuple[ForkServerProcess, Connection]:
+        """Start a process; its pipe tells when clients can connect."""
+        here, there = self._processes.Pipe(duplex=False)
+        process = self._processes.Process(target=run_victim, args=(self._setup, there))
+        process.start()
+        there.close()
+        return process, here
+
+    async def kill_until(self, time: float) -> None:
+        """Kill the server, and start it again, until a time of the event loop's clock."""
+        while anyio.current_time() < time:
+            process, pipe = self.start()
+            if self._chance.random() < 0.2:
+                await anyio.sleep(self._chance.uniform(0, BIRTH))
+                kind = "served" if pipe.poll() else "not served"
+            else:
+                await serving(pipe)
+                await anyio.sleep(self._chance.uniform(*LIFE))
+                kind = "served"
+            process.kill()
+            self.kills[kind] += 1
+            process.join()
+            pipe.close()
+
+    @asynccontextmanager
+    async def survivor(self) -> AsyncGenerator[None, None]:
+        """Run a server that is stopped in good order at the end."""
+        process, pipe = self.start()
+        try:
+            await serving(pipe)
+            yield
+        finally:
+            process.terminate()
+            process.join(30)
+            process.kill()
+            pipe.close()
+
+
+async def serving(pipe: Connection) -> None:
+    """Wait until the server of a pipe serves.
+
+    Raises:
+        EOFError: It has ended before that.
+    """
+    await anyio.wait_readable(pipe.fileno())
+    pipe.recv()
+
+
+def free_url() -> str:
+    """Return a URL where no server listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+
+
+async def run(folder: Path, seconds: float, clients: int, recovery: str, seed: int) -> Report:
+    """Kill a server for so many seconds while so many clients use it, and return what was seen."""
+    setup = msgspec.convert(
+        {
+            "url": free_url(),
+            "store": str(folder / "goals.db"),
+            "diary": str(folder / "diary"),
+            "recovery": recovery,
+        },
+        Setup,
+    )
+    ledger, keeper = Ledger(), Keeper(setup, seed)
+    until = anyio.current_time() + seconds
+    async with AsyncExitStack() as stack:
+        async with anyio.create_task_group() as tasks:
+            for number in range(clients):
+                tasks.start_soon(Visitor(setup.url, seed + number, ledger).run, until)
+            await keeper.kill_until(until)
+            # The last one lives until all clients have what they wait for.
+            await stack.enter_async_context(keeper.survivor())
+        await settle(setup.url, ledger)
+    diary = list(entries_of(folder / "diary"))
+    rules = Rules(recovery == "rerun", setup.max_attempts)
+    return Report(
+        kills=keeper.kills.total(),
+        kills_before_it_served=keeper.kills["not served"],
+        goals=len(ledger.goals),
+        calls=dict(ledger.calls),
+        ends=dict(ledger.ends()),
+        attempts=attempts_of(diary),
+        faults=list(faults_of(ledger, diary, rules)),
+    )

@@ -1,0 +1,145 @@
+"""The server that is killed, in a process of its own, and the diary that outlives it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import AsyncGenerator, Iterator
+from multiprocessing.connection import Connection
+from pathlib import Path
+from signal import SIGTERM
+from typing import Literal
+
+import anyio
+import msgspec
+
+from fibaction import (
+    Action,
+    ActionServer,
+    GoalAborted,
+    GoalCanceled,
+    GoalHandle,
+    Schedule,
+    SqliteStore,
+    serve,
+)
+
+TOO_HARD = "it was too hard"
+
+
+class Work(msgspec.Struct):
+    """A goal: so many steps, with a pause before each."""
+
+    steps: int
+    pause: float
+    fails: bool = False
+    """True if the goal ends as ABORTED after its last step."""
+
+
+class Done(msgspec.Struct):
+    """The number of steps that were taken, and the attempt that took the last one."""
+
+    steps: int
+    attempt: int
+
+
+WORK = Action("work", goal=Work, feedback=int, result=Done, checkpoint=int)
+
+
+class Setup(msgspec.Struct):
+    """The settings of the server."""
+
+    url: str
+    store: str
+    diary: str
+    recovery: Literal["abort", "rerun"]
+    sync: Literal["full", "normal"] = "full"
+    max_attempts: int = 3
+    concurrency: int = 15
+
+
+class Entry(msgspec.Struct):
+    """A line of the diary: something that an executor has begun, or that it was told is kept."""
+
+    at: int
+    """Nanoseconds of the clock that all processes of this machine share."""
+    what: Literal["began", "kept"]
+    goal_id: str
+    attempt: int
+    steps: int
+    """The steps that an attempt began with, or those that are kept."""
+
+
+class Diary:
+    """A file to which executors append what they do. Each line is there when `write` returns, also
+    after SIGKILL.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+
+    def write(self, what: Literal["began", "kept"], goal: GoalHandle[Work], steps: int) -> None:
+        """Append an entry about a goal."""
+        entry = Entry(time.monotonic_ns(), what, str(goal.goal_id), goal.attempt, steps)
+        os.write(self._file, msgspec.json.encode(entry) + b"\n")
+
+    def close(self) -> None:
+        """Close the file."""
+        os.close(self._file)
+
+
+def entries_of(path: Path) -> Iterator[Entry]:
+    """Yield the entries of a diary."""
+    for line in path.read_bytes().splitlines():
+        yield msgspec.json.decode(line, type=Entry)
+
+
+class Worker:
+    """The executor, which keeps each second step."""
+
+    def __init__(self, diary: Diary) -> None:
+        self._diary = diary
+
+    async def __call__(self, goal: GoalHandle[Work]) -> AsyncGenerator[int | Done, None]:
+        steps: int = goal.restored or 0
+        self._diary.write("began", goal, steps)
+        try:
+            while steps < goal.request.steps:
+                await anyio.sleep(goal.request.pause)
+                steps += 1
+                if steps % 2 == 0:
+                    await goal.checkpoint(steps)
+                    self._diary.write("kept", goal, steps)
+                yield steps
+        except anyio.get_cancelled_exc_class():
+            raise GoalCanceled(result=Done(steps, goal.attempt)) from None
+        if goal.request.fails:
+            raise GoalAborted(TOO_HARD, result=Done(steps, goal.attempt))
+        yield Done(steps, goal.attempt)
+
+
+async def serve_until_killed(setup: Setup, parent: Connection) -> None:
+    """Serve at the URL, tell the parent when clients can connect, and stop at SIGTERM."""
+    diary = Diary(Path(setup.diary))
+    server = ActionServer(
+        WORK,
+        Worker(diary),
+        schedule=Schedule(concurrency=setup.concurrency, queue=1000),
+        store=SqliteStore(setup.store, sync=setup.sync),
+        recovery=setup.recovery,
+        max_attempts=setup.max_attempts,
+        at_stop="keep",
+        result_timeout=float("inf"),
+        max_results=1_000_000,
+    )
+    with anyio.open_signal_receiver(SIGTERM) as signals:
+        async with serve(server, setup.url, heartbeat=1):
+            parent.send("serving")
+            await anext(signals)
+    diary.close()
+
+
+def run_victim(setup: Setup, parent: Connection) -> None:
+    """Run the server in this process."""
+    anyio.run(serve_until_killed, setup, parent)
