@@ -23,6 +23,7 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
     Schedule,
+    ServerNotFound,
     StoreError,
 )
 from fibaction.goals import UNKNOWN_SENDER
@@ -198,9 +199,20 @@ async def test_a_waiting_goal_that_another_server_has_taken_over_leaves_its_plac
 # Schedules
 
 
+async def wait(goal: GoalHandle[int]) -> Painting:
+    """Wait so many seconds, and take over each successor."""
+    with anyio.move_on_after(goal.request):
+        while True:
+            await goal.wait_for_successor()
+            goal = goal.take_over()
+            yield goal.request
+    yield "waited"
+
+
 async def test_a_goal_whose_turn_comes_while_its_acceptance_is_written_begins_afterwards() -> None:
     store = MemoryStore()
-    async with server_with(store, schedule=Schedule(concurrency=1, queue=2)) as server:
+    schedule = Schedule(concurrency=1, queue=2)
+    async with ActionServer(PAINT, wait, store=store, schedule=schedule) as server:
         client = client_of(server)
         first = await client.send_goal(1)
         results: list[str] = []
@@ -214,8 +226,8 @@ async def test_a_goal_whose_turn_comes_while_its_acceptance_is_written_begins_af
             await anyio.sleep(5)  # the first goal ends, and its end waits as well
             assert len(await client.goals()) == 1
             store.release()
-        assert await first.result() == "painted 1 in attempt 1"
-        assert results == ["painted 2 in attempt 1"]
+        assert await first.result() == "waited"
+        assert results == ["waited"]
 
 
 async def test_a_goal_that_is_canceled_while_its_begin_is_written_never_runs() -> None:
@@ -233,6 +245,39 @@ async def test_a_goal_that_is_canceled_while_its_begin_is_written_never_runs() -
         assert (await second.outcome()).status is GoalStatus.CANCELED
         assert [feedback async for feedback in second.feedback] == []
         assert await client.call(1) == "painted 1 in attempt 1"
+
+
+async def test_a_goal_that_is_killed_while_its_begin_is_written_gives_its_place_back() -> None:
+    store = MemoryStore()
+    schedule = Schedule(concurrency=1, queue=2, run_timeout=3)
+    async with server_with(store, schedule=schedule, shutdown_timeout=1) as server:
+        client = client_of(server)
+        first, second = [await client.send_goal(order) for order in (1, 2)]
+        store.on_kept = lambda what, _goal: store.hold() if what == "end" else None
+        await first.outcome()
+        await anyio.sleep(10)
+        store.on_kept = lambda _what, _goal: None
+        store.release()
+        assert (await second.outcome()).reason == "took longer than 3 s"
+        server._runs.begin(second.goal_id)  # an order that comes too late
+        assert await client.call(1) == "painted 1 in attempt 1"
+
+
+async def test_feedback_of_a_goal_that_was_taken_over_is_told_when_its_begin_is_kept() -> None:
+    store = MemoryStore()
+    schedule = Schedule(concurrency=1, when_full="preempt", handover=5)
+    async with ActionServer(PAINT, wait, store=store, schedule=schedule) as server:
+        client = client_of(server)
+        first = await client.send_goal(9)
+        store.on_kept = lambda what, _goal: store.hold() if what == "accept" else None
+        second = await client.send_goal(7)
+        await anyio.sleep(1)
+        with anyio.move_on_after(1):
+            pytest.fail(f"told {await second.feedback.__anext__()}")
+        store.release()
+        assert await second.feedback.__anext__() == 7
+        assert (await first.outcome()).reason == f"preempted by {second.goal_id}"
+        await second.cancel()
 
 
 async def test_a_schedule_that_rejects_a_stored_goal_ends_it() -> None:
@@ -396,3 +441,67 @@ async def test_an_end_that_cannot_be_written_in_time_is_told_after_the_next_star
 
 async def attached_to(server: Server, goal_id: GoalID) -> ClientGoal[int, str]:
     return await client_of(server).attach(goal_id)
+
+
+async def test_calls_that_wait_for_a_store_that_is_too_slow_may_be_made_again() -> None:
+    store = MemoryStore()
+    async with server_with(store, shutdown_timeout=1) as server:
+        client = client_of(server)
+        goal = await client.send_goal(9)
+        store.hold()
+
+        async def send() -> None:
+            with pytest.raises(GoalKept, match="before its store has answered"):
+                await client.send_goal(1)
+
+        async def cancel() -> None:
+            with pytest.raises(GoalKept, match="before its store has answered"):
+                await goal.cancel()
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(send)
+            tasks.start_soon(cancel)
+            await anyio.sleep(1)
+            await server.stop()
+        store.release()
+
+
+@pytest.mark.parametrize("at_stop", ["keep", "abort"])
+async def test_clients_of_a_server_that_keeps_its_goals_are_to_come_back(at_stop: Any) -> None:
+    async with server_with(MemoryStore(), at_stop=at_stop) as server:
+        await server.stop()
+        expected = GoalKept if at_stop == "keep" else ServerNotFound
+        with pytest.raises(expected):
+            await client_of(server).send_goal(1)
+
+
+async def test_a_store_that_fails_at_the_start_is_an_error_of_the_start() -> None:
+    store = store_with(stored(is_running=True, attempt=1))
+    store.fate = lambda _number, _what: Fate.FAILED
+    server = server_with(store)
+    with pytest.raises(StoreError, match="broken"):
+        async with server:
+            await anyio.sleep_forever()
+    with pytest.raises(GoalKept, match="store has failed"):
+        await client_of(server).send_goal(1)
+
+
+async def test_a_checkpoint_after_the_store_has_failed_is_not_written() -> None:
+    errors: list[StoreError] = []
+
+    async def persist(goal: GoalHandle[int]) -> Painting:
+        for _ in range(2):
+            try:
+                with anyio.CancelScope(shield=True):
+                    await goal.checkpoint(1)
+            except StoreError as exc:
+                errors.append(exc)
+        yield "done"
+
+    store = MemoryStore(lambda _number, what: Fate.KEPT if what == "accept" else Fate.FAILED)
+    with pytest.raises(StoreError):
+        async with ActionServer(PAINT, persist, store=store) as server:
+            await client_of(server).send_goal(1)
+            await anyio.sleep_forever()
+    assert len(errors) == 2
+    assert store.writes == 2
