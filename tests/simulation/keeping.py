@@ -96,6 +96,12 @@ class Keeping:
         if fact.is_cancel_told and goal.status is not GoalStatus.CANCELING:
             self._fail(fact.goal_id, "was told as canceling, and its cancel is forgotten")
 
+    def forgotten(self, goal: StoredGoal) -> None:
+        """Note the outcome of a goal that is not kept any longer."""
+        fact = self._facts.get((GoalID(goal.goal_id), goal.stamp))
+        if fact is not None:  # else its process has died before the acceptance was answered
+            fact.stored = goal
+
     def ended_at(self, truth: Truth) -> float:
         """Return the time of the end of a goal that was found in the store."""
         fact = self._fact(truth)

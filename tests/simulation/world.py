@@ -290,6 +290,7 @@ class World:
         store.delay = lambda: next(delays)
         store.on_kept = self.record.keeping.kept
         store.on_claim = self.record.keeping.claimed
+        store.on_forget = self.record.keeping.forgotten
         store.on_death = self._on_death
         return store
 
