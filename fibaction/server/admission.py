@@ -248,8 +248,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         try:
             await keeper.kept(write)
         except StoreError:
-            keeper.check()
-            raise
+            raise keeper.stopped() from None
         except BaseException:
             acceptance.leave()
             raise

@@ -219,10 +219,12 @@ class GoalKeeper:
         Raises:
             GoalKept: One of these has happened.
         """
-        if self.failure is not None:
-            raise GoalKept(STORE_FAILED)
-        if self._is_closed:
-            raise GoalKept(STORE_IS_LATE)
+        if self.failure is not None or self._is_closed:
+            raise self.stopped()
+
+    def stopped(self) -> GoalKept:
+        """Return the error for calls that wait for a server which has stopped."""
+        return GoalKept(STORE_IS_LATE if self.failure is None else STORE_FAILED)
 
     async def kept(self, write: int) -> None:
         """Wait until the write of that number is durable.

@@ -119,12 +119,18 @@ async def test_a_goal_whose_sender_does_not_wait_is_accepted_all_the_same() -> N
 
 
 async def test_a_goal_that_is_accepted_just_as_its_sender_leaves_is_not_held_by_it() -> None:
+    scope = anyio.CancelScope()
     store = MemoryStore()
     async with server_with(store, feedback_window=1, stall_timeout=1000) as server:
-        with anyio.CancelScope() as scope:
-            store.on_kept = lambda _what, _goal: scope.cancel()
+        add = server._runs.add
+
+        def add_and_leave(*args: Any, **keywords: Any) -> Any:
+            scope.cancel()
+            return add(*args, **keywords)
+
+        server._runs.add = add_and_leave  # type: ignore[method-assign]  # to meet that turn
+        with scope:
             await server.send_goal(ID, PAINT.goal.encode(5))
-        await anyio.sleep(1)
         goal = await attached(server)
         begin = current_time()
         assert await goal.result() == "painted 5 in attempt 1"
@@ -223,8 +229,9 @@ async def test_a_goal_whose_turn_comes_while_its_acceptance_is_written_begins_af
         async with anyio.create_task_group() as tasks:
             store.hold()
             tasks.start_soon(call)
+            await anyio.sleep(0.5)
+            assert len(await client.goals()) == 1  # a goal that has a place and is not accepted yet
             await anyio.sleep(5)  # the first goal ends, and its end waits as well
-            assert len(await client.goals()) == 1
             store.release()
         assert await first.result() == "waited"
         assert results == ["waited"]
@@ -484,6 +491,19 @@ async def test_a_store_that_fails_at_the_start_is_an_error_of_the_start() -> Non
             await anyio.sleep_forever()
     with pytest.raises(GoalKept, match="store has failed"):
         await client_of(server).send_goal(1)
+
+
+async def test_a_store_that_fails_while_goals_are_taken_over_is_an_error_of_the_start() -> None:
+    async def decide(goal: GoalHandle[int]) -> None:
+        if goal.stamp == 1:
+            raise GoalAborted("no")
+        await anyio.sleep(1)
+
+    store = store_with(*(stored(number=one, is_running=True, attempt=1) for one in (1, 2)))
+    store.fate = lambda _number, _what: Fate.FAILED
+    with pytest.raises(StoreError, match="broken"):
+        async with server_with(store, recovery=decide):
+            pytest.fail("it has started")
 
 
 async def test_a_checkpoint_after_the_store_has_failed_is_not_written() -> None:
