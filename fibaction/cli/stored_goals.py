@@ -18,7 +18,14 @@ async def rows_of_store(path: str, name: str | None) -> list[GoalRow]:
     rows = [
         GoalRow(
             action,
-            GoalInfo(goal.goal_id, goal.stamp, goal.status, goal.feedback_count, str(goal.sender)),
+            GoalInfo(
+                goal.goal_id,
+                goal.stamp,
+                goal.status,
+                goal.feedback_count,
+                str(goal.sender),
+                attempt=max(goal.attempt, 1),
+            ),
         )
         for action, goals in (await stored_goals(path)).items()
         if name is None or shown(action) == shown(name)

@@ -6,6 +6,9 @@ A server without a store, one with `sync="full"` and one with `sync="normal"` do
 turns, so that other programs disturb all of them. DBOS takes part where it is installed: one
 workflow with one step for each goal, in a file of SQLite. `make bench` ends with this.
 
+Garbage is collected as rarely as `fibaction serve` does it: goals that wait for the disk are alive
+for many turns, and Python's default would look at them again and again.
+
 The folder must be on the disk that is to be measured: /tmp is often in memory.
 """
 
@@ -27,6 +30,7 @@ import anyio
 
 from fibaction import Action, ActionServer, GoalHandle, GoalID, SqliteStore, serve
 from fibaction import connect as connect_to
+from fibaction.cli.serve import rare_collections
 from fibaction.goals import Sender
 from fibaction.states import GoalStatus
 from fibaction.stores.goal_store import GoalStore, StoredGoal
@@ -222,7 +226,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--folder", type=Path, default=Path())
     arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
+    with rare_collections(), tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
         anyio.run(measure, arguments.rounds, Path(folder))
 
 

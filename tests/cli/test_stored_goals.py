@@ -8,8 +8,9 @@ from pathlib import Path
 import anyio
 import pytest
 
-from fibaction import Action, ActionClient, ActionServer, GoalHandle, SqliteStore
+from fibaction import Action, ActionClient, ActionServer, GoalHandle, GoalStatus, SqliteStore
 from tests.cli.conftest import Run
+from tests.stores.made import a_goal
 
 PAINT = Action("paint", goal=int, feedback=int, result=str)
 DRIVE = Action("arm/drive", goal=int, feedback=int, result=str)
@@ -54,6 +55,21 @@ def test_the_goals_of_one_action_are_listed_as_json(here: Run, path: Path) -> No
 
     assert [(goal["action"], goal["status"]) for goal in found.json] == [("paint", "SUCCEEDED")] * 2
     assert found.json[0]["feedback_count"] == 1
+    assert found.json[0]["attempt"] == 1
+
+
+def test_a_goal_that_runs_again_tells_its_attempt(here: Run, tmp_path: Path) -> None:
+    anyio.run(begin_twice, tmp_path / "goals.db")
+    [goal] = here("goals", "--store", str(tmp_path / "goals.db"), "--json").json
+
+    assert (goal["status"], goal["attempt"]) == ("EXECUTING", 2)
+
+
+async def begin_twice(path: Path) -> None:
+    goal = a_goal(status=GoalStatus.EXECUTING, attempt=2)
+    store = SqliteStore(path)
+    async with store.open("paint", max_results=1, claim=print, lose=print) as journal:
+        journal.accept(goal, lambda error: None)
 
 
 def test_a_store_without_goals_of_an_action_says_so(here: Run, path: Path) -> None:
