@@ -80,6 +80,8 @@ class MemoryStore(GoalStore):
         the goal."""
         self.on_claim: Callable[[StoredGoal], None] = lambda _goal: None
         """The function that is called before a goal is given to the next server."""
+        self.on_forget: Callable[[StoredGoal], None] = lambda _goal: None
+        """The function that is called with an outcome that is too old, or one too many."""
         self.on_death: Callable[[], None] = lambda: None
         """The function that is called when a fate lets the process die."""
         self.clock = clock
@@ -287,6 +289,7 @@ class MemoryJournal(GoalJournal):
         for number, goal in enumerate(ended):
             if number < too_many or 0 < goal.keep_until <= now:
                 del goals[self._action, goal.goal_id]
+                self._store.on_forget(goal)
 
 
 def _changed(known: StoredGoal, what: str, goal: StoredGoal) -> StoredGoal:

@@ -224,6 +224,8 @@ async def test_a_store_is_open_once_for_an_action() -> None:
 async def test_old_outcomes_are_forgotten(answers: Answers) -> None:
     now = [10 * SECOND]
     store = MemoryStore(clock=lambda: now[0])
+    forgotten: list[int] = []
+    store.on_forget = lambda goal: forgotten.append(goal.stamp)
     async with opened(store, max_results=2) as (journal, _):
         for number in (1, 2, 3):
             journal.accept(goal(number), answers.to("accept"))
@@ -234,6 +236,7 @@ async def test_old_outcomes_are_forgotten(answers: Answers) -> None:
     now[0] = 11 * SECOND
     async with opened(store) as (_, claimed):
         assert [each.stamp for each in claimed] == [3]
+    assert forgotten == [1, 2]
 
 
 @pytest.mark.parametrize("wrong", ["begin", "end", "accept"])

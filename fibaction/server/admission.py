@@ -44,9 +44,9 @@ from fibaction.server._sender_argument import GoalFunction, with_sender
 from fibaction.server.callbacks import SERVER_STOPPING, Callbacks
 from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.goal_keeper import STORE_FAILED, GoalKeeper
+from fibaction.server.goal_keeper import GoalKeeper
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.goal_record import GoalRecord
+from fibaction.server.goal_record import LEAST_TIME, GoalRecord
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.server.runs import GOAL_IS_TAKEN, Runs
 from fibaction.server.scheduler import Act, Busy, Order
@@ -67,17 +67,19 @@ class Offer(NamedTuple):
 class _AcceptanceInWriting:
     """The acceptance of a goal that the store does not have yet."""
 
-    __slots__ = ("is_left", "stream")
+    __slots__ = ("_goal", "is_left", "stream")
 
-    def __init__(self) -> None:
+    def __init__(self, goal: GoalRecord) -> None:
+        self._goal = goal
         self.stream: FeedbackCursor | None = None
         """The stream of the goal, once it is accepted."""
         self.is_left = False
         """True if the call that has sent the goal does not wait any longer."""
 
     def leave(self) -> None:
-        """Wait no longer: the call was canceled."""
+        """Wait no longer: the call was canceled. Its client may come back, and send it again."""
         self.is_left = True
+        self._goal.remember_until = current_time() + LEAST_TIME
         if self.stream is not None:
             self.stream.close()
 
@@ -220,7 +222,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         orders: Sequence[Order],
     ) -> Coroutine[Any, Any, FeedbackCursor]:
         """Begin to write an acceptance, and return the wait for the stream of the goal."""
-        acceptance, context = _AcceptanceInWriting(), copy_context()
+        acceptance, context = _AcceptanceInWriting(goal), copy_context()
 
         def accept() -> None:
             self._registry.accept(goal)
@@ -246,7 +248,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         try:
             await keeper.kept(write)
         except StoreError:
-            raise GoalKept(STORE_FAILED) from None
+            keeper.check()
+            raise
         except BaseException:
             acceptance.leave()
             raise

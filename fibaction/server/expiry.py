@@ -32,9 +32,7 @@ class ExpiringMap(Generic[T]):
     def __iter__(self) -> Iterator[T]:
         return (value for _, value in self._entries.values())
 
-    def put(
-        self, goal_id: GoalID, value: T, now: float, *, at_least_until: float = 0.0
-    ) -> None:
+    def put(self, goal_id: GoalID, value: T, now: float, *, at_least_until: float = 0.0) -> None:
         """Add an entry, whose time begins now. Call `pop` afterwards to keep the limit."""
         self.put_until(goal_id, value, max(now + self._seconds, at_least_until))
 

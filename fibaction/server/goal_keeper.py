@@ -89,10 +89,7 @@ class GoalKeeper:
             claim=claim,
             lose=lambda goal_id: self.on_lost(goal_id),
         ) as self._journal:
-            try:
-                yield
-            finally:
-                self._close()
+            yield
 
     # Writes
 
@@ -201,7 +198,7 @@ class GoalKeeper:
         self._end_waits()
         self.on_failure()
 
-    def _close(self) -> None:
+    def close(self) -> None:
         """Carry out no more answers: the server has stopped, and did not wait for them any longer.
 
         What they are about is kept, and is told after the next start.

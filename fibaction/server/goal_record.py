@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 NO_PLACE = (0, 0)
 """The place of a goal that does not wait."""
 
+LEAST_TIME = 30.0
+"""Seconds for which an outcome is remembered at least, if the client of the goal may not have been
+told the acceptance, or was away with the server: it comes back within that time."""
+
 DIGEST_SIZE = 16
 """Bytes of a digest: enough that two payloads never have the same digest by chance."""
 
@@ -36,10 +40,10 @@ class GoalRecord:
 
     __slots__ = (
         "attempt",
-        "before_cancel",
         "changed",
         "deadline",
         "digest",
+        "earlier_status",
         "ended_at",
         "feedback_count",
         "goal_id",
@@ -76,8 +80,8 @@ class GoalRecord:
         """Number of the attempt that runs, or that comes next. A server without a store makes one.
         """
         self.status: GoalStatus = INITIAL
-        self.before_cancel: GoalStatus | None = None
-        """The status before a cancel whose acceptance is being written; None if none is."""
+        self.earlier_status: GoalStatus | None = None
+        """The status before a change that is still being written; None if none is."""
         self.outcome: Outcome[bytes] | None = None
         """The outcome; None while the goal is active, and again after the server has forgotten it.
         The log of the goal has its own reference, for those that still follow it."""
@@ -102,8 +106,8 @@ class GoalRecord:
 
     @property
     def told_status(self) -> GoalStatus:
-        """The status that followers may know: without a cancel that is still being written."""
-        return self.status if self.before_cancel is None else self.before_cancel
+        """The status that followers may know: without a change that is still being written."""
+        return self.status if self.earlier_status is None else self.earlier_status
 
     @property
     def info(self) -> GoalInfo:

@@ -40,7 +40,7 @@ from fibaction.server.checkpoints import Checkpoints
 from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_keeper import SECOND
-from fibaction.server.goal_record import Ending, EndKind, GoalRecord
+from fibaction.server.goal_record import LEAST_TIME, Ending, EndKind, GoalRecord
 from fibaction.server.registry import GoalRegistry
 from fibaction.server.runs import Runs
 from fibaction.states import GoalStatus
@@ -53,9 +53,6 @@ RecoveryRule: TypeAlias = Literal["abort", "rerun"] | RecoveryFunction[GoalT]
 
 RESTARTED = "the server was restarted"
 
-LEAST_TIME = 30.0
-"""Seconds for which outcomes are remembered after a restart, at least: a client that has waited
-for one comes back within that time."""
 
 logger = clean_logger("fibaction.server")
 

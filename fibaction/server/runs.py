@@ -49,7 +49,7 @@ from fibaction.server.checkpoints import Checkpoints
 from fibaction.server.executor import Execution, Executor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_handle import GoalHandle, Succession
-from fibaction.server.goal_keeper import STORE_FAILED, GoalKeeper
+from fibaction.server.goal_keeper import STORE_FAILED, STORE_IS_LATE, GoalKeeper
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.goal_record import NO_PLACE, Ending, EndKind, GoalRecord
 from fibaction.server.registry import GoalRegistry
@@ -246,7 +246,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         if self._keeper is None:
             self._logs.tell_status(run.log)
         else:
-            goal.before_cancel = before
+            goal.earlier_status = before
             self._keeper.cancel(goal, partial(self._tell_cancel, run))
         if run.is_waiting:
             self._end(run.execution, Ending(EndKind.CANCELED))
@@ -254,7 +254,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             run.execution.interrupt()
 
     def _tell_cancel(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
-        run.goal.before_cancel = None
+        run.goal.earlier_status = None
         self._logs.tell_status(run.log)
 
     def interrupt(self, goal_id: GoalID, reason: str) -> None:
@@ -292,6 +292,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         if run is not None and not run.goal.is_over:
             run.goal.stop_reason = run.goal.stop_reason or reason
             self._finish(run, Ending(EndKind.FAILED, reason=run.goal.stop_reason), killed=True)
+            run.execution.interrupt()  # the orders of a schedule may have come in another order
             run.execution.kill(for_good=for_good)
 
     def active(self) -> tuple[GoalID, ...]:
@@ -311,6 +312,11 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         for run in tuple(self._runs.values()):
             if run.goal.is_over:
                 self._let_go(run, STORE_FAILED)
+
+    def let_go(self) -> None:
+        """Let go of all goals: the server has stopped before its store has answered."""
+        for run in tuple(self._runs.values()):
+            self._let_go(run, STORE_IS_LATE)
 
     # Finish
 
@@ -350,13 +356,20 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         run.goal.is_over = True
         del self._runs[run.goal.goal_id]
         self._registry.release(run.goal)
-        run.log.fail(GoalKept(reason))
+        error = GoalKept(reason)
+        run.log.fail(error)
+        if reason != GOAL_IS_TAKEN:
+            self._logs.kept = error
         self._logs.ended.notify()
 
     def _fix_outcome(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
         """Decide the outcome, which never changes afterwards."""
         goal = run.goal
-        self._execute(run)  # the table has no edge from ACCEPTED to an end
+        if self._keeper is None:
+            self._execute(run)  # the table has no edge from ACCEPTED to an end
+        elif goal.status is GoalStatus.ACCEPTED:
+            goal.earlier_status = goal.status  # it is told together with the end
+            self._registry.execute(goal)
         if ending.kind is EndKind.CANCELED and goal.status is GoalStatus.EXECUTING:
             reason = goal.stop_reason or ending.reason or CANCELED_UNASKED
             ending = Ending(EndKind.CANCELED, ending.result, reason)
@@ -366,6 +379,9 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def _tell_end(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         """Make the outcome the goal's, for as long as results are kept, and tell it."""
         assert run.outcome is not None
+        if run.goal.earlier_status is not None:
+            run.goal.earlier_status = None
+            self._logs.tell_status(run.log)
         now = current_time()
         self._registry.finish(run.goal, run.outcome, now=now, stamp=time.time_ns())
         del self._runs[run.goal.goal_id]

@@ -82,7 +82,14 @@ class Deeds:
     # Seeing
 
     def _view(self, goal: ClientGoal[Step, Done], *, start: int = 0, own: bool = True) -> View:
-        view = View(self._record, self._state, goal.goal_id, goal.stamp, start=start)
+        view = View(
+            self._record,
+            self._state,
+            goal.goal_id,
+            goal.stamp,
+            start=start,
+            attempt=goal.attempt,
+        )
         view.own = view.own and own
         view.losses = goal_names.get().losses
         view.status(goal.status)
@@ -276,7 +283,14 @@ class Deeds:
         goal_id, _ = self._some_goal(deed)
         after = deed.count if deed.target % 2 else None
         with await self._client.endpoint.feedback(goal_id, after=after) as stream:
-            view = View(self._record, self._state, goal_id, stream.stamp, start=stream.cursor)
+            view = View(
+                self._record,
+                self._state,
+                goal_id,
+                stream.stamp,
+                start=stream.cursor,
+                attempt=stream.attempt,
+            )
             view.own = False
             told = View(self._record, self._state, goal_id, stream.stamp, start=0)
             told.own = False

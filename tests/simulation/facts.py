@@ -65,6 +65,8 @@ class Life:
         self.stops_at = math.inf
         self.is_dead = False
         """True if its process has died: whatever its tasks still do, nobody can see."""
+        self.is_orderly = False
+        """True if it was stopped, and has had the time to write everything."""
         self.registry = registry
         self.goals: dict[tuple[GoalID, int], Truth] = {}
         self.ended: list[Truth] = []

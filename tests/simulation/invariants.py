@@ -26,8 +26,7 @@ from fibaction import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.server.goal_record import GoalRecord
-from fibaction.server.recovery import LEAST_TIME
+from fibaction.server.goal_record import LEAST_TIME, GoalRecord
 from fibaction.states import TRANSITIONS
 from tests.simulation.facts import EPSILON, ClientState, Life, Truth, short
 from tests.simulation.keeping import Keeping
@@ -249,6 +248,7 @@ class Record:
         truth.ended_at = self.now()
         truth.life.ended.append(truth)
         succeeded = outcome.status is GoalStatus.SUCCEEDED
+        self.keeping.ended(truth)
         is_by_recovery = truth.is_restored and not truth.starts
         if is_by_recovery:
             self.keeping.ended_by_recovery(truth)
@@ -277,7 +277,8 @@ class Record:
         `stamp` None means the last goal with that ID.
         """
         now = self.now()
-        if self.lives and self.lives[-1].stops_at <= now:
+        is_stopping = self.lives and self.lives[-1].stops_at <= now
+        if is_stopping and not self.keeping.is_active(goal_id, stamp):
             return True
         truth = self.truth(goal_id, stamp)
         if truth is None:

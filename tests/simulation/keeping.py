@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from fibaction import GoalHandle, GoalID, GoalStatus, Outcome
 from fibaction.stores.goal_store import StoredGoal
-from tests.simulation.facts import EPSILON, Life, Truth, short
+from tests.simulation.facts import Life, Truth, short
 from tests.simulation.loop import EPOCH, PAST
 from tests.simulation.scenario import ON_PURPOSE, SIMULATED, StorePlan, Work
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 RESTARTED = "the server was restarted"
 GIVEN_UP = "given up after "
+STOPPED = "server stopped"
 
 
 class Fact:
@@ -84,16 +85,36 @@ class Keeping:
         self.counts["goals found active"] += 1
         if goal.is_running:
             fact.lost.add(goal.attempt)
+        before = self._record.lives[-2:-1]
+        is_late = max(self._plan.delays) > self._record.scenario.server.shutdown_timeout
+        if before and before[0].is_orderly and not is_late:
+            self.counts["goals found after a stop"] += 1
+            if self._plan.at_stop == "abort" or goal.is_running:
+                self._fail(fact.goal_id, f"was left by a server that was stopped: {goal}")
         if fact.told is not None:
             self._fail(fact.goal_id, f"was told as {fact.told}, and is active after a restart")
         if fact.is_cancel_told and goal.status is not GoalStatus.CANCELING:
             self._fail(fact.goal_id, "was told as canceling, and its cancel is forgotten")
+
+    def forgotten(self, goal: StoredGoal) -> None:
+        """Note the outcome of a goal that is not kept any longer."""
+        fact = self._facts.get((GoalID(goal.goal_id), goal.stamp))
+        if fact is not None:  # else its process has died before the acceptance was answered
+            fact.stored = goal
 
     def ended_at(self, truth: Truth) -> float:
         """Return the time of the end of a goal that was found in the store."""
         fact = self._fact(truth)
         assert fact is not None
         return (fact.stored.ended_at - PAST) / 1e9 - EPOCH
+
+    def is_active(self, goal_id: GoalID, stamp: int | None) -> bool:
+        """Return whether a goal is kept, and is active."""
+        return any(
+            fact.outcome is None
+            for key, fact in self._facts.items()
+            if key[0] == goal_id and stamp in (None, key[1])
+        )
 
     # The server
 
@@ -153,6 +174,13 @@ class Keeping:
             self._fail(fact.goal_id, f"runs again, and the recovery is {recovery}")
         if lost >= self._plan.max_attempts:
             self._fail(fact.goal_id, f"runs again after {lost} attempts were lost")
+
+    def ended(self, truth: Truth) -> None:
+        """Check that a goal that is to be kept is not ended by a stop."""
+        assert truth.outcome is not None
+        was_canceled = GoalStatus.CANCELING in truth.statuses
+        if truth.outcome.reason == STOPPED and self._plan.at_stop == "keep" and not was_canceled:
+            self._fail(truth.goal_id, "is ended by a stop, and not kept")
 
     def ended_by_recovery(self, truth: Truth) -> None:
         """Check the end of a goal that was found active, and was not run."""

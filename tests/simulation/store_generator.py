@@ -33,7 +33,6 @@ def with_store(scenario: Scenario, span: float, *, always: bool = False) -> Scen
         server=server,
         clients=clients,
         faults=tuple(sorted(faults, key=lambda fault: fault.at)),
-        hostile=(),
     )
 
 

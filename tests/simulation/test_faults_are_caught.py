@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 import tests.simulation.hostile_faults  # it adds its mistakes
-import tests.simulation.schedule_faults  # noqa: F401  # it adds its mistakes
+import tests.simulation.schedule_faults  # it adds its mistakes
+import tests.simulation.store_faults  # noqa: F401  # it adds its mistakes
 from tests.simulation.faults import MISTAKES, Mistake
 from tests.simulation.generator import scenario_of
 from tests.simulation.world import simulate

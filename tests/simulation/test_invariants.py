@@ -43,7 +43,7 @@ class Known:
 def test_a_goal_that_is_started_twice_is_found() -> None:
     known = Known()
     known.record.changed(known.truth, GoalStatus.EXECUTING)
-    known.record.started(GOAL, 1)
+    known.record.started(known.truth)
     assert known.found() == ["once"]
 
 

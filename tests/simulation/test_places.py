@@ -42,7 +42,8 @@ class Known:
     def begin(self, truth: Truth) -> Truth:
         self.places.begun(truth)
         self.record.changed(truth, GoalStatus.EXECUTING)
-        return self.record.started(truth.goal_id, truth.stamp)
+        self.record.started(truth)
+        return truth
 
     def end(self, truth: Truth, status: GoalStatus = ABORTED, reason: str = "") -> None:
         if status is CANCELED:
@@ -79,7 +80,7 @@ def test_a_goal_that_waits_beside_a_free_place_is_found() -> None:
 def test_a_goal_that_runs_or_begins_though_it_must_not_is_found() -> None:
     known = Known(concurrency=1, queue=1)
     first, second = known.run(1), known.accept(2)
-    known.record.started(second.goal_id, second.stamp)
+    known.record.started(second)
     assert known.found() == ["turn"]
     known.places.begun(first)
     assert known.found() == ["turn"] * 2

@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import pytest
 
+from tests.memory_store import Fate
 from tests.simulation import __main__ as command
 from tests.simulation.executors import EXECUTORS
 from tests.simulation.generator import scenario_of
@@ -31,6 +32,7 @@ from tests.simulation.scenario import (
     ServerPlan,
     Work,
 )
+from tests.simulation.store_generator import WRITES
 from tests.simulation.streams import Weather
 from tests.simulation.world import Report, simulate
 
@@ -38,6 +40,19 @@ FIXED = range(80)
 """Seeds that are run each time."""
 FRESH = 40
 """How many seeds are run that nobody has seen before."""
+CHECKS = {
+    "told",
+    "ends told",
+    "cancels told",
+    "checkpoints",
+    "restored checkpoints",
+    "starts",
+    "starts after a crash",
+    "goals found active",
+    "goals found after a stop",
+    "ends at a restart",
+}
+"""The kinds of checks of what is kept."""
 ROOT = Path(__file__).parents[2]
 
 
@@ -160,6 +175,31 @@ def test_what_a_schedule_does_happens_in_the_scenarios() -> None:
     assert all(counts.values()), counts
 
 
+def test_servers_have_stores_of_all_kinds_in_some_of_the_scenarios() -> None:
+    plans = [scenario_of(seed).server.store for seed in range(1000)]
+    stores = [plan for plan in plans if plan is not None]
+    assert 200 < len(stores) < 400
+    assert {one.recovery for one in stores} == {"abort", "rerun", "sync", "async"}
+    assert {one.at_stop for one in stores} == {"abort", "keep"}
+    faults = {(fault.what, fault.fate) for one in stores for fault in one.faults}
+    assert {fate for _, fate in faults} == {*Fate} - {Fate.KEPT, Fate.TAKEN}
+    assert {what for what, _ in faults} == {*WRITES}
+    assert all(scenario_of(seed, store=True).server.store is not None for seed in range(9))
+
+
+def test_servers_die_and_fail_at_each_write_in_the_scenarios() -> None:
+    seen: set[str] = set()
+    wanted = {"accept", "begin", "cancel", "checkpoint", "end"}
+    wanted |= {fate.value for fate in Fate if fate not in (Fate.KEPT, Fate.TAKEN)} | CHECKS
+    for seed in range(200):
+        report = simulate(scenario_of(seed, store=True))
+        check(report)
+        seen |= {word for crash in report.crashes for word in crash.split()} | {*report.checks}
+        if wanted <= seen:
+            break
+    assert wanted <= seen, wanted - seen
+
+
 # Hostile clients alone: each attack of each kind, against one honest client that calls
 
 
@@ -223,7 +263,7 @@ def test_the_command_tells_how_to_see_a_failure_again(
 ) -> None:
     def failing(scenario: Any) -> Report:
         wrong = Violation("once", "it ran twice", 1.0)
-        return Report(scenario, [wrong], ["a", "b"], 0, 0, 0, 0, 1.0, {})
+        return Report(scenario, [wrong], ["a", "b"], 0, 0, 0, 0, 1.0, {}, {}, {})
 
     monkeypatch.setattr(command, "simulate", failing)
     monkeypatch.setattr(sys, "argv", ["simulation", "--seconds", "5", "--from", "77"])

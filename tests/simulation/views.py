@@ -20,8 +20,11 @@ class View:
         stamp: int | None,
         *,
         start: int,
+        attempt: int = 0,
     ) -> None:
-        """Make a view; `stamp` None means the last accepted goal with that ID."""
+        """Make a view; `stamp` None means the last accepted goal with that ID. `start` is a number
+        in that attempt; 0 if the attempt is not known yet.
+        """
         self._record = record
         self.client = client
         self.goal_id = goal_id
@@ -29,7 +32,7 @@ class View:
         self._start = start
         self._seen = 0
         self._last = start
-        self._attempt = 0
+        self._attempt = attempt
         self._dropped_before = 0
         """The number of messages that were dropped in earlier attempts."""
         self._status = INITIAL

@@ -19,8 +19,9 @@ from fibaction.server.cancellation import Cancellation
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import GoalRecord
 from fibaction.server.registry import GoalRegistry
-from fibaction.wire.connection import RemoteConnection
+from fibaction.stores.goal_store import StoredGoal
 from fibaction.wire.codec import decode_from_server
+from fibaction.wire.connection import RemoteConnection
 from fibaction.wire.messages import (
     CancelAnswered,
     Ended,
@@ -35,7 +36,6 @@ from fibaction.wire.requests import Answer
 from fibaction.wire.session import Session
 from fibaction.wire.subscriptions import GoalSubscription, HeldGoals
 from fibaction.wire.wire_server import WireServer
-from fibaction.stores.goal_store import StoredGoal
 from tests.simulation.facts import Truth
 from tests.simulation.invariants import Record
 from tests.simulation.scenario import ON_PURPOSE, SIMULATED
@@ -105,9 +105,7 @@ def _restoring(real: Any, record: Record) -> Any:
 
 
 def _truth(record: Record, goal: GoalRecord) -> Truth:
-    return next(
-        truth for truth in record.truths(goal.goal_id, goal.stamp) if truth.goal is goal
-    )
+    return next(truth for truth in record.truths(goal.goal_id, goal.stamp) if truth.goal is goal)
 
 
 def _executing(real: Any, record: Record) -> Any:

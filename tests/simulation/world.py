@@ -235,8 +235,10 @@ class World:
         self._lives += 1
         await anyio.sleep(after)
         store, host = self._store, self.network.host
-        while store is not None and (store.journals or host.listener is not None):
-            await anyio.sleep(0.01)  # the server before it stops
+        if store is not None:
+            await self._until(
+                lambda: not store.journals and host.listener is None, "the server before to stop"
+            )
         server = self._new_server()
         self._stop = anyio.Event()
         stop = self._stop
@@ -248,6 +250,7 @@ class World:
             try:
                 async with serve(server, self._server_transport(life)):
                     await stop.wait()
+                life.is_orderly = not life.is_dead
             except StoreError as error:
                 self.record.tell(f"server {life.number} fails: {error}")
                 self._end_life(life)
@@ -287,6 +290,7 @@ class World:
         store.delay = lambda: next(delays)
         store.on_kept = self.record.keeping.kept
         store.on_claim = self.record.keeping.claimed
+        store.on_forget = self.record.keeping.forgotten
         store.on_death = self._on_death
         return store
 

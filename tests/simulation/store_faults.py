@@ -1,0 +1,280 @@
+"""Deliberate mistakes in the keeping of goals, beside those of `faults`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from fibaction.goals import GoalID, Outcome
+from fibaction.server.admission import Admission
+from fibaction.server.cancels import Cancels
+from fibaction.server.checkpoints import Checkpoints
+from fibaction.server.goal_keeper import GoalKeeper
+from fibaction.server.goal_record import GoalRecord
+from fibaction.server.recovery import Recovery
+from fibaction.server.registry import GoalRegistry
+from fibaction.server.runs import Run, Runs
+from fibaction.states import GoalStatus
+from fibaction.stores.goal_store import StoredGoal
+from tests.simulation.faults import mistake
+
+AnyAdmission = Admission[Any, Any, Any]
+AnyRecovery = Recovery[Any, Any, Any]
+AnyRun = Run[Any, Any, Any]
+AnyRuns = Runs[Any, Any, Any]
+
+
+# Told before it is kept
+
+
+@mistake(GoalKeeper, "accept", 1, 18, 25)
+def an_acceptance_is_told_before_it_is_kept(real: Any) -> Any:
+    """Accept a goal as soon as its acceptance is handed to the store."""
+
+    def accept(self: GoalKeeper, *args: Any, then: Any, **keywords: Any) -> int:
+        write: int = real(self, *args, then=lambda: None, **keywords)
+        then()
+        self._answered += 1  # the wait for the write is over, too
+        return write
+
+    return accept
+
+
+@mistake(GoalKeeper, "end", 18, 20, 25)
+def an_end_is_told_before_it_is_kept(real: Any) -> Any:
+    """Tell the outcome as soon as it is handed to the store."""
+
+    def end(self: GoalKeeper, goal: GoalRecord, outcome: Outcome[bytes], then: Any) -> None:
+        real(self, goal, outcome, lambda: None)
+        then()
+
+    return end
+
+
+@mistake(GoalKeeper, "cancel", 20, 26, 28)
+def a_cancel_is_told_before_it_is_kept(real: Any) -> Any:
+    """Tell followers CANCELING as soon as it is handed to the store."""
+
+    def cancel(self: GoalKeeper, goal: GoalRecord, then: Any) -> None:
+        real(self, goal, lambda: None)
+        then()
+
+    return cancel
+
+
+@mistake(Cancels, "keep_by", 18, 26, 28)
+def a_cancel_is_answered_before_it_is_kept(_real: Any) -> Any:
+    """Do not wait for the store before a cancel is answered."""
+
+    def keep_by(self: Cancels[Any, Any, Any], keeper: GoalKeeper) -> None:
+        pass
+
+    return keep_by
+
+
+@mistake(GoalKeeper, "begin", 25, 26, 28)
+def an_executor_starts_before_its_attempt_is_kept(real: Any) -> Any:
+    """Start an executor as soon as its begin is handed to the store."""
+
+    def begin(self: GoalKeeper, goal: GoalRecord, then: Any = None) -> None:
+        real(self, goal)
+        if then is not None:
+            then()
+
+    return begin
+
+
+@mistake(GoalKeeper, "kept", 25, 26, 18)
+def a_checkpoint_returns_before_it_is_kept(_real: Any) -> Any:
+    """Do not wait for the store in `checkpoint`."""
+
+    async def kept(self: GoalKeeper, write: int) -> None:
+        if self._answered < write - 1:
+            await self._wait(write - 1)
+
+    return kept
+
+
+@mistake(GoalKeeper, "_fail", 20, 25, 41)
+def a_failed_write_is_taken_for_kept(_real: Any) -> Any:
+    """Go on when a write has failed, as if it had not."""
+
+    def _fail(self: GoalKeeper, error: Any) -> None:
+        self._answers[0][1] and self._answers[0][1]()
+
+    return _fail
+
+
+# Forgotten
+
+
+@mistake(GoalKeeper, "cancel", 18, 20, 26)
+def a_cancel_is_not_written(_real: Any) -> Any:
+    """Accept a cancel, and keep it nowhere."""
+
+    def cancel(self: GoalKeeper, goal: GoalRecord, then: Any) -> None:
+        then()
+
+    return cancel
+
+
+@mistake(GoalKeeper, "end", 18, 25, 33)
+def the_result_is_not_written(real: Any) -> Any:
+    """Keep the end of a goal without its result."""
+
+    def end(self: GoalKeeper, goal: GoalRecord, outcome: Outcome[bytes], then: Any) -> None:
+        real(self, goal, Outcome(outcome.status, None, outcome.reason), then)
+
+    return end
+
+
+@mistake(Recovery, "claim", 26, 40, 41)
+def goals_that_waited_are_forgotten(real: Any) -> Any:
+    """Take over only goals that were running."""
+
+    def claim(self: AnyRecovery, stored: StoredGoal) -> None:
+        if stored.is_running or stored.status.is_terminal:
+            real(self, stored)
+
+    return claim
+
+
+@mistake(Recovery, "claim", 25, 68)
+def outcomes_are_forgotten(real: Any) -> Any:
+    """Take over only goals that are active."""
+
+    def claim(self: AnyRecovery, stored: StoredGoal) -> None:
+        if stored.status.is_active:
+            real(self, stored)
+
+    return claim
+
+
+# Recovered wrongly
+
+
+@mistake(Recovery, "claim", 41, 67)
+def a_cancel_is_forgotten_at_a_restart(real: Any) -> Any:
+    """Run goals again whose cancel was accepted."""
+
+    def claim(self: AnyRecovery, stored: StoredGoal) -> None:
+        if stored.status is GoalStatus.CANCELING:
+            stored.status = GoalStatus.EXECUTING
+        real(self, stored)
+
+    return claim
+
+
+@mistake(Checkpoints, "restored", 47, 52, 54)
+def no_checkpoint_is_restored(_real: Any) -> Any:
+    """Begin each attempt from nothing."""
+
+    def restored(self: Checkpoints, goal: GoalRecord) -> None:
+        return None
+
+    return restored
+
+
+@mistake(GoalKeeper, "checkpoint", 25, 26, 33)
+def only_the_first_checkpoint_is_kept(real: Any) -> Any:
+    """Write the first checkpoint of a goal again instead of a later one."""
+
+    def checkpoint(self: GoalKeeper, goal: GoalRecord, state: bytes) -> int:
+        assert goal.stored is not None
+        write: int = real(self, goal, goal.stored.checkpoint or state)
+        return write
+
+    return checkpoint
+
+
+@mistake(Recovery, "_ending_of", 20, 33, 54)
+def a_goal_is_never_given_up(real: Any) -> Any:
+    """Run a goal again however often its process has died."""
+
+    async def _ending_of(self: AnyRecovery, goal: GoalRecord, stored: StoredGoal) -> Any:
+        stored.lost = -1
+        self._max_attempts = 10**9
+        return await real(self, goal, stored)
+
+    return _ending_of
+
+
+@mistake(Recovery, "_ending_of", 1, 20, 25)
+def a_goal_runs_again_whatever_the_recovery_says(_real: Any) -> Any:
+    """Do not ask what is to become of a goal that was running."""
+
+    async def _ending_of(self: AnyRecovery, goal: GoalRecord, stored: StoredGoal) -> None:
+        return None
+
+    return _ending_of
+
+
+@mistake(Recovery, "claim", 67)
+def a_goal_that_waited_counts_as_lost(real: Any) -> Any:
+    """Treat goals that had not begun as if their attempt was lost."""
+
+    def claim(self: AnyRecovery, stored: StoredGoal) -> None:
+        stored.is_running = stored.status.is_active
+        real(self, stored)
+
+    return claim
+
+
+@mistake(Runs, "begin", 28, 40, 41)
+def an_attempt_has_the_number_of_the_one_before(real: Any) -> Any:
+    """Do not count attempts."""
+
+    def begin(self: AnyRuns, goal_id: GoalID) -> None:
+        if (run := self._runs.get(goal_id)) is not None:
+            run.goal.attempt = 1
+        real(self, goal_id)
+
+    return begin
+
+
+@mistake(GoalRegistry, "restore", 20, 1, 18)
+def a_restored_goal_has_another_stamp(real: Any) -> Any:
+    """Give goals a new stamp at each restart, so that they look like others to their clients."""
+
+    def restore(self: GoalRegistry, stored: StoredGoal, **keywords: Any) -> GoalRecord:
+        stored.stamp += 1
+        goal: GoalRecord = real(self, stored, **keywords)
+        return goal
+
+    return restore
+
+
+@mistake(GoalRegistry, "restore", 20, 25, 33)
+def the_outcome_of_a_restored_goal_expires_at_once(real: Any) -> Any:
+    """Count the result timeout from an end at the restart on, though the client is away."""
+
+    def restore(
+        self: GoalRegistry, stored: StoredGoal, *, until: float = 0.0, **keywords: Any
+    ) -> GoalRecord:
+        goal: GoalRecord = real(self, stored, until=-math.inf, **keywords)
+        return goal
+
+    return restore
+
+
+# At a stop
+
+
+@mistake(Runs, "_is_kept", 52, 192)
+def a_goal_that_is_kept_is_told_as_aborted(_real: Any) -> Any:
+    """End goals at a planned restart that are to be kept."""
+
+    def _is_kept(self: AnyRuns, *_: Any, **_keywords: Any) -> bool:
+        return False
+
+    return _is_kept
+
+
+@mistake(Runs, "_release", 52, 192)
+def a_goal_that_is_kept_is_not_released(_real: Any) -> Any:
+    """Leave goals that are kept at a planned restart as running."""
+
+    def _release(self: AnyRuns, keeper: GoalKeeper, run: AnyRun) -> None:
+        self._let_go(run, "kept")
+
+    return _release
