@@ -82,14 +82,14 @@ def test_a_file_that_is_not_there_is_an_error(here: Run, tmp_path: Path) -> None
     path = tmp_path / "none.db"
     found = here("goals", "--store", str(path))
 
-    assert found.code == 2
+    assert found.code == 7
     assert found.err == f"Error: cannot read the goals in {path}: there is no such file\n"
 
 
 def test_another_file_is_an_error(here: Run) -> None:
     found = here("goals", "--store", __file__)
 
-    assert found.code == 2
+    assert found.code == 7
     assert found.err.endswith(": it is not a store of goals; use another file\n")
 
 

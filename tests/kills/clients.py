@@ -122,6 +122,7 @@ class Visitor:
             steps=chance.choice((0, 1, 2, 5, 10, 30)),
             pause=chance.choice((0, 0.001, 0.02, 0.05)),
             fails=chance.random() < 0.1,
+            tidying=chance.choice((0, 0.3)),
         )
 
     async def _send(self, work: Work, goal_id: GoalID | None = None) -> ClientGoal[int, Done]:

@@ -34,6 +34,8 @@ class Work(msgspec.Struct):
     pause: float
     fails: bool = False
     """True if the goal ends as ABORTED after its last step."""
+    tidying: float = 0.0
+    """Seconds of the clean-up after a cancel."""
 
 
 class Done(msgspec.Struct):
@@ -113,6 +115,7 @@ class Worker:
                     self._diary.write("kept", goal, steps)
                 yield steps
         except anyio.get_cancelled_exc_class():
+            await anyio.sleep(goal.request.tidying)
             raise GoalCanceled(result=Done(steps, goal.attempt)) from None
         if goal.request.fails:
             raise GoalAborted(TOO_HARD, result=Done(steps, goal.attempt))
