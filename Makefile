@@ -71,6 +71,7 @@ bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparis
 	@cd $(VENV) && which nats-server >/dev/null || [ -d nats ] || ! which apt-get >/dev/null || \
 	    { apt-get download -qq nats-server 2>/dev/null && dpkg -x nats-server_*.deb nats; } || true
 	$(no_other_ros) $(BIN)/python -m tests.benchmarks all --scale $(SCALE)
+	$(BIN)/python -m tests.benchmarks.durable
 
 simulate: $(VENV)/.tools  ## Run random scenarios in virtual time for ten minutes
 	$(BIN)/python -m tests.simulation --seconds 600

@@ -101,8 +101,11 @@ class CutStore(GoalStore):
         async def tell(then: Then) -> None:
             then(StoreError("cannot write: the disk is gone"))
 
+        def fail(then: Then) -> None:
+            tasks.start_soon(tell, then)
+
         async with Background() as tasks, self._store.open(action, **settings) as journal:
-            yield CutJournal(self, journal, lambda then: tasks.start_soon(tell, then))
+            yield CutJournal(self, journal, fail)
 
 
 class CutJournal(GoalJournal):

@@ -247,7 +247,9 @@ async def test_feedback_says_which_attempt_it_is_of() -> None:
     log = FeedbackLog(record)
 
     class Kept(Watched):
-        async def feedback(self, goal_id: GoalID, **_: Any) -> GoalStream:  # type: ignore[override]  # as above
+        async def feedback(  # type: ignore[override]  # as above
+            self, goal_id: GoalID, **_: Any
+        ) -> GoalStream:
             return log.follow(after=0)
 
     log.append(FIBONACCI.feedback.encode(Feedback([1])))

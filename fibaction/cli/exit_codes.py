@@ -63,6 +63,7 @@ _CODES: tuple[tuple[type[ActionError], ExitCode], ...] = (
     (AuthenticationFailed, ExitCode.UNREACHABLE),
     (LimitReached, ExitCode.UNREACHABLE),
     (ServerFailed, ExitCode.UNREACHABLE),
+    (StoreError, ExitCode.USAGE),
     (TransportError, ExitCode.USAGE),  # all other transport errors: the URL cannot be used
     (ProtocolError, ExitCode.UNREACHABLE),
     (StoreError, ExitCode.STORE),

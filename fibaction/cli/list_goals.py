@@ -13,12 +13,13 @@ from fibaction._api import ClientConnection, connect
 from fibaction.cli.action_names import shown
 from fibaction.cli.completion import ACTION
 from fibaction.cli.echo import EventPrinter, print_events
-from fibaction.cli.exit_codes import ExitCode, message_of, run
+from fibaction.cli.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.goal_lookup import ActionClients, goals_of
-from fibaction.cli.goal_table import in_color, in_columns, picture
+from fibaction.cli.goal_table import GoalRow, in_color, in_columns, picture
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import console, note, on_terminal, say, say_json
 from fibaction.cli.signals import until_interrupted
+from fibaction.cli.stored_goals import rows_of_store
 from fibaction.exceptions import ActionError
 from fibaction.monitor import AnyClient
 
@@ -34,26 +35,45 @@ TIMEOUT = 1.0
 Examples:
   fibaction goals
   fibaction goals fibonacci --watch
-  fibaction goals --json""",
+  fibaction goals --json
+  fibaction goals --store goals.db""",
 )
 @click.argument("name", type=ACTION, required=False)
 @click.option("-w", "--watch", is_flag=True, help="Continue until Ctrl-C.")
+@click.option(
+    "--store",
+    metavar="FILE",
+    help="List the goals in the file of a store, whether its server runs or not.",
+)
 @json_option
 @url_option
-def goals_command(name: str | None, watch: bool, as_json: bool, url: str) -> None:
+def goals_command(
+    name: str | None, watch: bool, store: str | None, as_json: bool, url: str
+) -> None:
     """List the goals of the action NAME, or of all actions: those that are active, and those that
     have ended and that the server remembers.
 
     With --watch the list is kept up to date on a terminal; elsewhere each change is a line.
     """
-    run(list_goals, url, name, watch=watch, as_json=as_json)
+    if store is None:
+        run(list_goals, url, name, watch=watch, as_json=as_json)
+    if watch:
+        raise Failure("--store lists what is in the file now: leave out --watch", ExitCode.USAGE)
+    run(list_stored, store, name, as_json=as_json)
+
+
+async def list_stored(path: str, name: str | None, *, as_json: bool) -> int:
+    """Print the goals in the file of a store."""
+    _print_once(await rows_of_store(path, name), name, as_json=as_json)
+    return ExitCode.SUCCEEDED
 
 
 async def list_goals(url: str, name: str | None, *, watch: bool, as_json: bool) -> int:
     """Print the goals, once or until Ctrl-C."""
     async with connect(url) as connection:
         if not watch:
-            await _list_once(connection, name, as_json=as_json)
+            rows = await goals_of(await ActionClients(connection, name).now())
+            _print_once(rows, name, as_json=as_json)
         elif as_json or not on_terminal():
             printer = EventPrinter(as_json)
             await until_interrupted(
@@ -64,8 +84,7 @@ async def list_goals(url: str, name: str | None, *, watch: bool, as_json: bool) 
     return ExitCode.SUCCEEDED
 
 
-async def _list_once(connection: ClientConnection, name: str | None, *, as_json: bool) -> None:
-    rows = await goals_of(await ActionClients(connection, name).now())
+def _print_once(rows: list[GoalRow], name: str | None, *, as_json: bool) -> None:
     if as_json:
         for row in rows:
             say_json(row.json())

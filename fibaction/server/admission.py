@@ -44,7 +44,7 @@ from fibaction.server._sender_argument import GoalFunction, with_sender
 from fibaction.server.callbacks import SERVER_STOPPING, Callbacks
 from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.goal_keeper import STORE_FAILED, GoalKeeper
+from fibaction.server.goal_keeper import GoalKeeper
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.goal_record import LEAST_TIME, GoalRecord
 from fibaction.server.registry import GoalRegistry, Verdict
@@ -248,7 +248,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         try:
             await keeper.kept(write)
         except StoreError:
-            raise GoalKept(STORE_FAILED) from None
+            keeper.check()
+            raise
         except BaseException:
             acceptance.leave()
             raise

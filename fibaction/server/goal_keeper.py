@@ -89,10 +89,7 @@ class GoalKeeper:
             claim=claim,
             lose=lambda goal_id: self.on_lost(goal_id),
         ) as self._journal:
-            try:
-                yield
-            finally:
-                self.close()
+            yield
 
     # Writes
 

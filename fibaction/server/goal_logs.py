@@ -24,7 +24,7 @@ from anyio import current_time
 from anyio.lowlevel import cancel_shielded_checkpoint
 
 from fibaction._notify import Notifier
-from fibaction.exceptions import UnknownGoal
+from fibaction.exceptions import GoalKept, UnknownGoal, copy_of
 from fibaction.goals import GoalID, GoalInfo, Sender
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
@@ -55,6 +55,9 @@ class GoalLogs:
         self._latest = latest
         self.find_active: Callable[[GoalID], FeedbackLog | None] = lambda _: None
         """The function that returns the log of an active goal, and None for any other one."""
+        self.kept: GoalKept | None = None
+        """The error for goals that are not known here, once the server has let goals go that it
+        keeps: a client that asks for one of them is to ask again after the next start."""
         self._unread: WeakValueDictionary[GoalID, FeedbackLog] = WeakValueDictionary()
         self._recent: deque[tuple[float, FeedbackLog]] = deque(maxlen=RECENT_GOALS)
         self._statuses = StatusBroadcast()
@@ -124,7 +127,7 @@ class GoalLogs:
     def _find(self, goal_id: GoalID) -> GoalRecord:
         goal = self._registry.find(goal_id, now=current_time())
         if goal is None:
-            raise UnknownGoal(goal_id)
+            raise UnknownGoal(goal_id) if self.kept is None else copy_of(self.kept)
         return goal
 
     def _log_of(self, goal: GoalRecord) -> FeedbackLog:

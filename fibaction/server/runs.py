@@ -356,7 +356,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         run.goal.is_over = True
         del self._runs[run.goal.goal_id]
         self._registry.release(run.goal)
-        run.log.fail(GoalKept(reason))
+        error = GoalKept(reason)
+        run.log.fail(error)
+        if reason != GOAL_IS_TAKEN:
+            self._logs.kept = error
         self._logs.ended.notify()
 
     def _fix_outcome(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:

@@ -22,7 +22,7 @@ from fibaction._notify import Notifier
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
-from fibaction.exceptions import ServerNotFound, copy_of
+from fibaction.exceptions import GoalKept, ServerNotFound, copy_of
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
 from fibaction.server._argument_checks import (
     check_is_executor,
@@ -39,11 +39,11 @@ from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.executor import Executor
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.goal_handle import GoalHandle
-from fibaction.server.goal_keeper import GoalKeeper
+from fibaction.server.goal_keeper import STORE_FAILED, GoalKeeper
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.recovery import Recovery, RecoveryRule
 from fibaction.server.registry import MAX_BYTES, MAX_GOALS, GoalRegistry
-from fibaction.server.runs import Runs
+from fibaction.server.runs import GOAL_IS_KEPT, Runs
 from fibaction.server.schedule import Schedule
 from fibaction.server.shutdown import Shutdown
 from fibaction.server.status_broadcast import StatusCursor
@@ -442,10 +442,14 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         return await self._logs.follow_statuses()
 
     def _check_running(self) -> None:
-        if self._phase not in ("running", "stopping"):
-            raise ServerNotFound(f"the action server {self.action.name!r} is not running")
-        if self._keeper is not None:
-            self._keeper.check()
+        if self._phase in ("running", "stopping"):
+            return
+        keeper = self._keeper
+        if self._phase == "stopped" and keeper is not None and self._at_stop == "keep":
+            raise GoalKept(GOAL_IS_KEPT)  # clients are to come back after the next start
+        if keeper is not None and keeper.failure is not None:
+            raise GoalKept(STORE_FAILED)
+        raise ServerNotFound(f"the action server {self.action.name!r} is not running")
 
     def __repr__(self) -> str:
         return f"<ActionServer {self.action.name!r} {self._phase} goals={len(self._runs)}>"

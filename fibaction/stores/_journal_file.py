@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
@@ -35,13 +35,14 @@ WHAT_TO_DO = {
 class JournalFile:
     """The open file of a journal. Each method can raise a StoreError."""
 
-    def __init__(self, path: str, sync: str) -> None:
-        """Open the file, or make a new one, and lock it.
+    def __init__(self, path: str, sync: str, failing: str = "") -> None:
+        """Open the file, or make a new one, and lock it. An error begins with what is `failing`.
 
         Raises:
             StoreError: It cannot be used; the text says why.
         """
         self._path = path
+        self._failing = failing or f"cannot keep goals in {excerpt(path)}"
         self._last = 0
         self.size = 0
         """Bytes of all rows."""
@@ -174,7 +175,7 @@ class JournalFile:
             raise self._error("the file was removed or replaced while it was in use")
 
     @contextmanager
-    def _explained(self) -> Iterator[None]:
+    def _explained(self) -> Generator[None, None, None]:
         """Turn whatever goes wrong into a StoreError of one sentence."""
         try:
             yield
@@ -189,7 +190,7 @@ class JournalFile:
             raise self._error(f"{type(exc).__name__}: {exc}") from exc
 
     def _error(self, reason: str) -> StoreError:
-        return StoreError(f"cannot keep goals in {excerpt(self._path)}: {excerpt(reason, 400)}")
+        return StoreError(f"{self._failing}: {excerpt(reason, 400)}")
 
 
 def _check_place(path: str) -> None:

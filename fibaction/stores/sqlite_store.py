@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from copy import copy
 from threading import get_ident
@@ -44,7 +44,7 @@ class SqliteStore(GoalStore):
         """
         if sync not in ("full", "normal"):
             raise ValueError(f"sync is 'full' or 'normal', not {sync!r}")
-        self._path = os.path.abspath(os.fspath(path))
+        self._path: str = os.path.abspath(path)
         self._sync = sync
         self._writer: Writer | None = None
         self._thread = 0
@@ -63,7 +63,7 @@ class SqliteStore(GoalStore):
         max_results: int,
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
-    ) -> AsyncIterator[GoalJournal]:
+    ) -> AsyncGenerator[GoalJournal, None]:
         writer = await self._begin(action)
         try:
             slices = Slices()

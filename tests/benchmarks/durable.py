@@ -3,8 +3,8 @@
     python -m tests.benchmarks.durable [--rounds N] [--folder FOLDER]
 
 A server without a store, one with `sync="full"` and one with `sync="normal"` do the same goals in
-turns, so that other programs disturb all of them. DBOS takes part where it is installed (`pip
-install dbos`): one workflow with one step for each goal, in a file of SQLite.
+turns, so that other programs disturb all of them. DBOS takes part where it is installed: one
+workflow with one step for each goal, in a file of SQLite. `make bench` ends with this.
 
 The folder must be on the disk that is to be measured: /tmp is often in memory.
 """

@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-MISSING = "" if find_spec("dbos") else "it is not installed; `pip install dbos` does that"
+MISSING = "" if find_spec("dbos") else "it is not installed; `make bench` installs it"
 """The reason why DBOS cannot take part; empty if it can."""
 
 

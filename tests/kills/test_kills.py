@@ -17,6 +17,7 @@ from tests.kills.ledger import Ledger, Rules, Told, attempts_of, faults_of
 from tests.kills.victim import TOO_HARD, Diary, Done, Entry, Work, entries_of
 
 
+@pytest.mark.promise("KEEP-1", "KEEP-2", "KEEP-3", "KEEP-4", "KEEP-5", "KEEP-6", "KEEP-7")
 @pytest.mark.timeout(240)  # the calls of clients have a minute each
 @pytest.mark.parametrize("recovery", ["abort", "rerun"])
 def test_what_was_told_is_there_after_each_kill(tmp_path: Path, recovery: str) -> None:

@@ -33,6 +33,7 @@ from fibaction.server.cancellation import Cancellation
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.states import GoalEvent, GoalStatus
+from fibaction.stores.goal_store import StoredGoal
 
 
 def goal_id(number: int) -> GoalID:
@@ -1080,3 +1081,48 @@ class ProtocolMachine(RuleBasedStateMachine):
 
 TestProtocolMachine = ProtocolMachine.TestCase
 TestProtocolMachine.settings = settings(stateful_step_count=40)
+
+
+# Goals of earlier processes
+
+
+def stored(number: int, **fields: Any) -> StoredGoal:
+    return StoredGoal(goal_id(number), number, UNKNOWN_SENDER, b"", b"", **fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "status", "attempt"),
+    [
+        ({}, GoalStatus.ACCEPTED, 1),
+        ({"attempt": 2}, GoalStatus.EXECUTING, 2),
+        ({"attempt": 1, "status": GoalStatus.CANCELING}, GoalStatus.CANCELING, 1),
+    ],
+)
+def test_an_active_goal_is_restored_with_the_status_that_was_told(
+    fields: dict[str, Any], status: GoalStatus, attempt: int
+) -> None:
+    registry = GoalRegistry()
+    goal = registry.restore(stored(1, **fields))
+    assert (goal.status, goal.attempt, goal.is_over) == (status, attempt, False)
+    assert registry.find(goal.goal_id, now=0.0) is goal
+    registry.release(goal)
+    assert registry.goals() == ()
+    assert registry.budget.used == 0
+
+
+def test_an_ended_goal_is_restored_with_its_outcome_until_its_time_is_over() -> None:
+    registry = GoalRegistry(result_timeout=1)
+    ended = stored(1, status=GoalStatus.ABORTED, result=b"x", reason="no", feedback_count=3)
+    goal = registry.restore(ended, until=5.0)
+    assert goal.outcome == Outcome(GoalStatus.ABORTED, b"x", "no")
+    assert (goal.is_over, goal.feedback_count) == (True, 3)
+    assert registry.find(goal.goal_id, now=4.9) is goal
+    assert registry.find(goal.goal_id, now=5.0) is None
+    assert registry.expire(5.0) == [goal.goal_id]
+    assert registry.budget.used == 0
+
+
+def test_stamps_go_on_behind_those_of_restored_goals() -> None:
+    registry = GoalRegistry()
+    registry.restore(stored(7))
+    assert accepted(registry, A, stamp=3).stamp == 8

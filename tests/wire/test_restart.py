@@ -17,6 +17,7 @@ from fibaction.exceptions import GoalKept, GoalRejected, UnknownGoal
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Outcome, Sender
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import GoalRecord, digest_of
+from fibaction.states import GoalStatus
 from fibaction.wire.auth import AccessPolicy, Permission
 from fibaction.wire.connection import open_connection
 from fibaction.wire.messages import (
@@ -32,6 +33,7 @@ from fibaction.wire.messages import (
     Received,
     Rejected,
     SendGoal,
+    StatusChanged,
     Why,
 )
 from fibaction.wire.remote_goal import RemoteGoal
@@ -123,6 +125,17 @@ async def test_unread_feedback_of_the_attempt_before_is_read_first() -> None:
             for item in ((1, 1), (1, 2), (4, 1)):
                 (update,) = goal.take()
                 assert (update.attempt, update.number) == (goal.attempt, goal.cursor) == item
+
+
+async def test_attempts_without_feedback_are_not_remembered() -> None:
+    goal = RemoteGoal(GOAL_ID, send(1, credit=WINDOW), WINDOW, lambda _: None)
+    for attempt in range(1, 100):
+        goal.on_message(Following(1, 7, EXECUTING, latest=False, place=0, attempt=attempt))
+        if attempt == 1:
+            goal.on_message(Feedback(1, 1, b""))
+    assert len(goal._earlier) == 1
+    goal.on_message(Feedback(1, 1, b""))
+    assert [*goal.take(), *goal.take()] == [FeedbackItem(1, b"", 1), FeedbackItem(1, b"", 99)]
 
 
 async def test_what_was_missed_is_counted_within_each_attempt() -> None:
@@ -392,8 +405,26 @@ async def test_a_goal_that_is_followed_before_it_is_run_again_begins_anew_then()
         assert (await client.ask(follow(17), Following)).attempt == 1
         kept.goal.attempt = 2  # the server has decided
         kept.tell(1)
-        again, item = await client.hear_all()
-        assert (again.attempt, again.place, item.number) == (2, 0, 1)
+        kept.goal.status = GoalStatus.CANCELING
+        kept.log.tell_status()
+        assert await client.hear_all() == [
+            Following(1, 7, GoalStatus.CANCELING, latest=False, place=0, attempt=2),
+            StatusChanged(1, GoalStatus.CANCELING),
+            *numbered(1, 1),
+        ]
+
+
+async def test_the_begin_of_an_attempt_takes_no_credit() -> None:
+    kept = Kept()
+    async with serving(kept) as served:
+        client = await served.greet()
+        await client.say(follow(None, credit=1))
+        await client.hear(Following)
+        kept.goal.attempt = 2
+        kept.tell(2)
+        assert kinds(await client.hear_all()) == [Following, Feedback]
+        await client.say(Credit(1, 1))
+        assert kinds(await client.hear_all()) == [Feedback]
 
 
 async def test_an_attempt_that_begins_after_a_close_counts_nothing_as_missed() -> None:

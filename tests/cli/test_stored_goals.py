@@ -1,0 +1,84 @@
+"""`goals --store`: the goals in a file, without their server."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from pathlib import Path
+
+import anyio
+import pytest
+
+from fibaction import Action, ActionClient, ActionServer, GoalHandle, SqliteStore
+from tests.cli.conftest import Run
+
+PAINT = Action("paint", goal=int, feedback=int, result=str)
+DRIVE = Action("arm/drive", goal=int, feedback=int, result=str)
+
+
+async def work(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
+    yield 1
+    yield f"done {goal.request}"
+
+
+async def fill(path: Path) -> None:
+    store = SqliteStore(path)
+    async with ActionServer(PAINT, work, store=store) as paint:
+        async with ActionServer(DRIVE, work, store=store) as drive:
+            await ActionClient(paint, PAINT).call(1)
+            await ActionClient(drive, DRIVE).call(2)
+            await ActionClient(paint, PAINT).call(3)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("store") / "goals.db"
+    anyio.run(fill, path)
+    return path
+
+
+def test_the_goals_of_a_store_are_listed_as_those_of_a_server(here: Run, path: Path) -> None:
+    found = here("goals", "--store", str(path))
+
+    assert found.code == 0
+    heading, *goals = [line.split() for line in found.lines]
+    assert heading == ["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "CLIENT"]
+    assert [goal[1:3] for goal in goals] == [
+        ["/paint", "SUCCEEDED"],
+        ["/arm/drive", "SUCCEEDED"],
+        ["/paint", "SUCCEEDED"],
+    ]
+
+
+def test_the_goals_of_one_action_are_listed_as_json(here: Run, path: Path) -> None:
+    found = here("goals", "/paint", "--store", str(path), "--json")
+
+    assert [(goal["action"], goal["status"]) for goal in found.json] == [("paint", "SUCCEEDED")] * 2
+    assert found.json[0]["feedback_count"] == 1
+
+
+def test_a_store_without_goals_of_an_action_says_so(here: Run, path: Path) -> None:
+    found = here("goals", "clean", "--store", str(path))
+
+    assert (found.code, found.out, found.err) == (0, "", "There are no goals of /clean.\n")
+
+
+def test_a_file_that_is_not_there_is_an_error(here: Run, tmp_path: Path) -> None:
+    path = tmp_path / "none.db"
+    found = here("goals", "--store", str(path))
+
+    assert found.code == 2
+    assert found.err == f"Error: cannot read the goals in {path}: there is no such file\n"
+
+
+def test_another_file_is_an_error(here: Run) -> None:
+    found = here("goals", "--store", __file__)
+
+    assert found.code == 2
+    assert found.err.endswith(": it is not a store of goals; use another file\n")
+
+
+def test_a_store_is_not_watched(here: Run, path: Path) -> None:
+    found = here("goals", "--store", str(path), "--watch")
+
+    assert found.code == 2
+    assert found.err == "Error: --store lists what is in the file now: leave out --watch\n"

@@ -1,0 +1,507 @@
+"""The server and its store: what is not seen through a connection, with a store in memory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncGenerator
+from typing import Any, TypeAlias
+
+import anyio
+import pytest
+from anyio import current_time
+
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    ClientGoal,
+    ConnectionLost,
+    GoalAborted,
+    GoalHandle,
+    GoalID,
+    GoalKept,
+    GoalRejected,
+    GoalStatus,
+    Schedule,
+    ServerNotFound,
+    StoreError,
+)
+from fibaction.goals import UNKNOWN_SENDER
+from fibaction.server.goal_record import digest_of
+from fibaction.stores.goal_store import StoredGoal
+from tests.memory_store import Fate, MemoryStore
+from tests.virtual_time import in_virtual_time
+
+pytestmark = [pytest.mark.anyio, in_virtual_time()]
+
+PAINT = Action("paint", goal=int, feedback=int, result=str, checkpoint=int)
+Painting: TypeAlias = AsyncGenerator[int | str, None]
+Server: TypeAlias = ActionServer[int, int, str]
+ID = GoalID(bytes(15) + b"\1")
+
+
+async def paint(goal: GoalHandle[int]) -> Painting:
+    """Paint one stroke a second, from the last checkpoint on."""
+    for done in range(goal.restored or 0, goal.request):
+        yield done
+        await anyio.sleep(1)
+        await goal.checkpoint(done + 1)
+    yield f"painted {goal.request} in attempt {goal.attempt}"
+
+
+def server_with(store: MemoryStore, **settings: Any) -> Server:
+    return ActionServer(PAINT, paint, store=store, **settings)
+
+
+def client_of(server: Server) -> ActionClient[int, int, str]:
+    return ActionClient(server, PAINT)
+
+
+def stored(request: Any = 3, number: int = 1, **fields: Any) -> StoredGoal:
+    """Return a goal as an earlier process has left it."""
+    goal = PAINT.goal.encode(request)
+    goal_id = GoalID(number.to_bytes(16, "big"))
+    return StoredGoal(goal_id, number, UNKNOWN_SENDER, digest_of(goal), goal, **fields)
+
+
+def store_with(*goals: StoredGoal) -> MemoryStore:
+    store = MemoryStore()
+    store.goals = {("paint", goal.goal_id): goal for goal in goals}
+    return store
+
+
+async def attached(server: Server, number: int = 1) -> ClientGoal[int, str]:
+    return await client_of(server).attach(GoalID(number.to_bytes(16, "big")))
+
+
+# Settings
+
+
+async def test_settings_that_cannot_be_used_are_rejected() -> None:
+    with pytest.raises(ValueError, match="recovery is 'abort', 'rerun' or a function"):
+        ActionServer(PAINT, paint, recovery="again")  # type: ignore[arg-type]  # wrong on purpose
+    with pytest.raises(ValueError, match="max_attempts is at least 1, not 0"):
+        ActionServer(PAINT, paint, max_attempts=0)
+    with pytest.raises(ValueError, match="at_stop is 'abort' or 'keep', not 'run'"):
+        ActionServer(PAINT, paint, at_stop="run")  # type: ignore[arg-type]  # wrong on purpose
+    with pytest.raises(TypeError, match="store is a GoalStore, such as SqliteStore"):
+        ActionServer(PAINT, paint, store="goals.db")  # type: ignore[arg-type]  # wrong on purpose
+
+
+async def test_a_store_is_given_once_and_before_the_start() -> None:
+    server = server_with(MemoryStore())
+    with pytest.raises(RuntimeError, match="has a store"):
+        server.keep_in(MemoryStore())
+    async with ActionServer(PAINT, paint) as other:
+        with pytest.raises(RuntimeError, match="was started before"):
+            other.keep_in(MemoryStore())
+
+
+async def test_goals_cannot_be_kept_at_a_stop_without_a_store() -> None:
+    server = ActionServer(PAINT, paint, at_stop="keep")
+    with pytest.raises(ValueError, match="needs a store"):
+        await server.__aenter__()
+
+
+# Acceptance
+
+
+async def test_a_goal_whose_sender_does_not_wait_is_accepted_all_the_same() -> None:
+    store = MemoryStore()
+    async with server_with(store) as server:
+        store.hold()
+        with anyio.move_on_after(1):
+            await server.send_goal(ID, PAINT.goal.encode(2))
+        store.release()
+        again = await server.send_goal(ID, PAINT.goal.encode(2))
+        assert (await again.outcome()).result == PAINT.result.encode("painted 2 in attempt 1")
+        assert store.writes == 4
+
+
+async def test_a_goal_that_is_accepted_just_as_its_sender_leaves_is_not_held_by_it() -> None:
+    store = MemoryStore()
+    async with server_with(store, feedback_window=1, stall_timeout=1000) as server:
+        with anyio.CancelScope() as scope:
+            store.on_kept = lambda _what, _goal: scope.cancel()
+            await server.send_goal(ID, PAINT.goal.encode(5))
+        await anyio.sleep(1)
+        goal = await attached(server)
+        begin = current_time()
+        assert await goal.result() == "painted 5 in attempt 1"
+        assert current_time() - begin < 10
+
+
+async def test_a_goal_that_is_sent_when_the_store_has_failed_may_be_sent_again() -> None:
+    store = MemoryStore(lambda _number, _what: Fate.FAILED)
+    with pytest.raises(StoreError, match="broken"):
+        async with server_with(store) as server:
+            with anyio.CancelScope(shield=True):
+                for _ in range(2):
+                    with pytest.raises(GoalKept, match="store has failed"):
+                        await client_of(server).send_goal(1)
+            await anyio.sleep_forever()
+
+
+async def test_a_deadline_goes_on_after_a_restart() -> None:
+    deadlines: list[float] = []
+
+    async def note(goal: GoalHandle[int]) -> Painting:
+        deadlines.append(goal.deadline - current_time())
+        await anyio.sleep_forever()
+        yield ""
+
+    store = MemoryStore()
+    for _ in range(2):
+        async with ActionServer(PAINT, note, store=store, at_stop="keep") as server:
+            await server.send_goal(ID, PAINT.goal.encode(2), timeout=500)
+            await anyio.sleep(1)
+    assert deadlines == [pytest.approx(500, abs=1), pytest.approx(500, abs=60)]
+
+
+# Goals that belong to another server by now
+
+
+@pytest.mark.parametrize("schedule", [None, Schedule(concurrency=1)], ids=["at once", "scheduled"])
+async def test_a_goal_that_another_server_has_accepted_is_not_accepted_here(
+    schedule: Schedule | None,
+) -> None:
+    store = MemoryStore(lambda number, _what: Fate.TAKEN if number == 1 else Fate.KEPT)
+    async with server_with(store, schedule=schedule) as server:
+        with pytest.raises(ConnectionLost, match="another server has taken"):
+            await client_of(server).send_goal(1)
+        assert await client_of(server).call(1) == "painted 1 in attempt 1"
+
+
+async def test_a_running_goal_that_another_server_has_taken_over_is_interrupted() -> None:
+    store = MemoryStore(lambda _number, what: Fate.TAKEN if what == "checkpoint" else Fate.KEPT)
+    schedule = Schedule(concurrency=1, queue=1)
+    async with server_with(store, schedule=schedule) as server:
+        goal, other = [await client_of(server).send_goal(order) for order in (9, 0)]
+        with pytest.raises(GoalKept, match="another server has taken the goal over"):
+            await goal.result()
+        assert await other.result() == "painted 0 in attempt 1"  # its place is free
+        assert [info.goal_id for info in await client_of(server).goals()] == [other.goal_id]
+
+
+async def test_a_waiting_goal_that_another_server_has_taken_over_leaves_its_place() -> None:
+    store = MemoryStore()
+    async with server_with(store, schedule=Schedule(concurrency=1, queue=1)) as server:
+        first, second = [await client_of(server).send_goal(order) for order in (9, 1)]
+        server._admission.lose(second.goal_id)
+        server._admission.lose(second.goal_id)  # told twice
+        with pytest.raises(GoalKept):
+            await second.result()
+        third = await client_of(server).send_goal(1)
+        await first.cancel()
+        assert await third.result() == "painted 1 in attempt 1"
+
+
+# Schedules
+
+
+async def wait(goal: GoalHandle[int]) -> Painting:
+    """Wait so many seconds, and take over each successor."""
+    with anyio.move_on_after(goal.request):
+        while True:
+            await goal.wait_for_successor()
+            goal = goal.take_over()
+            yield goal.request
+    yield "waited"
+
+
+async def test_a_goal_whose_turn_comes_while_its_acceptance_is_written_begins_afterwards() -> None:
+    store = MemoryStore()
+    schedule = Schedule(concurrency=1, queue=2)
+    async with ActionServer(PAINT, wait, store=store, schedule=schedule) as server:
+        client = client_of(server)
+        first = await client.send_goal(1)
+        results: list[str] = []
+
+        async def call() -> None:
+            results.append(await client.call(2))
+
+        async with anyio.create_task_group() as tasks:
+            store.hold()
+            tasks.start_soon(call)
+            await anyio.sleep(5)  # the first goal ends, and its end waits as well
+            assert len(await client.goals()) == 1
+            store.release()
+        assert await first.result() == "waited"
+        assert results == ["waited"]
+
+
+async def test_a_goal_that_is_canceled_while_its_begin_is_written_never_runs() -> None:
+    store = MemoryStore()
+    async with server_with(store, schedule=Schedule(concurrency=1, queue=2)) as server:
+        client = client_of(server)
+        first, second = [await client.send_goal(order) for order in (1, 5)]
+        store.on_kept = lambda what, _goal: store.hold() if what == "end" else None
+        await first.outcome()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(second.cancel)
+            await anyio.sleep(1)
+            store.on_kept = lambda _what, _goal: None
+            store.release()
+        assert (await second.outcome()).status is GoalStatus.CANCELED
+        assert [feedback async for feedback in second.feedback] == []
+        assert await client.call(1) == "painted 1 in attempt 1"
+
+
+async def test_a_goal_that_is_killed_while_its_begin_is_written_gives_its_place_back() -> None:
+    store = MemoryStore()
+    schedule = Schedule(concurrency=1, queue=2, run_timeout=3)
+    async with server_with(store, schedule=schedule, shutdown_timeout=1) as server:
+        client = client_of(server)
+        first, second = [await client.send_goal(order) for order in (1, 2)]
+        store.on_kept = lambda what, _goal: store.hold() if what == "end" else None
+        await first.outcome()
+        await anyio.sleep(10)
+        store.on_kept = lambda _what, _goal: None
+        store.release()
+        assert (await second.outcome()).reason == "took longer than 3 s"
+        server._runs.begin(second.goal_id)  # an order that comes too late
+        assert await client.call(1) == "painted 1 in attempt 1"
+
+
+async def test_feedback_of_a_goal_that_was_taken_over_is_told_when_its_begin_is_kept() -> None:
+    store = MemoryStore()
+    schedule = Schedule(concurrency=1, when_full="preempt", handover=5)
+    async with ActionServer(PAINT, wait, store=store, schedule=schedule) as server:
+        client = client_of(server)
+        first = await client.send_goal(9)
+        store.on_kept = lambda what, _goal: store.hold() if what == "accept" else None
+        second = await client.send_goal(7)
+        await anyio.sleep(1)
+        with anyio.move_on_after(1):
+            pytest.fail(f"told {await second.feedback.__anext__()}")
+        store.release()
+        assert await second.feedback.__anext__() == 7
+        assert (await first.outcome()).reason == f"preempted by {second.goal_id}"
+        await second.cancel()
+
+
+async def test_a_schedule_that_rejects_a_stored_goal_ends_it() -> None:
+    def key(request: int) -> int:
+        raise GoalRejected(f"no room for {request}")
+
+    async with server_with(store_with(stored()), schedule=Schedule(concurrency=1, key=key)) as one:
+        outcome = await (await attached(one)).outcome()
+    assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, "no room for 3")
+
+
+# Recovery
+
+
+@pytest.mark.parametrize(
+    ("goal", "reason"),
+    [
+        (stored("three"), "the stored goal does not fit the action any more: Expected `int`"),
+        (stored(checkpoint=b"\xa1x"), "the stored goal does not fit the action any more"),
+    ],
+    ids=["goal", "checkpoint"],
+)
+async def test_a_stored_goal_that_does_not_fit_any_more_is_aborted(
+    goal: StoredGoal, reason: str
+) -> None:
+    async with server_with(store_with(goal, stored(number=2))) as server:
+        outcome = await (await attached(server)).outcome()
+        assert outcome.status is GoalStatus.ABORTED
+        assert outcome.reason.startswith(reason)
+        assert await (await attached(server, 2)).result() == "painted 3 in attempt 1"
+
+
+async def test_a_checkpoint_of_an_action_without_checkpoints_ends_its_goal() -> None:
+    plain = Action("paint", goal=int, feedback=int, result=str)
+    store = store_with(stored(checkpoint=PAINT.goal.encode(1)))
+    async with ActionServer(plain, paint, store=store) as server:
+        outcome = await (await ActionClient(server, plain).attach(ID)).outcome()
+    assert "has no checkpoints any more" in outcome.reason
+
+
+async def test_an_executor_of_an_action_without_checkpoints_cannot_make_any() -> None:
+    plain = Action("paint", goal=int, feedback=int, result=str)
+    async with ActionServer(plain, paint, store=MemoryStore()) as server:
+        with pytest.raises(GoalAborted, match="give their type to its Action, as `checkpoint=`"):
+            await ActionClient(server, plain).call(1)
+
+
+async def test_a_goal_that_has_ended_keeps_no_checkpoint() -> None:
+    handles: list[GoalHandle[int]] = []
+
+    async def early(goal: GoalHandle[int]) -> Painting:
+        handles.append(goal)
+        yield "done"
+
+    async with ActionServer(PAINT, early, store=MemoryStore()) as server:
+        await client_of(server).call(1)
+        with pytest.raises(RuntimeError, match="has ended, and keeps no checkpoint"):
+            await handles[0].checkpoint(1)
+
+
+async def test_a_goal_that_is_canceled_while_the_function_decides_is_not_run_again() -> None:
+    decide = anyio.Event()
+
+    async def wait(goal: GoalHandle[int]) -> None:
+        await decide.wait()
+
+    store = store_with(stored(is_running=True, attempt=1))
+    server = server_with(store, recovery=wait)
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(_serve, server, decide)
+        await anyio.sleep(1)  # the server has the goal, and clients do not reach it yet
+        cancellation = server._cancels._registry.cancel(ID, None, now=current_time())
+        goal = cancellation.candidates[0]
+        before = goal.status
+        assert cancellation.accept(goal)
+        server._runs.cancel(goal, before, interrupt=True)
+        decide.set()
+    assert store.goals["paint", ID].status is GoalStatus.CANCELED
+
+
+async def _serve(server: Server, decided: anyio.Event) -> None:
+    async with server:
+        await decided.wait()
+        await anyio.sleep(1)
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        (True, "recovery failed: TypeError: it returned True: return None, or raise GoalAborted"),
+        (GoalAborted("the paint is dry", result=7), "the paint is dry"),
+    ],
+    ids=["a value", "a result of another type"],
+)
+async def test_a_function_that_answers_something_else_ends_the_goal(
+    answer: object, reason: str
+) -> None:
+    def decide(goal: GoalHandle[int]) -> Any:
+        if isinstance(answer, GoalAborted):
+            raise answer
+        return answer
+
+    store = store_with(stored(is_running=True, attempt=1))
+    async with server_with(store, recovery=decide) as server:
+        outcome = await (await attached(server)).outcome()
+    assert (outcome.status, outcome.result) == (GoalStatus.ABORTED, None)
+    assert outcome.reason == reason
+
+
+async def test_a_server_whose_start_is_canceled_leaves_its_goals_in_the_store() -> None:
+    async def wait(goal: GoalHandle[int]) -> None:
+        await anyio.sleep_forever()
+
+    store = store_with(stored(is_running=True, attempt=1), stored(number=2))
+    with anyio.move_on_after(1):
+        async with server_with(store, recovery=wait, at_stop="keep"):
+            pytest.fail("it has started")
+    assert [goal.status for goal in store.goals.values()] == [GoalStatus.ACCEPTED] * 2
+    async with server_with(store, recovery="rerun") as server:
+        assert await (await attached(server)).result() == "painted 3 in attempt 2"
+
+
+async def test_goals_that_come_while_a_server_runs_are_taken_over() -> None:
+    store = MemoryStore()
+    async with server_with(store) as server:
+        goal = stored(is_running=False, attempt=1)
+        store.goals["paint", goal.goal_id] = goal
+        server._recovery.claim(goal)
+        await anyio.sleep(0.5)
+        assert await (await attached(server)).result() == "painted 3 in attempt 2"
+
+
+async def test_an_outcome_is_remembered_as_long_as_a_client_may_need_to_come_back() -> None:
+    ended = stored(status=GoalStatus.SUCCEEDED, attempt=1, ended_at=time.time_ns())
+    ended.goal, ended.result = b"", PAINT.result.encode("painted")
+    async with server_with(store_with(ended), result_timeout=0) as server:
+        await anyio.sleep(29)
+        assert await (await attached(server)).result() == "painted"
+        await anyio.sleep(2)
+        with pytest.raises(Exception, match="is unknown"):
+            await attached(server)
+
+
+# Stop
+
+
+async def test_an_end_that_cannot_be_written_in_time_is_told_after_the_next_start() -> None:
+    store = MemoryStore()
+    async with server_with(store, shutdown_timeout=1) as server:
+        goal = await client_of(server).send_goal(1)
+        store.hold()
+        await anyio.sleep(2)
+        await server.stop()
+        with pytest.raises(GoalKept):
+            await goal.result()
+        store.release()
+    async with server_with(store) as server:
+        outcome = await (await attached_to(server, goal.goal_id)).outcome()
+    assert outcome.status in (GoalStatus.ABORTED, GoalStatus.SUCCEEDED)
+
+
+async def attached_to(server: Server, goal_id: GoalID) -> ClientGoal[int, str]:
+    return await client_of(server).attach(goal_id)
+
+
+async def test_calls_that_wait_for_a_store_that_is_too_slow_may_be_made_again() -> None:
+    store = MemoryStore()
+    async with server_with(store, shutdown_timeout=1) as server:
+        client = client_of(server)
+        goal = await client.send_goal(9)
+        store.hold()
+
+        async def send() -> None:
+            with pytest.raises(GoalKept, match="before its store has answered"):
+                await client.send_goal(1)
+
+        async def cancel() -> None:
+            with pytest.raises(GoalKept, match="before its store has answered"):
+                await goal.cancel()
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(send)
+            tasks.start_soon(cancel)
+            await anyio.sleep(1)
+            await server.stop()
+        store.release()
+
+
+@pytest.mark.parametrize("at_stop", ["keep", "abort"])
+async def test_clients_of_a_server_that_keeps_its_goals_are_to_come_back(at_stop: Any) -> None:
+    async with server_with(MemoryStore(), at_stop=at_stop) as server:
+        await server.stop()
+        expected = GoalKept if at_stop == "keep" else ServerNotFound
+        with pytest.raises(expected):
+            await client_of(server).send_goal(1)
+
+
+async def test_a_store_that_fails_at_the_start_is_an_error_of_the_start() -> None:
+    store = store_with(stored(is_running=True, attempt=1))
+    store.fate = lambda _number, _what: Fate.FAILED
+    server = server_with(store)
+    with pytest.raises(StoreError, match="broken"):
+        async with server:
+            await anyio.sleep_forever()
+    with pytest.raises(GoalKept, match="store has failed"):
+        await client_of(server).send_goal(1)
+
+
+async def test_a_checkpoint_after_the_store_has_failed_is_not_written() -> None:
+    errors: list[StoreError] = []
+
+    async def persist(goal: GoalHandle[int]) -> Painting:
+        for _ in range(2):
+            try:
+                with anyio.CancelScope(shield=True):
+                    await goal.checkpoint(1)
+            except StoreError as exc:
+                errors.append(exc)
+        yield "done"
+
+    store = MemoryStore(lambda _number, what: Fate.KEPT if what == "accept" else Fate.FAILED)
+    with pytest.raises(StoreError):
+        async with ActionServer(PAINT, persist, store=store) as server:
+            await client_of(server).send_goal(1)
+            await anyio.sleep_forever()
+    assert len(errors) == 2
+    assert store.writes == 2

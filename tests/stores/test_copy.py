@@ -1,0 +1,105 @@
+"""The goals in a file that a server may be using."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import anyio
+import pytest
+
+from fibaction import StoreError
+from fibaction.stores import _copy
+from fibaction.stores._copy import stored_goals
+from fibaction.stores._journal_file import JournalFile
+from fibaction.stores.journal_rows import Whole, encode_row
+from tests.stores.made import a_goal
+from tests.stores.test_sqlite_store import KILLED
+
+COUNT = """
+import sys, anyio
+from fibaction.stores._copy import stored_goals
+print(len(anyio.run(stored_goals, sys.argv[1])))
+"""
+
+
+def read(path: Path) -> dict[str, list[int]]:
+    goals = anyio.run(stored_goals, str(path))
+    return {action: [goal.stamp for goal in found] for action, found in goals.items()}
+
+
+def why_not(path: Path) -> str:
+    with pytest.raises(StoreError) as caught:
+        read(path)
+    text = str(caught.value)
+    assert text.startswith(f"cannot read the goals in {path}: ")
+    return text.removeprefix(f"cannot read the goals in {path}: ")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "goals.db"
+
+
+def add(file: JournalFile, action: str, number: int) -> None:
+    file.add(encode_row(file.next_number, [Whole(action, a_goal(number))]))
+
+
+def test_the_goals_of_a_file_are_read_in_use_and_afterwards(path: Path) -> None:
+    with closing(JournalFile(str(path), "full")) as file:
+        add(file, "paint", 2)
+        add(file, "drive", 3)
+        add(file, "paint", 1)
+        # In another process: this one would lose its lock.
+        child = subprocess.run([sys.executable, "-c", COUNT, str(path)], capture_output=True)
+        assert child.stdout == b"2\n"
+    before = path.read_bytes()
+    assert read(path) == {"paint": [1, 2], "drive": [3]}
+    assert path.read_bytes() == before
+    assert [file.name for file in path.parent.iterdir()] == ["goals.db"]
+
+
+def test_a_file_that_is_not_there_is_an_error(path: Path) -> None:
+    assert why_not(path) == "there is no such file"
+    assert not path.exists()
+
+
+def test_a_folder_is_an_error(tmp_path: Path) -> None:
+    assert why_not(tmp_path) == "Is a directory"
+
+
+def test_a_file_that_is_not_a_store_is_an_error(path: Path) -> None:
+    path.write_text("goals: none\n" * 1000)
+    assert why_not(path) == "it is not a store of goals; use another file"
+
+
+def test_a_file_that_changes_all_the_time_is_an_error(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_copy, "PAUSE", 0)
+    monkeypatch.setattr(_copy, "TICK", 10**18)
+    path.touch()
+    assert why_not(path) == "it changes all the time; try again when there is less work"
+
+
+def test_a_file_that_changed_just_now_is_copied_again(path: Path) -> None:
+    with closing(JournalFile(str(path), "full")) as file:
+        add(file, "paint", 1)
+    assert read(path) == {"paint": [1]}
+
+
+def test_a_copy_has_everything_that_was_told_before(path: Path) -> None:
+    program = [sys.executable, "-c", KILLED, str(path), "normal"]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        try:
+            for _ in range(5):  # meanwhile the log begins anew several times
+                told = [child.stdout.readline().split() for _ in range(2000)]
+                goals = {goal.stamp: goal for goal in anyio.run(stored_goals, str(path))["a"]}
+                for what, number in told:
+                    assert goals[int(number)].status.is_terminal or what == "accepted"
+        finally:
+            child.kill()
+            child.stdout.read()
