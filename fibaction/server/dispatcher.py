@@ -9,7 +9,8 @@ the orders back (`carry_out`) when the goal is accepted, so that no goal gives w
 rejected after all. `Runs` tells it when a goal has left (`_leave`), which frees the place.
 
 With a store, a goal has its place while its acceptance is still being written, and `Runs` does not
-have it yet. Orders for such a goal are held back (`hold`), and carried out when it is accepted.
+have it yet. Orders for such a goal are held back (`hold`), and carried out when it is accepted. So
+are those that it causes: the interruption of another goal may come later than its kill is due.
 
 One task, `_keep_time`, waits for the next time at which an order is due. It is woken only if that
 time becomes earlier.
@@ -72,6 +73,7 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
         self._wake_at = math.inf
         self._successor_news: dict[GoalID, Notifier] = {}
         self._held: dict[GoalID, list[Order]] = {}  # for goals that are not accepted yet
+        self._overdue: set[GoalID] = set()  # to be killed when their interruption is carried out
         self._placed_at = -math.inf
         self._is_closed = False
         runs.on_left = self._leave
@@ -143,14 +145,24 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
             elif act is Act.TELL:
                 self._tell(goal_id)
             elif act is Act.KILL:
-                warn_of_kill(goal_id, self._action, self._kill_after)
-                self._runs.kill(goal_id, for_good=False)
+                if self._runs.is_interrupted(goal_id):
+                    self._kill(goal_id)
+                else:
+                    self._overdue.add(goal_id)
             else:
                 self._runs.interrupt(goal_id, reason)
+                if self._overdue and goal_id in self._overdue:
+                    self._kill(goal_id)
         if self._scheduler.next_due < self._wake_at:
             self._news.notify()
 
+    def _kill(self, goal_id: GoalID) -> None:
+        self._overdue.discard(goal_id)
+        warn_of_kill(goal_id, self._action, self._kill_after)
+        self._runs.kill(goal_id, for_good=False)
+
     def _leave(self, goal_id: GoalID) -> None:
+        self._overdue.discard(goal_id)
         self._tell(goal_id)
         self.carry_out(self._scheduler.leave(goal_id, self._now()))
 

@@ -292,7 +292,6 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         if run is not None and not run.goal.is_over:
             run.goal.stop_reason = run.goal.stop_reason or reason
             self._finish(run, Ending(EndKind.FAILED, reason=run.goal.stop_reason), killed=True)
-            run.execution.interrupt()  # the orders of a schedule may have come in another order
             run.execution.kill(for_good=for_good)
 
     def active(self) -> tuple[GoalID, ...]:

@@ -10,6 +10,7 @@ import socket
 import tempfile
 from collections.abc import AsyncGenerator, Callable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
 import anyio
@@ -20,13 +21,16 @@ from fibaction import (
     ActionServer,
     ClientConnection,
     Endpoint,
+    SqliteStore,
     Transport,
     connect,
     serve,
 )
 from fibaction.action import FeedbackT, GoalT, ResultT
+from fibaction.stores.goal_store import GoalStore
 from fibaction_transports.inprocess import InProcessTransport
 from tests.certificates import pems
+from tests.memory_store import MemoryStore
 
 Servers: TypeAlias = tuple[Endpoint, ...]
 
@@ -122,6 +126,38 @@ async def through_a_gateway(
         yield url
 
 
+@asynccontextmanager
+async def with_a_store(
+    servers: Servers, address: str | Transport, **settings: Any
+) -> AsyncGenerator[str, None]:
+    """Serve servers that keep their goals in memory."""
+    async with kept_in(MemoryStore(), servers, address, **settings) as url:
+        yield url
+
+
+@asynccontextmanager
+async def with_a_file(
+    servers: Servers, address: str | Transport, **settings: Any
+) -> AsyncGenerator[str, None]:
+    """Serve servers that keep their goals in a file."""
+    with tempfile.TemporaryDirectory() as folder:
+        store = SqliteStore(Path(folder) / "goals.db", sync="normal")
+        async with kept_in(store, servers, address, **settings) as url:
+            yield url
+
+
+@asynccontextmanager
+async def kept_in(
+    store: GoalStore, servers: Servers, address: str | Transport, **settings: Any
+) -> AsyncGenerator[str, None]:
+    """Serve servers that keep their goals in a store."""
+    for server in servers:
+        if isinstance(server, ActionServer) and server.is_new:
+            server.keep_in(store)
+    async with directly(servers, address, **settings) as url:
+        yield url
+
+
 def tcp_address() -> str:
     """An address where no server listens."""
     with socket.socket() as probe:
@@ -145,13 +181,20 @@ WAYS: dict[str, Reach] = {
     "tls": Reach(directly, tls_address),
     "unix": Reach(directly, unix_address),
     "gateway to tcp": Reach(through_a_gateway, tcp_address),
+    "inproc, with a store": Reach(with_a_store, InProcessTransport),
+    "tcp, with a store": Reach(with_a_file, tcp_address),
 }
 
 NO_TOKENS = "clients in the process of their server have no tokens and no addresses"
 
+KEPT_FIRST = "the status of a goal that was taken over changes when its end is kept, a moment later"
+
 EXCLUSIONS: dict[tuple[str, str], str] = {
     (way, "test_the_sender_has_the_name_of_its_token_and_its_address"): NO_TOKENS
-    for way in ("inproc", "gateway")
+    for way in ("inproc", "gateway", "inproc, with a store")
+} | {
+    (way, "test_an_executor_takes_its_successor_over_without_an_interruption"): KEPT_FIRST
+    for way in ("inproc, with a store", "tcp, with a store")
 }
 """(way, test name): the reason why that way cannot keep it."""
 

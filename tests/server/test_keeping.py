@@ -270,6 +270,26 @@ async def test_a_goal_that_is_killed_while_its_begin_is_written_gives_its_place_
         assert await client.call(1) == "painted 1 in attempt 1"
 
 
+async def test_a_goal_whose_kill_is_due_before_its_interruption_is_interrupted_first() -> None:
+    schedule = Schedule(concurrency=1, when_full="preempt", run_timeout=3)
+    store = MemoryStore()
+    settings: dict[str, Any] = {"schedule": schedule, "shutdown_timeout": 1}
+    async with server_with(store, **settings) as server, anyio.create_task_group() as tasks:
+        goal = await client_of(server).send_goal(100)
+        store.hold()
+        newer = GoalID.random()
+
+        async def send() -> None:
+            await client_of(server).send_goal(1, goal_id=newer)
+
+        tasks.start_soon(send)
+        await anyio.sleep(5)
+        assert goal.status is GoalStatus.EXECUTING
+        store.release()
+        with pytest.raises(GoalAborted, match=f"preempted by {newer}"):
+            await goal.result()
+
+
 async def test_feedback_of_a_goal_that_was_taken_over_is_told_when_its_begin_is_kept() -> None:
     store = MemoryStore()
     schedule = Schedule(concurrency=1, when_full="preempt", handover=5)

@@ -353,8 +353,8 @@ class Record:
     ) -> None:
         """Check the answer to a cancel."""
         for info in answer.goals_canceling:
-            truths = self.truths(info.goal_id, info.stamp)
-            if not any(GoalStatus.CANCELING in truth.statuses for truth in truths):
+            named = self.truths(info.goal_id, info.stamp)
+            if not any(GoalStatus.CANCELING in truth.statuses for truth in named):
                 self.fail("cancel", f"{short(info.goal_id)} is not canceling, unlike {answer}")
         if bool(answer.goals_canceling) and answer.return_code is not CancelCode.NONE:
             self.fail("cancel", f"goals are canceling, and the answer is {answer}")

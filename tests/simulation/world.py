@@ -157,11 +157,15 @@ class World:
     async def _check_often(self) -> None:
         """Check what is held for all clients, and the places of goals."""
         while not all(hostile.has_left for hostile in self._hostile) or self._lives:
-            for life in self.record.lives[-1:]:
-                self.record.places.check(life)
-            for session in self.hub._sessions if self.hub is not None else ():
-                self.on_message(session)
+            self._check_now()
             await anyio.sleep(CHECKED)
+
+    def _check_now(self) -> None:
+        # In a frame of its own, which does not hold the last session while the time passes.
+        for life in self.record.lives[-1:]:
+            self.record.places.check(life)
+        for session in self.hub._sessions if self.hub is not None else ():
+            self.on_message(session)
 
     def on_message(self, session: Session) -> None:
         """Check what is held for a client that has sent a message."""
