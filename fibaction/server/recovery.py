@@ -169,7 +169,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         if stored.lost >= self._max_attempts:
             attempts = "1 attempt" if stored.lost == 1 else f"{stored.lost} attempts"
             return Ending(EndKind.FAILED, reason=f"given up after {attempts}: {RESTARTED}")
-        if self._rule == "rerun":
+        if isinstance(self._rule, str):
             return None
         try:
             asking: object = self._rule(self._runs.handle_of(goal.goal_id))
