@@ -83,13 +83,14 @@ class Keeping:
         if goal.status.is_terminal:
             return
         self.counts["goals found active"] += 1
-        if goal.is_running:
+        is_lost = goal.is_running and goal.attempt not in fact.lost  # since the last start
+        if is_lost:
             fact.lost.add(goal.attempt)
         before = self._record.lives[-2:-1]
         is_late = max(self._plan.delays) > self._record.scenario.server.shutdown_timeout
         if before and before[0].is_orderly and not is_late:
             self.counts["goals found after a stop"] += 1
-            if self._plan.at_stop == "abort" or goal.is_running:
+            if self._plan.at_stop == "abort" or is_lost:
                 self._fail(fact.goal_id, f"was left by a server that was stopped: {goal}")
         if fact.told is not None:
             self._fail(fact.goal_id, f"was told as {fact.told}, and is active after a restart")
