@@ -457,3 +457,7 @@ async def test_around_an_endpoint_without_a_life_of_its_own_there_is_nothing_to_
     async with wrapper as entered:
         assert entered is wrapper
         await wrapper.stop()
+
+
+def test_a_stream_of_a_server_without_a_store_is_of_the_first_attempt() -> None:
+    assert OneEnd().attempt == 1

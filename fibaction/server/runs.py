@@ -63,7 +63,7 @@ CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
 class Run(Generic[GoalT, FeedbackT, ResultT]):
     """An active goal: its record, its log with the followers, and its executor."""
 
-    __slots__ = ("execution", "goal", "is_waiting", "log", "outcome")
+    __slots__ = ("execution", "goal", "has_begun", "is_waiting", "log", "outcome")
 
     def __init__(
         self, goal: GoalRecord, log: FeedbackLog, execution: Execution[GoalT, FeedbackT, ResultT]
@@ -73,6 +73,8 @@ class Run(Generic[GoalT, FeedbackT, ResultT]):
         self.execution = execution
         self.is_waiting = True
         """True until the executor is to begin."""
+        self.has_begun = False
+        """True when the executor begins: with a store, when its begin is kept."""
         self.outcome: Outcome[bytes] | None = None
         """The outcome once it is fixed; the goal's record has it once it is told."""
 
@@ -164,7 +166,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         if run.goal.is_over:  # it was killed while its begin was written
             self._leave(run.goal.goal_id)
             return
-        run.is_waiting = False
+        run.is_waiting, run.has_begun = False, True
         self._pool.add(partial(self._run, run), run.goal.sender.owner)
 
     async def _run(self, run: Run[GoalT, FeedbackT, ResultT], scopes: CancelOnce) -> None:
@@ -225,7 +227,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """
         old, new = self._runs[goal_id], self._runs[successor]
         old.execution.go_on_as(new.execution.handle, new.log)
-        new.execution, new.is_waiting = old.execution, False
+        new.execution, new.is_waiting, new.has_begun = old.execution, False, True
         if self._keeper is not None:
             # The executor runs already. Nothing of this attempt may be told before it is kept: the
             # next attempt would have the same number.
@@ -277,10 +279,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         run = self._runs.get(goal_id)
         if run is not None:
             self._let_go(run, GOAL_IS_TAKEN)
-            if run.is_waiting:
-                self._leave(goal_id)
-            else:
+            if run.has_begun:
                 run.execution.interrupt()
+            else:
+                self._leave(goal_id)
 
     def kill(self, goal_id: GoalID, reason: str = "", *, for_good: bool) -> None:
         """Kill the executor of a goal that was interrupted, and end the goal, for that reason if it

@@ -202,6 +202,18 @@ async def test_a_waiting_goal_that_another_server_has_taken_over_leaves_its_plac
         assert await third.result() == "painted 1 in attempt 1"
 
 
+async def test_a_goal_that_another_server_begins_leaves_its_place() -> None:
+    taken = {"begin": Fate.TAKEN}
+    store = MemoryStore(lambda _number, what: taken.pop(what, Fate.KEPT))
+    async with server_with(store, schedule=Schedule(concurrency=1, queue=2)) as server:
+        first, second, third = [await client_of(server).send_goal(1) for _ in range(3)]
+        assert await first.result() == "painted 1 in attempt 1"
+        with pytest.raises(GoalKept):
+            await second.result()
+        with anyio.fail_after(100):
+            assert await third.result() == "painted 1 in attempt 1"
+
+
 # Schedules
 
 
