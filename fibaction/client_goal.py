@@ -189,12 +189,12 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
 
     @property
     def attempt(self) -> int:
-        """The attempt at the goal that the feedback is of, from 1.
+        """The newest attempt at the goal that this client knows, from 1.
 
         A server that keeps its goals in a store may run a goal again after a restart. The feedback
         of the new attempt follows what is unread of the one before.
         """
-        return self.feedback.stream.attempt
+        return self.feedback.stream.newest_attempt
 
     @property
     def feedback_dropped(self) -> int:

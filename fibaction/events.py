@@ -58,7 +58,7 @@ class GoalFeedback(msgspec.Struct, Generic[FeedbackT], frozen=True):
     that messages were missed."""
     feedback: FeedbackT
     attempt: int = 1
-    """The attempt at the goal, from 1: see `ClientGoal.attempt`."""
+    """The attempt at the goal that the feedback is of, from 1: see `ClientGoal.attempt`."""
 
 
 class Events(Generic[FeedbackT]):

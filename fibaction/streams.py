@@ -102,6 +102,11 @@ class GoalStream(_Closing):
         return 1
 
     @property
+    def newest_attempt(self) -> int:
+        """The newest attempt at the goal that this stream knows, whether or not it is read."""
+        return self.attempt
+
+    @property
     @abstractmethod
     def dropped(self) -> int:
         """The number of feedback messages that this stream has missed, in all attempts that it has

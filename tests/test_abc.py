@@ -460,4 +460,4 @@ async def test_around_an_endpoint_without_a_life_of_its_own_there_is_nothing_to_
 
 
 def test_a_stream_of_a_server_without_a_store_is_of_the_first_attempt() -> None:
-    assert OneEnd().attempt == 1
+    assert (OneEnd().attempt, OneEnd().newest_attempt) == (1, 1)

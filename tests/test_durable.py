@@ -591,6 +591,7 @@ async def test_a_planned_restart_keeps_goals_and_counts_no_attempt_as_lost(
             await painter.waits.wait()
         async with serving(remote, painter, **settings):
             assert await goal.result() == "painted 4"
+            assert goal.attempt == 2
     assert painter.runs == [Run(1, None), Run(2, 2)]
 
 

@@ -106,6 +106,10 @@ class RemoteGoal(Call, GoalStream):
         return self._attempt
 
     @property
+    def newest_attempt(self) -> int:
+        return self._newest
+
+    @property
     def dropped(self) -> int:
         return self._dropped + self.cursor - self._start - self._delivered
 

@@ -27,6 +27,7 @@ from fibaction import (
     StoreError,
 )
 from fibaction.goals import UNKNOWN_SENDER
+from fibaction.server.goal_keeper import SECOND
 from fibaction.server.goal_record import digest_of
 from fibaction.stores.goal_store import StoredGoal
 from tests.memory_store import Fate, MemoryStore
@@ -458,6 +459,21 @@ async def test_an_outcome_is_remembered_as_long_as_a_client_may_need_to_come_bac
         await anyio.sleep(2)
         with pytest.raises(Exception, match="is unknown"):
             await attached(server)
+
+
+async def test_a_clock_that_was_set_back_by_a_day_changes_nothing() -> None:
+    tomorrow = time.time_ns() + 24 * 60 * 60 * SECOND
+    ended = stored(status=GoalStatus.SUCCEEDED, attempt=1, ended_at=tomorrow)
+    ended.stamp, ended.result, ended.keep_until = tomorrow, PAINT.result.encode("painted"), tomorrow
+    waiting = stored(number=2)
+    waiting.stamp = tomorrow + 1
+    async with server_with(store_with(ended, waiting), result_timeout=100) as server:
+        goal = await client_of(server).send_goal(1)
+        assert [info.stamp - tomorrow for info in await client_of(server).goals()] == [0, 1, 2]
+        assert await goal.result() == "painted 1 in attempt 1"
+        await anyio.sleep(95)
+        assert await (await attached(server)).result() == "painted"
+        assert await (await attached(server, 2)).result() == "painted 3 in attempt 1"
 
 
 # Stop
