@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import logging
 import math
+import os
 from collections.abc import AsyncGenerator
 from pathlib import Path
 from signal import SIGINT, SIGTERM
@@ -39,6 +40,7 @@ from fibaction import (
 
 URL = "tcp://127.0.0.1:7400"
 DAY = 24 * 60 * 60
+MOST_LAYERS = 100_000
 
 
 class Goal(Struct):
@@ -71,9 +73,11 @@ def on_goal(goal: Goal) -> None:
         GoalRejected: It cannot be printed.
     """
     if not goal.name.isidentifier():
-        raise GoalRejected(f"{goal.name!r} is not a name of letters and digits")
-    if goal.layers < 1:
-        raise GoalRejected(f"an object has 1 layer or more, not {goal.layers}")
+        raise GoalRejected(
+            f"{goal.name!r} is not a name: letters, digits and _, and a letter or _ first"
+        )
+    if not 1 <= goal.layers <= MOST_LAYERS:
+        raise GoalRejected(f"an object has 1 to {MOST_LAYERS} layers, not {goal.layers}")
 
 
 class Printer:
@@ -108,6 +112,8 @@ def put_layer(file: Path, number: int) -> None:
     with file.open("r+b" if file.exists() else "wb") as stream:
         stream.seek((number - 1) * len(line))
         stream.write(line)
+        stream.flush()
+        os.fsync(stream.fileno())  # the work is on the disk before the checkpoint says so
 
 
 def make_server(store: Path, folder: Path, period: float) -> ActionServer[Goal, Feedback, Result]:

@@ -433,8 +433,12 @@ def test_a_layer_that_is_printed_again_is_where_it_was(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "layers", "reason"),
     [
-        ("../gear", 1, r"'\.\./gear' is not a name of letters and digits"),
-        ("gear", 0, "an object has 1 layer or more, not 0"),
+        (
+            "../gear",
+            1,
+            r"'\.\./gear' is not a name: letters, digits and _, and a letter or _ first",
+        ),
+        ("gear", 0, "an object has 1 to 100000 layers, not 0"),
     ],
 )
 def test_an_object_that_cannot_be_printed_is_rejected(name: str, layers: int, reason: str) -> None:

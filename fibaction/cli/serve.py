@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import AsyncGenerator, Callable, Generator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from typing import Literal
@@ -78,6 +79,8 @@ def serve_command(
         raise Failure("--sync is a setting of --store FILE", ExitCode.USAGE)
     where = urls or (url_of(context),)
     reject_inproc(*where)  # beside another one it is for clients in the module itself
+    if store is not None:
+        store = os.path.abspath(store)  # the module may change the folder when it is imported
     with log_with_time():
         if reload:
             options = () if store is None else ("--store", store, "--sync", sync or "full")

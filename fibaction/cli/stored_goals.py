@@ -21,7 +21,7 @@ async def rows_of_store(path: str, name: str | None) -> list[GoalRow]:
             GoalInfo(
                 goal.goal_id,
                 goal.stamp,
-                goal.status,
+                goal.told_status,
                 goal.feedback_count,
                 str(goal.sender),
                 attempt=max(goal.attempt, 1),

@@ -206,10 +206,7 @@ class GoalRegistry:
             self._ended.put_until(goal_id, goal, until)
             return goal
         goal.stored = stored
-        if status is GoalStatus.CANCELING:
-            goal.status = status
-        elif stored.attempt:  # followers know that it has begun, and a status never goes back
-            goal.status = GoalStatus.EXECUTING
+        goal.status = stored.told_status  # a status never goes back
         self._active[goal_id] = goal
         return goal
 

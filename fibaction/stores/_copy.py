@@ -4,12 +4,13 @@ A server keeps its file locked. But SQLite only appends to its write-ahead log, 
 all of the log to the file and begins the log anew, with another header. So a copy of both is of one
 moment if neither the file nor the header of the log has changed meanwhile.
 
-Not for the process of the server: to close a file lets go of all locks that a process has on it.
+The process of the server must not do this: when a process closes a file, it loses its locks on it.
 """
 
 from __future__ import annotations
 
 import os
+import sys
 import time
 from contextlib import closing, suppress
 from shutil import copyfile
@@ -53,6 +54,9 @@ def _failing(path: str) -> str:
 
 def _read(path: str) -> dict[str, list[StoredGoal]] | None:
     """Return the goals; None if a copy cannot be made now."""
+    path = os.path.realpath(path)  # the log is beside the file, and not beside a link to it
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise StoreError(f"{_failing(path)}: it is not a file")
     with TemporaryDirectory(prefix="fibaction-") as folder:
         copy = os.path.join(folder, "goals.db")
         try:
@@ -64,19 +68,25 @@ def _read(path: str) -> dict[str, list[StoredGoal]] | None:
             raise StoreError(f"{_failing(path)}: {exc.strerror}") from exc
         with closing(JournalFile(copy, "normal", failing=_failing(path))) as file:
             goals = file.goals()
+    for of_action in goals.actions.values():
+        of_action.drop_expired(sys.maxsize, time.time_ns())
     return {action: of_action.in_order() for action, of_action in goals.actions.items()}
 
 
 def _copied(path: str, copy: str) -> bool:
     before = _state(path)
+    if before is None:
+        return False
     copyfile(path, copy)
     with suppress(FileNotFoundError):
         copyfile(f"{path}-wal", f"{copy}-wal")
-    return before is not None and _state(path) == before
+    return _state(path) == before
 
 
 def _state(path: str) -> tuple[object, ...] | None:
-    """Return what changes with the file or a new log; None if the file has changed just now."""
+    """Return values that differ after each change of the file, and after each new log; None if the
+    file has changed just now.
+    """
     found = os.stat(path)
     if abs(time.time_ns() - found.st_mtime_ns) < TICK:
         return None

@@ -26,7 +26,8 @@ WHAT_TO_DO = {
     sqlite3.SQLITE_READONLY: "the file or its folder is read-only; allow this process to write",
     sqlite3.SQLITE_NOTADB: "it is not a store of goals; use another file",
     sqlite3.SQLITE_CORRUPT: (
-        "the file is damaged; restore it from a copy, or remove it to start without its goals"
+        "the file is damaged; restore it and the files beside it from a copy, or remove all of them"
+        " to start without its goals"
     ),
 }
 """The text for each of SQLite's errors that people can do something about."""
@@ -44,6 +45,7 @@ class JournalFile:
         self._path = path
         self._failing = failing or f"cannot keep goals in {excerpt(path)}"
         self._last = 0
+        self._log_identity: tuple[int, int] | None = None  # once there is a log
         self.size = 0
         """Bytes of all rows."""
         self.first_size = 0
@@ -52,23 +54,22 @@ class JournalFile:
         if sync == "full":  # without it, several of the last commits may be torn after a power cut
             self._check_log()
         with self._explained():
-            # Without a timeout: whoever holds the lock does so until it ends.
+            # Without a timeout: the process that has the lock keeps it until it ends.
             self._db = sqlite3.connect(path, timeout=0, isolation_level=None)
         try:
             with self._explained():
                 self._prepare(sync)
                 self._last = self._db.execute("select coalesce(max(n), 0) from log").fetchone()[0]
-                found = os.stat(path)
-            self._identity = (found.st_dev, found.st_ino)
+            self._identity = _identity_of(path)
         except BaseException:
             self._db.close()
             raise
 
     def _check_log(self) -> None:
         """Check what SQLite would read as the end of the log, then remove."""
-        if not is_damaged(self._path + "-wal"):
-            return
         with self._explained():
+            if not os.path.exists(self._path) or not is_damaged(self._path + "-wal"):
+                return
             # The process that uses the file may have written to its log meanwhile. Reading leaves
             # the log as it is, so that the next start finds the damage, too.
             uri = f"{Path(self._path).as_uri()}?mode=ro"
@@ -166,13 +167,15 @@ class JournalFile:
             self._db.close()
 
     def _check_path(self) -> None:
-        """Check that the file that was written to is still there for the next start."""
-        try:
-            found = os.stat(self._path)
-        except OSError:
-            found = None
-        if found is None or (found.st_dev, found.st_ino) != self._identity:
+        """Check that what was written to is still there for the next start."""
+        log = _identity_of(self._path + "-wal")
+        if _identity_of(self._path) != self._identity:
             raise self._error("the file was removed or replaced while it was in use")
+        self._log_identity = self._log_identity or log
+        if log != self._log_identity:
+            raise self._error(
+                f"{excerpt(self._path)}-wal was removed or replaced while it was in use"
+            )
 
     @contextmanager
     def _explained(self) -> Generator[None, None, None]:
@@ -191,6 +194,15 @@ class JournalFile:
 
     def _error(self, reason: str) -> StoreError:
         return StoreError(f"{self._failing}: {excerpt(reason, 400)}")
+
+
+def _identity_of(path: str) -> tuple[int, int] | None:
+    """Return the numbers by which the system knows a file; None if there is none of that name."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _check_place(path: str) -> None:

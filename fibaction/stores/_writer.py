@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from queue import SimpleQueue
 from threading import Thread
@@ -139,7 +140,8 @@ class Writer:
         if self._file is not None:
             self._file.close()
         if last is not None:
-            self._call(last.is_done.set)
+            with suppress(RuntimeError):  # the event loop has ended meanwhile
+                self._call(last.is_done.set)
 
     def _handle(self, items: list[Batch | _Command]) -> _Command | None:
         """Do everything in order; return the command to close, after which nothing comes."""
@@ -165,7 +167,7 @@ class Writer:
             self._try(self._compact)
 
     def _try(self, work: Callable[[], object]) -> None:
-        """Do it unless something has failed before."""
+        """Do this work, unless an earlier one has failed; note the text of its error."""
         if not self._error:
             try:
                 work()

@@ -68,6 +68,12 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     keep_until: int = 0
     """Time until which the outcome is kept: nanoseconds since 1970; 0 for ever."""
 
+    @property
+    def told_status(self) -> GoalStatus:
+        """The status that clients know: an active goal that has begun is EXECUTING."""
+        has_begun = self.attempt and self.status is GoalStatus.ACCEPTED
+        return GoalStatus.EXECUTING if has_begun else self.status
+
 
 Then: TypeAlias = Callable[[StoreError | None], None]
 """The function that is called on the event loop when a write is durable, or has failed."""

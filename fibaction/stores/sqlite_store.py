@@ -40,11 +40,15 @@ class SqliteStore(GoalStore):
         way, but the last moments before a power failure can be lost; a write is then ready sooner.
 
         Raises:
-            ValueError: `sync` is neither of the two.
+            ValueError: `sync` is neither of the two, or the path does not name a file.
         """
         if sync not in ("full", "normal"):
             raise ValueError(f"sync is 'full' or 'normal', not {sync!r}")
-        self._path: str = os.path.abspath(path)
+        name: str = os.fsdecode(path)
+        if name == ":memory:":
+            raise ValueError("a store is a file: leave `store` out to keep goals in memory")
+        # SQLite puts its other files beside the file itself, and not beside a link to it.
+        self._path: str = os.path.realpath(name)
         self._sync = sync
         self._writer: Writer | None = None
         self._thread = 0
@@ -92,15 +96,18 @@ class SqliteStore(GoalStore):
     async def _end(self, action: str, writer: Writer) -> None:
         """Wait for the writes that are under way; the last action ends the thread."""
         self._users -= 1
-        if not self._users:
-            self._closing = Event()
-            await writer.close()
-            self._writer = None
-            self._closing.set()
-            self._closing = None
-        else:
-            await writer.finish(action)
-        self._actions.remove(action)
+        closing = None if self._users else Event()
+        try:
+            if closing is None:
+                await writer.finish(action)
+            else:
+                self._closing = closing
+                await writer.close()
+        finally:  # asyncio can cancel the task itself; the thread then closes the file by itself
+            if closing is not None:
+                self._writer = self._closing = None
+                closing.set()
+            self._actions.remove(action)
 
     def _error(self, reason: str) -> StoreError:
         return StoreError(f"cannot keep goals in {excerpt(self._path)}: {reason}")

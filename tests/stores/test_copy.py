@@ -11,6 +11,8 @@ import anyio
 import pytest
 
 from fibaction import StoreError
+from fibaction._text import excerpt
+from fibaction.states import GoalStatus
 from fibaction.stores import _copy
 from fibaction.stores._copy import stored_goals
 from fibaction.stores._journal_file import JournalFile
@@ -34,8 +36,9 @@ def why_not(path: Path) -> str:
     with pytest.raises(StoreError) as caught:
         read(path)
     text = str(caught.value)
-    assert text.startswith(f"cannot read the goals in {path}: ")
-    return text.removeprefix(f"cannot read the goals in {path}: ")
+    failing, _, reason = text.partition(": ")
+    assert failing == f"cannot read the goals in {excerpt(str(path))}"
+    return reason
 
 
 @pytest.fixture
@@ -67,7 +70,29 @@ def test_a_file_that_is_not_there_is_an_error(path: Path) -> None:
 
 
 def test_a_folder_is_an_error(tmp_path: Path) -> None:
-    assert why_not(tmp_path) == "Is a directory"
+    assert why_not(tmp_path) == "it is not a file"
+
+
+def test_any_other_error_is_one_sentence(path: Path) -> None:
+    assert why_not(path.with_name("x" * 300)).startswith("File name too long")
+
+
+def test_the_log_beside_a_file_is_read_through_a_link_as_well(path: Path) -> None:
+    link = path.with_name("link.db")
+    link.symlink_to(path)
+    with closing(JournalFile(str(path), "full")) as file:
+        add(file, "paint", 1)  # it is in the log only
+        child = subprocess.run([sys.executable, "-c", COUNT, str(link)], capture_output=True)
+    assert child.stdout == b"1\n"
+
+
+def test_outcomes_whose_time_is_over_are_not_shown(path: Path) -> None:
+    with closing(JournalFile(str(path), "full")) as file:
+        old = a_goal(1)
+        old.status, old.keep_until = GoalStatus.SUCCEEDED, 1
+        file.add(encode_row(file.next_number, [Whole("paint", old)]))
+        add(file, "paint", 2)
+    assert read(path) == {"paint": [2]}
 
 
 def test_a_file_that_is_not_a_store_is_an_error(path: Path) -> None:

@@ -193,6 +193,26 @@ def test_a_file_that_is_replaced_is_an_error(path: Path) -> None:
             file.replace(file.goals().rows(file.next_number))
 
 
+def test_a_log_that_is_removed_is_an_error(path: Path) -> None:
+    with closing(JournalFile(str(path), "full")) as file:
+        add(file, 1)
+        path.with_name("goals.db-wal").unlink()
+        with pytest.raises(StoreError, match=r"goals\.db-wal was removed or replaced while it was"):
+            add(file, 2)
+
+
+def test_a_damaged_log_without_its_file_does_not_hinder_a_new_start(path: Path) -> None:
+    path.with_name("goals.db-wal").write_bytes(b"\1" * 9000)
+    with closing(JournalFile(str(path), "full")) as file:
+        add(file, 1)
+    assert stamps(path) == [1]
+
+
+def test_a_name_that_is_too_long_is_an_error(path: Path) -> None:
+    with pytest.raises(StoreError, match="cannot keep goals in"):
+        JournalFile(str(path.with_name("x" * 300)), "full")
+
+
 def test_any_other_error_is_one_sentence(path: Path) -> None:
     with closing(JournalFile(str(path), "full")) as file:
         with pytest.raises(StoreError, match=r"TypeError: 'int' object is not iterable$"):
@@ -289,8 +309,8 @@ def test_a_row_that_has_changed_is_damage(path: Path) -> None:
     write(path, 3)
     flipped(path, path.read_bytes().index(b"\x02" * 100))
     assert why_not(path) == (
-        "the file is damaged; restore it from a copy, or remove it to start without its goals (row"
-        " 3 is not what was written)"
+        "the file is damaged; restore it and the files beside it from a copy, or remove all of them"
+        " to start without its goals (row 3 is not what was written)"
     )
 
 

@@ -293,6 +293,22 @@ async def test_after_a_failed_write_all_others_fail_in_order(path: Path) -> None
     assert told == [(number, error) for number in range(2, 10)]
 
 
+async def test_a_store_behind_a_link_is_the_file_itself(path: Path) -> None:
+    link = path.with_name("link.db")
+    await anyio.Path(link).symlink_to(path)
+    async with opened(SqliteStore(link)) as kept:
+        await kept(kept.journal.accept, a_goal(1))
+        assert await anyio.Path(f"{path}-wal").exists()
+        with pytest.raises(StoreError, match="in use by another process or another SqliteStore"):
+            async with opened(SqliteStore(path)):
+                pass
+
+
+def test_a_store_is_a_file() -> None:
+    with pytest.raises(ValueError, match="leave `store` out to keep goals in memory"):
+        SqliteStore(":memory:")
+
+
 async def test_a_record_that_cannot_be_written_is_an_error(path: Path) -> None:
     async with opened(SqliteStore(path)) as kept:
         with pytest.raises(StoreError, match="OverflowError"):
