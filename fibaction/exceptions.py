@@ -195,7 +195,11 @@ class ConnectionLost(TransportError):
 
 
 class GoalKept(ConnectionLost):
-    """The server has stopped, and keeps the goal in its store for the next start."""
+    """This server tells nothing more about the goal, which the next one may know.
+
+    It has stopped and keeps the goal in its store, its store has failed, or another server has
+    taken the goal over.
+    """
 
 
 class AuthenticationFailed(TransportError):

@@ -85,7 +85,7 @@ class _AcceptanceInWriting:
 
 
 class Admission(Generic[GoalT, FeedbackT, ResultT]):
-    """The decisions on a server's goals, from arrival to start, and on its cancels."""
+    """The decisions on a server's goals, from arrival to start."""
 
     def __init__(
         self,
@@ -288,9 +288,20 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._registry.withdraw(goal_id)
         self._tell_decision(goal_id)
 
+    def wake(self) -> None:
+        """Wake all that wait for decisions: the store answers no more."""
+        for goal_id in tuple(self._decisions):
+            self._tell_decision(goal_id)
+
     async def decided(self, goal_id: GoalID) -> None:
-        """Wait until the goal is decided; return at once if it is not undecided."""
+        """Wait until the goal is decided; return at once if it is not undecided.
+
+        Raises:
+            GoalKept: The store has failed, or has not answered before the server has stopped.
+        """
         while self._registry.is_undecided(goal_id):
+            if self._keeper is not None:
+                self._keeper.check()
             self._callbacks.check_not_within("on_goal", goal_id, "cancels, or sends again,")
             await self._decisions.setdefault(goal_id, Notifier()).wait()
 

@@ -118,7 +118,7 @@ class Callbacks:
                         awaitable.close()
                     raise rejection(SERVER_STOPPING)
                 with scope:
-                    _check(name, await _awaited(awaitable), rejection)
+                    _check(name, await awaited(awaitable), rejection)
                 if scope.cancelled_caught:
                     raise rejection(SERVER_STOPPING)
         finally:
@@ -160,7 +160,12 @@ def _called(
         raise RuntimeError(CANCELED_ELSEWHERE) from exc
 
 
-async def _awaited(awaitable: Awaitable[object]) -> object:
+async def awaited(awaitable: Awaitable[object]) -> object:
+    """Return what a function of the user returns in the end.
+
+    Raises:
+        RuntimeError: It has awaited something that was canceled elsewhere.
+    """
     try:
         return await awaitable
     except get_cancelled_exc_class() as exc:

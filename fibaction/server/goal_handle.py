@@ -143,7 +143,7 @@ class GoalHandle(Generic[GoalT]):
             RuntimeError: The goal has ended.
         """
         while (successor := self.successor) is None:
-            if self._goal.status.is_terminal:
+            if self._goal.is_over:
                 raise RuntimeError(f"goal {self.goal_id} has ended, and gets no successor")
             succession = self._succession
             # Without a schedule nothing comes.

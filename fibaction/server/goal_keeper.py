@@ -19,7 +19,6 @@ Without a store, a server has no keeper.
 from __future__ import annotations
 
 import itertools
-import math
 import time
 from collections import deque
 from collections.abc import AsyncGenerator, Callable
@@ -46,6 +45,8 @@ STORE_FAILED = "the server has stopped, because its store has failed"
 STORE_IS_LATE = "the server has stopped before its store has answered"
 
 SECOND = 1_000_000_000
+LONGEST = 1e9
+"""Seconds above which a time is kept as unlimited: some 30 years."""
 
 logger = clean_logger("fibaction.server")
 
@@ -96,7 +97,7 @@ class GoalKeeper:
     def accept(self, goal: GoalRecord, payload: bytes, *, is_running: bool, then: Kept) -> int:
         """Keep a goal that is about to be accepted, and return the number of the write."""
         deadline = 0
-        if goal.deadline < math.inf:
+        if goal.deadline - current_time() < LONGEST:
             deadline = time.time_ns() + int((goal.deadline - current_time()) * SECOND)
         goal.stored = StoredGoal(
             goal.goal_id,
@@ -139,7 +140,7 @@ class GoalKeeper:
         )
         stored.is_running, stored.goal, stored.checkpoint = False, b"", None
         stored.feedback_count, stored.ended_at = goal.feedback_count, now
-        if self._keep_for < math.inf:
+        if self._keep_for < LONGEST:
             stored.keep_until = now + int((self._keep_for + OUTCOME_GRACE) * SECOND)
         self._write(self._journal.end, goal, stored, then)
 
@@ -157,7 +158,7 @@ class GoalKeeper:
         then: Kept | None,
     ) -> int:
         self._written += 1
-        if self.failure is None:
+        if self.failure is None and not self._is_closed:
             method(stored, partial(self._answer, goal.goal_id, then))
         return self._written
 

@@ -36,6 +36,7 @@ from fibaction._notify import Notifier
 from fibaction._slices import Slices
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import GoalAborted, GoalRejected, ProtocolError, text_of
+from fibaction.server.callbacks import awaited
 from fibaction.server.checkpoints import Checkpoints
 from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.goal_handle import GoalHandle
@@ -83,6 +84,12 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         self._claimed: deque[StoredGoal] = deque()
         self._news = Notifier()
         self._done = Notifier()
+        self._is_closed = False
+
+    def close(self) -> None:
+        """Take over no more goals: the server stops, and they stay in the store."""
+        self._is_closed = True
+        self._done.notify()
 
     def claim(self, stored: StoredGoal) -> None:
         """Take a goal over in the next turn of the event loop."""
@@ -92,17 +99,17 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
 
     async def recovered(self) -> None:
         """Wait until all goals that were claimed are taken over."""
-        while self._claimed:
+        while self._claimed and not self._is_closed:
             await self._done.wait()
 
     async def run(self) -> None:
         """Take over the goals that are claimed, until canceled."""
         while True:
-            while not self._claimed:
+            while self._is_closed or not self._claimed:
                 self._done.notify()
                 await self._news.wait()
             slices = Slices()
-            while self._claimed:
+            while self._claimed and not self._is_closed:
                 await self._take(self._claimed[0])
                 self._claimed.popleft()
                 await slices.pause()
@@ -122,7 +129,9 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         except ProtocolError as exc:
             reason = f"the stored goal does not fit the action any more: {exc}"
             self._runs.add(goal, cast("GoalT", None), begin=False)  # nothing gets to see it
-            self._end(goal, Ending(EndKind.FAILED, reason=reason))
+            is_canceling = goal.status is GoalStatus.CANCELING
+            canceled = Ending(EndKind.CANCELED, reason=RESTARTED)
+            self._end(goal, canceled if is_canceling else Ending(EndKind.FAILED, reason=reason))
             return
         self._runs.add(goal, request, begin=False, restored=restored)
         await self._decide(goal, request)
@@ -174,22 +183,30 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         try:
             asking: object = self._rule(self._runs.handle_of(goal.goal_id))
             if isinstance(asking, Awaitable):
-                asking = await asking
+                asking = await awaited(asking)
             if asking is not None:
                 raise TypeError(f"it returned {asking!r}: return None, or raise GoalAborted")
         except GoalAborted as exc:
             return self._aborted(exc)
         except Exception as exc:
-            reason = f"recovery failed: {text_of(exc)}"
-            logger.error("action %r: %s", self._action.name, reason, exc_info=exc)
-            return Ending(EndKind.FAILED, reason=reason)
+            return self._failed(exc)
         return None
 
     def _aborted(self, exc: GoalAborted) -> Ending:
         result = self._action.result
-        if exc.result is not None and result.holds(exc.result):
+        if exc.result is None:
+            return Ending(EndKind.FAILED, reason=exc.reason)
+        try:
+            if not result.holds(exc.result):
+                raise TypeError(f"{exc.result!r} is not of the result's type")
             return Ending(EndKind.FAILED, result.encode(exc.result), exc.reason)
-        return Ending(EndKind.FAILED, reason=exc.reason)
+        except Exception as bad:  # encoding runs the user's own code, which may raise anything
+            return self._failed(bad)
+
+    def _failed(self, exc: Exception) -> Ending:
+        reason = f"recovery failed: {text_of(exc)}"
+        logger.error("action %r: %s", self._action.name, reason, exc_info=exc)
+        return Ending(EndKind.FAILED, reason=reason)
 
     def _end(self, goal: GoalRecord, ending: Ending) -> None:
         logger.info(

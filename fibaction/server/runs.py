@@ -309,9 +309,9 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._kept_for = reason
 
     def abandon_ends(self) -> None:
-        """Let go of goals whose end is being written: the store has failed."""
+        """Let go of goals whose begin or end is being written: the store has failed."""
         for run in tuple(self._runs.values()):
-            if run.goal.is_over:
+            if run.goal.is_over or not (run.is_waiting or run.has_begun):
                 self._let_go(run, STORE_FAILED)
 
     def let_go(self) -> None:
@@ -348,7 +348,9 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     def _release(self, keeper: GoalKeeper, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         run.goal.is_over = True
-        if run.goal.stored is not None and run.goal.stored.is_running:
+        stored = run.goal.stored
+        # A goal that had begun in an earlier process counts as running in the store.
+        if stored is not None and (stored.is_running or stored.attempt):
             keeper.release(run.goal, partial(self._let_go, run, GOAL_IS_KEPT))
         else:
             self._let_go(run, GOAL_IS_KEPT)

@@ -169,8 +169,6 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         )
         self._logs = GoalLogs(registry, window=feedback_window, latest=feedback == "latest")
         self._watch = Watch(action.name, watchdog)
-        self._logs = GoalLogs(registry, window=feedback_window, latest=feedback == "latest")
-        self._watch = Watch(action.name, watchdog)
         self._runs = Runs(
             action, executor, registry, self._logs, stall_timeout=stall_timeout, watch=self._watch
         )
@@ -317,14 +315,17 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             self._phase = "running"
             with CancelScope(shield=True):
                 await self.stop()
+            self._started.notify()
 
     def _give_up(self) -> None:
         """Cancel the block, because the store has failed; `__aexit__` does the rest."""
         self._close()
         self._runs.abandon_ends()
+        self._admission.wake()
         self._block.cancel()
 
     def _close(self) -> None:
+        self._recovery.close()
         self._admission.close()
         self._callbacks.stop()
 
@@ -345,22 +346,22 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._close()
         if self._dispatcher is not None:
             self._dispatcher.close()
+        if self._at_stop == "keep":
+            self._runs.keep_for(SERVER_STOPPED)
+        shutdown = Shutdown(
+            self._runs, self._logs.ended, self.action.name, SERVER_STOPPED, self._shutdown_timeout
+        )
         try:
-            await self._settle()  # what is accepted by then is among the goals to stop
-            if self._at_stop == "keep":
-                self._runs.keep_for(SERVER_STOPPED)
-            await Shutdown(
-                self._runs,
-                self._logs.ended,
-                self.action.name,
-                SERVER_STOPPED,
-                self._shutdown_timeout,
-            ).run()
+            try:
+                await self._settle()  # what is accepted by then is among the goals to stop
+            finally:  # asyncio can cancel the task itself
+                await shutdown.run()
             await self._settle()
         finally:
             if self._keeper is not None:
                 self._keeper.close()
                 self._runs.let_go()
+                self._admission.wake()
             self._logs.close()
             self._phase = "stopped"
             logger.info("action server %r has stopped", self.action.name)

@@ -323,6 +323,26 @@ async def test_a_stop_of_a_server_that_is_itself_canceled_leaves_no_caller_waiti
     assert "did not stop in time" in caplog.text
 
 
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
+async def test_a_stop_that_is_canceled_while_it_waits_for_the_store_ends_all_executors() -> None:
+    store, executor = MemoryStore(), Tidying()
+    async with ActionServer(FIBONACCI, executor, store=store, shutdown_timeout=0.5) as server:
+        with anyio.fail_after(5):
+            await server.send_goal(GoalID.random(), packed(1))
+            await executor.begun.wait()
+            store.hold()
+            sending = asyncio.create_task(server.send_goal(GoalID.random(), packed(2)))
+            stopping = asyncio.create_task(server.stop())
+            while server.is_running:
+                await anyio.lowlevel.checkpoint()
+            stopping.cancel()
+            await asyncio.wait([stopping, sending])
+            assert stopping.cancelled()
+            assert isinstance(sending.exception(), GoalKept)
+            assert executor.cleaning.is_set()
+            store.release()
+
+
 async def test_an_executor_that_does_not_end_when_killed_is_abandoned_and_its_goal_named(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
