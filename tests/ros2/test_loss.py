@@ -107,25 +107,25 @@ async def test_all_that_is_pending_ends_when_a_server_of_ours_is_killed() -> Non
 
     async with peer("ours", "serve_it", "loss_pending", "asyncio") as server:
         async with waiting_for(server, "loss_pending") as (client, _):
-            server.signal(signal.SIGSTOP)  # it answers nothing any more
+            with await client.endpoint.status() as found:
+                server.signal(signal.SIGSTOP)  # it answers nothing any more
 
-            async def end_with_loss(name: str, pending: Callable[[], object]) -> None:
-                with pytest.raises(ConnectionLost):
-                    await pending()  # type: ignore[misc]  # all of them are awaitable
-                ended.append(name)
+                async def end_with_loss(name: str, pending: Callable[[], object]) -> None:
+                    with pytest.raises(ConnectionLost):
+                        await pending()  # type: ignore[misc]  # all of them are awaitable
+                    ended.append(name)
 
-            async def statuses() -> None:
-                with await client.endpoint.status() as found:
+                async def statuses() -> None:
                     while await found.receive() is not None:
                         pass
 
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(end_with_loss, "call", lambda: client.call(Goal(1)))
-                tasks.start_soon(end_with_loss, "cancel", client.cancel_goals)
-                tasks.start_soon(end_with_loss, "statuses", statuses)
-                await anyio.wait_all_tasks_blocked()
-                server.process.kill()
-                start = perf_counter()
+                async with anyio.create_task_group() as tasks:
+                    tasks.start_soon(end_with_loss, "call", lambda: client.call(Goal(1)))
+                    tasks.start_soon(end_with_loss, "cancel", client.cancel_goals)
+                    tasks.start_soon(end_with_loss, "statuses", statuses)
+                    await anyio.wait_all_tasks_blocked()
+                    server.process.kill()
+                    start = perf_counter()
         assert perf_counter() - start < LEASE_OF_OURS
         assert sorted(ended) == ["call", "cancel", "statuses"]
 
