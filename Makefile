@@ -93,7 +93,7 @@ mutants: $(MUTANTS_VENV)/.installed  ## Put small faults into the rules, and che
 	$(MUTANTS_VENV)/bin/python -m tests.mutants
 
 # The wheel is made from the sdist, as packagers do; and from the checkout, to compare. The attacks
-# are left out: their servers are forked from a process that knows the checkout only.
+# and the kills are left out: their servers are forked from a process that knows the checkout only.
 test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the tests against the wheel
 	rm -rf dist build/checkout build/consumer build/wheel
 	$(BIN)/python -m build --quiet --outdir dist .
@@ -105,7 +105,8 @@ test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the test
 	$(call new_venv,build/wheel)
 	$(call install,build/wheel) dist/*.whl --group test
 	cd build && $(no_other_ros) wheel/bin/python -m pytest -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
-	    -o cache_dir=build/.pytest_cache ../tests --ignore=../tests/hostile
+	    -o cache_dir=build/.pytest_cache ../tests \
+	    --ignore=../tests/hostile --ignore=../tests/kills
 
 # The versions in pyproject.toml that `make test` does not use.
 PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'),3.11 3.12 3.13)
