@@ -34,6 +34,7 @@ from fibaction.exceptions import (
     TransportError,
     UnknownGoal,
 )
+from fibaction.goal_store import GoalStore
 from fibaction.goals import (
     ActionPeers,
     CancelAnswer,
@@ -42,11 +43,11 @@ from fibaction.goals import (
     GoalInfo,
     Outcome,
     Sender,
+    WorkerInfo,
 )
 from fibaction.retry import Retry
 from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
 from fibaction.states import GoalEvent, GoalStatus
-from fibaction.stores.goal_store import GoalStore
 from fibaction.stores.sqlite_store import SqliteStore
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.settings import Limits
@@ -100,6 +101,7 @@ __all__ = [
     "Transport",
     "TransportError",
     "UnknownGoal",
+    "WorkerInfo",
     "connect",
     "serve",
 ]

@@ -12,7 +12,10 @@ from anyio import create_task_group
 from fibaction.abc import Connection, Endpoint, Startable, Transport
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.client import ActionClient
-from fibaction.goals import ActionPeers
+from fibaction.exceptions import TransportError
+from fibaction.goal_store import GoalStore
+from fibaction.goals import ActionPeers, WorkerInfo
+from fibaction.server import ActionServer
 from fibaction.urls import transport_for, without_settings
 from fibaction.wire.settings import ClientKeywords, ServerKeywords
 
@@ -81,6 +84,10 @@ class ClientConnection(Connection):
     async def peers(self, action: str) -> ActionPeers:
         """Return the servers and the clients of an action: see `Connection.peers`."""
         return await self._connection.peers(action)
+
+    async def workers(self) -> list[WorkerInfo]:
+        """Return the workers of the fleet: see `Connection.workers`."""
+        return await self._connection.workers()
 
 
 @overload
@@ -173,6 +180,10 @@ async def serve(
     transports = [transport_for(one, **settings) for one in where]
     started: list[Startable] = []
     async with AsyncExitStack() as stack:
+        for transport in transports:
+            store = await stack.enter_async_context(transport.goal_store())
+            if store is not None:
+                _keep_in(store, chosen)
         for one in chosen:
             if isinstance(one, Startable) and not one.is_running:
                 await stack.enter_async_context(one)
@@ -180,6 +191,24 @@ async def serve(
         urls = [await stack.enter_async_context(one.serve(*chosen)) for one in transports]
         stack.push_async_callback(_stop, started)
         yield tuple(urls)
+
+
+def _keep_in(store: GoalStore, endpoints: Iterable[Endpoint]) -> None:
+    """Let the servers among the endpoints keep their goals where their transport keeps them.
+
+    Raises:
+        TransportError: A server has a store of its own, or was started before.
+    """
+    for one in endpoints:
+        if not isinstance(one, ActionServer):
+            continue
+        if one.store is not None or not one.is_new:
+            how = "was started before" if one.store is None else "has a store"
+            raise TransportError(
+                f"{one!r} {how}, and this address keeps the goals of its servers itself: give it a"
+                f" server that is new and has no store"
+            )
+        one.keep_in(store)
 
 
 def _chosen(endpoints: Endpoint | Iterable[Endpoint]) -> tuple[Endpoint, ...]:

@@ -14,13 +14,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Coroutine
-from contextlib import AbstractAsyncContextManager
+from contextlib import AbstractAsyncContextManager, nullcontext
 from types import TracebackType
 from typing import Any, Protocol, runtime_checkable
 
 from fibaction._notify import Notifier
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import UnknownGoal
+from fibaction.goal_store import GoalStore
 from fibaction.goals import (
     UNKNOWN_OUTCOME,
     UNKNOWN_SENDER,
@@ -29,6 +30,7 @@ from fibaction.goals import (
     GoalID,
     Outcome,
     Sender,
+    WorkerInfo,
 )
 from fibaction.streams import FeedbackItem, GoalStream, GoalUpdate, StatusStream
 
@@ -325,6 +327,14 @@ class Connection(ABC):
         """
         return ActionPeers()
 
+    async def workers(self) -> list[WorkerInfo]:
+        """Return the workers of the fleet; empty if this transport has no fleet.
+
+        Raises:
+            TransportError, ProtocolError: As for `actions`.
+        """
+        return []
+
 
 class Transport(ABC):
     """A way to reach endpoints, configured by its constructor or its URL alone.
@@ -342,6 +352,18 @@ class Transport(ABC):
             TransportError: The URL is invalid for this transport; the text says why.
             TypeError: A setting is unknown.
         """
+
+    def goal_store(self) -> AbstractAsyncContextManager[GoalStore | None]:
+        """Open the place where this transport keeps the goals of its servers, while the block
+        lasts.
+
+        Most have none, and the block gets None. `fibaction.serve` opens it before it starts the
+        servers, gives it to each of them, and calls `serve` inside the block.
+
+        Raises:
+            TransportError: The address cannot be used.
+        """
+        return nullcontext()
 
     @abstractmethod
     def serve(self, *endpoints: Endpoint) -> AbstractAsyncContextManager[str]:

@@ -94,6 +94,20 @@ def _sender_text(name: str, address: str) -> str:
     return f"{name} at {address}" if name and address else name or address
 
 
+class WorkerInfo(msgspec.Struct, frozen=True):
+    """One line of the list of workers of a fleet."""
+
+    name: str
+    actions: tuple[str, ...]
+    """The names of the actions that it serves."""
+    since: int
+    """The time at which it joined the fleet: nanoseconds since 1970."""
+    goals: int = 0
+    """The number of its active goals, some seconds ago at most."""
+    has_room: bool = True
+    """True if it takes new goals of one of its actions, to run or to wait."""
+
+
 UNKNOWN_SENDER = Sender()
 """A client that the transport cannot identify."""
 

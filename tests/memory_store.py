@@ -27,7 +27,7 @@ from fibaction import GoalID, GoalStatus
 from fibaction._notify import Notifier
 from fibaction._tasks import Background
 from fibaction.exceptions import StoreError
-from fibaction.stores.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
+from fibaction.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
 
 BROKEN = "the store is broken, on purpose"
 

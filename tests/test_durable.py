@@ -36,7 +36,7 @@ from fibaction import (
     serve,
 )
 from fibaction._tasks import Background
-from fibaction.stores.goal_store import GoalJournal, GoalStore, StoredGoal, Then
+from fibaction.goal_store import GoalJournal, GoalStore, StoredGoal, Then
 from tests.contract.conftest import tcp_address
 
 pytestmark = pytest.mark.anyio

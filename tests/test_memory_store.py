@@ -13,8 +13,8 @@ from msgspec.structs import replace
 
 from fibaction import GoalID, GoalStatus
 from fibaction.exceptions import StoreError
+from fibaction.goal_store import GoalTaken, StoredGoal
 from fibaction.goals import UNKNOWN_SENDER
-from fibaction.stores.goal_store import GoalTaken, StoredGoal
 from tests.memory_store import Fate, MemoryJournal, MemoryStore
 from tests.virtual_time import in_virtual_time
 

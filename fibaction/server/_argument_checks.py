@@ -5,8 +5,8 @@ from __future__ import annotations
 import inspect
 from functools import partial
 
+from fibaction.goal_store import GoalStore
 from fibaction.server.schedule import Schedule
-from fibaction.stores.goal_store import GoalStore
 
 
 def check_recovery(recovery: object, max_attempts: int) -> None:

@@ -32,10 +32,10 @@ from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._slices import Slices
 from fibaction.exceptions import GoalKept, StoreError, copy_of
+from fibaction.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
 from fibaction.goals import GoalID, Outcome
 from fibaction.server.goal_record import GoalRecord
 from fibaction.states import GoalStatus
-from fibaction.stores.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
 
 OUTCOME_GRACE = 60.0
 """Seconds for which a store keeps an outcome beyond the result timeout: the client may have waited

@@ -14,7 +14,7 @@ from fibaction.goals import GoalID, GoalInfo, Outcome, Sender
 from fibaction.states import INITIAL, GoalStatus
 
 if TYPE_CHECKING:
-    from fibaction.stores.goal_store import StoredGoal
+    from fibaction.goal_store import StoredGoal
 
 NO_PLACE = (0, 0)
 """The place of a goal that does not wait."""

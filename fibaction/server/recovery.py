@@ -36,6 +36,7 @@ from fibaction._notify import Notifier
 from fibaction._slices import Slices
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import GoalAborted, GoalRejected, ProtocolError, text_of
+from fibaction.goal_store import StoredGoal
 from fibaction.server.callbacks import awaited
 from fibaction.server.checkpoints import Checkpoints
 from fibaction.server.dispatcher import Dispatcher
@@ -45,7 +46,6 @@ from fibaction.server.goal_record import LEAST_TIME, Ending, EndKind, GoalRecord
 from fibaction.server.registry import GoalRegistry
 from fibaction.server.runs import Runs
 from fibaction.states import GoalStatus
-from fibaction.stores.goal_store import StoredGoal
 
 RecoveryFunction: TypeAlias = Callable[[GoalHandle[GoalT]], Awaitable[None] | None]
 """A sync or async function that returns None to run a goal again, and raises `GoalAborted` to end

@@ -49,7 +49,7 @@ from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
 from fibaction.states import GoalEvent, GoalStatus, transition
 
 if TYPE_CHECKING:
-    from fibaction.stores.goal_store import StoredGoal
+    from fibaction.goal_store import StoredGoal
 
 ID_IN_USE = "its ID is in use by another goal"
 

@@ -23,6 +23,7 @@ from fibaction._tasks import Background
 from fibaction.abc import Endpoint
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import GoalKept, ServerNotFound, copy_of
+from fibaction.goal_store import GoalStore
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
 from fibaction.server._argument_checks import (
     check_is_executor,
@@ -47,7 +48,6 @@ from fibaction.server.runs import GOAL_IS_KEPT, Runs
 from fibaction.server.schedule import Schedule
 from fibaction.server.shutdown import Shutdown
 from fibaction.server.status_broadcast import StatusCursor
-from fibaction.stores.goal_store import GoalStore
 
 SERVER_STOPPED = "server stopped"
 

@@ -21,9 +21,9 @@ from anyio import to_thread
 
 from fibaction._text import excerpt
 from fibaction.exceptions import StoreError
+from fibaction.goal_store import StoredGoal
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores._wal import HEADER
-from fibaction.stores.goal_store import StoredGoal
 
 TRIES = 50
 PAUSE = 0.02

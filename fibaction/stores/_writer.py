@@ -34,7 +34,7 @@ import anyio
 from fibaction._asyncio_task import asyncio_task
 from fibaction._text import excerpt
 from fibaction.exceptions import StoreError
-from fibaction.stores.goal_store import StoredGoal, Then
+from fibaction.goal_store import StoredGoal, Then
 from fibaction.stores.journal_rows import KeptGoals, Record, encode_row
 
 if TYPE_CHECKING:

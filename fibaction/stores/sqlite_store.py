@@ -14,9 +14,9 @@ from anyio import CancelScope, Event
 from fibaction._slices import Slices
 from fibaction._text import excerpt
 from fibaction.exceptions import StoreError
+from fibaction.goal_store import GoalJournal, GoalStore, StoredGoal, Then
 from fibaction.goals import GoalID
 from fibaction.stores._writer import Writer
-from fibaction.stores.goal_store import GoalJournal, GoalStore, StoredGoal, Then
 from fibaction.stores.journal_rows import Checkpointed, Whole, ended, moved
 
 

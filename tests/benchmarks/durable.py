@@ -31,9 +31,9 @@ import anyio
 from fibaction import Action, ActionServer, GoalHandle, GoalID, SqliteStore, serve
 from fibaction import connect as connect_to
 from fibaction.cli.serve import rare_collections
+from fibaction.goal_store import GoalStore, StoredGoal
 from fibaction.goals import Sender
 from fibaction.states import GoalStatus
-from fibaction.stores.goal_store import GoalStore, StoredGoal
 from tests.benchmarks import over_dbos
 
 WORK = Action("work", goal=int, feedback=int, result=str)

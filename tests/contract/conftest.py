@@ -27,7 +27,7 @@ from fibaction import (
     serve,
 )
 from fibaction.action import FeedbackT, GoalT, ResultT
-from fibaction.stores.goal_store import GoalStore
+from fibaction.goal_store import GoalStore
 from fibaction_transports.inprocess import InProcessTransport
 from tests.certificates import pems
 from tests.memory_store import MemoryStore

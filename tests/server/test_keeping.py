@@ -26,10 +26,10 @@ from fibaction import (
     ServerNotFound,
     StoreError,
 )
+from fibaction.goal_store import StoredGoal
 from fibaction.goals import UNKNOWN_SENDER
 from fibaction.server.goal_keeper import SECOND
 from fibaction.server.goal_record import digest_of
-from fibaction.stores.goal_store import StoredGoal
 from tests.memory_store import Fate, MemoryStore
 from tests.virtual_time import in_virtual_time
 

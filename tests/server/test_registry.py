@@ -19,6 +19,7 @@ from hypothesis.stateful import (
 )
 
 from fibaction.exceptions import GoalRejected, InvalidTransition
+from fibaction.goal_store import StoredGoal
 from fibaction.goals import (
     NO_GOAL,
     UNKNOWN_SENDER,
@@ -33,7 +34,6 @@ from fibaction.server.cancellation import Cancellation
 from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
 from fibaction.server.registry import GoalRegistry, Verdict
 from fibaction.states import GoalEvent, GoalStatus
-from fibaction.stores.goal_store import StoredGoal
 
 
 def goal_id(number: int) -> GoalID:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from fibaction.goal_store import StoredGoal
 from fibaction.goals import GoalID, Outcome
 from fibaction.server.admission import Admission
 from fibaction.server.cancels import Cancels
@@ -15,7 +16,6 @@ from fibaction.server.recovery import Recovery
 from fibaction.server.registry import GoalRegistry
 from fibaction.server.runs import Run, Runs
 from fibaction.states import GoalStatus
-from fibaction.stores.goal_store import StoredGoal
 from tests.simulation.faults import mistake
 
 AnyAdmission = Admission[Any, Any, Any]

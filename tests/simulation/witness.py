@@ -15,11 +15,11 @@ from unittest.mock import patch
 
 from fibaction import ActionError, ActionServer, GoalID, Outcome, ProtocolError
 from fibaction.abc import GoalStream
+from fibaction.goal_store import StoredGoal
 from fibaction.server.cancellation import Cancellation
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import GoalRecord
 from fibaction.server.registry import GoalRegistry
-from fibaction.stores.goal_store import StoredGoal
 from fibaction.wire.codec import decode_from_server
 from fibaction.wire.connection import RemoteConnection
 from fibaction.wire.messages import (

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fibaction.goal_store import StoredGoal
 from fibaction.goals import GoalID, Sender
 from fibaction.states import GoalStatus
-from fibaction.stores.goal_store import StoredGoal
 from fibaction.stores.journal_rows import (
     ROW,
     ActionGoals,

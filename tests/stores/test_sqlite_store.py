@@ -18,9 +18,9 @@ import anyio.to_thread
 import pytest
 
 from fibaction import GoalStatus, SqliteStore, StoreError
+from fibaction.goal_store import GoalJournal, StoredGoal
 from fibaction.stores import _writer
 from fibaction.stores._journal_file import JournalFile
-from fibaction.stores.goal_store import GoalJournal, StoredGoal
 from fibaction.stores.journal_rows import Record, Start, encode_row
 from tests.stores.made import a_goal, after_end, as_kept
 
@@ -351,7 +351,7 @@ import sys
 import trio
 from fibaction import SqliteStore
 from fibaction.goals import GoalID, Sender
-from fibaction.stores.goal_store import StoredGoal
+from fibaction.goal_store import StoredGoal
 
 async def use():
     block = SqliteStore(sys.argv[2]).open("a", max_results=1, claim=print, lose=print)
@@ -419,7 +419,7 @@ import anyio
 from fibaction import SqliteStore
 from fibaction.goals import GoalID, Sender
 from fibaction.states import GoalStatus
-from fibaction.stores.goal_store import StoredGoal
+from fibaction.goal_store import StoredGoal
 
 def tell(what, goal, error):
     assert error is None

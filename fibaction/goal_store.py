@@ -21,6 +21,7 @@ store writes to.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
@@ -67,6 +68,9 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     """Time of the end: nanoseconds since 1970; 0 while the goal is active."""
     keep_until: int = 0
     """Time until which the outcome is kept: nanoseconds since 1970; 0 for ever."""
+    worker: str = ""
+    """The name of the worker that has the goal; empty if the store has one server for each action.
+    """
 
     @property
     def told_status(self) -> GoalStatus:
@@ -85,6 +89,22 @@ class GoalTaken(StoreError):
 
 class GoalJournal(ABC):
     """The goals of one action in an open store. See the module for the rules of all methods."""
+
+    @property
+    def valid_until(self) -> float:
+        """Time by the event loop's clock until which the goals belong to this server for certain.
+
+        From then on no executor may take another step, unless it has become later meanwhile.
+        """
+        return math.inf
+
+    def set_room(self, running: float, waiting: float) -> None:  # noqa: B027  # most need no room
+        """Note how many more goals the server can run now, and how many more can wait in its queue.
+
+        Both are 0 while the server starts, drains or stops, and `math.inf` without a limit. The
+        server calls it each time one of them becomes zero, or more than zero. A store that several
+        servers share hands over goals by it.
+        """
 
     @abstractmethod
     def accept(self, goal: StoredGoal, then: Then) -> None:

@@ -1,0 +1,1 @@
+"""`nats://`: a fleet of workers behind brokers of NATS."""
