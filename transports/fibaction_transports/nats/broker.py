@@ -1,4 +1,4 @@
-"""`Broker`: what a fleet needs of NATS, as one interface.
+"""`Broker`: the interface of a connection to brokers, as far as a fleet uses them.
 
 Everything else in this package is written against it. `NatsBroker` is the real one; the simulation
 has another, on virtual time. There are three kinds of things:
