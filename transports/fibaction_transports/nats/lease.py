@@ -47,8 +47,8 @@ CHANGE_INTERVAL = 1.0
 """Seconds between two renewals because something has changed."""
 FIRST_PAUSE, LONGEST_PAUSE = 0.02, 1.0
 """Seconds before the first and the later ones of repeated tries."""
-LEFT_TTL = 60.0
-"""Seconds that a deleted lease is remembered."""
+LEFT_TTL = 5.0
+"""Seconds that the end of a lease is remembered."""
 
 logger = clean_logger("fibaction.nats")
 
@@ -306,22 +306,17 @@ class Membership:
     # Leave
 
     async def leave(self, *, is_clean: bool) -> None:
-        """Delete the lease. `is_clean` says that the worker has no goals left.
+        """End the lease. `is_clean` says that the worker has no goals left.
 
-        Then nobody has to look for them: an entry without an incarnation comes before the end.
+        Then nobody has to look for them, which an entry without an incarnation tells.
         """
         incarnation, self.incarnation = self.incarnation, b""
         if not incarnation:
             return
+        left = LeaseEntry(self.worker, b"", self.since, self.lease) if is_clean else None
         with move_on_after(self.lease, shield=True):
-            done = LeaseEntry(self.worker, b"", self.since, self.lease) if is_clean else None
-            while True:
-                stored = await self._put(done, self._sequence, LEFT_TTL)
-                if isinstance(stored, int):
-                    if done is None:
-                        return
-                    self._sequence, done = stored, None
-                elif not await self._found(incarnation):
+            while not isinstance(await self._put(left, self._sequence, LEFT_TTL), int):
+                if not await self._found(incarnation):
                     return
 
     async def _found(self, incarnation: bytes) -> bool:
