@@ -91,15 +91,17 @@ class Worker:
             self._served = tuple(
                 ServedAction(endpoint.info, name in kept) for name, endpoint in mapping.items()
             )
-            self._membership.note_change()
-            async with Background() as tasks:
-                for name in mapping:
-                    tasks.start_soon(self._offers.run, name)
-                try:
-                    yield
-                finally:
-                    self._served = ()
-                    self._membership.note_change()
+            tasks = await stack.enter_async_context(Background())
+            stack.callback(self._serve_nothing)
+            for name in mapping:
+                tasks.start_soon(self._offers.run, name)
+            await self._offers.ready()
+            await self._membership.update()
+            yield
+
+    def _serve_nothing(self) -> None:
+        self._served = ()
+        self._membership.note_change()
 
     def _describe(self, entry: LeaseEntry) -> None:
         entry.actions = self._served
