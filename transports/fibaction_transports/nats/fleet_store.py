@@ -19,6 +19,7 @@ that other workers find it: see `takeover`.
 
 from __future__ import annotations
 
+import math
 import secrets
 import time
 from collections import deque
@@ -96,7 +97,7 @@ class FleetJournal(GoalJournal):
         lose: Callable[[GoalID], None],
     ) -> None:
         self.action = action
-        self.running = 0.0
+        self.running = math.inf
         """The number of goals that the server can run now."""
         self.waiting = 0.0
         """The number of goals that have room in its queue."""
