@@ -104,6 +104,9 @@ class Membership:
         self._sequence = 0
         self._has_changed = False
         self._changes = Notifier()
+        self._noted = self._told = 0  # the changes so far, and those that are stored
+        self._is_urgent = False
+        self._stored = Notifier()
         self._last_put = -math.inf
 
     @property
@@ -125,7 +128,15 @@ class Membership:
     def note_change(self) -> None:
         """Store the lease anew soon, because something in it has changed."""
         self._has_changed = True
+        self._noted += 1
         self._changes.notify()
+
+    async def tell(self) -> None:
+        """Store the lease at once, and wait until that is done."""
+        self.note_change()
+        noted, self._is_urgent = self._noted, True
+        while self._told < noted:
+            await self._stored.wait()
 
     # Join
 
@@ -238,6 +249,8 @@ class Membership:
                 await self._changes.wait()
 
     def _next(self) -> float:
+        if self._is_urgent:
+            return -math.inf
         if self._has_changed:
             return min(self._last_put + CHANGE_INTERVAL, self._term.renew_at)
         return self._term.renew_at
@@ -250,9 +263,13 @@ class Membership:
 
     async def _renewed(self, incarnation: bytes) -> bool:
         """Store the lease anew; return whether that is done, or in vain."""
-        self._has_changed = False
+        self._has_changed = self._is_urgent = False
+        noted = self._noted
         self._term.sent(current_time())
         stored = await self._put(self._entry(incarnation), self._sequence)
+        if isinstance(stored, int):
+            self._told = noted
+            self._stored.notify()
         if self.incarnation != incarnation:
             return True
         if isinstance(stored, int):

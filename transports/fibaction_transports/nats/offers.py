@@ -7,6 +7,7 @@ give each question to one of the workers that listen. So a worker with no room i
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 from anyio import sleep
 
@@ -33,6 +34,8 @@ class Offers:
         self._membership = membership
         self._store = store
         self._news = Notifier()
+        self._settled: set[str] = set()
+        self._news_of_settled = Notifier()
         self._open: dict[str, Subscription] = {}
 
     @property
@@ -43,6 +46,11 @@ class Offers:
     def note_room(self) -> None:
         """Note that the room of a server, or the membership, has changed."""
         self._news.notify()
+
+    async def settled(self, actions: Iterable[str]) -> None:
+        """Wait until it listens to the questions about these actions for which there is room."""
+        while not self._settled.issuperset(actions):
+            await self._news_of_settled.wait()
 
     async def run(self, action: str) -> None:
         """Listen to questions about an action while there is room, until canceled."""
@@ -55,6 +63,8 @@ class Offers:
                     if (room > 0) != (subject in self._open)
                 ]
                 if not changes:
+                    self._settled.add(action)
+                    self._news_of_settled.notify()
                     await self._news.wait()
                 for subject, listens in changes:
                     await self._listen(action, subject, listens=listens)

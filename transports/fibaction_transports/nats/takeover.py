@@ -37,8 +37,13 @@ from fibaction_transports.nats.broker import (
     PutFailure,
     Record,
 )
-from fibaction_transports.nats.fleet_records import GoalEntry, LeaseEntry, encode, goal_entry
-from fibaction_transports.nats.fleet_records import lease_entry
+from fibaction_transports.nats.fleet_records import (
+    GoalEntry,
+    LeaseEntry,
+    encode,
+    goal_entry,
+    lease_entry,
+)
 from fibaction_transports.nats.fleet_store import FleetJournal, FleetStore
 from fibaction_transports.nats.fleet_workers import FleetWorkers
 from fibaction_transports.nats.lease import LEFT_TTL, LONGEST_PAUSE, Membership

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager
 
-from anyio import CancelScope
+from anyio import CancelScope, move_on_after
 from anyio.abc import TaskGroup
 
 from fibaction._tasks import Background
@@ -60,9 +60,7 @@ class Worker:
         tasks.start_soon(self._membership.fence_in_time, name="fence of the worker")
         lease = self._membership.lease
         workers = FleetWorkers(self._broker, self._names, tasks, lease)
-        self._takeover = Takeover(
-            self._broker, self._names, self.store, self._membership, workers
-        )
+        self._takeover = Takeover(self._broker, self._names, self.store, self._membership, workers)
         try:
             await self._takeover.open()
         except (BrokerAway, ConnectionLost) as exc:
@@ -91,10 +89,13 @@ class Worker:
             self._served = tuple(
                 ServedAction(endpoint.info, name in kept) for name, endpoint in mapping.items()
             )
-            self._membership.note_change()
             async with Background() as tasks:
                 for name in mapping:
                     tasks.start_soon(self._offers.run, name)
+                # A client that sees an action in the lease finds its worker by a question.
+                await self._offers.settled(mapping)
+                with move_on_after(self._membership.lease):
+                    await self._membership.tell()
                 try:
                     yield
                 finally:
