@@ -10,8 +10,12 @@ given with the writes, so that they run as in any other task, and in slices. Wha
 when it is kept, is told by such a function; `kept` and `settled` wait for writes.
 
 The first write that fails is the end: nothing was told about it, nothing is written any more, and
-`on_failure` stops the server. A goal that belongs to another server by now is lost for this one
-alone: `on_lost`.
+`on_failure` stops the server.
+
+A goal that belongs to another server by now is lost for this one alone: a write of it is refused
+(`on_refused`), or the store says so by itself (`on_lost`), which overtakes the answers that wait.
+Answers about a lost goal that come later change nothing. The same goal may come back as another
+record, so a refusal is about a record, and not about an ID.
 
 Without a store, a server has no keeper.
 """
@@ -41,6 +45,7 @@ OUTCOME_GRACE = 60.0
 """Seconds for which a store keeps an outcome beyond the result timeout: the client may have waited
 for it while the server was away."""
 
+GOAL_IS_TAKEN = "another server has taken the goal over"
 STORE_FAILED = "the server has stopped, because its store has failed"
 STORE_IS_LATE = "the server has stopped before its store has answered"
 
@@ -52,7 +57,7 @@ logger = clean_logger("fibaction.server")
 
 Kept = Callable[[], None]
 """A function that is called when a write is durable."""
-_Answer = tuple[GoalID, Kept | None, StoreError | None]
+_Answer = tuple[GoalRecord, Kept | None, StoreError | None]
 
 
 class GoalKeeper:
@@ -76,6 +81,11 @@ class GoalKeeper:
         """The error of the first write that has failed."""
         self.on_failure: Callable[[], None] = lambda: None
         self.on_lost: Callable[[GoalID], None] = lambda _: None
+        """The function that is called for a goal that another server has taken over."""
+        self.on_refused: Callable[[GoalRecord], None] = lambda _: None
+        """The function that is called for a goal of which a write is refused for that reason."""
+        self.on_change: Callable[[], None] = lambda: None
+        """The function that is called after each write, and after its answer."""
 
     @asynccontextmanager
     async def open(self, claim: Callable[[StoredGoal], None]) -> AsyncGenerator[None, None]:
@@ -91,6 +101,20 @@ class GoalKeeper:
             lose=lambda goal_id: self.on_lost(goal_id),
         ) as self._journal:
             yield
+
+    def set_room(self, running: float, waiting: float) -> None:
+        """Tell the store how many more goals the server can run and queue."""
+        self._journal.set_room(running, waiting)
+
+    @property
+    def has_lease(self) -> bool:
+        """True if the goals belong to this server only until a time, `valid_until`."""
+        return type(self._journal).valid_until is not GoalJournal.valid_until
+
+    @property
+    def is_valid(self) -> bool:
+        """True if the goals belong to this server for certain."""
+        return current_time() < self._journal.valid_until
 
     # Writes
 
@@ -159,13 +183,14 @@ class GoalKeeper:
     ) -> int:
         self._written += 1
         if self.failure is None and not self._is_closed:
-            method(stored, partial(self._answer, goal.goal_id, then))
+            method(stored, partial(self._answer, goal, then))
+            self.on_change()
         return self._written
 
     # Answers
 
-    def _answer(self, goal_id: GoalID, then: Kept | None, error: StoreError | None) -> None:
-        self._answers.append((goal_id, then, error))
+    def _answer(self, goal: GoalRecord, then: Kept | None, error: StoreError | None) -> None:
+        self._answers.append((goal, then, error))
         if len(self._answers) == 1:
             self._news.notify()
 
@@ -180,16 +205,18 @@ class GoalKeeper:
                 self._answers.popleft()
                 await slices.pause()
 
-    def _carry_out(self, goal_id: GoalID, then: Kept | None, error: StoreError | None) -> None:
+    def _carry_out(self, goal: GoalRecord, then: Kept | None, error: StoreError | None) -> None:
         if self.failure is not None or self._is_closed:
             return
         self._answered += 1
-        if isinstance(error, GoalTaken):
-            self.on_lost(goal_id)
-        elif error is not None:
+        if error is not None and not isinstance(error, GoalTaken):
             self._fail(error)
-        elif then is not None:
-            then()
+        elif not goal.is_lost:
+            if error is not None:
+                self.on_refused(goal)
+            elif then is not None:
+                then()
+            self.on_change()
         while self._waits and self._waits[0][0] <= self._answered:
             heappop(self._waits)[-1].notify()
 
