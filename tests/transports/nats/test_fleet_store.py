@@ -11,9 +11,10 @@ from anyio import fail_after, sleep
 from msgspec.structs import replace
 
 from fibaction import GoalID, GoalStatus
+from fibaction._notify import Notifier
 from fibaction._tasks import Background
 from fibaction.exceptions import StoreError
-from fibaction.goal_store import GoalTaken, RecordTooLarge, StoredGoal
+from fibaction.goal_store import GoalTaken, RecordTooLarge, StoredGoal, Then
 from fibaction.goals import Sender
 from fibaction_transports.nats.fleet_records import GoalEntry, encode, goal_entry
 from fibaction_transports.nats.fleet_store import FleetJournal, FleetStore
@@ -56,9 +57,14 @@ class Member:
         self.claimed: list[StoredGoal] = []
         self.lost: list[GoalID] = []
         self.answers: list[tuple[str, StoreError | None]] = []
+        self._news = Notifier()
 
-    def then(self, name: str) -> object:
-        return lambda error: self.answers.append((name, error))
+    def then(self, name: str) -> Then:
+        def answered(error: StoreError | None) -> None:
+            self.answers.append((name, error))
+            self._news.notify()
+
+        return answered
 
     @property
     def errors(self) -> list[type[StoreError] | None]:
@@ -67,7 +73,7 @@ class Member:
     async def answered(self, count: int) -> None:
         with fail_after(LEASE * 2):
             while len(self.answers) < count:
-                await sleep(0.01)
+                await self._news.wait()
 
     def write(self, kind: str, one: StoredGoal, name: str = "") -> None:
         getattr(self.journal, kind)(one, self.then(name or kind))
