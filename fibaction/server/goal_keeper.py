@@ -13,9 +13,9 @@ The first write that fails is the end: nothing was told about it, nothing is wri
 `on_failure` stops the server.
 
 A goal that belongs to another server by now is lost for this one alone: a write of it is refused
-(`on_refused`), or the store says so by itself (`on_lost`), which overtakes the answers that wait.
-Answers about a lost goal that come later change nothing. The same goal may come back as another
-record, so a refusal is about a record, and not about an ID.
+(`on_refused`), or the store says so by itself (`on_lost`). Both happen at once, and overtake the
+answers that wait: those about a lost goal change nothing any more. The same goal may come back as
+another record, so a refusal is about a record, and not about an ID.
 
 Without a store, a server has no keeper.
 """
@@ -190,6 +190,8 @@ class GoalKeeper:
     # Answers
 
     def _answer(self, goal: GoalRecord, then: Kept | None, error: StoreError | None) -> None:
+        if isinstance(error, GoalTaken) and not (goal.is_lost or self._is_closed):
+            self.on_refused(goal)  # at once, as the store may hand it over again
         self._answers.append((goal, then, error))
         if len(self._answers) == 1:
             self._news.notify()
@@ -211,12 +213,9 @@ class GoalKeeper:
         self._answered += 1
         if error is not None and not isinstance(error, GoalTaken):
             self._fail(error)
-        elif not goal.is_lost:
-            if error is not None:
-                self.on_refused(goal)
-            elif then is not None:
-                then()
-            self.on_change()
+        elif then is not None and not goal.is_lost:
+            then()
+        self.on_change()
         while self._waits and self._waits[0][0] <= self._answered:
             heappop(self._waits)[-1].notify()
 
