@@ -19,7 +19,6 @@ that other workers find it: see `takeover`.
 
 from __future__ import annotations
 
-import math
 import secrets
 import time
 from collections import deque
@@ -107,7 +106,7 @@ class FleetJournal(GoalJournal):
         lose: Callable[[GoalID], None],
     ) -> None:
         self.action = action
-        self.running = math.inf
+        self.running = 0.0
         """The number of goals that the server can run now."""
         self.waiting = 0.0
         """The number of goals that have room in its queue."""
@@ -372,10 +371,8 @@ class FleetJournal(GoalJournal):
         """Let go of a goal that another worker has."""
         held = self._held.get(goal_id)
         if held is not None:
-            is_told = bool(held.writes)
+            self._lose(goal_id)
             self._taken_away(held)
-            if not is_told:
-                self._lose(goal_id)
 
     def lose_all(self) -> None:
         """Let go of all goals: they do not belong to this worker any longer."""
