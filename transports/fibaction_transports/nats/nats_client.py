@@ -26,6 +26,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import anyio
@@ -349,7 +350,9 @@ class NatsClient:
         Raises:
             ServerNotFound: None of them answers.
             AuthenticationFailed: One of them does not let this client in.
+            TransportError: The files of the settings cannot be used.
         """
+        _check_readable(self._settings.creds)
         tls = self._settings.tls
         self._tls = tls.client() if isinstance(tls, TlsFiles) else tls
         failure: TransportError | None = None
@@ -488,6 +491,21 @@ async def _cut(client: Any, *tasks: asyncio.Task[Any]) -> None:
     for task in ending:
         if task.done() and not task.cancelled():
             task.exception()
+
+
+def _check_readable(creds: str) -> None:
+    """Check that the credentials file can be read, if there is one.
+
+    Raises:
+        TransportError: It cannot.
+    """
+    if creds:
+        try:
+            Path(creds).read_bytes()
+        except OSError as exc:
+            raise TransportError(
+                f"the credentials file {creds} cannot be read: {exc.strerror}"
+            ) from exc
 
 
 def _translated(server: str, errors: list[BaseException | Exception]) -> TransportError:
