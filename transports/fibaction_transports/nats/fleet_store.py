@@ -19,6 +19,7 @@ that other workers find it: see `takeover`.
 
 from __future__ import annotations
 
+import math
 import secrets
 import time
 from collections import deque
@@ -51,7 +52,17 @@ RESERVE = 512
 class _Write:
     """A write of one goal."""
 
-    __slots__ = ("answer", "data", "incarnation", "is_answered", "kind", "nonce", "pause", "stored", "then")
+    __slots__ = (
+        "answer",
+        "data",
+        "incarnation",
+        "is_answered",
+        "kind",
+        "nonce",
+        "pause",
+        "stored",
+        "then",
+    )
 
     def __init__(
         self, kind: str, stored: StoredGoal, incarnation: bytes, nonce: bytes, then: Then
@@ -96,7 +107,7 @@ class FleetJournal(GoalJournal):
         lose: Callable[[GoalID], None],
     ) -> None:
         self.action = action
-        self.running = 0.0
+        self.running = math.inf
         """The number of goals that the server can run now."""
         self.waiting = 0.0
         """The number of goals that have room in its queue."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 from anyio import sleep
+from anyio.lowlevel import checkpoint
 
 from fibaction._notify import Notifier
 from fibaction.exceptions import ProtocolError
@@ -34,6 +35,8 @@ class Offers:
         self._store = store
         self._news = Notifier()
         self._open: dict[str, Subscription] = {}
+        self._busy = 0  # the actions whose subscriptions are not as they should be
+        self._ready = Notifier()
 
     @property
     def has_room(self) -> bool:
@@ -43,6 +46,12 @@ class Offers:
     def note_room(self) -> None:
         """Note that the room of a server, or the membership, has changed."""
         self._news.notify()
+
+    async def ready(self) -> None:
+        """Wait until the worker listens to all questions for which it has room."""
+        await checkpoint()  # the tasks begin
+        while self._busy:
+            await self._ready.wait()
 
     async def run(self, action: str) -> None:
         """Listen to questions about an action while there is room, until canceled."""
@@ -56,8 +65,13 @@ class Offers:
                 ]
                 if not changes:
                     await self._news.wait()
-                for subject, listens in changes:
-                    await self._listen(action, subject, listens=listens)
+                self._busy += 1
+                try:
+                    for subject, listens in changes:
+                        await self._listen(action, subject, listens=listens)
+                finally:
+                    self._busy -= 1
+                    self._ready.notify()
         finally:
             for subject in subjects:
                 self._close(subject)

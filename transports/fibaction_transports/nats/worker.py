@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncGenerator, Iterable
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 
 from anyio import CancelScope
 from anyio.abc import TaskGroup
@@ -60,9 +60,7 @@ class Worker:
         tasks.start_soon(self._membership.fence_in_time, name="fence of the worker")
         lease = self._membership.lease
         workers = FleetWorkers(self._broker, self._names, tasks, lease)
-        self._takeover = Takeover(
-            self._broker, self._names, self.store, self._membership, workers
-        )
+        self._takeover = Takeover(self._broker, self._names, self.store, self._membership, workers)
         try:
             await self._takeover.open()
         except (BrokerAway, ConnectionLost) as exc:
@@ -76,7 +74,8 @@ class Worker:
             TransportError: The brokers do not answer.
         """
         mapping = {endpoint.info.name: endpoint for endpoint in endpoints}
-        async with open_server(mapping, self._settings.server) as server:
+        async with AsyncExitStack() as stack:
+            server = await stack.enter_async_context(open_server(mapping, self._settings.server))
             lines = WorkerLines(
                 self._broker, self._names, self.name, server.new_reader, server.start
             )
@@ -84,19 +83,23 @@ class Worker:
                 await lines.open()
             except BrokerAway as exc:
                 raise TransportError(f"cannot serve in the fleet: {exc}") from exc
+            stack.callback(lines.close)
+            stack.push_async_callback(server.drain)  # while the lines are open
             kept = self.store.journals
             self._served = tuple(
                 ServedAction(endpoint.info, name in kept) for name, endpoint in mapping.items()
             )
-            self._membership.note_change()
-            async with Background() as tasks:
-                for name in mapping:
-                    tasks.start_soon(self._offers.run, name)
-                try:
-                    yield
-                finally:
-                    self._served = ()
-                    self._membership.note_change()
+            tasks = await stack.enter_async_context(Background())
+            stack.callback(self._serve_nothing)
+            for name in mapping:
+                tasks.start_soon(self._offers.run, name)
+            await self._offers.ready()
+            await self._membership.update()
+            yield
+
+    def _serve_nothing(self) -> None:
+        self._served = ()
+        self._membership.note_change()
 
     def _describe(self, entry: LeaseEntry) -> None:
         entry.actions = self._served
