@@ -33,6 +33,7 @@ VERBS = {
     "cancel": ("cancel", "cancel_command", "Cancel goals of any client."),
     "attach": ("attach", "attach_command", "Follow a goal that was sent before."),
     "echo": ("echo", "echo_command", "Print every status and feedback of an action."),
+    "workers": ("workers", "workers_command", "List the workers of a fleet."),
     "top": ("top", "top_command", "Watch all actions and goals on a live screen."),
     "serve": ("serve", "serve_command", "Run your action servers."),
     "bridge": ("bridge", "bridge_command", "Serve at one URL the actions of another."),
