@@ -97,6 +97,14 @@ class FleetNames:
         """Return the subject of notes of goals whose worker is gone, or has given them up."""
         return f"{self.root}.left.{token_of(action)}"
 
+    def all_want(self) -> str:
+        """Return the subject of all notes of goals that wait."""
+        return f"{self.root}.want.{ANY}"
+
+    def all_left(self) -> str:
+        """Return the subject of all notes of goals without a worker."""
+        return f"{self.root}.left.{ANY}"
+
 
 def last_token(subject: str) -> str:
     """Return the last token of a subject: the ID of a goal, or the token of a worker."""
@@ -106,3 +114,8 @@ def last_token(subject: str) -> str:
 def action_of(subject: str) -> str:
     """Return the action in the subject of a goal's record."""
     return name_of(subject.split(".")[3])
+
+
+def stream_of_note(subject: str) -> str:
+    """Return the stream of a note's subject."""
+    return f"FIB_{subject.split('.')[1]}_NOTES"
