@@ -32,7 +32,8 @@ from tests.benchmarks.over_fleet_slow import CONCURRENCY, SECONDS
 from tests.benchmarks.program import Program, program
 from tests.benchmarks.rounds import calibrated
 from tests.benchmarks.ways import BETWEEN, WAYS, Pair, Way, started
-from tests.fleet.servers import PROGRAM, Servers
+from tests.fleet.servers import servers
+from tests.nats_server import PROGRAM
 
 ORDERS = {"goals": 1, "hundred": 100, "five_hundred": 500}
 """The number of goals at once of each order."""
@@ -44,8 +45,8 @@ ACTIVE = (10, 1000, 10_000)
 @contextmanager
 def brokers(count: int) -> Iterator[Mapping[str, str]]:
     """Run brokers, and yield the environment of those that use them."""
-    with tempfile.TemporaryDirectory() as folder, Servers(Path(folder), count) as servers:
-        yield {FLEET: f"nats://{servers.hosts}/bench"}
+    with servers(count) as running:
+        yield {FLEET: f"nats://{running.hosts}/bench"}
 
 
 def over(name: str, environment: Mapping[str, str]) -> AbstractAsyncContextManager[Pair]:

@@ -98,13 +98,12 @@ class Crowd:
                 told.canceled_at = time.monotonic_ns()
         elif kind < 0.15:  # another client waits for some
             told.outcomes.append(await (await other.attach(goal.goal_id)).outcome())
-        attempt, seen = 0, 0
+        again, seen = 0, 0
         async for steps in goal.feedback:
-            if goal.attempt < attempt:
-                self._fault_of(goal, f"went back from attempt {attempt} to {goal.attempt}")
-            if goal.attempt == attempt and steps <= seen:
-                self._fault_of(goal, f"told step {steps} after {seen} in attempt {attempt}")
-            attempt, seen = goal.attempt, steps
+            again += steps <= seen
+            if again >= goal.attempt:
+                self._fault_of(goal, f"told step {steps} after {seen} in attempt {goal.attempt}")
+            seen = steps
         told.outcomes.append(await goal.outcome())
         self.answered += 1
         self.dropped += goal.feedback_dropped

@@ -13,7 +13,7 @@ import msgspec
 
 from fibaction import connect
 from tests.fleet.clients import Crowd, Load, crowd, settle
-from tests.fleet.servers import Servers
+from tests.fleet.servers import Servers, servers
 from tests.fleet.verdict import (
     Case,
     Handover,
@@ -86,7 +86,7 @@ class Scene(NamedTuple):
     @property
     def lease(self) -> float:
         """The seconds of a lease."""
-        default = 5.0 if len(self.servers.names) == 1 else 15.0
+        default = 5.0 if len(self.servers.by_name) == 1 else 15.0
         return default if self.run.lease is None else self.run.lease
 
 
@@ -122,14 +122,15 @@ async def lose_workers(scene: Scene) -> list[Loss]:
 
 async def lose_the_broker(scene: Scene) -> list[Loss]:
     """Kill the only broker, start it after a second, and freeze it for two seconds later."""
-    (broker,) = scene.servers.names
-    scene.servers.kill(broker)
+    (broker,) = scene.servers.by_name.values()
+    broker.kill()
     scene.crowd.go_on()
     await anyio.sleep(1)
-    scene.servers.start(broker)
+    broker.start(wait=False)
     await anyio.sleep(1)
-    with scene.servers.frozen(broker):
-        await anyio.sleep(2)
+    broker.freeze()
+    await anyio.sleep(2)
+    broker.thaw()
     return []
 
 
@@ -137,10 +138,11 @@ async def lose_the_leader(scene: Scene) -> list[Loss]:
     """Kill the broker that leads a stream of the fleet."""
     leader = await scene.witness.leader(scene.run.stream)
     await scene.witness.lead_elsewhere(leader)
-    scene.servers.kill(leader)
+    killed = scene.servers.by_name[leader]
+    killed.kill()
     scene.crowd.go_on()
-    await anyio.sleep(10)
-    scene.servers.start(leader)
+    await anyio.sleep(PAUSE)
+    killed.start(wait=False)
     return []
 
 
@@ -242,24 +244,24 @@ async def _scene(
     scenario: Scenario, settings: Run, folder: Path, ledger: Ledger
 ) -> AsyncGenerator[Scene, None]:
     async with AsyncExitStack() as stack:
-        servers = stack.enter_context(Servers(folder, scenario.brokers))
+        brokers = stack.enter_context(servers(scenario.brokers))
         lease = "" if settings.lease is None else f"&lease={settings.lease:g}"
         setups = [
             Setup(
                 name,
-                f"{_url(servers)}?worker={name}{lease}",
+                f"{_url(brokers)}?worker={name}{lease}",
                 str(folder / f"{name}.diary"),
                 settings.recovery,
             )
             for name in ("w1", "w2", "w3")
         ]
         started = await stack.enter_async_context(workers(*setups))
-        seen = await stack.enter_async_context(witness(servers.urls, FLEET))
+        seen = await stack.enter_async_context(witness(brokers.urls, FLEET))
         await seen.begin()
         clients = await stack.enter_async_context(
-            crowd(_url(servers), settings.load, settings.seed, ledger)
+            crowd(_url(brokers), settings.load, settings.seed, ledger)
         )
-        yield Scene(servers, seen, started, clients, settings)
+        yield Scene(brokers, seen, started, clients, settings)
 
 
 def _url(servers: Servers) -> str:
