@@ -12,6 +12,11 @@ from tests.nats_server import PROGRAM, NatsServer, nats_server
 from tests.transports.hearing import Hearing, hearing
 
 
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"  # nats-py needs it
+
+
 @pytest.fixture(autouse=True)
 def collected() -> Generator[None, None, None]:
     """What a test leaves open is found in that test, not in one that comes later."""
@@ -45,9 +50,3 @@ def own_broker() -> Generator[NatsServer, None, None]:
 @pytest.fixture
 def fleet() -> str:
     return secrets.token_hex(4)
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    """The event loop of a fleet: nats-py needs asyncio."""
-    return "asyncio"

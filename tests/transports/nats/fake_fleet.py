@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
 import anyio
 
-from fibaction import ActionServer, Endpoint
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    Endpoint,
+    GoalHandle,
+    GoalID,
+    GoalStatus,
+)
 from fibaction._notify import Notifier
 from fibaction._tasks import Background
+from fibaction.abc import Connection
 from fibaction.exceptions import ServerNotFound
 from fibaction.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
-from fibaction.goals import GoalID
+from fibaction.goals import UNKNOWN_SENDER
+from fibaction.server.goal_record import digest_of
 from fibaction.wire.channel import Line
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.wire_server import open_server
@@ -43,6 +54,34 @@ from fibaction_transports.nats.names import FleetNames
 from tests.wire.memory import MemoryChannel, pair
 
 NAMES = FleetNames("test")
+COUNT = Action("count", goal=int, feedback=int, result=str)
+"""Counts up to its goal; below 0, it then waits for a cancel."""
+GOAL_ID = GoalID(bytes(range(16)))
+THREE, MINUS_THREE = COUNT.goal.encode(3), COUNT.goal.encode(-3)
+ENDED: dict[str, Any] = {
+    "status": GoalStatus.SUCCEEDED,
+    "result": COUNT.result.encode("3"),
+    "feedback_count": 3,
+    "ended_at": 1,
+    "goal": b"",
+}
+"""The fields of a record after the end."""
+
+
+async def count(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
+    for number in range(abs(goal.request)):
+        yield number
+    if goal.request < 0:
+        await anyio.sleep_forever()
+    yield str(goal.request)
+
+
+def server(**settings: Any) -> ActionServer[int, int, str]:
+    return ActionServer(COUNT, count, result_timeout=math.inf, **settings)
+
+
+def client_of(connection: Connection) -> ActionClient[int, int, str]:
+    return ActionClient(connection.endpoint(COUNT), COUNT)
 
 
 class FakeBroker(Broker):
@@ -295,6 +334,20 @@ class FakeWorker:
         self.hang_up()
         self.end_lease()
 
+    def own(self, goal_id: GoalID, **changes: Any) -> None:
+        """Store the record of a goal, without knowing it."""
+        fields: dict[str, Any] = {
+            "stamp": 7,
+            "digest": digest_of(THREE),
+            "goal": THREE,
+            "worker": self.name,
+            "attempt": 1,
+            **changes,
+        }
+        goal = StoredGoal(goal_id, sender=UNKNOWN_SENDER, **fields)
+        entry = GoalEntry(goal, self.incarnation, b"\0\0\0\0")
+        self.broker.store(NAMES.goal("count", goal_id), encode(entry))
+
     def take_over(self, action: str, goal_id: GoalID) -> None:
         """Become the owner of a goal of another worker."""
         subject = NAMES.goal(action, goal_id)
@@ -357,4 +410,3 @@ class FakeFleet:
                 yield connection
             finally:
                 await connection.leave()
-

@@ -135,7 +135,8 @@ class CallRoutes:
             pause = min(max(current_time() - lost_at, FIRST_PAUSE), LONGEST_PAUSE)
             await self.changes(pause)
         while goal in self._lost:
-            if await self._is_routed(goal):
+            is_over = is_again and current_time() >= gives_up
+            if await self._is_routed(goal, is_over=is_over):
                 self._lost.pop(goal, None)
                 return
             if current_time() >= gives_up:
@@ -150,8 +151,10 @@ class CallRoutes:
             await self.changes(min(pause, max(gives_up - current_time(), 0)))
             pause = min(2 * pause, LONGEST_PAUSE)
 
-    async def _is_routed(self, goal: RemoteGoal) -> bool:
-        """Return whether a lost goal has an owner that lives, or has ended."""
+    async def _is_routed(self, goal: RemoteGoal, *, is_over: bool) -> bool:
+        """Return whether a lost goal is with an owner that lives, or has ended; if its time is over,
+        it goes to no owner any more.
+        """
         try:
             found = await self.find(goal.action, goal.goal_id)
         except ConnectionLost as exc:
@@ -164,9 +167,9 @@ class CallRoutes:
             return True
         if found is None:
             goal.finish(UNKNOWN_OUTCOME, 0, goal.newest_attempt)
-        elif found.is_alive:
+        elif found.is_alive and not is_over:
             self._connections.adopt(found.goal.worker, goal)
-        elif found.goal.ended_at:
+        elif found.goal.ended_at and not found.is_alive:
             finish(goal, found.goal)
         else:
             return False

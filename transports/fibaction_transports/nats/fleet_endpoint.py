@@ -34,6 +34,7 @@ from fibaction.goals import (
     Sender,
 )
 from fibaction.server.goal_record import digest_of
+from fibaction.server.registry import ID_IN_USE
 from fibaction.wire.messages import LARGEST, CancelAnswered, CancelGoals, Follow, SendGoal
 from fibaction.wire.remote_goal import RemoteGoal
 from fibaction_transports.nats.call_routes import (
@@ -164,7 +165,7 @@ class FleetEndpoint(Endpoint):
             GoalRejected: Another goal has this ID.
         """
         if found.goal.digest != digest_of(goal):
-            raise GoalRejected("its ID is in use by another goal", goal_id=found.goal.goal_id)
+            raise GoalRejected(ID_IN_USE, goal_id=found.goal.goal_id)
         return ended_goal(request(self._parts.connections.next_id(), 1), found.goal)
 
     # To follow a goal

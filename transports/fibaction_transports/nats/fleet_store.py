@@ -28,11 +28,11 @@ from contextlib import asynccontextmanager
 from copy import copy
 from typing import Final
 
-from anyio import CancelScope, current_time, sleep
+from anyio import CancelScope, sleep
 from anyio.abc import TaskGroup
 
-from fibaction._log import clean_logger
 from fibaction._notify import Notifier
+from fibaction._tasks import Background
 from fibaction._text import excerpt
 from fibaction.exceptions import ProtocolError, StoreError
 from fibaction.goal_store import GoalJournal, GoalStore, GoalTaken, RecordTooLarge, StoredGoal, Then
@@ -45,14 +45,14 @@ from fibaction_transports.nats.names import FleetNames
 SECOND: Final = 1_000_000_000
 DELETED_TTL = 60.0
 """Seconds that a deleted record is remembered."""
-
-logger = clean_logger("fibaction.nats")
+RESERVE = 512
+"""Bytes by which the record of an active goal may grow, and those of its headers."""
 
 
 class _Write:
     """A write of one goal."""
 
-    __slots__ = ("answer", "data", "incarnation", "is_answered", "kind", "nonce", "stored", "then")
+    __slots__ = ("answer", "data", "incarnation", "is_answered", "kind", "nonce", "pause", "stored", "then")
 
     def __init__(
         self, kind: str, stored: StoredGoal, incarnation: bytes, nonce: bytes, then: Then
@@ -64,6 +64,7 @@ class _Write:
         owner = b"" if kind == "release" else incarnation
         self.data = encode(GoalEntry(stored, owner, nonce))
         self.then = then
+        self.pause = FIRST_PAUSE
         self.is_answered = False
         self.answer: StoreError | None = None
 
@@ -96,7 +97,7 @@ class FleetJournal(GoalJournal):
         lose: Callable[[GoalID], None],
     ) -> None:
         self.action = action
-        self.running = 0.0
+        self.running = math.inf
         """The number of goals that the server can run now."""
         self.waiting = 0.0
         """The number of goals that have room in its queue."""
@@ -140,8 +141,8 @@ class FleetJournal(GoalJournal):
         held = self._held.get(goal.goal_id)
         if held is not None:
             held.waits = False
-        self.begun.notify()
         self._write("begin", goal, then)
+        self.begun.notify()
 
     def cancel(self, goal: StoredGoal, then: Then) -> None:
         """See `GoalJournal.cancel`."""
@@ -153,7 +154,9 @@ class FleetJournal(GoalJournal):
 
     def end(self, goal: StoredGoal, then: Then) -> None:
         """See `GoalJournal.end`."""
-        self.begun.notify()
+        held = self._held.get(goal.goal_id)
+        if held is not None:
+            held.waits = False
         self._write("end", goal, then)
 
     def release(self, goal: StoredGoal, then: Then) -> None:
@@ -179,6 +182,10 @@ class FleetJournal(GoalJournal):
         write = held.writes[0]
         if not self._membership.check() or self._membership.incarnation != write.incarnation:
             self._taken_away(held)
+            return
+        limit = self._broker.max_record - (RESERVE if write.kind in ("accept", "checkpoint") else 0)
+        if len(write.data) > limit:
+            self._answered(held, write, PutError(PutFailure.TOO_LARGE, ""))
             return
         subject = self._names.goal(self.action, held.goal_id)
         ttl = None
@@ -266,7 +273,6 @@ class FleetJournal(GoalJournal):
 
     async def _clear_doubt(self, held: _Held, write: _Write) -> None:
         """Find out whether a write is stored, and write it again if it is not."""
-        pause = FIRST_PAUSE
         while held.writes and held.writes[0] is write:
             if not self._membership.check() or self._membership.incarnation != write.incarnation:
                 self._taken_away(held)
@@ -275,8 +281,7 @@ class FleetJournal(GoalJournal):
             try:
                 record = await self._broker.get(self._names.goals, subject)
             except BrokerAway:
-                await sleep(pause)
-                pause = min(2 * pause, LONGEST_PAUSE)
+                await self._pause(write)
                 continue
             if not (held.writes and held.writes[0] is write):
                 return
@@ -287,10 +292,15 @@ class FleetJournal(GoalJournal):
                 self._stored(held, write, record.sequence)
             else:
                 held.sequence = sequence
-                await sleep(pause)
+                await self._pause(write)
                 if held.writes and held.writes[0] is write:
                     self._send(held)
             return
+
+    @staticmethod
+    async def _pause(write: _Write) -> None:
+        await sleep(write.pause)
+        write.pause = min(2 * write.pause, LONGEST_PAUSE)
 
     def _sequence_for(self, held: _Held, write: _Write, record: Record | None) -> int | None:
         """Return the sequence to write over; -1 if the write is stored, None if it cannot be."""
@@ -407,8 +417,10 @@ class FleetStore(GoalStore):
         """The tasks of the worker."""
         self.journals: dict[str, FleetJournal] = {}
         """The journals that are open, by their actions."""
-        self.on_open: Callable[[FleetJournal], None] = lambda _journal: None
-        """The function that is called with each journal that is opened."""
+        self.has_goals_left = False
+        """True if a server has stopped whose goals could not be released."""
+        self.on_open: Callable[[FleetJournal, TaskGroup], None] = lambda _journal, _tasks: None
+        """The function that is called with each journal that is opened, and with its tasks."""
         self.on_room: Callable[[], None] = lambda: None
         """The function that is called when the room of a server has changed."""
         membership.on_fence = self.lose_all
@@ -436,10 +448,12 @@ class FleetStore(GoalStore):
         journal = FleetJournal(self, action, max_results, claim, lose)
         self.journals[action] = journal
         try:
-            self.on_open(journal)
-            yield journal
+            async with Background() as tasks:
+                self.on_open(journal, tasks)
+                yield journal
         finally:
             with CancelScope(shield=True):
                 await journal.release_rest()
+            self.has_goals_left = self.has_goals_left or len(journal) > 0
             del self.journals[action]
             self.on_room()

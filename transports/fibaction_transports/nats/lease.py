@@ -47,8 +47,8 @@ CHANGE_INTERVAL = 1.0
 """Seconds between two renewals because something has changed."""
 FIRST_PAUSE, LONGEST_PAUSE = 0.02, 1.0
 """Seconds before the first and the later ones of repeated tries."""
-LEFT_TTL = 60.0
-"""Seconds that a deleted lease is remembered."""
+LEFT_TTL = 5.0
+"""Seconds that the end of a lease is remembered."""
 
 logger = clean_logger("fibaction.nats")
 
@@ -102,8 +102,10 @@ class Membership:
         self._term = Term(lease)
         self._mine: set[bytes] = set()
         self._sequence = 0
-        self._has_changed = False
+        self._wanted = 0  # the number of changes so far
+        self._stored = 0  # the number of those that the stored lease has
         self._changes = Notifier()
+        self._news = Notifier()
         self._last_put = -math.inf
 
     @property
@@ -124,8 +126,16 @@ class Membership:
 
     def note_change(self) -> None:
         """Store the lease anew soon, because something in it has changed."""
-        self._has_changed = True
+        self._wanted += 1
         self._changes.notify()
+
+    async def update(self) -> None:
+        """Store the lease anew at once, and wait until it is stored."""
+        self._last_put = -math.inf
+        self.note_change()
+        wanted = self._wanted
+        while self._stored < wanted:
+            await self._news.wait()
 
     # Join
 
@@ -179,10 +189,10 @@ class Membership:
         self._mine.add(incarnation)
         self._term.end()
         self._term.sent(current_time())
+        change = self._wanted
         stored = await self._put(self._entry(incarnation), expected)
         if isinstance(stored, int):
-            self._sequence = stored
-            self._term.stored()
+            self._keep(stored, change)
             if current_time() < self._term.valid_until:
                 self.incarnation = incarnation
         elif stored.kind in (PutFailure.TOO_LARGE, PutFailure.FULL):
@@ -238,7 +248,7 @@ class Membership:
                 await self._changes.wait()
 
     def _next(self) -> float:
-        if self._has_changed:
+        if self._stored < self._wanted:
             return min(self._last_put + CHANGE_INTERVAL, self._term.renew_at)
         return self._term.renew_at
 
@@ -250,13 +260,13 @@ class Membership:
 
     async def _renewed(self, incarnation: bytes) -> bool:
         """Store the lease anew; return whether that is done, or in vain."""
-        self._has_changed = False
+        change = self._wanted
         self._term.sent(current_time())
         stored = await self._put(self._entry(incarnation), self._sequence)
         if self.incarnation != incarnation:
             return True
         if isinstance(stored, int):
-            self._keep(stored)
+            self._keep(stored, change)
             return True
         if stored.kind is not PutFailure.REFUSED:
             logger.warning("worker %r: the lease is not renewed: %s", self.worker, stored.text)
@@ -270,7 +280,7 @@ class Membership:
         if record is not None and record.data and self._has(record, incarnation):
             if record.sequence == self._sequence:
                 return False  # an older answer, of a broker that is behind
-            self._keep(record.sequence)
+            self._keep(record.sequence, self._stored)
             return True
         self._fence("its lease has ended")
         return True
@@ -282,9 +292,10 @@ class Membership:
         except ProtocolError:
             return False
 
-    def _keep(self, sequence: int) -> None:
-        self._sequence = sequence
+    def _keep(self, sequence: int, change: int) -> None:
+        self._sequence, self._stored = sequence, change
         self._term.stored()
+        self._news.notify()
         self.check()
 
     def _fence(self, why: str) -> None:
@@ -306,22 +317,17 @@ class Membership:
     # Leave
 
     async def leave(self, *, is_clean: bool) -> None:
-        """Delete the lease. `is_clean` says that the worker has no goals left.
+        """End the lease. `is_clean` says that the worker has no goals left.
 
-        Then nobody has to look for them: an entry without an incarnation comes before the end.
+        Then nobody has to look for them, which an entry without an incarnation tells.
         """
         incarnation, self.incarnation = self.incarnation, b""
         if not incarnation:
             return
+        left = LeaseEntry(self.worker, b"", self.since, self.lease) if is_clean else None
         with move_on_after(self.lease, shield=True):
-            done = LeaseEntry(self.worker, b"", self.since, self.lease) if is_clean else None
-            while True:
-                stored = await self._put(done, self._sequence, LEFT_TTL)
-                if isinstance(stored, int):
-                    if done is None:
-                        return
-                    self._sequence, done = stored, None
-                elif not await self._found(incarnation):
+            while not isinstance(await self._put(left, self._sequence, LEFT_TTL), int):
+                if not await self._found(incarnation):
                     return
 
     async def _found(self, incarnation: bytes) -> bool:
