@@ -256,7 +256,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
                 self._dispatcher.accepted(goal.goal_id)
 
         def reject(error: RecordTooLarge) -> None:
-            self._writing.pop(goal.goal_id, None)
+            del self._writing[goal.goal_id]
             acceptance.error = self._reject(goal.goal_id, f"the goal cannot be kept: {error}")
             if self._dispatcher is not None:
                 self._dispatcher.withdraw(goal.goal_id)

@@ -10,15 +10,13 @@ given with the writes, so that they run as in any other task, and in slices. Wha
 when it is kept, is told by such a function; `kept` and `settled` wait for writes.
 
 The first write that fails is the end: nothing was told about it, nothing is written any more, and
-`on_failure` stops the server.
+`on_failure` stops the server. What is too large for the store concerns its goal alone: a function
+that was given with the write rejects or ends the goal.
 
 A goal that belongs to another server by now is lost for this one alone: a write of it is refused
-(`on_refused`), or the store says so by itself (`on_lost`), which overtakes the answers that wait.
-Answers about a lost goal that come later change nothing. The same goal may come back as another
-record, so a refusal is about a record, and not about an ID.
-
-What is too large for the store concerns its goal alone: a function that was given with the write
-rejects or ends the goal.
+(`on_refused`), or the store says so by itself (`on_lost`). Both happen at once, and overtake the
+answers that wait: those about a lost goal change nothing any more. The same goal may come back as
+another record, so a refusal is about a record, and not about an ID.
 
 Without a store, a server has no keeper.
 """
@@ -66,7 +64,7 @@ TooLarge = Callable[[RecordTooLarge], None]
 
 
 class _Answer(NamedTuple):
-    """An answer of the store."""
+    """The answer of the store to a write."""
 
     goal: GoalRecord
     then: Kept | None
@@ -221,19 +219,21 @@ class GoalKeeper:
     ) -> int:
         self._written += 1
         if self.failure is None and not self._is_closed:
-            method(stored, partial(self._answer, goal, then, too_large))
+            method(stored, partial(self._note, goal, then, too_large))
             self.on_change()
         return self._written
 
     # Answers
 
-    def _answer(
+    def _note(
         self,
         goal: GoalRecord,
         then: Kept | None,
         too_large: TooLarge | None,
         error: StoreError | None,
     ) -> None:
+        if isinstance(error, GoalTaken) and not (goal.is_lost or self._is_closed):
+            self.on_refused(goal)  # at once, as the store may hand it over again
         self._answers.append(_Answer(goal, then, too_large, error))
         if len(self._answers) == 1:
             self._news.notify()
@@ -252,20 +252,17 @@ class GoalKeeper:
     def _carry_out(self, answer: _Answer) -> None:
         if self.failure is not None or self._is_closed:
             return
-        goal, then, too_large, error = answer
         self._answered += 1
-        if isinstance(error, RecordTooLarge) and too_large is not None:
-            if not goal.is_lost:
-                too_large(error)
-                self.on_change()
-        elif error is not None and not isinstance(error, GoalTaken):
+        error = answer.error
+        if error is not None and not isinstance(error, GoalTaken | RecordTooLarge):
             self._fail(error)
-        elif not goal.is_lost:
-            if error is not None:
-                self.on_refused(goal)
-            elif then is not None:
-                then()
-            self.on_change()
+        elif not answer.goal.is_lost:
+            if isinstance(error, RecordTooLarge):
+                assert answer.too_large is not None  # only what can grow is too large
+                answer.too_large(error)
+            elif answer.then is not None:
+                answer.then()
+        self.on_change()
         while self._waits and self._waits[0][0] <= self._answered:
             heappop(self._waits)[-1].notify()
 

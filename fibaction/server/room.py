@@ -24,7 +24,9 @@ LOOK_AGAIN = 0.1
 class Room:
     """The room of one server for goals."""
 
-    def __init__(self, registry: GoalRegistry, dispatcher: Dispatcher[Any, Any, Any] | None) -> None:
+    def __init__(
+        self, registry: GoalRegistry, dispatcher: Dispatcher[Any, Any, Any] | None
+    ) -> None:
         self._registry = registry
         self._dispatcher = dispatcher
         self._keeper: GoalKeeper | None = None
