@@ -266,9 +266,7 @@ async def test_joining_without_brokers_fails_in_one_sentence() -> None:
     async with MemoryBrokers() as shared:
         broker = shared.member()
         broker.is_away = True
-        with pytest.raises(
-            TransportError, match="the fleet: the brokers do not answer"
-        ):
+        with pytest.raises(TransportError, match="the fleet: the brokers do not answer"):
             await Member(broker).join()
 
 
