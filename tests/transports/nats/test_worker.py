@@ -143,9 +143,10 @@ async def test_waiting_goals_run_at_the_worker_that_is_free() -> None:
                     tasks.start_soon(caller.call, 4)
                 await sleep(1)
                 async with serving(shared.member(), servers[1], "b"):
-                    with fail_after(11):  # two by each, and not four after each other
-                        while shared.notes or servers[0]._runs or servers[1]._runs:
-                            await sleep(0.5)  # the test looks from outside
+                    await sleep(8.5)  # two by each, and not four after each other
+                    assert not servers[0]._runs
+                    assert not servers[1]._runs
+                    assert not shared.notes
 
 
 async def test_a_fenced_worker_lets_its_goals_go_and_runs_others_later() -> None:
@@ -163,10 +164,8 @@ async def test_a_fenced_worker_lets_its_goals_go_and_runs_others_later() -> None
                 broker.is_away = True
                 await sleep(2 * LEASE)
                 broker.is_away = False
-                with fail_after(40):
-                    while not found:
-                        await sleep(0.5)  # the test looks from outside
-                assert found == [2]
+                await sleep(30)
+                assert found == [2], "it is the second attempt"
 
 
 async def test_a_worker_without_brokers_says_so_in_one_sentence() -> None:
