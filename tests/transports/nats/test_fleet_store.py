@@ -7,7 +7,7 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
 import pytest
-from anyio import fail_after, sleep
+from anyio import create_task_group, fail_after, sleep
 from msgspec.structs import replace
 
 from fibaction import GoalID, GoalStatus
@@ -182,8 +182,10 @@ async def test_a_goal_of_another_worker_is_taken() -> None:
 async def test_an_outcome_that_the_server_has_forgotten_is_replaced() -> None:
     async with MemoryBrokers() as shared, member(shared) as robot:
         one = goal()
-        for kind, value in (("accept", one), ("end", ended(one)), ("accept", one)):
-            robot.write(kind, value)
+        robot.write("accept", one)
+        robot.write("end", ended(one))
+        await robot.answered(2)
+        robot.write("accept", one)
         await robot.answered(3)
         assert robot.errors == [None] * 3
         found = entry(shared, one)
@@ -447,6 +449,21 @@ async def test_a_goal_that_another_worker_was_faster_to_take_is_not_claimed() ->
         assert not await b.journal.take(record, replace(one))
         assert not b.claimed
         assert not b.journal.has(one.goal_id)
+
+
+async def test_a_goal_that_is_being_taken_is_not_accepted_anew() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one = goal()
+        shared.put(NAMES.goal("count", one.goal_id), encode(GoalEntry(one, b"", b"1234")), 0, 100)
+        record = shared.newest(NAMES.goal("count", one.goal_id))
+        assert record is not None
+        shared.delay = lambda: 0.5
+        async with create_task_group() as tasks:
+            tasks.start_soon(robot.journal.take, record, replace(one))
+            await sleep(0.1)
+            robot.write("accept", one)
+        assert robot.errors == [GoalTaken]
+        assert robot.claimed == [one]
 
 
 async def test_a_goal_is_lost_alone() -> None:
