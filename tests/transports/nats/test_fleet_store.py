@@ -16,6 +16,7 @@ from fibaction._tasks import Background
 from fibaction.exceptions import StoreError
 from fibaction.goal_store import GoalTaken, RecordTooLarge, StoredGoal, Then
 from fibaction.goals import Sender
+from fibaction_transports.nats.broker import BrokerAway, Record
 from fibaction_transports.nats.fleet_records import GoalEntry, encode, goal_entry
 from fibaction_transports.nats.fleet_store import FleetJournal, FleetStore
 from fibaction_transports.nats.lease import Membership
@@ -241,6 +242,67 @@ async def test_a_write_that_did_not_arrive_is_written_again() -> None:
         await robot.answered(1)
         assert robot.errors == [None]
         assert len(writes(shared)) == 1
+
+
+async def test_an_old_answer_of_a_broker_that_is_behind_takes_no_goal_away(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one = goal()
+        robot.write("accept", one)
+        await robot.answered(1)
+        name = NAMES.goal("count", one.goal_id)
+        robot.write("checkpoint", one)
+        await robot.answered(2)
+        get, old = robot.broker.get, [None, Record(name, b"old", 1)]
+
+        async def behind(stream: str, subject: str) -> Record | None:
+            return old.pop() if old and subject == name else await get(stream, subject)
+
+        monkeypatch.setattr(robot.broker, "get", behind)
+        shared.loses_answer = lambda write: write.subject == name
+        robot.write("end", ended(one))
+        await robot.answered(3)
+        assert robot.errors == [None] * 3
+        assert not old
+        assert len(writes(shared)) == 3
+
+
+async def test_the_next_worker_s_write_is_told_from_a_lost_answer() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one = goal()
+        robot.write("accept", one)
+        await robot.answered(1)
+        robot.broker.is_away = True
+        robot.write("end", ended(one))
+        await sleep(0.1)
+        record = shared.newest(NAMES.goal("count", one.goal_id))
+        assert record is not None
+        other = encode(GoalEntry(one, b"other", b"9999"))
+        shared.put(record.subject, other, record.sequence, 100)
+        robot.broker.is_away = False
+        await robot.answered(2)
+        assert robot.errors == [None, GoalTaken]
+
+
+async def test_a_record_is_read_again_while_the_brokers_do_not_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        get, failures = robot.broker.get, [1, 2, 3]
+
+        async def away(stream: str, subject: str) -> Record | None:
+            if failures and ".goal." in subject:
+                failures.pop()
+                raise BrokerAway("on purpose")
+            return await get(stream, subject)
+
+        monkeypatch.setattr(robot.broker, "get", away)
+        shared.loses_answer = lambda write: ".goal." in write.subject
+        robot.write("accept", goal())
+        await robot.answered(1)
+        assert robot.errors == [None]
+        assert not failures
 
 
 async def test_no_answer_is_never_taken_for_a_loss_before_the_lease_ends() -> None:

@@ -12,6 +12,7 @@ from anyio import create_task_group, current_time, fail_after, sleep
 
 from fibaction._tasks import Background
 from fibaction.exceptions import TransportError
+from fibaction_transports.nats.broker import BrokerAway, Record
 from fibaction_transports.nats.fleet_records import LeaseEntry, encode, lease_entry
 from fibaction_transports.nats.lease import Membership, Term
 from fibaction_transports.nats.names import FleetNames
@@ -123,6 +124,29 @@ async def test_a_renewal_whose_answer_is_lost_counts_from_when_it_was_sent() -> 
         assert len(lost) == 2, "the lease was found to be stored, and is renewed again"
         assert not member.fences
         assert member.valid_until == pytest.approx(lost[0] + LEASE - MARGIN)
+
+
+async def test_a_lease_that_cannot_be_read_is_no_reason_to_give_it_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        async with joined(broker) as member:
+            get = broker.get
+            record = shared.newest(NAMES.worker("robot"))
+            old = [record, None, BrokerAway("on purpose")]
+
+            async def behind(stream: str, subject: str) -> Record | None:
+                found = old.pop() if old else await get(stream, subject)
+                if isinstance(found, BrokerAway):
+                    raise found
+                return found
+
+            monkeypatch.setattr(broker, "get", behind)
+            shared.loses_answer = lambda _: len(shared.writes) == 2
+            await sleep(LEASE)
+            assert not old
+            assert not member.fences
 
 
 async def test_a_full_stream_is_tried_again_until_the_lease_ends(

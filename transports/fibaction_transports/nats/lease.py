@@ -281,9 +281,9 @@ class Membership:
             return False
         if self.incarnation != incarnation:
             return True
-        if record is not None and record.data and self._has(record, incarnation):
-            if record.sequence == self._sequence:
-                return False  # an older answer, of a broker that is behind
+        if record is None or record.sequence <= self._sequence:
+            return False  # by a broker that is behind: sequences only grow
+        if record.data and self._has(record, incarnation):
             self._keep(record.sequence, self._stored)
             return True
         self._fence("its lease has ended")
