@@ -39,6 +39,7 @@ from fibaction.exceptions import (
     ProtocolError,
     StoreError,
 )
+from fibaction.goal_store import RecordTooLarge
 from fibaction.goals import GoalID, Sender
 from fibaction.server._sender_argument import GoalFunction, with_sender
 from fibaction.server.callbacks import SERVER_STOPPING, Callbacks
@@ -67,12 +68,14 @@ class Offer(NamedTuple):
 class _AcceptanceInWriting:
     """The acceptance of a goal that the store does not have yet."""
 
-    __slots__ = ("_goal", "is_left", "stream")
+    __slots__ = ("_goal", "error", "is_left", "stream")
 
     def __init__(self, goal: GoalRecord) -> None:
         self._goal = goal
         self.stream: FeedbackCursor | None = None
         """The stream of the goal, once it is accepted."""
+        self.error: GoalRejected | None = None
+        """The rejection of a goal that the store cannot keep."""
         self.is_left = False
         """True if the call that has sent the goal does not wait any longer."""
 
@@ -235,11 +238,18 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             if self._dispatcher is not None:
                 self._dispatcher.accepted(goal.goal_id, orders)
 
+        def reject(error: RecordTooLarge) -> None:
+            acceptance.error = self._reject(goal.goal_id, f"the goal cannot be kept: {error}")
+            if self._dispatcher is not None:
+                self._dispatcher.withdraw(goal.goal_id)
+
         is_running = self._dispatcher is None
         if self._dispatcher is not None:
             self._dispatcher.hold(goal.goal_id)
             is_running = any(order.act is Act.START for order in orders)
-        write = keeper.accept(goal, offer.goal, is_running=is_running, then=accept)
+        write = keeper.accept(
+            goal, offer.goal, is_running=is_running, then=accept, too_large=reject
+        )
         return self._await_acceptance(keeper, write, acceptance)
 
     async def _await_acceptance(
@@ -252,6 +262,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         except BaseException:
             acceptance.leave()
             raise
+        if acceptance.error is not None:
+            raise acceptance.error
         if acceptance.stream is None:
             raise GoalKept(GOAL_IS_TAKEN)
         return acceptance.stream

@@ -11,7 +11,8 @@ when it is kept, is told by such a function; `kept` and `settled` wait for write
 
 The first write that fails is the end: nothing was told about it, nothing is written any more, and
 `on_failure` stops the server. A goal that belongs to another server by now is lost for this one
-alone: `on_lost`.
+alone: `on_lost`. What is too large for the store concerns its goal alone: a function that was given
+with the write rejects or ends the goal.
 
 Without a store, a server has no keeper.
 """
@@ -25,6 +26,7 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from heapq import heappop, heappush
+from typing import NamedTuple
 
 from anyio import current_time
 
@@ -32,7 +34,7 @@ from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._slices import Slices
 from fibaction.exceptions import GoalKept, StoreError, copy_of
-from fibaction.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
+from fibaction.goal_store import GoalJournal, GoalStore, GoalTaken, RecordTooLarge, StoredGoal, Then
 from fibaction.goals import GoalID, Outcome
 from fibaction.server.goal_record import GoalRecord
 from fibaction.states import GoalStatus
@@ -52,7 +54,18 @@ logger = clean_logger("fibaction.server")
 
 Kept = Callable[[], None]
 """A function that is called when a write is durable."""
-_Answer = tuple[GoalID, Kept | None, StoreError | None]
+TooLarge = Callable[[RecordTooLarge], None]
+"""A function that is called when something is too large for the store."""
+
+
+class _Answer(NamedTuple):
+    """An answer of the store; without a number, the goal was taken, and nothing was written."""
+
+    number: int
+    goal_id: GoalID
+    then: Kept | None
+    too_large: TooLarge | None
+    error: StoreError | None
 
 
 class GoalKeeper:
@@ -69,6 +82,7 @@ class GoalKeeper:
         self._answered = 0
         self._answers: deque[_Answer] = deque()
         self._news = Notifier()
+        self._too_large: dict[int, RecordTooLarge] = {}  # by the numbers of checkpoints
         self._waits: list[tuple[int, int, Notifier]] = []  # a heap, by the numbers of the writes
         self._turns = itertools.count()
         self._is_closed = False
@@ -88,13 +102,21 @@ class GoalKeeper:
             self._action,
             max_results=self._max_results,
             claim=claim,
-            lose=lambda goal_id: self.on_lost(goal_id),
+            lose=self._lose,
         ) as self._journal:
             yield
 
     # Writes
 
-    def accept(self, goal: GoalRecord, payload: bytes, *, is_running: bool, then: Kept) -> int:
+    def accept(
+        self,
+        goal: GoalRecord,
+        payload: bytes,
+        *,
+        is_running: bool,
+        then: Kept,
+        too_large: TooLarge,
+    ) -> int:
         """Keep a goal that is about to be accepted, and return the number of the write."""
         deadline = 0
         if goal.deadline - current_time() < LONGEST:
@@ -109,7 +131,7 @@ class GoalKeeper:
             is_running=is_running,
             attempt=int(is_running),
         )
-        return self._write(self._journal.accept, goal, goal.stored, then)
+        return self._write(self._journal.accept, goal, goal.stored, then, too_large)
 
     def begin(self, goal: GoalRecord, then: Kept | None = None) -> None:
         """Keep that an attempt at the goal begins."""
@@ -126,10 +148,19 @@ class GoalKeeper:
     def checkpoint(self, goal: GoalRecord, state: bytes) -> int:
         """Keep a checkpoint, and return the number of the write."""
         stored = _stored(goal)
-        stored.checkpoint = state
-        return self._write(self._journal.checkpoint, goal, stored, None)
+        earlier, stored.checkpoint = stored.checkpoint, state
+        number = self._written + 1
 
-    def end(self, goal: GoalRecord, outcome: Outcome[bytes], then: Kept) -> None:
+        def too_large(error: RecordTooLarge) -> None:
+            self._too_large[number] = error
+            if stored.checkpoint is state:
+                stored.checkpoint = earlier
+
+        return self._write(self._journal.checkpoint, goal, stored, None, too_large)
+
+    def end(
+        self, goal: GoalRecord, outcome: Outcome[bytes], then: Kept, too_large: TooLarge
+    ) -> None:
         """Keep the end of the goal."""
         stored, goal.stored = _stored(goal), None
         now = time.time_ns()
@@ -142,7 +173,12 @@ class GoalKeeper:
         stored.feedback_count, stored.ended_at = goal.feedback_count, now
         if self._keep_for < LONGEST:
             stored.keep_until = now + int((self._keep_for + OUTCOME_GRACE) * SECOND)
-        self._write(self._journal.end, goal, stored, then)
+
+        def keep_without(error: RecordTooLarge) -> None:
+            goal.stored = stored
+            too_large(error)
+
+        self._write(self._journal.end, goal, stored, then, keep_without)
 
     def release(self, goal: GoalRecord, then: Kept) -> None:
         """Keep that the goal is free, to be run again."""
@@ -156,18 +192,24 @@ class GoalKeeper:
         goal: GoalRecord,
         stored: StoredGoal,
         then: Kept | None,
+        too_large: TooLarge | None = None,
     ) -> int:
         self._written += 1
         if self.failure is None and not self._is_closed:
-            method(stored, partial(self._answer, goal.goal_id, then))
+            answer = _Answer(self._written, goal.goal_id, then, too_large, None)
+            method(stored, partial(self._note, answer))
         return self._written
 
     # Answers
 
-    def _answer(self, goal_id: GoalID, then: Kept | None, error: StoreError | None) -> None:
-        self._answers.append((goal_id, then, error))
+    def _note(self, answer: _Answer, error: StoreError | None) -> None:
+        self._answers.append(answer if error is None else answer._replace(error=error))
         if len(self._answers) == 1:
             self._news.notify()
+
+    def _lose(self, goal_id: GoalID) -> None:
+        """Lose a goal, after the answers that have come."""
+        self._note(_Answer(0, goal_id, None, None, None), GoalTaken(""))
 
     async def run(self) -> None:
         """Carry out the answers of the store, until canceled."""
@@ -176,20 +218,23 @@ class GoalKeeper:
                 await self._news.wait()
             slices = Slices()
             while self._answers:
-                self._carry_out(*self._answers[0])
+                self._carry_out(self._answers[0])
                 self._answers.popleft()
                 await slices.pause()
 
-    def _carry_out(self, goal_id: GoalID, then: Kept | None, error: StoreError | None) -> None:
+    def _carry_out(self, answer: _Answer) -> None:
         if self.failure is not None or self._is_closed:
             return
-        self._answered += 1
+        error = answer.error
+        self._answered = answer.number or self._answered
         if isinstance(error, GoalTaken):
-            self.on_lost(goal_id)
+            self.on_lost(answer.goal_id)
+        elif isinstance(error, RecordTooLarge) and answer.too_large is not None:
+            answer.too_large(error)
         elif error is not None:
             self._fail(error)
-        elif then is not None:
-            then()
+        elif answer.then is not None:
+            answer.then()
         while self._waits and self._waits[0][0] <= self._answered:
             heappop(self._waits)[-1].notify()
 
@@ -234,6 +279,9 @@ class GoalKeeper:
             StoreError: It has failed, or one before it.
         """
         await self._wait(write)
+        too_large = self._too_large.pop(write, None)
+        if too_large is not None:
+            raise too_large
         if self.failure is not None:
             raise copy_of(self.failure)
         if self._answered < write:

@@ -21,6 +21,8 @@ from contextlib import AbstractAsyncContextManager
 from enum import Enum
 from typing import NamedTuple, TypeAlias
 
+from fibaction_transports.nats.names import FleetNames
+
 
 class Message(NamedTuple):
     """A message that is not stored."""
@@ -110,6 +112,8 @@ class Broker(ABC):
 
     max_record: int
     """The bytes of the largest record or message that the broker takes."""
+    brokers: int
+    """The number of brokers that keep records together, as far as it is known."""
 
     @property
     @abstractmethod
@@ -153,6 +157,17 @@ class Broker(ABC):
         """
 
     # Records
+
+    @abstractmethod
+    async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
+        """Make the streams of a fleet, or check those that are there.
+
+        Clients make none: a stream that is missing is like an empty one. `replicas` is the number
+        of brokers that keep each record; 0 leaves it to the broker, or as it is.
+
+        Raises:
+            TransportError: A stream of this name is of something else, or cannot be made.
+        """
 
     @abstractmethod
     def put(
