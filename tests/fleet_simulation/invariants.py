@@ -34,7 +34,7 @@ class Told:
     goal_id: GoalID
     is_accepted: bool = False
     cancel_accepted: bool = False
-    outcome: Outcome[int] | None = None
+    outcome: Outcome[str] | None = None
     error: str = ""
 
 
@@ -90,10 +90,6 @@ def _of_records(goal_id: GoalID, history: list[GoalEntry]) -> Iterator[str]:
     attempts = [entry.goal.attempt for entry in history]
     if attempts != sorted(attempts):
         yield f"{goal_id}: its attempts went back: {attempts}"
-    owners = [entry.incarnation for entry in history if entry.incarnation]
-    changes = [one for one, next_one in zip(owners, owners[1:], strict=False) if one != next_one]
-    if len(set(changes)) < len(changes):
-        yield f"{goal_id}: an owner that had lost it wrote again"
 
 
 def _of_executors(goal_id: GoalID, stretches: Iterable[Stretch], most: int) -> Iterator[str]:

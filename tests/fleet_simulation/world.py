@@ -20,6 +20,7 @@ from fibaction import (
     GoalID,
     GoalRejected,
     Schedule,
+    ServerNotFound,
     StoreError,
 )
 from fibaction.wire.settings import ClientSettings
@@ -45,7 +46,7 @@ MAX_ATTEMPTS = 5
 CLEAN_UP = 0.05
 """Seconds that executors take for their clean-up."""
 
-WORK = Action("work", goal=int, feedback=int, result=int, checkpoint=int)
+WORK = Action("work", goal=int, feedback=int, result=str, checkpoint=int)
 NAMES = FleetNames("simulated")
 
 
@@ -91,8 +92,9 @@ class Process:
                     async with server, worker.serve([server]):
                         await anyio.sleep_forever()
         except (StoreError, ActionError) as exc:
-            if not self.is_dead:
+            if not self.is_dead and "cannot join the fleet" not in str(exc):
                 world.seen.errors.append(f"{self.name} has failed: {exc}")
+            self.is_dead = True
 
     def kill(self) -> None:
         """End it at once: nothing that it does from now on is seen by anybody."""
@@ -105,7 +107,7 @@ class Process:
                 stretch.ended = min(stretch.ended, current_time())
         self.scope.cancel()
 
-    async def work(self, goal: GoalHandle[int]) -> AsyncGenerator[int, None]:
+    async def work(self, goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
         """Count to the goal, with a checkpoint at each second step."""
         chance = self.world.chance
         restored = goal.restored or 0
@@ -125,7 +127,7 @@ class Process:
             raise
         finally:
             stretch.ended = min(stretch.ended, current_time())
-        yield goal.request
+        yield f"counted to {goal.request}"
 
 
 class World:
@@ -134,7 +136,7 @@ class World:
     def __init__(self, seed: int) -> None:
         self.chance = chance = random.Random(f"fleet {seed}")
         self.seen = Seen(LEASE, MAX_ATTEMPTS)
-        self.brokers = MemoryBrokers()
+        self.brokers: MemoryBrokers
         self.recovery = chance.choice(["abort", "rerun", "rerun"])
         self.schedule = chance.choice(
             [None, Schedule(concurrency=1, queue=20), Schedule(concurrency=2, queue=3)]
@@ -142,13 +144,15 @@ class World:
         self.lives: dict[str, Process] = {}
         self.count = 0
         self.kills = 0
-        lost = chance.choice([0.0, 0.0, 0.02, 0.1])
-        self.brokers.loses_answer = lambda _write: chance.random() < lost
-        delay = chance.choice([0.0, 0.002, 0.1])
-        self.brokers.delay = lambda: chance.uniform(0, delay)
+        self.lost = chance.choice([0.0, 0.0, 0.02, 0.1])
+        self.delay = chance.choice([0.0, 0.002, 0.1])
 
     async def run(self) -> None:
         """Let it happen."""
+        chance = self.chance
+        self.brokers = MemoryBrokers()
+        self.brokers.loses_answer = lambda _write: chance.random() < self.lost
+        self.brokers.delay = lambda: chance.uniform(0, self.delay)
         async with self.brokers, anyio.create_task_group() as tasks:
             workers = [f"w{number}" for number in range(self.chance.randint(2, 4))]
             with anyio.move_on_after(LENGTH + QUIET) as limit:
@@ -188,6 +192,8 @@ class World:
             tasks.start_soon(life.run)
             while True:
                 await anyio.sleep(chance.uniform(1, 20))
+                if life.is_dead:  # it could not join
+                    break
                 if current_time() > end:
                     await anyio.sleep_forever()
                 if chance.random() < 0.5:
@@ -233,7 +239,7 @@ class World:
                 await anyio.sleep(chance.uniform(0, 3))
                 told.cancel_accepted = (await goal.cancel()).accepted
             told.outcome = await goal.outcome()
-        except (ConnectionLost, GoalRejected) as exc:
+        except (ConnectionLost, GoalRejected, ServerNotFound) as exc:
             told.error = str(exc)
         except ActionError as exc:
             told.error = str(exc)
