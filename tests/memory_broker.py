@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from heapq import heappop, heappush
@@ -419,7 +419,7 @@ class MemoryBroker(Broker):
 
         self._send(add)
 
-    async def notes(self, subject: str) -> AsyncIterator[Note]:
+    async def notes(self, subject: str) -> AsyncGenerator[Note, None]:
         """See `Broker.notes`."""
         shared = self.shared
         while True:

@@ -7,13 +7,16 @@ opened again, as after a restart.
 
 As a real store does, it takes from a goal only what a method is about, so a server that changes
 something else and does not write it is found.
+
+Other servers can take goals over, which are then not among `goals`: at a write (`Fate.TAKEN`) or at
+any time (`take`). `give` hands a goal over to the server that has the store open.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from enum import Enum
@@ -50,6 +53,7 @@ class Fate(Enum):
 
 class _Write(NamedTuple):
     number: int
+    takeovers: int
     what: str
     goal: StoredGoal
     then: Then
@@ -85,6 +89,14 @@ class MemoryStore(GoalStore):
         self.on_death: Callable[[], None] = lambda: None
         """The function that is called when a fate lets the process die."""
         self.clock = clock
+        self.on_taken: Callable[[StoredGoal], None] = lambda _goal: None
+        """The function that is called with a goal that another server takes over."""
+        self.valid_until: Callable[[], float] = lambda: math.inf
+        """The function that returns the time until which the goals belong to their server."""
+        self.rooms: list[tuple[float, float]] = []
+        """The room for goals that servers have told."""
+        self.takeovers: Counter[tuple[str, GoalID]] = Counter()
+        """The number of times that each goal was taken over by another server."""
         self.journals: dict[str, MemoryJournal] = {}
         """The journals that are open, by their actions."""
         self._dead: list[MemoryJournal] = []
@@ -101,7 +113,7 @@ class MemoryStore(GoalStore):
         """See `GoalStore.open`."""
         if action in self.journals:
             raise StoreError(f"the store is in use for {action!r}: stop its server first")
-        journal = self.journals[action] = MemoryJournal(self, action, max_results)
+        journal = self.journals[action] = MemoryJournal(self, action, max_results, claim, lose)
         try:
             journal.forget_old()
             kept = [goal for (name, _), goal in self.goals.items() if name == action]
@@ -122,6 +134,28 @@ class MemoryStore(GoalStore):
         finally:
             if self.journals.get(action) is journal:
                 del self.journals[action]
+
+    def take(self, action: str, goal_id: GoalID) -> StoredGoal | None:
+        """Let another server take a goal over, and return it as it was kept."""
+        goal = self.note_takeover(action, goal_id)
+        if action in self.journals:
+            self.journals[action].lose(goal_id)
+        return goal
+
+    def note_takeover(self, action: str, goal_id: GoalID) -> StoredGoal | None:
+        """Refuse the writes under way about a goal, which another server has."""
+        self.takeovers[action, goal_id] += 1
+        goal = self.goals.pop((action, goal_id), None)
+        if goal is not None:
+            self.on_taken(goal)
+        return goal
+
+    def give(self, action: str, goal: StoredGoal) -> None:
+        """Hand a goal over, that another server had, to the one that has the store open."""
+        self.goals[action, goal.goal_id] = goal
+        self.on_claim(goal)
+        if action in self.journals:
+            self.journals[action].claim(replace(goal))
 
     def die(self, applied: int = 0) -> None:
         """Let the process die: all writes under way are lost, but for the first `applied` ones."""
@@ -150,7 +184,15 @@ class MemoryStore(GoalStore):
 class MemoryJournal(GoalJournal):
     """The goals of one action in a store in memory."""
 
-    def __init__(self, store: MemoryStore, action: str, max_results: int) -> None:
+    def __init__(
+        self,
+        store: MemoryStore,
+        action: str,
+        max_results: int,
+        claim: Callable[[StoredGoal], None],
+        lose: Callable[[GoalID], None],
+    ) -> None:
+        self.claim, self.lose = claim, lose
         self._store = store
         self._action = action
         self._max_results = max_results
@@ -163,6 +205,15 @@ class MemoryJournal(GoalJournal):
         self._empty = Notifier()
 
     # The port
+
+    @property
+    def valid_until(self) -> float:
+        """See `GoalJournal.valid_until`."""
+        return self._store.valid_until()
+
+    def set_room(self, running: float, waiting: float) -> None:
+        """See `GoalJournal.set_room`."""
+        self._store.rooms.append((running, waiting))
 
     def accept(self, goal: StoredGoal, then: Then) -> None:
         """See `GoalJournal.accept`."""
@@ -194,7 +245,10 @@ class MemoryJournal(GoalJournal):
         self._store.writes += 1
         delay = self._store.delay()
         self._due = max(self._due, current_time() + delay if delay else -math.inf)
-        self._writes.append(_Write(self._store.writes, what, replace(goal), then, self._due))
+        takeovers = self._store.takeovers[self._action, goal.goal_id]
+        self._writes.append(
+            _Write(self._store.writes, takeovers, what, replace(goal), then, self._due)
+        )
         self.news.notify()
 
     # Answers
@@ -231,7 +285,11 @@ class MemoryJournal(GoalJournal):
                 self._keep(write)
         if self._failure is not None:
             return self._failure
+        goal_id = GoalID(write.goal.goal_id)
+        if write.takeovers < self._store.takeovers[self._action, goal_id]:
+            return GoalTaken(BROKEN)
         if fate is Fate.TAKEN:
+            self._store.note_takeover(self._action, goal_id)
             return GoalTaken(BROKEN)
         if fate is not Fate.LOST:
             self._keep(write)

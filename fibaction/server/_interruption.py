@@ -19,6 +19,10 @@ that, it is in its clean-up, and the shield is set again. `Steps` also sets the 
 coroutine should have waited (`slice_end`), since executors that never wait must let other tasks
 run.
 
+A server may be cut off from a store that it shares, or frozen. Then its goals may run elsewhere,
+and `fence` interrupts the coroutine, and says that it may not go on. `Steps` lets the task wait for
+that cancellation in place of the step (`_detour`). Only a coroutine that shields itself goes on.
+
 Inside a task group of the executor's own, the backend's rule holds: the group is canceled with all
 its tasks, and clean-up there needs a shield of its own. On trio, a nursery that is open around
 clean-up absorbs the cancellation.
@@ -45,6 +49,7 @@ from types import TracebackType
 from typing import Any, Generic, NoReturn, TypeVar
 
 from anyio import CancelScope, TaskHandle, current_effective_deadline, get_cancelled_exc_class
+from anyio.lowlevel import checkpoint
 
 from fibaction.server._turns import Turns
 
@@ -164,10 +169,13 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         "_context",
         "_coroutine",
         "_current",
+        "_delayed",
+        "_detour",
         "_kills",
         "_on_given_up",
         "_on_spared",
         "_scopes",
+        "fence",
         "pending",
         "slice_end",
     )
@@ -196,6 +204,10 @@ class Steps(Generator[Any, Any, T], Generic[T]):
         self._arrived = False
         self._by_outcome = False
         self._kills = 0
+        self.fence: Callable[[], bool] | None = None
+        """The function that interrupts the coroutine, and returns True, if it may not go on."""
+        self._detour: Coroutine[Any, Any, None] | None = None
+        self._delayed: Any = None  # the value of the step that is not taken
         self.slice_end = 0.0
         """The time by which the coroutine should have waited, by `perf_counter`."""
         scopes.steps = self
@@ -225,6 +237,12 @@ class Steps(Generator[Any, Any, T], Generic[T]):
             # trio resumes a task with an `outcome.Error`, and raises its exception further inside.
             self._by_outcome = True
             self._note_arrival(getattr(value, "error", None))
+        if self.fence is not None and (self._detour is not None or self.fence()):
+            try:
+                return self._wait_instead(value)
+            except StopIteration:  # the coroutine shields itself
+                value, self._delayed = self._delayed, None
+                self._detour = self.fence = None
         current = self._current
         outer = current.steps  # an eager task begins in the step of another one
         self.slice_end = perf_counter() + EXECUTOR_SLICE  # before the watchdog can see this step
@@ -257,6 +275,16 @@ class Steps(Generator[Any, Any, T], Generic[T]):
             # The exception references the frames it passes, and those this one, since Python 3.12.
             del typ, error
 
+    def _wait_instead(self, value: Any) -> Any:
+        """Let the task wait for the cancellation, in place of a step.
+
+        Raises:
+            StopIteration: None arrives.
+        """
+        if self._detour is None:
+            self._detour, self._delayed, value = checkpoint(), value, None
+        return self._detour.send(value)
+
     def close(self) -> None:
         self._coroutine.close()
 
@@ -266,6 +294,10 @@ class Steps(Generator[Any, Any, T], Generic[T]):
             if self.pending:
                 self.pending = False
                 self._arrived = True
+                self.fence = None  # what follows is clean-up
+                if self._detour is not None:
+                    self._detour.close()
+                    self._detour = self._delayed = None
             elif self._scopes.is_killed:
                 self._kills += 1
                 if self._kills > MOST_KILLS:

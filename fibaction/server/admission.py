@@ -17,13 +17,15 @@ goal, made by the first task that waits.
 With a store, an acceptance is written before the goal is accepted and anything is told. Until then
 the goal counts as undecided; its place in the schedule is taken already. If the call is canceled
 meanwhile, the goal is accepted all the same. `_AcceptanceInWriting` has what is to be done when the
-write is durable.
+write is durable. If another server turns out to have the goal (`lose`), the call is told so.
+
+A server that drains rejects new goals as busy, so that clients of several servers go elsewhere.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Coroutine, Sequence
+from collections.abc import Awaitable, Coroutine
 from contextvars import copy_context
 from typing import Any, Generic, NamedTuple
 
@@ -34,7 +36,7 @@ from fibaction._notify import Notifier
 from fibaction._text import excerpt, shortened
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import (
-    GoalKept,
+    ConnectionLost,
     GoalRejected,
     ProtocolError,
     StoreError,
@@ -45,12 +47,14 @@ from fibaction.server._sender_argument import GoalFunction, with_sender
 from fibaction.server.callbacks import SERVER_STOPPING, Callbacks
 from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.goal_keeper import GoalKeeper
+from fibaction.server.goal_keeper import GOAL_IS_TAKEN, GoalKeeper
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.goal_record import LEAST_TIME, GoalRecord
 from fibaction.server.registry import GoalRegistry, Verdict
-from fibaction.server.runs import GOAL_IS_TAKEN, Runs
-from fibaction.server.scheduler import Act, Busy, Order
+from fibaction.server.runs import Runs
+from fibaction.server.scheduler import Act, Busy
+
+DRAINING = "busy: the server drains"
 
 logger = clean_logger("fibaction.server")
 
@@ -68,10 +72,10 @@ class Offer(NamedTuple):
 class _AcceptanceInWriting:
     """The acceptance of a goal that the store does not have yet."""
 
-    __slots__ = ("_goal", "error", "is_left", "stream")
+    __slots__ = ("error", "goal", "is_left", "stream")
 
     def __init__(self, goal: GoalRecord) -> None:
-        self._goal = goal
+        self.goal = goal
         self.stream: FeedbackCursor | None = None
         """The stream of the goal, once it is accepted."""
         self.error: GoalRejected | None = None
@@ -82,7 +86,7 @@ class _AcceptanceInWriting:
     def leave(self) -> None:
         """Wait no longer: the call was canceled. Its client may come back, and send it again."""
         self.is_left = True
-        self._goal.remember_until = current_time() + LEAST_TIME
+        self.goal.remember_until = current_time() + LEAST_TIME
         if self.stream is not None:
             self.stream.close()
 
@@ -110,6 +114,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._on_goal = None if on_goal is None else with_sender("on_goal", on_goal)
         self._callbacks = callbacks
         self._decisions: dict[GoalID, Notifier] = {}
+        self._writing: dict[GoalID, GoalRecord] = {}  # those that the store does not have yet
+        self._is_draining = False
         self._is_closed = False
 
     def keep_by(self, keeper: GoalKeeper) -> None:
@@ -119,6 +125,10 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
     def close(self) -> None:
         """Reject all goals from now on, and all that are still undecided."""
         self._is_closed = True
+
+    def drain(self) -> None:
+        """Reject new goals from now on as busy."""
+        self._is_draining = True
 
     # Goals
 
@@ -159,8 +169,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise
 
     def _check_room(self, goal_id: GoalID) -> None:
-        """Reject a new goal if the server is at a limit."""
-        busy = self._registry.busy
+        """Reject a new goal if the server is at a limit, or drains."""
+        busy = DRAINING if self._is_draining else self._registry.busy
         if not busy and self._registry.budget.is_over:
             while self._logs.expire(current_time()):
                 pass
@@ -200,13 +210,18 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         """Accept a goal, and return its stream; with a store, a coroutine that waits for it."""
         if self._is_closed:
             raise GoalRejected(SERVER_STOPPING)
+        if self._is_draining:
+            raise Busy(DRAINING)
         goal_id, sender, dispatcher = offer.goal_id, offer.sender, self._dispatcher
         orders = () if dispatcher is None else dispatcher.offer(goal_id, request, sender)
         goal = self._registry.prepare(
             goal_id, stamp=time.time_ns(), sender=sender, deadline=offer.deadline
         )
         if self._keeper is not None:
-            return self._write_acceptance(self._keeper, offer, request, goal, orders)
+            is_running = dispatcher is None or any(order.act is Act.START for order in orders)
+            if dispatcher is not None:
+                dispatcher.hold(goal_id, orders)
+            return self._write_acceptance(self._keeper, offer, request, goal, is_running=is_running)
         self._registry.accept(goal)
         self._tell_decision(goal_id)
         log = self._runs.add(goal, request, begin=dispatcher is None)
@@ -222,12 +237,14 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         offer: Offer,
         request: GoalT,
         goal: GoalRecord,
-        orders: Sequence[Order],
+        *,
+        is_running: bool,
     ) -> Coroutine[Any, Any, FeedbackCursor]:
         """Begin to write an acceptance, and return the wait for the stream of the goal."""
         acceptance, context = _AcceptanceInWriting(goal), copy_context()
 
         def accept() -> None:
+            del self._writing[goal.goal_id]
             self._registry.accept(goal)
             begin = self._dispatcher is None and not self._is_closed
             log = self._runs.add(goal, request, begin=begin, context=context)
@@ -236,24 +253,22 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
                 acceptance.stream.close()
             self._tell_decision(goal.goal_id)
             if self._dispatcher is not None:
-                self._dispatcher.accepted(goal.goal_id, orders)
+                self._dispatcher.accepted(goal.goal_id)
 
         def reject(error: RecordTooLarge) -> None:
+            del self._writing[goal.goal_id]
             acceptance.error = self._reject(goal.goal_id, f"the goal cannot be kept: {error}")
             if self._dispatcher is not None:
                 self._dispatcher.withdraw(goal.goal_id)
 
-        is_running = self._dispatcher is None
-        if self._dispatcher is not None:
-            self._dispatcher.hold(goal.goal_id)
-            is_running = any(order.act is Act.START for order in orders)
+        self._writing[goal.goal_id] = goal
         write = keeper.accept(
             goal, offer.goal, is_running=is_running, then=accept, too_large=reject
         )
-        return self._await_acceptance(keeper, write, acceptance)
+        return self._await_acceptance(keeper, offer, write, acceptance)
 
     async def _await_acceptance(
-        self, keeper: GoalKeeper, write: int, acceptance: _AcceptanceInWriting
+        self, keeper: GoalKeeper, offer: Offer, write: int, acceptance: _AcceptanceInWriting
     ) -> FeedbackCursor:
         try:
             await keeper.kept(write)
@@ -264,18 +279,25 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise
         if acceptance.error is not None:
             raise acceptance.error
-        if acceptance.stream is None:
-            raise GoalKept(GOAL_IS_TAKEN)
-        return acceptance.stream
+        if acceptance.stream is not None:
+            return acceptance.stream
+        if self._registry.is_active(offer.goal_id):  # it has come here from the store meanwhile
+            return self._logs.follow_again(
+                offer.goal_id, feedback=offer.feedback, sender=offer.sender
+            )
+        raise ConnectionLost(GOAL_IS_TAKEN)
 
-    def lose(self, goal_id: GoalID) -> None:
-        """Let go of a goal that belongs to another server by now."""
-        if self._registry.is_undecided(goal_id):
-            self._withdraw(goal_id)
+    def writing(self, goal_id: GoalID) -> GoalRecord | None:
+        """Return the record of a goal whose acceptance is being written."""
+        return self._writing.get(goal_id)
+
+    def lose(self, goal: GoalRecord) -> None:
+        """Let go of a goal that another server has, if its acceptance is being written here."""
+        if self._writing.get(goal.goal_id) is goal:
+            del self._writing[goal.goal_id]
+            self._withdraw(goal.goal_id)
             if self._dispatcher is not None:
-                self._dispatcher.withdraw(goal_id)
-        else:
-            self._runs.lose(goal_id)
+                self._dispatcher.withdraw(goal.goal_id)
 
     def _reject(self, goal_id: GoalID, reason: str) -> GoalRejected:
         """Reject a goal, and return the error to raise."""

@@ -32,14 +32,14 @@ from anyio import CancelScope, current_effective_deadline, get_cancelled_exc_cla
 from fibaction._asyncio_task import asyncio_task
 from fibaction._log import clean_logger
 from fibaction._text import excerpt
-from fibaction.exceptions import CancelRejected, GoalRejected, text_of
+from fibaction.exceptions import CancelRejected, GoalAborted, GoalRejected, text_of
 
 T = TypeVar("T")
 Arguments = TypeVarTuple("Arguments")
 Callback: TypeAlias = Callable[[T], Awaitable[None] | None]
 """A sync or async function that returns None to accept, and raises a rejection to reject."""
 
-_Rejection: TypeAlias = type[GoalRejected] | type[CancelRejected]
+_Rejection: TypeAlias = type[GoalRejected] | type[CancelRejected] | type[GoalAborted]
 
 SERVER_STOPPING = "the server is stopping"
 CANCELED_ELSEWHERE = "it awaited a task or future that was canceled elsewhere"

@@ -38,6 +38,12 @@ class Cancellation:
         self._canceling[goal.goal_id] = goal.info_as(goal.status)
         return True
 
+    def forget(self, goal: GoalRecord) -> None:
+        """Leave a goal out that belongs to another server by now."""
+        self._canceling.pop(goal.goal_id, None)
+        if self._otherwise is CancelCode.GOAL_TERMINATED:  # it is the only one that was meant
+            self._otherwise = CancelCode.UNKNOWN_GOAL_ID
+
     def reject(self, reason: str) -> None:
         """Note the reason for which a goal is not canceled."""
         if reason not in self._reasons and self._length < REASON:

@@ -77,6 +77,9 @@ class Cancels(Generic[GoalT, FeedbackT, ResultT]):
         if self._keeper is not None:
             await self._keeper.settled()
             self._keeper.check()
+            for goal in cancellation.candidates:
+                if goal.is_lost:
+                    cancellation.forget(goal)
         return cancellation.answer()
 
     async def _cancel_together(self, cancellation: Cancellation) -> None:

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from fibaction._text import excerpt
 from fibaction.exceptions import ProtocolError
+from fibaction.goal_store import GoalTaken
+from fibaction.server.goal_keeper import GOAL_IS_TAKEN
 
 if TYPE_CHECKING:
     from fibaction.action import Codec
@@ -28,7 +30,7 @@ class Checkpoints:
         Raises:
             TypeError: The action has no type for checkpoints, or the state is not of it.
             RuntimeError: The goal has ended.
-            StoreError: It cannot be kept.
+            StoreError: It cannot be kept, or the goal belongs to another server by now.
         """
         codec, keeper = self._codec, self.keeper
         if codec is None:
@@ -46,6 +48,8 @@ class Checkpoints:
         if goal.is_over or goal.stored is None:
             raise RuntimeError(f"goal {goal.goal_id} has ended, and keeps no checkpoint")
         await keeper.kept(keeper.checkpoint(goal, codec.encode(state)))
+        if goal.is_lost:
+            raise GoalTaken(GOAL_IS_TAKEN)
 
     def restored(self, goal: GoalRecord) -> Any:
         """Return the last checkpoint of a goal; None if there is none.

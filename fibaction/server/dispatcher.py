@@ -10,7 +10,12 @@ rejected after all. `Runs` tells it when a goal has left (`_leave`), which frees
 
 With a store, a goal has its place while its acceptance is still being written, and `Runs` does not
 have it yet. Orders for such a goal are held back (`hold`), and carried out when it is accepted. So
-are those that it causes: the interruption of another goal may come later than its kill is due.
+are those that it causes: the interruption of another goal may come later than its kill is due. If
+the goal is not accepted after all, those for other goals are carried out all the same, because the
+scheduler counts on them.
+
+A goal that another server has taken over keeps its place until its executor is gone, and gets no
+more orders (`_lose`).
 
 One task, `_keep_time`, waits for the next time at which an order is due. It is woken only if that
 time becomes earlier.
@@ -35,11 +40,11 @@ from fibaction.exceptions import GoalRejected
 from fibaction.goals import GoalID, Sender
 from fibaction.server._sender_argument import with_sender
 from fibaction.server.callbacks import failures_as
+from fibaction.server.executor import warn_of_kill
 from fibaction.server.goal_handle import GoalHandle, Succession
 from fibaction.server.runs import Runs
 from fibaction.server.schedule import Schedule
 from fibaction.server.scheduler import Act, Order, Scheduler
-from fibaction.server.shutdown import warn_of_kill
 
 MOST_AT_ONCE = 200
 """Orders that are carried out in one turn of the event loop when their time has come."""
@@ -76,7 +81,10 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
         self._overdue: set[GoalID] = set()  # to be killed when their interruption is carried out
         self._placed_at = -math.inf
         self._is_closed = False
+        self.on_change: Callable[[], None] = lambda: None
+        """The function that is called when a goal has left."""
         runs.on_left = self._leave
+        runs.on_lost = self._lose
         runs.succession = self
 
     def open(self, tasks: TaskGroup) -> None:
@@ -119,18 +127,25 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
             urgency = self._answer("priority", _number, self._priority, request, sender)
         return key, urgency
 
-    def hold(self, goal_id: GoalID) -> None:
-        """Hold back all orders for a goal, until `accepted` or `withdraw`."""
-        self._held[goal_id] = []
+    def hold(self, goal_id: GoalID, orders: Iterable[Order]) -> None:
+        """Hold back the orders of the offer of a goal, and all later ones for it, until `accepted`
+        or `withdraw`.
+        """
+        self._held[goal_id] = list(orders)
 
-    def accepted(self, goal_id: GoalID, orders: Iterable[Order]) -> None:
-        """Carry out the orders of the offer, and those that were held back since."""
-        self.carry_out((*orders, *self._held.pop(goal_id, ())))
+    def accepted(self, goal_id: GoalID) -> None:
+        """Carry out the orders that were held back."""
+        self.carry_out(self._held.pop(goal_id, ()))
 
     def withdraw(self, goal_id: GoalID) -> None:
         """Free the place of a goal that is not accepted after all."""
-        self._held.pop(goal_id, None)
+        held = self._held.pop(goal_id, ())
+        self.carry_out(order for order in held if order.goal_id != goal_id)
         self._leave(goal_id)
+
+    def room(self) -> tuple[float, float]:
+        """Return how many more goals can run, and how many more can wait."""
+        return self._scheduler.room()
 
     def carry_out(self, orders: Iterable[Order]) -> None:
         """Carry out the orders of the scheduler."""
@@ -165,6 +180,12 @@ class Dispatcher(Succession[GoalT], Generic[GoalT, FeedbackT, ResultT]):
         self._overdue.discard(goal_id)
         self._tell(goal_id)
         self.carry_out(self._scheduler.leave(goal_id, self._now()))
+        self.on_change()
+
+    def _lose(self, goal_id: GoalID) -> None:
+        """Order nothing more for a goal that another server has taken over, and that runs."""
+        self._overdue.discard(goal_id)
+        self._scheduler.lose(goal_id)
 
     def _now(self) -> float:
         """Return the time; 0 if no rule of the schedule needs it, because anyio takes a while to

@@ -32,6 +32,7 @@ from __future__ import annotations
 import sys
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
 from contextvars import Context, copy_context
+from functools import partial
 from time import perf_counter
 from types import AsyncGeneratorType
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
@@ -48,6 +49,7 @@ from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_record import Ending, EndKind
 
 if TYPE_CHECKING:
+    from fibaction.goals import GoalID
     from fibaction.server.feedback_log import FeedbackLog
 
 T = TypeVar("T")
@@ -57,6 +59,10 @@ logger = clean_logger("fibaction.server")
 
 Executor: TypeAlias = Callable[[GoalHandle[GoalT]], AsyncGenerator[FeedbackT | ResultT, None]]
 """An async generator function: it takes a goal, yields feedback, and yields the result last."""
+
+
+Fence: TypeAlias = Callable[["Execution[Any, Any, Any]"], bool]
+"""A function that interrupts an executor, and returns True, if it may not take another step."""
 
 
 class Execution(Generic[GoalT, FeedbackT, ResultT]):
@@ -73,8 +79,10 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         "_stall_timeout",
         "_steps",
         "_watch",
+        "fence",
         "goal",
         "handle",
+        "has_ended",
         "is_interrupted",
     )
 
@@ -100,8 +108,12 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._result: bytes | None = None
         # The context variables of the call that sent the goal, as a task of its own would have.
         self._context = context or copy_context()
+        self.fence: Fence | None = None
+        """The function that is asked before each step; None if the executor may always go on."""
         self.is_interrupted = False
         """True if a cancellation was sent to the executor."""
+        self.has_ended = False
+        """True when the executor is gone, with its clean-up."""
         self._scopes: CancelOnce | None = None
         self._steps: Steps[Ending]
 
@@ -153,6 +165,8 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._owner = log.goal.sender.owner
 
     async def _run(self) -> Ending:
+        if self.fence is not None:
+            self._steps.fence = partial(self.fence, self)
         try:
             items = self._start()
             try:
@@ -287,6 +301,13 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             reason,
             exc_info=exc,
         )
+
+
+def warn_of_kill(goal_id: GoalID, action: str, timeout: float) -> None:
+    """Log that a goal is killed, which was interrupted `timeout` seconds ago."""
+    logger.warning(
+        "goal %s of action %r did not stop in time (%g s), and is killed", goal_id, action, timeout
+    )
 
 
 def _first(items: AsyncGenerator[T, None]) -> Awaitable[T]:

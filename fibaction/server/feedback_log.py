@@ -41,6 +41,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import deque
+from collections.abc import Iterator
 from itertools import islice
 from weakref import ref
 
@@ -201,32 +202,28 @@ class FeedbackLog:
     def finish(self) -> None:
         """Notify all followers: the goal has its outcome. The log references none from now on."""
         self.outcome = self.goal.outcome
-        readers, self._readers = self._readers, ()
-        if self._holders:
-            self._holders = ()
-            self.make_room()
-        for cursor in tuple(readers):
+        for cursor in self._followers():
             cursor.news.notify()
-        others, self._others = self._others, None
-        for other in others or ():
-            if (left := other()) is not None:
-                left.news.notify()
 
     def fail(self, error: ActionError) -> None:
         """End all streams of the goal with an error, and those that are asked for later: its end is
         not told here.
         """
         self._error = error
-        readers, self._readers = self._readers, ()
-        others, self._others = self._others, None
+        for cursor in self._followers():
+            cursor.fail(error)
+
+    def _followers(self) -> Iterator[FeedbackCursor]:
+        """Yield all followers, which the log references no longer."""
+        readers, self._readers = tuple(self._readers), ()
+        others, self._others = self._others or (), None
         if self._holders:
             self._holders = ()
             self.make_room()
-        for cursor in tuple(readers):
-            cursor.fail(error)
-        for other in others or ():
+        yield from readers
+        for other in others:
             if (left := other()) is not None:
-                left.fail(error)
+                yield left
 
     def follow(
         self,

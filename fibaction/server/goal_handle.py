@@ -120,7 +120,8 @@ class GoalHandle(Generic[GoalT]):
         Raises:
             TypeError: The state is not of the type that the `Action` has for checkpoints.
             RuntimeError: The goal has ended.
-            StoreError: It cannot be kept; the server stops.
+            StoreError: It cannot be kept, and the server stops; or another server has taken the
+                goal over, and this executor is interrupted.
         """
         await self._checkpoints.keep(self._goal, state)
 

@@ -10,9 +10,13 @@ given with the writes, so that they run as in any other task, and in slices. Wha
 when it is kept, is told by such a function; `kept` and `settled` wait for writes.
 
 The first write that fails is the end: nothing was told about it, nothing is written any more, and
-`on_failure` stops the server. A goal that belongs to another server by now is lost for this one
-alone: `on_lost`. What is too large for the store concerns its goal alone: a function that was given
-with the write rejects or ends the goal.
+`on_failure` stops the server. What is too large for the store concerns its goal alone: a function
+that was given with the write rejects or ends the goal.
+
+A goal that belongs to another server by now is lost for this one alone: a write of it is refused
+(`on_refused`), or the store says so by itself (`on_lost`). Both happen at once, and overtake the
+answers that wait: those about a lost goal change nothing any more. The same goal may come back as
+another record, so a refusal is about a record, and not about an ID.
 
 Without a store, a server has no keeper.
 """
@@ -43,6 +47,7 @@ OUTCOME_GRACE = 60.0
 """Seconds for which a store keeps an outcome beyond the result timeout: the client may have waited
 for it while the server was away."""
 
+GOAL_IS_TAKEN = "another server has taken the goal over"
 STORE_FAILED = "the server has stopped, because its store has failed"
 STORE_IS_LATE = "the server has stopped before its store has answered"
 
@@ -59,10 +64,9 @@ TooLarge = Callable[[RecordTooLarge], None]
 
 
 class _Answer(NamedTuple):
-    """An answer of the store; without a number, the goal was taken, and nothing was written."""
+    """The answer of the store to a write."""
 
-    number: int
-    goal_id: GoalID
+    goal: GoalRecord
     then: Kept | None
     too_large: TooLarge | None
     error: StoreError | None
@@ -90,6 +94,11 @@ class GoalKeeper:
         """The error of the first write that has failed."""
         self.on_failure: Callable[[], None] = lambda: None
         self.on_lost: Callable[[GoalID], None] = lambda _: None
+        """The function that is called for a goal that another server has taken over."""
+        self.on_refused: Callable[[GoalRecord], None] = lambda _: None
+        """The function that is called for a goal of which a write is refused for that reason."""
+        self.on_change: Callable[[], None] = lambda: None
+        """The function that is called after each write, and after its answer."""
 
     @asynccontextmanager
     async def open(self, claim: Callable[[StoredGoal], None]) -> AsyncGenerator[None, None]:
@@ -102,9 +111,23 @@ class GoalKeeper:
             self._action,
             max_results=self._max_results,
             claim=claim,
-            lose=self._lose,
+            lose=lambda goal_id: self.on_lost(goal_id),
         ) as self._journal:
             yield
+
+    def set_room(self, running: float, waiting: float) -> None:
+        """Tell the store how many more goals the server can run and queue."""
+        self._journal.set_room(running, waiting)
+
+    @property
+    def has_lease(self) -> bool:
+        """True if the goals belong to this server only until a time, `valid_until`."""
+        return type(self._journal).valid_until is not GoalJournal.valid_until
+
+    @property
+    def is_valid(self) -> bool:
+        """True if the goals belong to this server for certain."""
+        return current_time() < self._journal.valid_until
 
     # Writes
 
@@ -196,20 +219,24 @@ class GoalKeeper:
     ) -> int:
         self._written += 1
         if self.failure is None and not self._is_closed:
-            answer = _Answer(self._written, goal.goal_id, then, too_large, None)
-            method(stored, partial(self._note, answer))
+            method(stored, partial(self._note, goal, then, too_large))
+            self.on_change()
         return self._written
 
     # Answers
 
-    def _note(self, answer: _Answer, error: StoreError | None) -> None:
-        self._answers.append(answer if error is None else answer._replace(error=error))
+    def _note(
+        self,
+        goal: GoalRecord,
+        then: Kept | None,
+        too_large: TooLarge | None,
+        error: StoreError | None,
+    ) -> None:
+        if isinstance(error, GoalTaken) and not (goal.is_lost or self._is_closed):
+            self.on_refused(goal)  # at once, as the store may hand it over again
+        self._answers.append(_Answer(goal, then, too_large, error))
         if len(self._answers) == 1:
             self._news.notify()
-
-    def _lose(self, goal_id: GoalID) -> None:
-        """Lose a goal, after the answers that have come."""
-        self._note(_Answer(0, goal_id, None, None, None), GoalTaken(""))
 
     async def run(self) -> None:
         """Carry out the answers of the store, until canceled."""
@@ -225,16 +252,17 @@ class GoalKeeper:
     def _carry_out(self, answer: _Answer) -> None:
         if self.failure is not None or self._is_closed:
             return
+        self._answered += 1
         error = answer.error
-        self._answered = answer.number or self._answered
-        if isinstance(error, GoalTaken):
-            self.on_lost(answer.goal_id)
-        elif isinstance(error, RecordTooLarge) and answer.too_large is not None:
-            answer.too_large(error)
-        elif error is not None:
+        if error is not None and not isinstance(error, GoalTaken | RecordTooLarge):
             self._fail(error)
-        elif answer.then is not None:
-            answer.then()
+        elif not answer.goal.is_lost:
+            if isinstance(error, RecordTooLarge):
+                assert answer.too_large is not None  # only what can grow is too large
+                answer.too_large(error)
+            elif answer.then is not None:
+                answer.then()
+        self.on_change()
         while self._waits and self._waits[0][0] <= self._answered:
             heappop(self._waits)[-1].notify()
 

@@ -24,7 +24,7 @@ from anyio import current_time
 from anyio.lowlevel import cancel_shielded_checkpoint
 
 from fibaction._notify import Notifier
-from fibaction.exceptions import GoalKept, UnknownGoal, copy_of
+from fibaction.exceptions import ActionError, GoalKept, UnknownGoal, copy_of
 from fibaction.goals import GoalID, GoalInfo, Sender
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
@@ -75,6 +75,30 @@ class GoalLogs:
         log.tell_status()
         if self._statuses.is_followed:
             log.goal.changed = self._statuses.publish(log.goal.info)
+
+    def tell_found(self, goal: GoalRecord) -> None:
+        """Notify the followers of the statuses of a goal that has ended elsewhere, and that expires
+        here.
+        """
+        if self._statuses.is_followed:
+            goal.changed = self._statuses.publish(goal.info)
+        self.ended.notify()
+
+    def keep(self, log: FeedbackLog, error: GoalKept) -> None:
+        """End the streams of a goal that is kept, and that is to be asked for again later."""
+        self.kept = error
+        log.fail(error)
+        self.ended.notify()
+
+    def lose(self, log: FeedbackLog, error: ActionError) -> None:
+        """End the streams of a goal that is elsewhere; to followers of statuses it is unknown."""
+        log.fail(error)
+        self._tell_unknown(log.goal.goal_id)
+        self.ended.notify()
+
+    def _tell_unknown(self, goal_id: GoalID) -> None:
+        if self._statuses.is_followed:
+            self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))
 
     def end(self, log: FeedbackLog, now: float) -> None:
         """Keep the log of a goal that has ended, for its followers only."""
@@ -170,6 +194,5 @@ class GoalLogs:
             self._recent.popleft()
         gone = self._registry.expire(now, MOST_AT_ONCE)
         for goal_id in gone:
-            if self._statuses.is_followed:
-                self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))
+            self._tell_unknown(goal_id)
         return len(gone) == MOST_AT_ONCE

@@ -48,6 +48,7 @@ class GoalRecord:
         "feedback_count",
         "goal_id",
         "held",
+        "is_lost",
         "is_over",
         "outcome",
         "place",
@@ -87,6 +88,8 @@ class GoalRecord:
         The log of the goal has its own reference, for those that still follow it."""
         self.is_over = False
         """True as soon as the outcome is fixed. The status follows when the end is kept."""
+        self.is_lost = False
+        """True if the goal belongs to another server by now: nothing is told or kept of it here."""
         self.stored: StoredGoal | None = None
         """The goal as its store has it; None without a store, and after the end."""
         self.held = held

@@ -1,11 +1,16 @@
-"""`Recovery`: takes over the goals that a store has from earlier processes.
+"""`Recovery`: takes over the goals that a store has from earlier processes, or from other servers.
 
 Theory of operation
 -------------------
 
 `claim` gets each of them, whether the store found it when it was opened, or hands it over later.
 They wait in a queue, and one task, `run`, takes them over in order; a server starts when the queue
-is empty (`recovered`).
+is empty (`recovered`). A goal that is lost while it waits is forgotten (`forget`).
+
+A goal may come that is here in another way. If a client has sent it here as well, its acceptance
+cannot be kept: if that is being written, it is given up (`on_take`), and if it is still being
+decided, the goal is taken over after the decision. If its old executor has not ended yet, it is known to clients, and goes on
+when that is gone.
 
 A goal that has ended is remembered with its outcome. An active one is known to clients from then
 on, and one of these happens:
@@ -27,21 +32,25 @@ import math
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Generic, Literal, TypeAlias, cast
 
 from anyio import current_time
+from anyio.abc import TaskGroup
 
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._slices import Slices
+from fibaction._text import excerpt
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
-from fibaction.exceptions import GoalAborted, GoalRejected, ProtocolError, text_of
+from fibaction.exceptions import GoalAborted, GoalKept, GoalRejected, ProtocolError
 from fibaction.goal_store import StoredGoal
-from fibaction.server.callbacks import awaited
-from fibaction.server.checkpoints import Checkpoints
+from fibaction.goals import GoalID
+from fibaction.server.callbacks import awaited, failures_as
 from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_keeper import SECOND
+from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.goal_record import LEAST_TIME, Ending, EndKind, GoalRecord
 from fibaction.server.registry import GoalRegistry
 from fibaction.server.runs import Runs
@@ -54,8 +63,12 @@ RecoveryRule: TypeAlias = Literal["abort", "rerun"] | RecoveryFunction[GoalT]
 
 RESTARTED = "the server was restarted"
 
-
 logger = clean_logger("fibaction.server")
+
+
+def _cause_of(stored: StoredGoal) -> str:
+    """Return the reason for which an attempt was lost."""
+    return f"the worker {excerpt(stored.worker)!r} was lost" if stored.worker else RESTARTED
 
 
 class Recovery(Generic[GoalT, FeedbackT, ResultT]):
@@ -66,25 +79,39 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         action: Action[GoalT, FeedbackT, ResultT],
         registry: GoalRegistry,
         runs: Runs[GoalT, FeedbackT, ResultT],
+        logs: GoalLogs,
         dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None,
+        decided: Callable[[GoalID], Awaitable[None]],
         *,
         rule: RecoveryRule[GoalT],
         max_attempts: int,
         keep_for: float,
     ) -> None:
-        """Remember outcomes for `keep_for` seconds after the end of their goals."""
+        """Remember outcomes for `keep_for` seconds after the end of their goals, and wait with
+        `decided` for goals that are undecided here.
+        """
         self._action = action
         self._registry = registry
         self._runs = runs
+        self._logs = logs
+        self._decided = decided
         self._dispatcher = dispatcher
         self._rule = rule
         self._max_attempts = max_attempts
         self._keep_for = keep_for
-        self._checkpoints = Checkpoints(action.name, action.checkpoint)
         self._claimed: deque[StoredGoal] = deque()
         self._news = Notifier()
         self._done = Notifier()
+        self._is_taking = False
         self._is_closed = False
+        self.on_take: Callable[[GoalID], None] = lambda _: None
+        """The function that is called before an active goal is taken over."""
+        self._tasks: TaskGroup
+
+    def open(self, tasks: TaskGroup) -> None:
+        """Take goals over in tasks of this group."""
+        self._tasks = tasks
+        tasks.start_soon(self.run, name=f"recovery of {self._action.name}")
 
     def close(self) -> None:
         """Take over no more goals: the server stops, and they stay in the store."""
@@ -97,9 +124,15 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         if len(self._claimed) == 1:
             self._news.notify()
 
+    def forget(self, goal_id: GoalID) -> None:
+        """Do not take over a goal that was claimed: another server has it by now."""
+        if any(stored.goal_id == goal_id for stored in self._claimed):
+            others = [stored for stored in self._claimed if stored.goal_id != goal_id]
+            self._claimed = deque(others)
+
     async def recovered(self) -> None:
         """Wait until all goals that were claimed are taken over."""
-        while self._claimed and not self._is_closed:
+        while (self._claimed or self._is_taking) and not self._is_closed:
             await self._done.wait()
 
     async def run(self) -> None:
@@ -110,14 +143,25 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
                 await self._news.wait()
             slices = Slices()
             while self._claimed and not self._is_closed:
-                await self._take(self._claimed[0])
-                self._claimed.popleft()
+                self._is_taking = True
+                try:
+                    await self._take(self._claimed.popleft())
+                finally:
+                    self._is_taking = False
                 await slices.pause()
 
     async def _take(self, stored: StoredGoal) -> None:
         now, wall = current_time(), time.time_ns()
         if stored.status.is_terminal:
-            self._registry.restore(stored, until=now + self._time_left(stored, wall))
+            until = now + self._time_left(stored, wall)
+            self._logs.tell_found(self._registry.restore(stored, until=until))
+            return
+        goal_id = GoalID(stored.goal_id)
+        if self._registry.is_active(goal_id):
+            return  # the store has handed it over before
+        self.on_take(goal_id)
+        if self._registry.is_undecided(goal_id):
+            self._tasks.start_soon(self._take_later, stored)
             return
         deadline = math.inf
         if stored.deadline:
@@ -125,16 +169,22 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         goal = self._registry.restore(stored, deadline=deadline, until=now + LEAST_TIME)
         try:
             request = self._action.goal.decode(stored.goal)
-            restored = self._checkpoints.restored(goal)
+            restored = self._runs.checkpoints.restored(goal)
         except ProtocolError as exc:
             reason = f"the stored goal does not fit the action any more: {exc}"
             self._runs.add(goal, cast("GoalT", None), begin=False)  # nothing gets to see it
             is_canceling = goal.status is GoalStatus.CANCELING
-            canceled = Ending(EndKind.CANCELED, reason=RESTARTED)
+            canceled = Ending(EndKind.CANCELED, reason=_cause_of(stored))
             self._end(goal, canceled if is_canceling else Ending(EndKind.FAILED, reason=reason))
             return
         self._runs.add(goal, request, begin=False, restored=restored)
         await self._decide(goal, request)
+
+    async def _take_later(self, stored: StoredGoal) -> None:
+        """Take a goal over that was sent here as well, when that is decided."""
+        with suppress(GoalKept):
+            await self._decided(GoalID(stored.goal_id))
+            self.claim(stored)
 
     def _time_left(self, stored: StoredGoal, wall: int) -> float:
         """Return the seconds for which an outcome is still remembered."""
@@ -146,7 +196,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         stored = goal.stored
         assert stored is not None
         if goal.status is GoalStatus.CANCELING:
-            self._end(goal, Ending(EndKind.CANCELED, reason=RESTARTED))
+            self._end(goal, Ending(EndKind.CANCELED, reason=_cause_of(stored)))
             return
         if stored.is_running:
             stored.is_running = False
@@ -161,6 +211,18 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
             "goal %s of action %r: attempt %d", goal.goal_id, self._action.name, stored.attempt + 1
         )
         goal.attempt = stored.attempt + 1
+        if goal.goal_id in self._runs.lost:
+            self._tasks.start_soon(self._begin_later, goal, request)
+        else:
+            self._begin(goal, request)
+
+    async def _begin_later(self, goal: GoalRecord, request: GoalT) -> None:
+        """Let a goal go on when the executor that it had here before is gone."""
+        await self._runs.lost.left(goal.goal_id)
+        if not (goal.is_over or self._is_closed):
+            self._begin(goal, request)
+
+    def _begin(self, goal: GoalRecord, request: GoalT) -> None:
         if self._dispatcher is None:
             self._runs.begin(goal.goal_id)
             return
@@ -174,39 +236,37 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
     async def _ending_of(self, goal: GoalRecord, stored: StoredGoal) -> Ending | None:
         """Return the end of a goal whose attempt is lost; None if it is to run again."""
         if self._rule == "abort":
-            return Ending(EndKind.FAILED, reason=RESTARTED)
+            return Ending(EndKind.FAILED, reason=_cause_of(stored))
         if stored.lost >= self._max_attempts:
             attempts = "1 attempt" if stored.lost == 1 else f"{stored.lost} attempts"
-            return Ending(EndKind.FAILED, reason=f"given up after {attempts}: {RESTARTED}")
+            reason = f"given up after {attempts}: {_cause_of(stored)}"
+            return Ending(EndKind.FAILED, reason=reason)
         if isinstance(self._rule, str):
             return None
         try:
-            asking: object = self._rule(self._runs.handle_of(goal.goal_id))
+            with failures_as(GoalAborted, "recovery", self._action.name):
+                return await self._ask(self._rule, goal)
+        except GoalAborted as failure:
+            return Ending(EndKind.FAILED, reason=failure.reason)
+
+    async def _ask(self, rule: RecoveryFunction[GoalT], goal: GoalRecord) -> Ending | None:
+        try:
+            asking: object = rule(self._runs.handle_of(goal.goal_id))
             if isinstance(asking, Awaitable):
                 asking = await awaited(asking)
-            if asking is not None:
-                raise TypeError(f"it returned {asking!r}: return None, or raise GoalAborted")
         except GoalAborted as exc:
             return self._aborted(exc)
-        except Exception as exc:
-            return self._failed(exc)
+        if asking is not None:
+            raise TypeError(f"it returned {asking!r}: return None, or raise GoalAborted")
         return None
 
     def _aborted(self, exc: GoalAborted) -> Ending:
         result = self._action.result
         if exc.result is None:
             return Ending(EndKind.FAILED, reason=exc.reason)
-        try:
-            if not result.holds(exc.result):
-                raise TypeError(f"{exc.result!r} is not of the result's type")
-            return Ending(EndKind.FAILED, result.encode(exc.result), exc.reason)
-        except Exception as bad:  # encoding runs the user's own code, which may raise anything
-            return self._failed(bad)
-
-    def _failed(self, exc: Exception) -> Ending:
-        reason = f"recovery failed: {text_of(exc)}"
-        logger.error("action %r: %s", self._action.name, reason, exc_info=exc)
-        return Ending(EndKind.FAILED, reason=reason)
+        if not result.holds(exc.result):
+            raise TypeError(f"{exc.result!r} is not of the result's type")
+        return Ending(EndKind.FAILED, result.encode(exc.result), exc.reason)
 
     def _end(self, goal: GoalRecord, ending: Ending) -> None:
         logger.info(

@@ -152,14 +152,24 @@ class GoalRegistry:
     @property
     def busy(self) -> str:
         """The reason for which a goal that was admitted last must be rejected; empty if none."""
-        goals = len(self._undecided) + len(self._active)
-        if goals > self._max_goals:
-            return f"busy: {goals - 1} goals are active, the limit is {self._max_goals}"
-        # Results that are only kept for later give way to goals.
-        needed, limit = self.budget.used - self._kept_bytes, self.budget.limit
-        if needed > limit:
+        if self.goals_left < 0:
+            active = self._max_goals - self.goals_left - 1
+            return f"busy: {active} goals are active, the limit is {self._max_goals}"
+        if self.has_too_many_bytes:
+            needed, limit = self.budget.used - self._kept_bytes, self.budget.limit
             return f"busy: goals and feedback would take {needed} bytes, the limit is {limit}"
         return ""
+
+    @property
+    def goals_left(self) -> int:
+        """The number of goals that may be admitted beside those that are undecided or active."""
+        return self._max_goals - len(self._undecided) - len(self._active)
+
+    @property
+    def has_too_many_bytes(self) -> bool:
+        """True if goals and feedback take more bytes than the limit."""
+        # Results that are only kept for later give way to goals.
+        return self.budget.used - self._kept_bytes > self.budget.limit
 
     def prepare(
         self, goal_id: GoalID, *, stamp: int, sender: Sender, deadline: float = math.inf
@@ -202,6 +212,9 @@ class GoalRegistry:
             goal.status = status
             goal.is_over, goal.outcome = True, Outcome(status, stored.result, stored.reason)
             goal.feedback_count, goal.ended_at = stored.feedback_count, stored.ended_at
+            earlier = self._ended.discard(goal_id)
+            if earlier is not None:
+                self._forget(earlier)
             self._kept_bytes += size
             self._ended.put_until(goal_id, goal, until)
             return goal
@@ -226,6 +239,10 @@ class GoalRegistry:
     def withdraw(self, goal_id: GoalID) -> None:
         """Forget an undecided goal; a retry is decided anew."""
         del self._undecided[goal_id]
+
+    def is_active(self, goal_id: GoalID) -> bool:
+        """Return whether the goal was accepted, and has not ended."""
+        return goal_id in self._active
 
     def is_undecided(self, goal_id: GoalID) -> bool:
         """Return whether the goal was admitted, and is not decided yet."""

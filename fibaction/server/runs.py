@@ -13,8 +13,14 @@ the ended ones, and notifies followers. Without a store, one follows the other a
 the outcome is written between them, and told when it is kept; no task waits for that. In the same
 way the begin of an attempt is written before the executor starts, and a cancel before it is told.
 
-A goal that is not to end here (`_let_go`) just leaves, and its streams fail: the server stops and
-keeps its goals, its store has failed, or another server has taken the goal over.
+A goal that is not to end here (`_let_go`) just leaves, and its streams fail. If the server stops
+and keeps its goals, or its store has failed, clients are told nothing (`GoalKept`), and come back.
+If another server has taken the goal over (`lose`), this one goes on, so they are told to look
+elsewhere (`ConnectionLost`). The executor of such a goal is interrupted, and is in `lost` until it
+has ended: the same goal may come back before that, as another run.
+
+If the store has a lease and it is over, no executor may go on (`_is_fenced`). It is interrupted,
+and its goal is released in the store, unless it turns out to be lost.
 
 An executor may end by itself, or because of a cancel (`cancel`), or because the server ends the
 goal for a reason of its own (`interrupt`). Each interrupts it once. They differ in the
@@ -40,44 +46,32 @@ from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
-from fibaction.exceptions import GoalKept
+from fibaction.exceptions import ConnectionLost, GoalKept
 from fibaction.goal_store import RecordTooLarge
 from fibaction.goals import GoalID, Outcome
 from fibaction.server._interruption import CancelOnce
+from fibaction.server._lost_executors import LostExecutors
 from fibaction.server._task_pool import TaskPool
 from fibaction.server._watchdog import Watch
 from fibaction.server.checkpoints import Checkpoints
-from fibaction.server.executor import Execution, Executor
+from fibaction.server.executor import Execution, Executor, Fence
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_handle import GoalHandle, Succession
-from fibaction.server.goal_keeper import STORE_FAILED, STORE_IS_LATE, GoalKeeper
+from fibaction.server.goal_keeper import (
+    GOAL_IS_TAKEN,
+    STORE_FAILED,
+    STORE_IS_LATE,
+    GoalKeeper,
+)
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.goal_record import NO_PLACE, Ending, EndKind, GoalRecord
 from fibaction.server.registry import GoalRegistry
+from fibaction.server.run import Run
 from fibaction.states import GoalStatus
 
 GOAL_IS_KEPT = "the server has stopped, and runs the goal again after its next start"
-GOAL_IS_TAKEN = "another server has taken the goal over"
+LEASE_IS_OVER = "the server was cut off from its store for too long"
 CANCELED_UNASKED = "the executor ended as canceled, but no cancel was requested"
-
-
-class Run(Generic[GoalT, FeedbackT, ResultT]):
-    """An active goal: its record, its log with the followers, and its executor."""
-
-    __slots__ = ("execution", "goal", "has_begun", "is_waiting", "log", "outcome")
-
-    def __init__(
-        self, goal: GoalRecord, log: FeedbackLog, execution: Execution[GoalT, FeedbackT, ResultT]
-    ) -> None:
-        self.goal = goal
-        self.log = log
-        self.execution = execution
-        self.is_waiting = True
-        """True until the executor is to begin."""
-        self.has_begun = False
-        """True when the executor begins: with a store, when its begin is kept."""
-        self.outcome: Outcome[bytes] | None = None
-        """The outcome once it is fixed; the goal's record has it once it is told."""
 
 
 class Runs(Generic[GoalT, FeedbackT, ResultT]):
@@ -91,15 +85,21 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         logs: GoalLogs,
         *,
         stall_timeout: float,
+        kill_after: float,
         watch: Watch,
     ) -> None:
+        """Kill executors of lost goals `kill_after` seconds after they were interrupted."""
         self._action = action
         self._executor = executor
         self._registry = registry
         self._logs = logs
         self._keeper: GoalKeeper | None = None
-        self._checkpoints = Checkpoints(action.name, action.checkpoint)
-        self._kept_for = ""  # the reason of a stop that keeps the goals
+        self.checkpoints = Checkpoints(action.name, action.checkpoint)
+        """The checkpoints of the goals."""
+        self.lost = LostExecutors(action.name, kill_after=kill_after, kill=self._kill_late)
+        """The executors of goals that belong to other servers by now."""
+        self._kept_for = {LEASE_IS_OVER}  # the reasons for which goals stay in the store
+        self._fence: Fence | None = None
         self._stall_timeout = stall_timeout
         self._watch = watch
         self._runs: dict[GoalID, Run[GoalT, FeedbackT, ResultT]] = {}
@@ -107,19 +107,31 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         logs.find_active = self._log_of
         self.on_left: Callable[[GoalID], None] | None = None
         """The function that is called when an executor is gone; None without a schedule."""
+        self.on_lost: Callable[[GoalID], None] = lambda _: None
+        """The function that is called when a goal that runs is lost, before its executor is gone.
+        """
         self.succession: Succession[GoalT] | None = None
         """The successors of goals, for their handles; None without a schedule."""
 
     def __len__(self) -> int:
         return len(self._runs)
 
+    @property
+    def are_left(self) -> bool:
+        """True if there are active goals, or executors of lost ones."""
+        return bool(self._runs or self.lost)
+
     def keep_by(self, keeper: GoalKeeper) -> None:
         """Write through this keeper."""
-        self._keeper = self._checkpoints.keeper = keeper
+        self._keeper = self.checkpoints.keeper = keeper
 
     def open(self, tasks: TaskGroup) -> None:
-        """Use these tasks for executors."""
+        """Use these tasks for executors; the store is open."""
         self._pool = TaskPool(tasks, f"goal of {self._action.name}")
+        if self._keeper is not None:
+            tasks.start_soon(self.lost.run, name=f"lost goals of {self._action.name}")
+            if self._keeper.has_lease:
+                self._fence = self._is_fenced
 
     # Start
 
@@ -138,10 +150,11 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         checkpoint `restored`.
         """
         log = self._logs.open(goal)
-        handle = GoalHandle(goal, request, self._checkpoints, self.succession, restored)
+        handle = GoalHandle(goal, request, self.checkpoints, self.succession, restored)
         execution = Execution(
             self._action, self._executor, handle, log, self._stall_timeout, self._watch, context
         )
+        execution.fence = self._fence
         run = self._runs[goal.goal_id] = Run(goal, log, execution)
         self._logs.tell_status(log)
         if begin:
@@ -155,13 +168,11 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             return  # its end is being written
         run.goal.place = NO_PLACE
         keeper, stored = self._keeper, run.goal.stored
-        if keeper is None or stored is None:
+        if keeper is None or stored is None or stored.is_running:
             self._begin(run)
-        elif not stored.is_running:
+        else:
             run.is_waiting = False  # it has its place, and gives it back by `_leave`
             keeper.begin(run.goal, partial(self._begin, run))
-        else:
-            self._begin(run)
 
     def _begin(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         if run.goal.is_over:  # it was killed while its begin was written
@@ -173,6 +184,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     async def _run(self, run: Run[GoalT, FeedbackT, ResultT], scopes: CancelOnce) -> None:
         execution = run.execution
         try:
+            if self._fence is not None:
+                self._fence(execution)
             if execution.handle.cancel_requested:
                 ending = Ending(EndKind.CANCELED)
             else:
@@ -187,14 +200,19 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def _end(self, execution: Execution[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
         """Finish the goal that an executor has run last, unless it was killed."""
         goal_id = execution.goal.goal_id
+        execution.has_ended = True
         run = self._runs.get(goal_id)
-        # The ID of a goal that was killed may be that of another one by now.
+        # The ID of a goal that was killed, or lost, may be that of another one by now.
         if run is not None and run.execution is execution and not run.goal.is_over:
             self._finish(run, ending)
+        was_lost = self.lost.discard(execution)
         self._leave(goal_id)
+        if was_lost:
+            self._logs.ended.notify()
 
     def _leave(self, goal_id: GoalID) -> None:
-        if self.on_left is not None:
+        # A goal that has come back has no place before its old executor is gone.
+        if self.on_left is not None and goal_id not in self.lost:
             self.on_left(goal_id)
 
     def _execute(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
@@ -250,13 +268,14 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             self._logs.tell_status(run.log)
         else:
             goal.earlier_status = before
-            self._keeper.cancel(goal, partial(self._tell_cancel, run))
+            self._keeper.cancel(goal, partial(self._tell_status, run))
         if run.is_waiting:
             self._end(run.execution, Ending(EndKind.CANCELED))
         elif interrupt:
             run.execution.interrupt()
 
-    def _tell_cancel(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+    def _tell_status(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        """Tell a status that is kept by now."""
         run.goal.earlier_status = None
         self._logs.tell_status(run.log)
 
@@ -275,15 +294,36 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """End a goal that waits."""
         self._finish(self._runs[goal_id], ending)
 
-    def lose(self, goal_id: GoalID) -> None:
-        """Interrupt the executor of a goal that another server has taken over."""
-        run = self._runs.get(goal_id)
-        if run is not None:
-            self._let_go(run, GOAL_IS_TAKEN)
-            if run.has_begun:
-                run.execution.interrupt()
-            else:
-                self._leave(goal_id)
+    def lose(self, goal: GoalRecord) -> None:
+        """Let go of a goal that another server has taken over, and interrupt its executor."""
+        run = self._runs.get(goal.goal_id)
+        if run is None or run.goal is not goal:
+            return
+        self._let_go(run, ConnectionLost(GOAL_IS_TAKEN))
+        execution = run.execution
+        if not run.has_begun:
+            self._leave(goal.goal_id)
+        elif execution.goal is goal and not execution.has_ended:  # else it runs another goal
+            self.on_lost(goal.goal_id)
+            self.lost.add(execution)
+
+    def _is_fenced(self, execution: Execution[GoalT, FeedbackT, ResultT]) -> bool:
+        """Interrupt an executor, and return True, if its goal may be another server's by now."""
+        assert self._keeper is not None
+        if self._keeper.is_valid:
+            return False
+        goal = execution.goal
+        if not (goal.is_over or execution.is_interrupted):
+            goal.stop_reason = goal.stop_reason or LEASE_IS_OVER
+            self.lost.interrupt(execution)
+        return True
+
+    def _kill_late(self, execution: Execution[GoalT, FeedbackT, ResultT]) -> None:
+        goal = execution.goal
+        if goal.is_over:
+            execution.kill(for_good=False)
+        else:
+            self.kill(goal.goal_id, for_good=False)
 
     def kill(self, goal_id: GoalID, reason: str = "", *, for_good: bool) -> None:
         """Kill the executor of a goal that was interrupted, and end the goal, for that reason if it
@@ -307,18 +347,18 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     def keep_for(self, reason: str) -> None:
         """Keep the goals in the store that are interrupted for this reason, and not end them."""
-        self._kept_for = reason
+        self._kept_for.add(reason)
 
     def abandon_ends(self) -> None:
         """Let go of goals whose begin or end is being written: the store has failed."""
         for run in tuple(self._runs.values()):
             if run.goal.is_over or not (run.is_waiting or run.has_begun):
-                self._let_go(run, STORE_FAILED)
+                self._let_go(run, GoalKept(STORE_FAILED))
 
     def let_go(self) -> None:
         """Let go of all goals: the server has stopped before its store has answered."""
         for run in tuple(self._runs.values()):
-            self._let_go(run, STORE_IS_LATE)
+            self._let_go(run, GoalKept(STORE_IS_LATE))
 
     # Finish
 
@@ -330,7 +370,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             self._fix_outcome(run, ending)
             self._tell_end(run)
         elif keeper.failure is not None:
-            self._let_go(run, STORE_FAILED)
+            self._let_go(run, GoalKept(STORE_FAILED))
         elif self._is_kept(run.goal, ending, killed=killed):
             self._release(keeper, run)
         else:
@@ -350,30 +390,28 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def _is_kept(self, goal: GoalRecord, ending: Ending, *, killed: bool) -> bool:
         """Return whether a goal stays in the store: it has not ended by itself."""
         return (
-            bool(self._kept_for)
-            and goal.stop_reason == self._kept_for
+            goal.stop_reason in self._kept_for
             and goal.status is not GoalStatus.CANCELING
             and (killed or ending.kind is EndKind.CANCELED)
         )
 
     def _release(self, keeper: GoalKeeper, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         run.goal.is_over = True
-        stored = run.goal.stored
-        # A goal that had begun in an earlier process counts as running in the store.
-        if stored is not None and (stored.is_running or stored.attempt):
-            keeper.release(run.goal, partial(self._let_go, run, GOAL_IS_KEPT))
-        else:
-            self._let_go(run, GOAL_IS_KEPT)
+        # Also one that waits: in a store that servers share, it is free for the others from now on.
+        error: ConnectionLost = GoalKept(GOAL_IS_KEPT)
+        if run.goal.stop_reason == LEASE_IS_OVER:
+            error = ConnectionLost(LEASE_IS_OVER)
+        keeper.release(run.goal, partial(self._let_go, run, error))
 
-    def _let_go(self, run: Run[GoalT, FeedbackT, ResultT], reason: str) -> None:
+    def _let_go(self, run: Run[GoalT, FeedbackT, ResultT], error: ConnectionLost) -> None:
+        """End the streams of a goal that does not end here, and forget it."""
         run.goal.is_over = True
         del self._runs[run.goal.goal_id]
         self._registry.release(run.goal)
-        error = GoalKept(reason)
-        run.log.fail(error)
-        if reason != GOAL_IS_TAKEN:
-            self._logs.kept = error
-        self._logs.ended.notify()
+        if isinstance(error, GoalKept):
+            self._logs.keep(run.log, error)
+        else:
+            self._logs.lose(run.log, error)
 
     def _fix_outcome(self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending) -> None:
         """Decide the outcome, which never changes afterwards."""
@@ -393,8 +431,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         """Make the outcome the goal's, for as long as results are kept, and tell it."""
         assert run.outcome is not None
         if run.goal.earlier_status is not None:
-            run.goal.earlier_status = None
-            self._logs.tell_status(run.log)
+            self._tell_status(run)
         now = current_time()
         self._registry.finish(run.goal, run.outcome, now=now, stamp=time.time_ns())
         del self._runs[run.goal.goal_id]

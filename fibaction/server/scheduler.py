@@ -158,6 +158,11 @@ class Scheduler:
         self._part(successor)
         return [self._start(successor, now)]
 
+    def lose(self, goal_id: GoalID) -> None:
+        """Order nothing more for a goal that runs. It keeps its place until it leaves."""
+        for entries in (self._timed, self._told, self._interrupted):
+            entries.pop(goal_id, None)
+
     def take_over(self, goal_id: GoalID, now: float) -> GoalID | None:
         """Let the successor of a goal take its place, and the goal leave; return the successor.
 
@@ -216,6 +221,23 @@ class Scheduler:
         """The number of goals that wait."""
         return len(self._waiting)
 
+    def room(self) -> tuple[float, float]:
+        """Return how many more goals can run now, and how many more can wait; `math.inf` if there
+        is no limit, or if it depends on the goal.
+        """
+        rules = self._schedule
+        running = math.inf if rules.total is None else rules.total - self._running
+        # With keys there are any number of queues; otherwise a new goal makes another give way.
+        waiting = math.inf if rules.queue or rules.when_full == "preempt" else 0.0
+        if rules.key is None:
+            group = self._groups.get(None)
+            started, queued = (len(group.running), len(group.queue)) if group else (0, 0)
+            if rules.concurrency is not None:
+                running = min(running, rules.concurrency - started)
+            if rules.when_full == "reject":
+                waiting = rules.queue - queued
+        return max(running, 0), max(waiting, 0)
+
     def successor(self, goal_id: GoalID) -> GoalID | None:
         """Return the goal that this one may take over; None if there is none."""
         entry = self._told.get(goal_id)
@@ -266,8 +288,7 @@ class Scheduler:
         del self._entries[goal_id]
         if group.running.pop(goal_id, None) is not None:
             self._running -= 1
-            for entries in (self._timed, self._told, self._interrupted):
-                entries.pop(goal_id, None)
+            self.lose(goal_id)
         else:
             del self._waiting[goal_id]
             group.queue.pop(goal_id, None)  # a successor is not in it

@@ -42,8 +42,10 @@ from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_keeper import STORE_FAILED, GoalKeeper
 from fibaction.server.goal_logs import GoalLogs
+from fibaction.server.losses import Losses
 from fibaction.server.recovery import Recovery, RecoveryRule
 from fibaction.server.registry import MAX_BYTES, MAX_GOALS, GoalRegistry
+from fibaction.server.room import Room
 from fibaction.server.runs import GOAL_IS_KEPT, Runs
 from fibaction.server.schedule import Schedule
 from fibaction.server.shutdown import Shutdown
@@ -170,7 +172,13 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._logs = GoalLogs(registry, window=feedback_window, latest=feedback == "latest")
         self._watch = Watch(action.name, watchdog)
         self._runs = Runs(
-            action, executor, registry, self._logs, stall_timeout=stall_timeout, watch=self._watch
+            action,
+            executor,
+            registry,
+            self._logs,
+            stall_timeout=stall_timeout,
+            kill_after=shutdown_timeout,
+            watch=self._watch,
         )
         self._dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None = None
         if schedule is not None:
@@ -200,11 +208,15 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             action,
             registry,
             self._runs,
+            self._logs,
             self._dispatcher,
+            self._admission.decided,
             rule=recovery,
             max_attempts=max_attempts,
             keep_for=result_timeout,
         )
+        self._losses = Losses(action.name, self._admission, self._runs, self._recovery)
+        self._room = Room(registry, self._dispatcher)
         self._keep_for, self._max_results = result_timeout, max_results
         self._at_stop = at_stop
         self._keeper: GoalKeeper | None = None
@@ -248,7 +260,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._runs.keep_by(keeper)
         self._admission.keep_by(keeper)
         self._cancels.keep_by(keeper)
-        keeper.on_lost = self._admission.lose
+        self._losses.keep_by(keeper)
+        self._room.keep_by(keeper)
         keeper.on_failure = self._give_up
 
     async def __aenter__(self) -> Self:
@@ -276,7 +289,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             if self._dispatcher is not None:
                 self._dispatcher.open(tasks)
             if self._keeper is not None:
-                tasks.start_soon(self._recovery.run, name=f"recovery of {self.action.name}")
+                self._recovery.open(tasks)
+                tasks.start_soon(self._room.run, name=f"room of {self.action.name}")
                 stack.push_async_callback(self._stop_early)
                 await self._recovery.recovered()
                 if self._keeper.failure is not None:
@@ -285,6 +299,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
                 stack.enter_context(self._block)
             self._stack = stack.pop_all()
         self._phase = "running"
+        self._room.open()
         self._started.notify()
         return self
 
@@ -325,9 +340,27 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._block.cancel()
 
     def _close(self) -> None:
+        self._room.close()
         self._recovery.close()
         self._admission.close()
         self._callbacks.stop()
+
+    async def drain(self, timeout: float = math.inf) -> None:
+        """Reject new goals as busy, and wait until the active ones have ended, at most `timeout`
+        seconds.
+
+        Clients of a fleet then send their goals to other servers. The server goes on rejecting when
+        this returns, also if it is canceled; `stop()` ends what is left.
+        """
+        if not self.is_running:
+            return
+        self._admission.drain()
+        self._room.close()
+        with anyio.move_on_after(timeout):
+            if self._keeper is not None:
+                await self._keeper.settled()  # what is accepted by then is active
+            while self._runs.are_left:
+                await self._logs.ended.wait()
 
     async def stop(self) -> None:
         """Reject new goals, end all active ones, and answer every client that waits.

@@ -9,20 +9,13 @@ from anyio import move_on_after
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._slices import Slices
-from fibaction.goals import GoalID
+from fibaction.server.executor import warn_of_kill
 from fibaction.server.runs import Runs
 
 MOST_NAMED = 10
 """Goals that are named in the log when they are killed; the others are counted."""
 
 logger = clean_logger("fibaction.server")
-
-
-def warn_of_kill(goal_id: GoalID, action: str, timeout: float) -> None:
-    """Log that a goal is killed, which was interrupted `timeout` seconds ago."""
-    logger.warning(
-        "goal %s of action %r did not stop in time (%g s), and is killed", goal_id, action, timeout
-    )
 
 
 class Shutdown:
@@ -46,12 +39,13 @@ class Shutdown:
                 self._runs.interrupt(goal_id, self._reason)
                 await slices.pause()
             with move_on_after(self._timeout, shield=True):
-                while self._runs:
+                while self._runs.are_left:
                     await self._ended.wait()
         finally:
             try:
                 await self._kill_all()
             finally:
+                self._runs.lost.kill_all()
                 self._runs.close()
 
     async def _kill_all(self) -> None:

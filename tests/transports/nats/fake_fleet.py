@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from collections.abc import AsyncGenerator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
@@ -166,7 +166,7 @@ class FakeBroker(Broker):
     def add_note(self, subject: str, data: bytes) -> None:
         raise NotImplementedError
 
-    async def notes(self, subject: str) -> AsyncIterator[Note]:
+    async def notes(self, subject: str) -> AsyncGenerator[Note, None]:
         raise NotImplementedError
         yield
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 
 import anyio
 import pytest
 
 from fibaction import ActionServer, GoalCanceled, GoalHandle, ServerNotFound, connect, serve
-from fibaction.exceptions import ConnectionLost
-from fibaction.wire.channel import Line
+from fibaction._notify import Notifier
+from fibaction.exceptions import ConnectionLost, ProtocolError
+from fibaction.wire.channel import Line, NextFrames, OnFrames
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
 from fibaction_transports.nats.broker import Message
@@ -114,14 +115,50 @@ async def test_a_goal_goes_on_while_the_broker_is_killed_and_started_again(
 # Each end alone
 
 
+class End:
+    """One end of a line, which a test reads and writes."""
+
+    def __init__(self, line: Line) -> None:
+        assert isinstance(line, PieceLine)
+        self.line = line
+        self.frames: list[bytes] = []
+        self.error: BaseException | None = None
+        self._news = Notifier()
+
+    async def run(
+        self, on_frames: OnFrames | None = None, next_frames: NextFrames = lambda: []
+    ) -> None:
+        """Run the line, and note the error that ends it."""
+        try:
+            await self.line.run(on_frames or self._on_frames, next_frames)
+        except Exception as exc:
+            self.error = exc
+            self._news.notify()
+
+    def _on_frames(self, frames: list[bytes]) -> list[bytes]:
+        self.frames += frames
+        self._news.notify()
+        return []
+
+    async def until(self, is_so: Callable[[], bool]) -> None:
+        with anyio.fail_after(10):
+            while not is_so():
+                await self._news.wait()
+
+    async def lost(self) -> str:
+        """The reason why the line ends, while nothing else runs it."""
+        with anyio.fail_after(10):
+            await self.run()
+        assert isinstance(self.error, ConnectionLost)
+        return str(self.error)
+
+
 class Ends:
-    """A client's end and a worker's end of one line, and the connections below."""
+    """A client's end and a worker's end of one line, and the connection below."""
 
     def __init__(self, client: Line, worker: Line, broker: NatsBroker, names: FleetNames) -> None:
-        assert isinstance(client, PieceLine)
-        assert isinstance(worker, PieceLine)
-        self.client = client
-        self.worker = worker
+        self.client = End(client)
+        self.worker = End(worker)
         self.broker = broker
         self.names = names
 
@@ -143,15 +180,6 @@ async def ends_of(server: NatsServer, fleet: str) -> AsyncGenerator[Ends, None]:
         await line.aclose()
         clients.close()
         workers.close()
-
-
-async def lost(line: Line) -> str:
-    """The reason why a line ends."""
-    assert isinstance(line, PieceLine)
-    with anyio.fail_after(5), pytest.raises(ConnectionLost) as caught:
-        while True:
-            await line.receive()
-    return str(caught.value)
 
 
 def piece(number: int, data: bytes = b"", kind: bytes = b"D") -> bytes:
@@ -180,69 +208,142 @@ async def test_a_worker_that_does_not_answer_is_given_up(
 
 async def test_frames_go_both_ways_in_order(shared_broker: NatsServer, fleet: str) -> None:
     async with ends_of(shared_broker, fleet) as ends:
-        await ends.client.send([b"one", b"two"])
-        await ends.client.send([bytes(200_000)])
-        await ends.worker.send([b"back"])
-        received: list[bytes] = []
-        with anyio.fail_after(5):
-            while len(received) < 3:
-                received += await ends.worker.receive()
-            assert received == [b"one", b"two", bytes(200_000)]
-            assert await ends.client.receive() == [b"back"]
+        async with anyio.create_task_group() as tasks:
+            await ends.client.line.send([b"one", b"two"])
+            await ends.client.line.send([bytes(200_000)])
+            tasks.start_soon(ends.client.run)
+            tasks.start_soon(ends.worker.run)
+            await ends.worker.until(lambda: len(ends.worker.frames) == 3)
+            await ends.worker.line.send([b"back"])
+            await ends.client.until(lambda: ends.client.frames == [b"back"])
+            assert ends.worker.frames == [b"one", b"two", bytes(200_000)]
+            tasks.cancel_scope.cancel()
 
 
 async def test_a_reader_that_takes_nothing_holds_the_sender_back(
     shared_broker: NatsServer, fleet: str
 ) -> None:
     async with ends_of(shared_broker, fleet) as ends:
-        frame = bytes(1000)
-        count = 0
+        fetched = 0
 
-        async def send() -> None:
-            nonlocal count
-            while True:
-                await ends.client.send([frame])
-                count += 1
+        def next_frames() -> list[bytes]:
+            nonlocal fetched
+            fetched += 1
+            return [bytes(1000)] if fetched <= 10 * WINDOW else []
 
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(send)
+            tasks.start_soon(ends.client.run, None, next_frames)
             with anyio.move_on_after(0.3):
                 await anyio.sleep_forever()
-            assert count == WINDOW
-            assert ends.client.progress == 0
-            with anyio.fail_after(5):
-                frames = 0
-                while frames < 10 * WINDOW:
-                    frames += len(await ends.worker.receive())
-            assert ends.client.progress >= 9 * WINDOW
+            assert fetched == WINDOW
+            assert ends.client.line.progress == 0
+            tasks.start_soon(ends.worker.run)
+            await ends.worker.until(lambda: len(ends.worker.frames) == 10 * WINDOW)
+            await ends.broker.flush()
+            assert ends.client.line.progress >= 9 * WINDOW
             tasks.cancel_scope.cancel()
+
+
+async def test_frames_that_are_left_come_again_in_later_turns_before_others(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        taken: list[bytes] = []
+        done = anyio.Event()
+
+        def one_at_once(frames: list[bytes]) -> list[bytes]:
+            taken.extend(frames[:1])
+            if len(taken) == 4:
+                done.set()
+            return frames[1:]
+
+        ends.worker.line.share_turns(anyio.Lock())
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ends.worker.run, one_at_once)
+            await ends.client.line.send([b"1", b"2", b"3"])
+            await ends.client.line.send([b"4"])
+            with anyio.fail_after(5):
+                await done.wait()
+            assert taken == [b"1", b"2", b"3", b"4"]
+            tasks.cancel_scope.cancel()
+
+
+async def test_a_write_at_once_is_not_put_off(shared_broker: NatsServer, fleet: str) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        frames: list[bytes] = []
+
+        def next_frames() -> list[bytes]:
+            ends.client.line.wake_writer(at_once=True)  # while it is fetched
+            one, frames[:] = frames[:], []
+            return one
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ends.client.run, None, next_frames)
+            await anyio.lowlevel.checkpoint()
+            tasks.start_soon(ends.worker.run)
+            frames.append(b"now")
+            ends.client.line.wake_writer(at_once=True)
+            assert not frames
+            await ends.worker.until(lambda: ends.worker.frames == [b"now"])
+            tasks.cancel_scope.cancel()
+
+
+@pytest.mark.parametrize("is_left", [False, True])
+async def test_an_error_of_a_handler_ends_the_line(
+    shared_broker: NatsServer, fleet: str, is_left: bool
+) -> None:
+    calls = 0
+
+    def fail(frames: list[bytes]) -> list[bytes]:
+        nonlocal calls
+        calls += 1
+        if is_left and calls == 1:
+            return frames
+        raise ProtocolError("no")
+
+    async with ends_of(shared_broker, fleet) as ends:
+        await ends.client.line.send([b"x"])
+        with anyio.fail_after(5):
+            await ends.worker.run(fail)
+        assert isinstance(ends.worker.error, ProtocolError)
+
+
+async def test_an_error_of_a_source_ends_the_line(shared_broker: NatsServer, fleet: str) -> None:
+    def fail() -> list[bytes]:
+        raise ProtocolError("no")
+
+    async with ends_of(shared_broker, fleet) as ends:
+        with anyio.fail_after(5):
+            await ends.client.run(None, fail)
+        assert isinstance(ends.client.error, ProtocolError)
 
 
 async def test_a_lost_piece_breaks_the_line(shared_broker: NatsServer, fleet: str) -> None:
     async with ends_of(shared_broker, fleet) as ends:
         ends.to_worker(piece(1))
-        assert await lost(ends.worker) == "a piece of the line to nats client c was lost"
+        assert await ends.worker.lost() == "a piece of the line to nats client c was lost"
+        ends.to_worker(piece(0, b"too late"))
+        await ends.broker.flush()
 
 
 async def test_what_came_before_the_end_is_still_read(
     shared_broker: NatsServer, fleet: str
 ) -> None:
     async with ends_of(shared_broker, fleet) as ends:
-        await ends.client.send([b"last"])
-        await ends.client.aclose()
-        with anyio.fail_after(5):
-            assert await ends.worker.receive() == [b"last"]
-        assert await lost(ends.worker) == "nats client c closed its side"
+        await ends.client.line.send([b"last"])
+        await ends.client.line.aclose()
+        assert await ends.worker.lost() == "nats client c closed its side"
+        assert ends.worker.frames == [b"last"]
         with pytest.raises(ConnectionLost):
-            await ends.worker.send([b"x"])
+            await ends.worker.line.send([b"x"])
 
 
 async def test_an_end_that_is_gone_is_noticed_at_once(
     shared_broker: NatsServer, fleet: str
 ) -> None:
     async with ends_of(shared_broker, fleet) as ends:
-        ends.broker.publish(ends.names.up("w", "c", "1"), b"")
-        assert await lost(ends.worker) == "nats client c sent a piece that is too short"
+        ends.to_worker(b"")
+        assert await ends.worker.lost() == "nats client c sent a piece that is too short"
     names, settings = FleetNames(fleet), FleetSettings(fleet, (shared_broker.address,))
     async with open_broker(settings) as here:
         clients = ClientLines(here, names)
@@ -252,17 +353,18 @@ async def test_an_end_that_is_gone_is_noticed_at_once(
             await workers.open()
             line = await clients.dial("w")
         await line.send([b"x"])
-        assert await lost(line) == "worker 'w' is gone"
+        assert await End(line).lost() == "worker 'w' is gone"
 
 
 async def test_a_worker_that_does_not_know_a_line_closes_it(
     shared_broker: NatsServer, fleet: str
 ) -> None:
     async with ends_of(shared_broker, fleet) as ends:
-        await ends.worker.aclose()
-        ends.client._error = None  # as if the message of the end had been lost
-        await ends.client.send([b"x"])
-        assert await lost(ends.client) == "worker 'w' closed its side"
+        await ends.worker.line.aclose()
+        await ends.broker.flush()
+        ends.client.line._error = None  # as if the message of the end had been lost
+        await ends.client.line.send([b"x"])
+        assert await ends.client.lost() == "worker 'w' closed its side"
 
 
 async def test_more_pieces_than_the_window_break_the_line(
@@ -271,8 +373,11 @@ async def test_more_pieces_than_the_window_break_the_line(
     async with ends_of(shared_broker, fleet) as ends:
         for number in range(WINDOW + 1):
             ends.to_worker(piece(number))
-        await ends.broker.flush()
-        assert await lost(ends.worker) == f"nats client c sent more than {WINDOW} pieces"
+        line = ends.worker.line
+        with anyio.fail_after(5):
+            while line._error is None:
+                await line._changed.wait()
+        assert await ends.worker.lost() == f"nats client c sent more than {WINDOW} pieces"
 
 
 async def test_acknowledgements_that_cannot_be_are_ignored(
@@ -281,20 +386,25 @@ async def test_acknowledgements_that_cannot_be_are_ignored(
     async with ends_of(shared_broker, fleet) as ends:
         ends.to_worker(piece(7, kind=b"A"))
         ends.to_worker(piece(7, kind=b"?"))
-        ends.to_worker(piece(0, b"\0"))
-        with anyio.fail_after(5):
-            await ends.worker.receive()
-        assert ends.worker.progress == 0
+        ends.to_worker(piece(0, b"\0\0\0\1x"))
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ends.worker.run)
+            await ends.worker.until(lambda: ends.worker.frames == [b"x"])
+            tasks.cancel_scope.cancel()
+        assert ends.worker.line.progress == 0
 
 
-async def test_a_message_that_was_cut_off_is_the_last_one(
-    shared_broker: NatsServer, fleet: str
-) -> None:
+async def test_sending_waits_for_the_window(shared_broker: NatsServer, fleet: str) -> None:
     async with ends_of(shared_broker, fleet) as ends:
-        with anyio.move_on_after(0.2):
-            await ends.client.send([bytes(2**16 * (WINDOW + 2))])
-        with pytest.raises(ConnectionLost, match="cut off"):
-            await ends.client.send([b"x"])
+        large = bytes(2**16 * (WINDOW + 2))
+        with anyio.move_on_after(0.2) as scope:
+            await ends.client.line.send([large])
+        assert scope.cancelled_caught
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ends.client.run)
+            tasks.start_soon(ends.worker.run)
+            await ends.worker.until(lambda: ends.worker.frames == [large])
+            tasks.cancel_scope.cancel()
 
 
 async def test_a_worker_that_stops_ends_its_lines(shared_broker: NatsServer, fleet: str) -> None:
@@ -309,7 +419,7 @@ async def test_a_worker_that_stops_ends_its_lines(shared_broker: NatsServer, fle
         await clients.open()
         await clients.dial("w")
         workers.close()
-        assert await lost(started[0]) == "the worker has stopped"
+        assert await End(started[0]).lost() == "the worker has stopped"
 
 
 async def test_a_message_for_an_unknown_line_is_ignored(
@@ -321,7 +431,6 @@ async def test_a_message_for_an_unknown_line_is_ignored(
         ends.broker.publish(ends.names.down("c", "9"), piece(0))
         ends.broker.publish(ends.names.up("w", "d", "1"), piece(0, kind=b"A"))
         ends.broker.publish(ends.names.up("w", "d", "2"), piece(0))
-        await ends.broker.request("$JS.API.INFO", b"", 5)
         with anyio.fail_after(5):
             while not heard:
                 await ends.broker.flush()

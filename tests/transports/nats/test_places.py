@@ -127,21 +127,30 @@ async def test_busy_workers_are_told_apart_from_none(fleet: FakeFleet) -> None:
     async with places_of(fleet) as places:
         with pytest.raises(ServerNotFound, match="is not served in this fleet: there is nothing"):
             await places.take("count")
-        async with fleet.worker("a").serve(server()) as a:
-            a.deafen()
-            a.has_room = False
-            a.renew()
+        async with fleet.worker("a").serve(server()) as a, fleet.worker("b").serve(server()) as b:
+            for worker in (a, b):
+                worker.deafen()
+                worker.has_room = False
+                worker.renew()
             await settled()
             with pytest.raises(GoalRejected) as caught:
                 await places.take("count")
-            assert caught.value.reason == "busy: the only worker of action 'count' is busy"
+            assert caught.value.reason == "busy: all 2 workers of action 'count' are busy"
+            b.die()
+            await settled()
+            assert await places.take("count") == "a"  # the only one answers itself
 
 
 async def test_a_worker_that_has_room_by_its_lease_is_waited_for_a_moment(
     fleet: FakeFleet,
 ) -> None:
-    async with fleet.worker("a").serve(server()) as a, places_of(fleet) as places:
+    async with (
+        fleet.worker("a").serve(server()) as a,
+        fleet.worker("b").serve(server()) as b,
+        places_of(fleet) as places,
+    ):
         a.deafen()
+        b.deafen()
         began = anyio.current_time()
         with pytest.raises(GoalRejected):
             await places.take("count")

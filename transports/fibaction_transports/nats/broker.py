@@ -16,7 +16,7 @@ No exception of a library crosses this interface.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncGenerator, Callable
 from contextlib import AbstractAsyncContextManager
 from enum import Enum
 from typing import NamedTuple, TypeAlias
@@ -208,9 +208,9 @@ class Broker(ABC):
         """Add a note to the queue; it is tried again until the broker has it."""
 
     @abstractmethod
-    def notes(self, subject: str) -> AsyncIterator[Note]:
+    def notes(self, subject: str) -> AsyncGenerator[Note, None]:
         """Take notes of a subject, one after the other, in the order in which they were added.
 
         The next one is asked for when the iterator is asked, and not before: who has no room asks
-        for none. It waits as long as need be, also for the broker.
+        for none. It waits as long as need be, also for the broker. The caller closes it.
         """

@@ -31,7 +31,7 @@ from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction._log import clean_logger
-from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
+from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError, UnknownGoal
 from fibaction.goal_store import StoredGoal
 from fibaction.goals import UNKNOWN_OUTCOME, GoalID, Outcome
 from fibaction.wire.messages import Follow, Following, SendGoal
@@ -152,8 +152,9 @@ class CallRoutes:
             pause = min(2 * pause, LONGEST_PAUSE)
 
     async def _is_routed(self, goal: RemoteGoal, *, is_over: bool) -> bool:
-        """Return whether a lost goal is with an owner that lives, or has ended; if its time is over,
-        it goes to no owner any more.
+        """Return whether a lost goal is with an owner that lives, or has ended.
+
+        If its time is over, it goes to no owner any more.
         """
         try:
             found = await self.find(goal.action, goal.goal_id)
@@ -167,6 +168,8 @@ class CallRoutes:
             return True
         if found is None:
             goal.finish(UNKNOWN_OUTCOME, 0, goal.newest_attempt)
+        elif found.goal.ended_at and isinstance(self._lost[goal], UnknownGoal):
+            finish(goal, found.goal)  # its owner has forgotten it
         elif found.is_alive and not is_over:
             self._connections.adopt(found.goal.worker, goal)
         elif found.goal.ended_at and not found.is_alive:

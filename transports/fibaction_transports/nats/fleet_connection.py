@@ -94,6 +94,7 @@ class FleetConnection(Connection):
 
     async def leave(self) -> None:
         """Say goodbye to all workers, and end all calls."""
+        self._workers.close()
         self._routes.close()
         self._statuses.fail(ConnectionLost("the connection to the fleet was closed here"))
         await self._connections.leave()

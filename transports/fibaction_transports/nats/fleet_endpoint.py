@@ -94,6 +94,43 @@ class _Patience:
         self._pause = min(2 * self._pause, LONGEST_PAUSE)
 
 
+class _Trial:
+    """One goal that is to be sent, and the workers that it was sent to."""
+
+    def __init__(self, parts: FleetParts, action: str) -> None:
+        self._parts = parts
+        self._action = action
+        self._refused: set[str] = set()
+        self.patience = _Patience(parts.routes)
+        self.owner = ""
+        """The worker that has the goal by its record; empty if it may go to any."""
+        self.worker = ""
+        """The worker that it was sent to last; empty if there was no place for it."""
+
+    def is_decided_by(self, error: ActionError) -> bool:
+        """Return whether an error of a worker is the answer, so that no other one is asked."""
+        if not self.worker:
+            return False
+        if isinstance(error, GoalRejected) and (self.owner or not error.is_busy):
+            return True
+        if not self._parts.workers.is_kept(self.worker, self._action):
+            return True  # no record tells whether a gateway has the goal
+        if self.owner or isinstance(error, ConnectionLost):
+            return False
+        self._refused.add(self.worker)
+        serving = self._parts.workers.serving(self._action)
+        return self._refused.issuperset(lease.worker for lease in serving)
+
+    def goes_to(self, found: Found | None) -> bool:
+        """Go to the owner of the goal next, or to any worker if it has none; return whether that
+        can be at once.
+        """
+        before = self.owner
+        self.owner = found.goal.worker if found is not None and found.is_alive else ""
+        self.worker = ""
+        return bool(self.owner) and self.owner != before
+
+
 class FleetEndpoint(Endpoint):
     """An action of a fleet."""
 
@@ -126,35 +163,29 @@ class FleetEndpoint(Endpoint):
         def request(call_id: int, credit: int) -> SendGoal:
             return SendGoal(call_id, self._info.name, goal_id, goal, credit if feedback else None)
 
-        patience = _Patience(self._parts.routes)
-        owner: str | None = None
+        trial = _Trial(self._parts, self._info.name)
         while True:
-            worker = ""
             try:
-                # The end of a lease says that a goal is lost.
+                # The end of a lease says that a goal is lost, so the leases are needed.
                 await self._parts.workers.ready()
-                worker = owner or await self._parts.places.take(self._info.name)
+                worker = trial.owner or await self._parts.places.take(self._info.name)
+                trial.worker = worker
                 return await self._follow(worker, goal_id, request, deadline)
             except (GoalRejected, ConnectionLost, ServerNotFound) as exc:
                 error = exc
-            if worker and isinstance(error, GoalRejected):
-                if owner or not error.is_busy:
-                    raise error
-                await patience.wait(error)  # another client was faster; there may be other places
+            if trial.is_decided_by(error):
+                raise error
+            if not isinstance(error, ConnectionLost) and trial.worker and not trial.owner:
+                await trial.patience.wait(error)  # another worker may have room
                 continue
             # Its answer may be lost, or another client may have sent the same goal before.
-            found = await self._found(goal_id, patience)
-            if found is None:
-                owner = None
-                if not worker:
-                    raise error
-            elif found.is_alive:
-                was_asked, owner = owner, found.goal.worker
-                if was_asked != owner:
-                    continue
-            elif found.goal.ended_at:
+            found = await self._found(goal_id, trial.patience)
+            if found is None and not trial.worker:
+                raise error
+            if found is not None and found.goal.ended_at and not found.is_alive:
                 return self._ended_sent(found, goal, request)
-            await patience.wait(error)
+            if not trial.goes_to(found):
+                await trial.patience.wait(error)
 
     def _ended_sent(
         self, found: Found, goal: bytes, request: Callable[[int, int], SendGoal]
@@ -189,29 +220,32 @@ class FleetEndpoint(Endpoint):
             found = await self._found(goal_id, patience)
             if found is None:
                 return await self._feedback_without_record(goal_id, request)
-            error: ActionError = ConnectionLost(
-                f"worker {excerpt(found.goal.worker)!r}, which has goal {goal_id}, is gone"
-            )
+            error: ActionError = _gone(found)
             if found.is_alive:
                 try:
                     return await self._follow(found.goal.worker, goal_id, request)
                 except (UnknownGoal, ConnectionLost, ServerNotFound) as exc:
                     error = exc
-            if found.goal.ended_at and (not found.is_alive or isinstance(error, UnknownGoal)):
-                return ended_goal(request(self._parts.connections.next_id(), 1), found.goal)
+            if found.goal.ended_at:
+                if isinstance(error, UnknownGoal):
+                    raise error  # its owner has forgotten it, and the record goes soon
+                if not isinstance(error, ConnectionLost) or not found.is_alive:
+                    return ended_goal(request(self._parts.connections.next_id(), 1), found.goal)
             await patience.wait(error)
 
     async def _feedback_without_record(
         self, goal_id: GoalID, request: Callable[[int, int], Follow]
     ) -> RemoteGoal:
-        workers = await self.workers()
-        for worker in workers:
+        error: ActionError = UnknownGoal(goal_id)
+        for worker in await self.workers():
             if not self._parts.workers.is_kept(worker, self._info.name):
                 try:
                     return await self._follow(worker, goal_id, request)
-                except (UnknownGoal, ConnectionLost, ServerNotFound):
+                except UnknownGoal:
                     pass
-        raise UnknownGoal(goal_id)
+                except (ConnectionLost, ServerNotFound) as exc:
+                    error = exc
+        raise error
 
     # To cancel goals
 
@@ -238,8 +272,7 @@ class FleetEndpoint(Endpoint):
             elif found.goal.ended_at:
                 return CancelAnswer(CancelCode.GOAL_TERMINATED)
             else:
-                gone = f"worker {excerpt(found.goal.worker)!r}, which has goal {goal_id}, is gone"
-                error = ConnectionLost(gone)
+                error = _gone(found)
             await patience.wait(error)
 
     async def _cancel_at_all(self, goal_id: GoalID | None, stamp: int | None) -> CancelAnswer:
@@ -332,6 +365,9 @@ class FleetEndpoint(Endpoint):
                     return
                 if self._parts.workers.get(worker) is None:
                     return
+                if not self._parts.workers.is_kept(worker, self._info.name):
+                    errors.append(error)
+                    return
                 try:
                     await patience.wait(error)
                 except ActionError as exc:
@@ -344,3 +380,10 @@ class FleetEndpoint(Endpoint):
         if errors:
             raise errors[0]
         return answers
+
+
+def _gone(found: Found) -> ConnectionLost:
+    goal = found.goal
+    return ConnectionLost(
+        f"worker {excerpt(goal.worker)!r}, which has goal {goal.goal_id}, is gone"
+    )

@@ -309,13 +309,9 @@ class FleetStatuses:
         if worker in self._gateways:
             return
         calls = self._shared.connections.calls_of(worker)
-        try:
-            statuses = await calls.follow_statuses(self._action)
-            for info in await statuses.listed():
-                self._put(info)
-        except ActionError as exc:
-            logger.debug("the goals at %s are not known: %s", worker, exc)
-            return
+        statuses = await calls.follow_statuses(self._action)
+        for info in await statuses.listed():
+            self._put(info)
         self._gateways[worker] = statuses
         self._shared.tasks.start_soon(self._read_gateway, worker, statuses)
 

@@ -52,7 +52,17 @@ RESERVE = 512
 class _Write:
     """A write of one goal."""
 
-    __slots__ = ("answer", "data", "incarnation", "is_answered", "kind", "nonce", "pause", "stored", "then")
+    __slots__ = (
+        "answer",
+        "data",
+        "incarnation",
+        "is_answered",
+        "kind",
+        "nonce",
+        "pause",
+        "stored",
+        "then",
+    )
 
     def __init__(
         self, kind: str, stored: StoredGoal, incarnation: bytes, nonce: bytes, then: Then

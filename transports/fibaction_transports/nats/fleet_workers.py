@@ -41,6 +41,7 @@ class FleetWorkers:
         self._known: dict[str, LeaseEntry] = {}  # by the name of the worker; living ones only
         self._is_watching = False
         self._is_listed = False
+        self._is_closed = False
         self.news = Notifier()
         """The notifier of workers that come or go, and of actions that they begin or end to serve.
         """
@@ -51,8 +52,10 @@ class FleetWorkers:
         """Wait until the leases are known.
 
         Raises:
-            ConnectionLost: The brokers do not answer.
+            ConnectionLost: The brokers do not answer, or the connection was closed.
         """
+        if self._is_closed:
+            raise ConnectionLost("the connection to the fleet was closed here")
         if self._is_listed:
             return
         if not self._is_watching:
@@ -65,6 +68,11 @@ class FleetWorkers:
         raise ConnectionLost(
             f"the brokers have not told the workers of the fleet within {self.timeout:g} s"
         )
+
+    def close(self) -> None:
+        """Let `ready` raise from now on."""
+        self._is_closed = True
+        self.news.notify()
 
     def living(self) -> list[LeaseEntry]:
         """Return the leases of all workers, in the order of their names."""

@@ -45,7 +45,10 @@ def name_of(token: str) -> str:
     parts = [first.encode("ascii")]
     for one in rest:
         parts += bytes.fromhex(one[:2]), one[2:].encode("ascii")
-    return b"".join(parts).decode("utf-8", "surrogatepass")
+    name = b"".join(parts).decode("utf-8", "surrogatepass")
+    if token_of(name) != token:
+        raise ValueError(f"{token!r} is not the token of a name")
+    return name
 
 
 class FleetNames:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import AsyncGenerator, AsyncIterator
+from collections.abc import AsyncGenerator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from typing import Any
 
@@ -144,7 +144,7 @@ class NatsBroker(Broker):
 
         self._client.ask(subject, data, None, then)
 
-    def notes(self, subject: str) -> AsyncIterator[Note]:
+    def notes(self, subject: str) -> AsyncGenerator[Note, None]:
         return NoteQueue(self._client, subject).notes()
 
     # Life

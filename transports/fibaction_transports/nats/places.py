@@ -8,7 +8,8 @@ few questions.
 A worker that is frozen, or whose machine was switched off, still gets its share of the questions
 until the broker notices, and does not answer. So the first wait is short, and the next ones are
 longer, for a fleet that is only slow. A question that nobody gets is answered by the broker at
-once: then no worker has room. The leases tell whether there are any.
+once: then no worker has room. The leases tell whether there are any. A worker that is the only one
+gets the goal in any case, and tells by its rejection how many goals run and wait.
 """
 
 from __future__ import annotations
@@ -119,9 +120,9 @@ class Places:
             try:
                 return await self._one_answer(action, question, wait)
             except NobodyListens:
-                error = await self._nobody(action, current_time() - began)
-                if error is not None:
-                    raise error from None
+                worker = await self._last_resort(action, current_time() - began)
+                if worker:
+                    return worker, goals
                 await anyio.sleep(ROOM_PAUSE)
             except (BrokerAway, ProtocolError) as exc:
                 if current_time() - began >= self._patience:
@@ -142,16 +143,21 @@ class Places:
         offered = offer(answer)
         return offered.worker, max(offered.goals, 1)
 
-    async def _nobody(self, action: str, waited: float) -> ActionError | None:
-        """Return the error if no worker gets a question; None if one may get the next."""
+    async def _last_resort(self, action: str, waited: float) -> str:
+        """Return the worker to send goals to if none gets a question; empty to ask again.
+
+        Raises:
+            GoalRejected, ServerNotFound, ConnectionLost: As for `take`.
+        """
         await self._workers.ready()
         serving = self._workers.serving(action)
         if not serving:
-            return self._workers.not_served(action)
+            raise self._workers.not_served(action)
+        if len(serving) == 1:
+            return serving[0].worker  # it says itself how busy it is
         # A worker that has room again, or is new, listens again in a moment.
         if waited < ROOM_WAIT and any(lease.has_room for lease in serving):
-            return None
-        who = f"all {len(serving)} workers of action {excerpt(action)!r} are busy"
-        if len(serving) == 1:
-            who = f"the only worker of action {excerpt(action)!r} is busy"
-        return GoalRejected(f"busy: {who}")
+            return ""
+        raise GoalRejected(
+            f"busy: all {len(serving)} workers of action {excerpt(action)!r} are busy"
+        )

@@ -19,6 +19,8 @@ claims it. The owner of a goal that waited gets a hint to the subject `taken`, a
 
 from __future__ import annotations
 
+from contextlib import aclosing
+
 from anyio import CapacityLimiter, move_on_after, sleep
 from anyio.abc import TaskGroup
 
@@ -37,8 +39,13 @@ from fibaction_transports.nats.broker import (
     PutFailure,
     Record,
 )
-from fibaction_transports.nats.fleet_records import GoalEntry, LeaseEntry, encode, goal_entry
-from fibaction_transports.nats.fleet_records import lease_entry
+from fibaction_transports.nats.fleet_records import (
+    GoalEntry,
+    LeaseEntry,
+    encode,
+    goal_entry,
+    lease_entry,
+)
 from fibaction_transports.nats.fleet_store import FleetJournal, FleetStore
 from fibaction_transports.nats.fleet_workers import FleetWorkers
 from fibaction_transports.nats.lease import LEFT_TTL, LONGEST_PAUSE, Membership
@@ -189,20 +196,20 @@ class Takeover:
 
     async def _take_left(self, journal: FleetJournal, tasks: TaskGroup) -> None:
         limit = CapacityLimiter(AT_ONCE)
-        async for note in self._broker.notes(self._names.left(journal.action)):
-            await limit.acquire_on_behalf_of(note)
-            tasks.start_soon(self._take_one_left, journal, note, limit)
+        async with aclosing(self._broker.notes(self._names.left(journal.action))) as notes:
+            async for note in notes:
+                await limit.acquire_on_behalf_of(note)
+                tasks.start_soon(self._take_one_left, journal, note, limit)
 
     async def _take_one_left(
         self, journal: FleetJournal, note: Note, limit: CapacityLimiter
     ) -> None:
         try:
-            goal_id = _goal_id(note)
-            record = None if goal_id is None else await self._record(journal, goal_id)
-            entry = None if record is None else _entry(record)
-            if record is None or entry is None or not await self._is_gone(entry):
+            found = await self._found(journal, note)
+            if found is None or not await self._is_gone(found[1]):
                 note.done()
                 return
+            record, entry = found
             is_taken = await self._take(journal, record, entry)
             if is_taken or self._membership.incarnation:
                 note.done()
@@ -215,43 +222,53 @@ class Takeover:
 
     async def _take_wanted(self, journal: FleetJournal) -> None:
         subject = self._names.want(journal.action)
-        notes = self._broker.notes(subject)
-        while True:
-            while not self._has_room(journal):
-                await self.room.wait()
-            note = await anext(notes)
-            if self._has_room(journal):
-                try:
+        async with aclosing(self._broker.notes(subject)) as notes:
+            while True:
+                while not self._has_room(journal):
+                    await self.room.wait()
+                note = await anext(notes)
+                if self._has_room(journal):
                     await self._take_one_wanted(journal, note)
-                except BrokerAway:
-                    continue  # the note comes again
-            else:
-                self._broker.add_note(subject, note.data)
-                note.done()
+                else:
+                    self._broker.add_note(subject, note.data)
+                    note.done()
 
     def _has_room(self, journal: FleetJournal) -> bool:
         return journal.running > 0 and bool(self._membership.incarnation)
 
     async def _take_one_wanted(self, journal: FleetJournal, note: Note) -> None:
-        goal_id = _goal_id(note)
-        if goal_id is not None and journal.waits(goal_id):
-            return  # it waits here; the note comes again
-        record = None if goal_id is None else await self._record(journal, goal_id)
-        entry = None if record is None else _entry(record)
-        if record is None or entry is None or not _waits(entry):
+        try:
+            found = await self._found(journal, note)
+            if found is not None and journal.waits(found[1].goal.goal_id):
+                return  # it waits here; the note comes again
+            if found is None or not _waits(found[1]):
+                note.done()
+                return
+            record, entry = found
+            former = entry.goal.worker
+            is_taken = await self._take(journal, record, entry)
+        except BrokerAway:
+            return  # the note comes again
+        if is_taken or self._membership.incarnation:
             note.done()
-            return
-        former = entry.goal.worker
-        if await self._take(journal, record, entry):
-            note.done()
-            self._broker.publish(self._names.taken(former), record.subject.encode())
+        if is_taken:
+            if former:
+                self._broker.publish(self._names.taken(former), record.subject.encode())
             await self._wait_for_begin(journal, entry.goal.goal_id)
-        elif self._membership.incarnation:
-            note.done()
 
-    async def _record(self, journal: FleetJournal, goal_id: GoalID) -> Record | None:
-        subject = self._names.goal(journal.action, goal_id)
-        return await self._broker.get(self._names.goals, subject)
+    async def _found(self, journal: FleetJournal, note: Note) -> tuple[Record, GoalEntry] | None:
+        """Return the record of the active goal of a note; None if there is none.
+
+        Raises:
+            BrokerAway: The brokers do not answer.
+        """
+        try:
+            subject = self._names.goal(journal.action, GoalID(note.data))
+        except ValueError:
+            return None
+        record = await self._broker.get(self._names.goals, subject)
+        entry = None if record is None else _entry(record)
+        return None if record is None or entry is None else (record, entry)
 
     async def _take(self, journal: FleetJournal, record: Record, entry: GoalEntry) -> bool:
         """Take a goal over, unless another worker is faster; return whether it is taken."""
@@ -283,19 +300,13 @@ class Takeover:
     async def _look_at(self, journal: FleetJournal, goal_id: GoalID) -> None:
         """Let go of a goal if its record has another owner."""
         try:
-            record = await self._record(journal, goal_id)
+            subject = self._names.goal(journal.action, goal_id)
+            record = await self._broker.get(self._names.goals, subject)
         except BrokerAway:
             return  # the begin of the goal will be refused
         entry = None if record is None else _entry(record)
         if entry is not None and entry.incarnation != self._membership.incarnation:
             journal.lose(goal_id)
-
-
-def _goal_id(note: Note) -> GoalID | None:
-    try:
-        return GoalID(note.data)
-    except ValueError:
-        return None
 
 
 def _entry(record: Record) -> GoalEntry | None:

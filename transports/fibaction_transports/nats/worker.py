@@ -60,9 +60,7 @@ class Worker:
         tasks.start_soon(self._membership.fence_in_time, name="fence of the worker")
         lease = self._membership.lease
         workers = FleetWorkers(self._broker, self._names, tasks, lease)
-        self._takeover = Takeover(
-            self._broker, self._names, self.store, self._membership, workers
-        )
+        self._takeover = Takeover(self._broker, self._names, self.store, self._membership, workers)
         try:
             await self._takeover.open()
         except (BrokerAway, ConnectionLost) as exc:

@@ -162,7 +162,7 @@ class WorkerConnections:
         except ServerNotFound as exc:
             # What the worker has not answered can go elsewhere at once; the rest waits for it, or
             # for the end of its lease.
+            lost = ConnectionLost(str(exc))
             if worker in self._opened:
-                lost = ConnectionLost(str(exc))
                 self._opened[worker].connection.calls.fail_unanswered(lost)
-            raise
+            raise lost from exc

@@ -1,0 +1,603 @@
+"""Goals that other servers take over, and that come from them, with a store in memory."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import suppress
+from typing import Any, TypeAlias
+
+import anyio
+import pytest
+from anyio import current_time
+
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    CancelCode,
+    ConnectionLost,
+    GoalAborted,
+    GoalCanceled,
+    GoalHandle,
+    GoalID,
+    GoalKept,
+    GoalStatus,
+    Schedule,
+    StoreError,
+    UnknownGoal,
+)
+from fibaction.goal_store import GoalTaken, StoredGoal
+from fibaction.goals import UNKNOWN_SENDER
+from fibaction.server.goal_record import digest_of
+from tests.memory_store import Fate, MemoryStore
+from tests.virtual_time import in_virtual_time
+
+pytestmark = [pytest.mark.anyio, in_virtual_time()]
+
+PAINT = Action("paint", goal=int, feedback=int, result=str, checkpoint=int)
+Painting: TypeAlias = AsyncGenerator[int | str, None]
+Server: TypeAlias = ActionServer[int, int, str]
+ID = GoalID(bytes(15) + b"\1")
+TAKEN = "another server has taken the goal over"
+
+
+async def paint(goal: GoalHandle[int]) -> Painting:
+    """Paint one stroke a second, from the last checkpoint on."""
+    for done in range(goal.restored or 0, goal.request):
+        yield done
+        await anyio.sleep(1)
+        await goal.checkpoint(done + 1)
+    yield f"painted {goal.request} in attempt {goal.attempt}"
+
+
+def server_with(store: MemoryStore, executor: Any = paint, **settings: Any) -> Server:
+    return ActionServer(PAINT, executor, store=store, **settings)
+
+
+def client_of(server: Server) -> ActionClient[int, int, str]:
+    return ActionClient(server, PAINT)
+
+
+def stored(request: int = 3, number: int = 1, **fields: Any) -> StoredGoal:
+    """Return a goal as another server has left it."""
+    goal = PAINT.goal.encode(request)
+    goal_id = GoalID(number.to_bytes(16, "big"))
+    return StoredGoal(goal_id, number, UNKNOWN_SENDER, digest_of(goal), goal, **fields)
+
+
+def taking(what: str) -> MemoryStore:
+    """Return a store in which the goal of the first such write belongs to another server."""
+    fates = {what: Fate.TAKEN}
+    return MemoryStore(lambda _number, write: fates.pop(write, Fate.KEPT))
+
+
+class CleanUp:
+    """An executor that waits, and whose clean-up takes its time."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self.begun: list[tuple[int, float]] = []
+        self.ended: list[float] = []
+
+    async def __call__(self, goal: GoalHandle[int]) -> Painting:
+        self.begun.append((goal.attempt, current_time()))
+        try:
+            await anyio.sleep(goal.request)
+        finally:
+            await anyio.sleep(self._seconds)
+            self.ended.append(current_time())
+        yield f"attempt {goal.attempt}"
+
+
+# Lost
+
+
+async def test_a_loss_that_overtakes_answers_is_told_to_clients_and_nothing_else_happens() -> None:
+    for schedule in (None, Schedule(concurrency=1)):
+        store = MemoryStore()
+        async with server_with(store, schedule=schedule) as server:
+            store.on_kept = lambda _what, goal: store.take("paint", GoalID(goal.goal_id)) and None
+            with pytest.raises(ConnectionLost, match=TAKEN):
+                await client_of(server).send_goal(1)
+            store.on_kept = lambda _what, _goal: None
+            assert await client_of(server).call(1) == "painted 1 in attempt 1"
+
+
+async def test_a_loss_that_is_told_while_the_end_is_written_is_told_in_place_of_the_end() -> None:
+    store = MemoryStore()
+    async with server_with(store) as server:
+        goal = await client_of(server).send_goal(1)
+        await anyio.sleep(0.5)
+        store.hold()
+        await anyio.sleep(1)
+        assert store.take("paint", goal.goal_id) is not None
+        store.release()
+        with pytest.raises(ConnectionLost, match=TAKEN):
+            await goal.result()
+        await anyio.sleep(1)
+        assert await client_of(server).goals() == []
+        assert await client_of(server).call(1) == "painted 1 in attempt 1"
+
+
+async def test_a_goal_that_is_unknown_or_has_ended_is_not_lost() -> None:
+    store = MemoryStore()
+    async with server_with(store) as server:
+        goal = await client_of(server).send_goal(1)
+        assert await goal.result() == "painted 1 in attempt 1"
+        store.take("paint", goal.goal_id)
+        store.take("paint", GoalID.random())
+        again = await client_of(server).attach(goal.goal_id)
+        assert await again.result() == "painted 1 in attempt 1"
+
+
+async def test_a_goal_that_is_still_decided_by_the_server_is_not_lost() -> None:
+    store, decide = MemoryStore(), anyio.Event()
+
+    async def wait(_goal: int) -> None:
+        await decide.wait()
+
+    async with server_with(store, on_goal=wait) as server, anyio.create_task_group() as tasks:
+        tasks.start_soon(server.send_goal, ID, PAINT.goal.encode(1))
+        await anyio.sleep(1)
+        store.take("paint", ID)
+        decide.set()
+        await anyio.sleep(0.5)
+        assert await (await client_of(server).attach(ID)).result() == "painted 1 in attempt 1"
+
+
+async def test_the_loss_of_a_goal_whose_executor_was_taken_over_leaves_the_successor() -> None:
+    async def hand_over(goal: GoalHandle[int]) -> Painting:
+        if goal.request:
+            await goal.wait_for_successor()
+            goal = goal.take_over()
+        await anyio.sleep(1)
+        yield f"painted {goal.request}"
+
+    store = taking("end")
+    schedule = Schedule(concurrency=1, when_full="preempt", handover=9)
+    async with server_with(store, hand_over, schedule=schedule) as server:
+        first, second = [await client_of(server).send_goal(order) for order in (1, 0)]
+        with pytest.raises(ConnectionLost, match=TAKEN):
+            await first.result()
+        assert await second.result() == "painted 0"
+
+
+async def test_the_loss_of_a_successor_interrupts_the_executor_that_has_taken_it_over() -> None:
+    interrupted: list[int] = []
+
+    async def hand_over(goal: GoalHandle[int]) -> Painting:
+        await goal.wait_for_successor()
+        goal = goal.take_over()
+        try:
+            await anyio.sleep(1000)
+        finally:
+            interrupted.append(goal.request)
+        yield ""
+
+    store = taking("begin")
+    schedule = Schedule(concurrency=1, when_full="preempt", handover=9)
+    async with server_with(store, hand_over, schedule=schedule) as server:
+        first, second = [await client_of(server).send_goal(order) for order in (1, 2)]
+        with pytest.raises(ConnectionLost, match=TAKEN):
+            await second.result()
+        assert (await first.outcome()).reason == f"preempted by {second.goal_id}"
+        await anyio.sleep(0.1)
+        assert interrupted == [2]
+        assert len(server._dispatcher._scheduler._entries) == 0  # type: ignore[union-attr]  # it has a schedule
+
+
+@pytest.mark.parametrize("when_full", ["preempt", "replace"])
+async def test_orders_for_other_goals_are_carried_out_if_a_goal_is_not_accepted(
+    when_full: Any,
+) -> None:
+    accepted = 0
+
+    def fate(_number: int, what: str) -> Fate:
+        nonlocal accepted
+        accepted += what == "accept"
+        return Fate.TAKEN if (what, accepted) == ("accept", 3) else Fate.KEPT
+
+    store = MemoryStore(fate)
+    queue = 1 if when_full == "replace" else 0
+    schedule = Schedule(concurrency=2 - queue, queue=queue, when_full=when_full)
+    async with server_with(store, schedule=schedule) as server:
+        client = client_of(server)
+        first, second = [await client.send_goal(1000) for _ in range(2)]
+        with pytest.raises(ConnectionLost, match=TAKEN):
+            await client.send_goal(1000)
+        gives_way = first if when_full == "preempt" else second
+        with pytest.raises(GoalAborted, match="preempted by|replaced by"), anyio.fail_after(5):
+            await gives_way.result()
+        assert await (await client.send_goal(0)).result() == "painted 0 in attempt 1"
+
+
+async def test_a_lost_goal_is_unknown_to_all_who_follow() -> None:
+    store = MemoryStore()
+    async with server_with(store) as server:
+        goal = await client_of(server).send_goal(1000)
+        await anyio.sleep(1.5)
+        with await server.status() as statuses:
+            assert (await statuses.receive()) is not None
+            store.take("paint", goal.goal_id)
+            gone = await statuses.receive()
+            assert gone is not None
+            assert (gone.goal_id, gone.status) == (goal.goal_id, GoalStatus.UNKNOWN)
+        feedback = aiter(goal.feedback)
+        with pytest.raises(ConnectionLost, match=TAKEN):
+            while True:
+                await anext(feedback)
+        with pytest.raises(UnknownGoal):
+            await client_of(server).attach(goal.goal_id)
+        assert await client_of(server).goals() == []
+
+
+async def test_a_checkpoint_of_a_goal_that_was_taken_is_an_error_of_the_executor() -> None:
+    errors: list[StoreError] = []
+
+    async def persist(goal: GoalHandle[int]) -> Painting:
+        try:
+            with anyio.CancelScope(shield=True):
+                await goal.checkpoint(1)
+        except StoreError as exc:
+            errors.append(exc)
+            raise
+        yield ""
+
+    async with server_with(taking("checkpoint"), persist) as server:
+        with pytest.raises(ConnectionLost, match=TAKEN):
+            await client_of(server).call(1)
+        await anyio.sleep(1)
+        assert [type(error) for error in errors] == [GoalTaken]
+
+
+async def test_a_goal_that_is_taken_while_its_cancel_is_written_is_not_in_the_answer() -> None:
+    for only_one in (True, False):
+        async with server_with(taking("cancel")) as server:
+            goal, other = [await client_of(server).send_goal(1000) for _ in range(2)]
+            if only_one:
+                answer = await goal.cancel()
+                assert (answer.return_code, answer.goals_canceling) == (
+                    CancelCode.UNKNOWN_GOAL_ID,
+                    (),
+                )
+                continue
+            answer = await client_of(server).cancel_goals()
+            assert answer.return_code is CancelCode.NONE
+            assert [info.goal_id for info in answer.goals_canceling] == [other.goal_id]
+            with pytest.raises(GoalCanceled):
+                await other.result()
+
+
+async def test_the_executor_of_a_lost_goal_is_killed_if_its_clean_up_takes_too_long() -> None:
+    store, executor = MemoryStore(), CleanUp(50)
+    async with server_with(store, executor, shutdown_timeout=5) as server:
+        quick = CleanUp(0)
+        goal = await client_of(server).send_goal(1000)
+        await anyio.sleep(1)
+        begin = current_time()
+        store.take("paint", goal.goal_id)
+        await anyio.sleep(1)
+        assert len(server._runs.lost) == 1
+        await anyio.sleep(5)
+        assert len(server._runs.lost) == 0
+        assert executor.ended == []  # its clean-up was cut off
+        assert current_time() - begin < 7
+        assert quick.begun == []
+
+
+async def test_a_stop_waits_for_the_executors_of_lost_goals_and_kills_them() -> None:
+    store, executor = MemoryStore(), CleanUp(3)
+    async with server_with(store, executor, shutdown_timeout=5) as server:
+        goal = await client_of(server).send_goal(1000)
+        await anyio.sleep(1)
+        store.take("paint", goal.goal_id)
+        await server.stop()
+        assert len(executor.ended) == 1
+    store, executor = MemoryStore(), CleanUp(30)
+    async with server_with(store, executor, shutdown_timeout=5) as server:
+        goal = await client_of(server).send_goal(1000)
+        await anyio.sleep(1)
+        store.take("paint", goal.goal_id)
+        await anyio.sleep(1)
+        begin = current_time()
+        await server.stop()
+        assert current_time() - begin < 7
+    assert executor.ended == []
+
+
+# Taken over
+
+
+async def test_a_goal_that_comes_later_is_known_followed_and_run() -> None:
+    store = MemoryStore()
+    async with server_with(store, recovery="rerun") as server:
+        with await server.status() as statuses:
+            store.give("paint", stored(is_running=True, attempt=1, worker="w"))
+            for status in (GoalStatus.EXECUTING, GoalStatus.SUCCEEDED):
+                info = await statuses.receive()
+                assert info is not None
+                assert (info.goal_id, info.status) == (ID, status)
+                if status.is_active:
+                    goal = await client_of(server).attach(ID)
+        assert await goal.result() == "painted 3 in attempt 2"
+        assert store.goals["paint", ID].status is GoalStatus.SUCCEEDED
+
+
+async def test_an_outcome_that_comes_later_is_known_and_told() -> None:
+    store = MemoryStore()
+    async with server_with(store) as server:
+        with await server.status() as statuses:
+            ended = stored(status=GoalStatus.SUCCEEDED, attempt=1, ended_at=1)
+            ended.result = PAINT.result.encode("painted")
+            for _ in range(2):
+                store.give("paint", ended)
+                info = await statuses.receive()
+                assert info is not None
+                assert (info.goal_id, info.status) == (ID, GoalStatus.SUCCEEDED)
+        assert await (await client_of(server).attach(ID)).result() == "painted"
+        await anyio.sleep(100)
+        assert await client_of(server).goals() == []
+        assert server._runs._registry._kept_bytes == 0
+
+
+@pytest.mark.parametrize(
+    ("settings", "goal", "reason"),
+    [
+        ({}, stored(is_running=True, attempt=1, worker="w"), "the worker 'w' was lost"),
+        (
+            {"recovery": "rerun", "max_attempts": 2},
+            stored(is_running=True, attempt=2, lost=1, worker="w"),
+            "given up after 2 attempts: the worker 'w' was lost",
+        ),
+        ({}, stored(status=GoalStatus.CANCELING, worker="w"), "the worker 'w' was lost"),
+    ],
+    ids=["aborted", "given up", "canceled"],
+)
+async def test_a_goal_that_a_lost_worker_has_left_ends_with_that_reason(
+    settings: Any, goal: StoredGoal, reason: str
+) -> None:
+    store = MemoryStore()
+    async with server_with(store, **settings) as server:
+        store.give("paint", goal)
+        await anyio.sleep(0.1)
+        outcome = await (await client_of(server).attach(ID)).outcome()
+        assert outcome.reason == reason
+
+
+@pytest.mark.parametrize("schedule", [None, Schedule(concurrency=1, queue=1)])
+async def test_a_goal_that_comes_back_waits_for_its_old_executor(schedule: Any) -> None:
+    store, executor = MemoryStore(), CleanUp(3)
+    settings: dict[str, Any] = {"recovery": "rerun", "schedule": schedule}
+    async with server_with(store, executor, **settings) as server:
+        await server.send_goal(ID, PAINT.goal.encode(5))
+        await anyio.sleep(1)
+        for _ in range(2):  # it comes and goes, and is there in the end
+            goal = store.take("paint", ID)
+            assert goal is not None
+            store.give("paint", goal)
+            await anyio.sleep(0.5)
+        assert [attempt for attempt, _ in executor.begun] == [1]
+        back = await client_of(server).attach(ID)
+        assert back.status is GoalStatus.EXECUTING
+        assert await back.result() == "attempt 2"
+        assert [attempt for attempt, _ in executor.begun] == [1, 2]
+        assert executor.begun[1][1] >= executor.ended[0]
+        if server._dispatcher is not None:
+            assert server._dispatcher._scheduler._entries == {}
+
+
+async def test_a_goal_that_comes_back_and_is_canceled_leaves_the_place_of_its_old_executor() -> (
+    None
+):
+    store, executor = MemoryStore(), CleanUp(3)
+    schedule = Schedule(concurrency=1, queue=1, run_timeout=3.5)
+    async with server_with(store, executor, recovery="rerun", schedule=schedule) as server:
+        await server.send_goal(ID, PAINT.goal.encode(50))
+        await anyio.sleep(1)
+        goal = store.take("paint", ID)
+        assert goal is not None
+        store.give("paint", goal)
+        await anyio.sleep(2.7)  # the time of the old executor is over, which is not the new goal's
+        back = await client_of(server).attach(ID)
+        assert (await back.cancel()).accepted
+        with pytest.raises(GoalCanceled):
+            await back.result()
+        other = await client_of(server).send_goal(0)
+        await anyio.sleep(0.1)
+        assert len(executor.begun) == 1
+        assert await other.result() == "attempt 1"
+        assert executor.begun[1][1] >= executor.ended[0]
+
+
+async def test_a_goal_that_is_lost_before_it_is_taken_over_stays_with_the_other_server() -> None:
+    store = MemoryStore()
+    async with server_with(store, recovery="rerun") as server:
+        store.give("paint", stored())
+        store.give("paint", stored(number=2))
+        store.take("paint", ID)
+        await anyio.sleep(0.1)
+        with pytest.raises(UnknownGoal):
+            await client_of(server).attach(ID)
+        assert len(await client_of(server).goals()) == 1
+
+
+async def test_a_goal_that_is_lost_while_the_function_decides_stays_with_the_other_server() -> None:
+    runs: list[int] = []
+
+    async def note(goal: GoalHandle[int]) -> Painting:
+        runs.append(goal.attempt)
+        yield ""
+
+    async def decide(goal: GoalHandle[int]) -> None:
+        await anyio.sleep(5)
+
+    store = MemoryStore()
+    async with server_with(store, note, recovery=decide) as server:
+        store.give("paint", stored(is_running=True, attempt=1))
+        await anyio.sleep(1)
+        store.take("paint", ID)
+        await anyio.sleep(10)
+        assert await client_of(server).goals() == []
+    assert runs == []
+
+
+async def test_a_goal_that_is_handed_over_twice_runs_once() -> None:
+    store, executor = MemoryStore(), CleanUp(0)
+    async with server_with(store, executor) as server:
+        for _ in range(2):
+            store.give("paint", stored(1))
+        await anyio.sleep(0.5)
+        assert await (await client_of(server).attach(ID)).result() == "attempt 1"
+    assert len(executor.begun) == 1
+
+
+@pytest.mark.parametrize("schedule", [None, Schedule(concurrency=1, queue=1)])
+async def test_a_goal_that_comes_while_it_is_sent_here_is_that_goal_for_its_sender(
+    schedule: Any,
+) -> None:
+    store = MemoryStore()
+    async with server_with(store, schedule=schedule) as server, anyio.create_task_group() as tasks:
+        results: list[str] = []
+
+        async def send() -> None:
+            stream = await server.send_goal(ID, PAINT.goal.encode(1))
+            results.append(PAINT.result.decode((await stream.outcome()).result or b""))
+
+        store.hold()
+        tasks.start_soon(send)
+        await anyio.sleep(1)
+        store.note_takeover("paint", ID)
+        store.give("paint", stored(1))
+        await anyio.sleep(1)
+        store.release()
+        await anyio.sleep(3)
+        assert results == ["painted 1 in attempt 1"]
+
+
+async def test_a_goal_that_comes_while_it_is_decided_here_is_taken_over_afterwards() -> None:
+    decide = anyio.Event()
+
+    async def wait(_goal: int) -> None:
+        await decide.wait()
+
+    store = MemoryStore(lambda _number, what: Fate.TAKEN if what == "accept" else Fate.KEPT)
+    async with server_with(store, on_goal=wait) as server, anyio.create_task_group() as tasks:
+
+        async def send() -> None:
+            with suppress(ConnectionLost):  # or it follows the goal that has come
+                await server.send_goal(ID, PAINT.goal.encode(1))
+
+        tasks.start_soon(send)
+        await anyio.sleep(1)
+        store.give("paint", stored(1))
+        await anyio.sleep(1)
+        store.note_takeover = lambda _action, _goal_id: None  # type: ignore[method-assign]  # it stays
+        decide.set()
+        await anyio.sleep(0.1)
+        assert await (await client_of(server).attach(ID)).result() == "painted 1 in attempt 1"
+
+
+async def test_a_goal_that_waits_for_a_decision_here_is_left_alone_if_the_store_fails() -> None:
+    async def wait(_goal: int) -> None:
+        await anyio.sleep(5)
+
+    store = MemoryStore(lambda _number, what: Fate.FAILED if what == "end" else Fate.KEPT)
+    server = server_with(store)
+    with pytest.raises(StoreError):
+        async with server:
+            await server.send_goal(GoalID.random(), PAINT.goal.encode(2))
+            server._admission._on_goal = lambda _goal, _sender: wait(_goal)
+
+            async def send() -> None:
+                with pytest.raises(GoalKept):
+                    await server.send_goal(ID, PAINT.goal.encode(1))
+
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(send)
+                await anyio.sleep(1)
+                store.give("paint", stored(1))
+                await anyio.sleep_forever()
+    assert store.goals["paint", ID].attempt == 0
+
+
+# Leases
+
+
+async def test_an_executor_takes_no_step_when_the_lease_is_over() -> None:
+    store, steps = MemoryStore(), list[float]()
+    lease = current_time() + 10
+
+    async def step(goal: GoalHandle[int]) -> Painting:
+        try:
+            while True:
+                await anyio.sleep(3)
+                steps.append(current_time())
+        finally:
+            steps.append(-1)
+        yield ""
+
+    store.valid_until = lambda: lease
+    async with server_with(store, step) as server:
+        goal = await client_of(server).send_goal(1)
+        with pytest.raises(ConnectionLost, match="cut off from its store"):
+            await goal.result()
+        assert (len(steps), steps[-1]) == (4, -1)
+        assert max(steps) < lease
+        assert store.goals["paint", goal.goal_id].is_running is False
+        assert await client_of(server).goals() == []
+
+
+async def test_a_goal_whose_turn_comes_when_the_lease_is_over_never_runs() -> None:
+    store, executor = MemoryStore(), CleanUp(0)
+    store.valid_until = current_time
+    async with server_with(store, executor) as server:
+        with pytest.raises(ConnectionLost):
+            await client_of(server).call(1)
+    assert executor.begun == []
+
+
+async def test_an_executor_that_shields_itself_goes_on_when_the_lease_is_over() -> None:
+    store, lease = MemoryStore(), current_time() + 1
+
+    async def finish(goal: GoalHandle[int]) -> Painting:
+        with anyio.CancelScope(shield=True):
+            await anyio.sleep(3)
+            await anyio.sleep(3)
+        yield "done"
+
+    store.valid_until = lambda: lease
+    async with server_with(store, finish) as server:
+        assert await client_of(server).call(1) == "done"
+
+
+async def test_an_executor_that_does_not_end_when_the_lease_is_over_is_killed() -> None:
+    store, executor = MemoryStore(), CleanUp(50)
+    lease = current_time() + 1
+    store.valid_until = lambda: lease
+    async with server_with(store, executor, shutdown_timeout=2) as server:
+        begin = current_time()
+        with pytest.raises(ConnectionLost):
+            await client_of(server).call(5)
+        assert current_time() - begin < 8
+    assert executor.ended == []
+
+
+async def test_a_lost_goal_is_interrupted_at_once_when_a_frozen_server_goes_on() -> None:
+    store, steps = MemoryStore(), list[int]()
+    lease = current_time() + 100
+
+    async def step(goal: GoalHandle[int]) -> Painting:
+        await anyio.sleep(5)
+        steps.append(1)
+        yield ""
+
+    store.valid_until = lambda: lease
+    async with server_with(store, step) as server:
+        goal = await client_of(server).send_goal(1)
+        await anyio.sleep(4.9)
+        lease = current_time()
+        store.take("paint", goal.goal_id)
+        await anyio.sleep(1)
+        with pytest.raises(ConnectionLost, match=TAKEN):
+            await goal.result()
+    assert steps == []
