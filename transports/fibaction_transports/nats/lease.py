@@ -102,6 +102,7 @@ class Membership:
         self._term = Term(lease)
         self._mine: set[bytes] = set()
         self._sequence = 0
+        self._rest_until = -math.inf  # the end of the lease that was given up
         self._wanted = 0  # the number of changes so far
         self._stored = 0  # the number of those that the stored lease has
         self._changes = Notifier()
@@ -301,10 +302,13 @@ class Membership:
     def _fence(self, why: str) -> None:
         logger.error("worker %r gives up its goals, and joins again: %s", self.worker, why)
         self.incarnation = b""
+        # Until then no other worker takes the goals over, so executors have that time for their end.
+        self._rest_until = self._term.valid_until + self._term.lease * MARGIN
         self._term.end()
         self.on_fence()
 
     async def _join_again(self) -> None:
+        await sleep(max(0.0, self._rest_until - current_time()))
         try:
             await self.join()
         except TransportError as exc:
