@@ -427,6 +427,8 @@ def _taken(goal_id: GoalID) -> GoalTaken:
 class FleetStore(GoalStore):
     """The goals of all servers of one worker."""
 
+    tells_statuses = True
+
     def __init__(self, broker: Broker, names: FleetNames, membership: Membership) -> None:
         self.broker = broker
         self.names = names
