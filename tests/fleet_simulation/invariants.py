@@ -120,12 +120,16 @@ def _of_clients(told: Told, history: list[GoalEntry]) -> Iterator[str]:
     if not history:
         return
     last = history[-1].goal
-    if told.outcome is not None and told.outcome.status is not GoalStatus.UNKNOWN:
-        if (told.outcome.status, told.outcome.reason) != (last.status, last.reason):
-            yield (
-                f"{goal_id}: {told.outcome.status.name} {told.outcome.reason!r} was told, and"
-                f" {last.status.name} {last.reason!r} is recorded"
-            )
+    outcome = told.outcome
+    if (
+        outcome is not None
+        and outcome.status is not GoalStatus.UNKNOWN
+        and (outcome.status, outcome.reason) != (last.status, last.reason)
+    ):
+        yield (
+            f"{goal_id}: {outcome.status.name} {outcome.reason!r} was told, and"
+            f" {last.status.name} {last.reason!r} is recorded"
+        )
     if told.cancel_accepted and last.status is GoalStatus.ABORTED:
         yield f"{goal_id}: a cancel was accepted, and it is ABORTED: {last.reason}"
     if told.is_accepted and told.outcome is None and not told.error:

@@ -7,15 +7,18 @@ import random
 from collections.abc import AsyncGenerator, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Literal
 
 import anyio
 from anyio import CancelScope, current_time
 
 from fibaction import (
     Action,
+    ActionClient,
     ActionError,
     ActionServer,
     ConnectionLost,
+    Endpoint,
     GoalHandle,
     GoalID,
     GoalRejected,
@@ -137,7 +140,8 @@ class World:
         self.chance = chance = random.Random(f"fleet {seed}")
         self.seen = Seen(LEASE, MAX_ATTEMPTS)
         self.brokers: MemoryBrokers
-        self.recovery = chance.choice(["abort", "rerun", "rerun"])
+        rules: list[Literal["abort", "rerun"]] = ["abort", "rerun", "rerun"]
+        self.recovery = chance.choice(rules)
         self.schedule = chance.choice(
             [None, Schedule(concurrency=1, queue=20), Schedule(concurrency=2, queue=3)]
         )
@@ -173,7 +177,7 @@ class World:
 
     async def _all_ended(self) -> None:
         """Wait until all records have ended; the time is limited outside."""
-        while any(
+        while any(  # noqa: ASYNC110  # the brokers tell nobody, and virtual time costs nothing
             record.data and not goal_entry(record.data).goal.status.is_terminal
             for record in self.brokers.matching(NAMES.all_goals())
         ):
@@ -224,11 +228,9 @@ class World:
                 for _ in range(chance.randint(2, 10)):
                     goals.start_soon(self._goal, endpoint, chance.uniform(0, LENGTH))
 
-    async def _goal(self, endpoint: object, wait: float) -> None:
-        from fibaction import ActionClient
-
+    async def _goal(self, endpoint: Endpoint, wait: float) -> None:
         chance = self.chance
-        client = ActionClient(endpoint, WORK)  # type: ignore[arg-type, var-annotated]  # any endpoint
+        client = ActionClient(endpoint, WORK)
         await anyio.sleep(wait)
         told = Told(GoalID.random())
         try:
