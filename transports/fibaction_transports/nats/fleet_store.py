@@ -324,10 +324,10 @@ class FleetJournal(GoalJournal):
 
     def _sequence_for(self, held: _Held, write: _Write, record: Record | None) -> int | None:
         """Return the sequence to write over; -1 if the write is stored, None if it cannot be."""
-        if record is None or not record.data:
-            expected = 0 if record is None else record.sequence
-            is_same = expected == held.sequence or write.kind == "accept"
-            return expected if is_same else None
+        if record is None or record.sequence < held.sequence:
+            return held.sequence  # by a broker that is behind: sequences only grow
+        if not record.data:
+            return record.sequence if write.kind == "accept" else None
         try:
             entry = goal_entry(record.data)
         except ProtocolError:

@@ -43,6 +43,8 @@ MARGIN = 1 / 5
 """The part of a lease that a worker leaves unused, so that it has stopped when the lease ends."""
 RENEWALS = 3
 """The number of renewals in the time of one lease."""
+PATIENCE = 1 / 6
+"""The part of a lease after which a renewal that is not answered is sent again."""
 CHANGE_INTERVAL = 1.0
 """Seconds between two renewals because something has changed."""
 FIRST_PAUSE, LONGEST_PAUSE = 0.02, 1.0
@@ -220,9 +222,10 @@ class Membership:
         self._broker.put(
             self._subject, data, expected=expected, ttl=ttl or self.lease, then=answered
         )
-        while not answers:
-            await news.wait()
-        return answers[0]
+        with move_on_after(self.lease * PATIENCE):
+            while not answers:
+                await news.wait()
+        return answers[0] if answers else PutError(PutFailure.UNKNOWN, "no answer")
 
     # Stay
 
@@ -278,9 +281,9 @@ class Membership:
             return False
         if self.incarnation != incarnation:
             return True
-        if record is not None and record.data and self._has(record, incarnation):
-            if record.sequence == self._sequence:
-                return False  # an older answer, of a broker that is behind
+        if record is None or record.sequence <= self._sequence:
+            return False  # by a broker that is behind: sequences only grow
+        if record.data and self._has(record, incarnation):
             self._keep(record.sequence, self._stored)
             return True
         self._fence("its lease has ended")
