@@ -487,6 +487,10 @@ async def test_a_goal_that_comes_while_it_is_decided_here_is_taken_over_afterwar
         await decide.wait()
 
     store = MemoryStore(lambda _number, what: Fate.TAKEN if what == "accept" else Fate.KEPT)
+
+    def keep(goal: StoredGoal) -> None:
+        store.goals["paint", GoalID(goal.goal_id)] = goal  # it is the one that was handed over
+
     async with server_with(store, on_goal=wait) as server, anyio.create_task_group() as tasks:
 
         async def send() -> None:
@@ -497,7 +501,7 @@ async def test_a_goal_that_comes_while_it_is_decided_here_is_taken_over_afterwar
         await anyio.sleep(1)
         store.give("paint", stored(1))
         await anyio.sleep(1)
-        store.note_takeover = lambda _action, _goal_id: None  # type: ignore[method-assign]  # it stays
+        store.on_taken = keep
         decide.set()
         await anyio.sleep(0.1)
         assert await (await client_of(server).attach(ID)).result() == "painted 1 in attempt 1"
