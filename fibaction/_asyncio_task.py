@@ -1,4 +1,4 @@
-"""The task of asyncio that runs the caller, which anyio does not tell."""
+"""The task and the event loop of asyncio that run the caller, which anyio does not tell."""
 
 from __future__ import annotations
 
@@ -16,3 +16,16 @@ def asyncio_task() -> asyncio.Task[Any] | None:
         return asyncio.current_task()
     except RuntimeError:  # no loop of asyncio runs
         return None
+
+
+def asyncio_loop() -> asyncio.AbstractEventLoop:
+    """Return the event loop, and mark its callbacks as those of asyncio."""
+    import asyncio  # noqa: TID251  # as above
+
+    try:
+        from sniffio import current_async_library_cvar
+    except ImportError:
+        pass  # anyio finds it out by itself
+    else:
+        current_async_library_cvar.set("asyncio")
+    return asyncio.get_running_loop()

@@ -10,7 +10,8 @@ tells a client nothing that is not kept yet.
 Each method of a journal takes what it needs of the `StoredGoal` and returns at once. Its `then` is
 called on the event loop when the write is durable: with None, or with the error if it has failed.
 The calls of `then` come in the order of the writes. After a `StoreError` nothing can be written any
-more; after a `GoalTaken` this goal belongs to another server, which it tells apart.
+more; after a `GoalTaken` this goal belongs to another server, which it tells apart. After a
+`RecordTooLarge` this write alone has failed: of `accept`, `checkpoint` or `end`.
 
 A goal can come to a server at any time, always by `claim`: it was found when the store was opened,
 it was left by another server that is gone, or it comes from a queue that several servers share.
@@ -87,6 +88,13 @@ class GoalTaken(StoreError):
     """The goal belongs to another server by now; this one may write nothing more about it."""
 
 
+class RecordTooLarge(StoreError):
+    """The goal, its checkpoint or its result is too large for the store; the text says how large.
+
+    Nothing was written, and the other goals are not affected.
+    """
+
+
 class GoalJournal(ABC):
     """The goals of one action in an open store. See the module for the rules of all methods."""
 
@@ -136,6 +144,10 @@ class GoalJournal(ABC):
 
 class GoalStore(ABC):
     """A place where the goals of servers outlive their process."""
+
+    tells_statuses: bool = False
+    """True if clients follow the statuses of goals in the store, and not at the server, which then
+    cannot know whether they are followed."""
 
     @abstractmethod
     def open(

@@ -253,7 +253,7 @@ def test_the_picture_of_the_parts_has_every_transport() -> None:
 
     texts = " ".join(picture.getroot().itertext())
     assert {entry.name for entry in entry_points(group=GROUP)} == set(
-        re.findall(r"(\w+)://", texts)
+        re.findall(r"([\w+]+)://", texts)
     )
 
 

@@ -32,8 +32,8 @@ ENDING = 10.0
 ROOT = Path(__file__).resolve().parent.parent
 CLONE = "~/fibaction"
 """The folder of the repository in pages."""
-DEFAULT_PORT = "7400"
-"""The port in pages, which another program of this machine may use."""
+DEFAULT_PORT, BROKER_PORT = "7400", "4222"
+"""The ports in pages, which other programs of this machine may use."""
 
 _TERMINAL = re.compile(
     r"<!-- terminal: (?P<name>\w+)(?P<on>, runs on)?(?P<ros>, where ROS 2 is)? -->\n\Z"
@@ -91,7 +91,8 @@ def walk(page: str, folder: Path, *, ros: bool = False) -> list[str]:
     With `ros`, that is the commands that need ROS 2; else it is all others.
     """
     port = free_port()
-    page = page.replace(DEFAULT_PORT, port).replace(CLONE, str(ROOT))
+    page = page.replace(DEFAULT_PORT, port).replace(BROKER_PORT, free_port())
+    page = page.replace(CLONE, str(ROOT))
     terminals: dict[str, Terminal] = {}
     wrong: list[str] = []
     try:

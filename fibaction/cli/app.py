@@ -33,8 +33,10 @@ VERBS = {
     "cancel": ("cancel", "cancel_command", "Cancel goals of any client."),
     "attach": ("attach", "attach_command", "Follow a goal that was sent before."),
     "echo": ("echo", "echo_command", "Print every status and feedback of an action."),
+    "workers": ("workers", "workers_command", "List the workers of a fleet."),
     "top": ("top", "top_command", "Watch all actions and goals on a live screen."),
     "serve": ("serve", "serve_command", "Run your action servers."),
+    "broker": ("broker", "broker_command", "Run a broker for a fleet on this machine."),
     "bridge": ("bridge", "bridge_command", "Serve at one URL the actions of another."),
     "gen": ("gen", "gen_command", "Write Python types for an .action file."),
 }
@@ -95,7 +97,7 @@ FIBACTION_DEBUG=1 shows the traceback of an error.""",
     default=URL,
     show_default=True,
     show_envvar=True,
-    help="URL of the server: tcp://, tls://, unix://, ros2:// and others.",
+    help="URL of the server: tcp://, unix://, nats://, ros2:// and others.",
 )
 @click.version_option(package_name="fibaction", message="fibaction %(version)s")
 def cli(url: str) -> None:

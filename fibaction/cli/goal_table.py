@@ -114,6 +114,11 @@ def in_columns(
     spare = None if width is None else width - _width(table)
     if spare is not None and spare < 0:
         table = _narrowed(table, -spare, actions=actions)
+    return aligned(table)
+
+
+def aligned(table: Sequence[Sequence[str]]) -> list[str]:
+    """Return the rows of a table as lines, with the cells of each column below each other."""
     widths = _widths(table)
     return [_joined(cells, widths) for cells in table]
 

@@ -41,6 +41,7 @@ from fibaction.exceptions import (
     ProtocolError,
     StoreError,
 )
+from fibaction.goal_store import RecordTooLarge
 from fibaction.goals import GoalID, Sender
 from fibaction.server._sender_argument import GoalFunction, with_sender
 from fibaction.server.callbacks import SERVER_STOPPING, Callbacks
@@ -71,12 +72,14 @@ class Offer(NamedTuple):
 class _AcceptanceInWriting:
     """The acceptance of a goal that the store does not have yet."""
 
-    __slots__ = ("goal", "is_left", "stream")
+    __slots__ = ("error", "goal", "is_left", "stream")
 
     def __init__(self, goal: GoalRecord) -> None:
         self.goal = goal
         self.stream: FeedbackCursor | None = None
         """The stream of the goal, once it is accepted."""
+        self.error: GoalRejected | None = None
+        """The rejection of a goal that the store cannot keep."""
         self.is_left = False
         """True if the call that has sent the goal does not wait any longer."""
 
@@ -252,8 +255,16 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             if self._dispatcher is not None:
                 self._dispatcher.accepted(goal.goal_id)
 
+        def reject(error: RecordTooLarge) -> None:
+            del self._writing[goal.goal_id]
+            acceptance.error = self._reject(goal.goal_id, f"the goal cannot be kept: {error}")
+            if self._dispatcher is not None:
+                self._dispatcher.withdraw(goal.goal_id)
+
         self._writing[goal.goal_id] = goal
-        write = keeper.accept(goal, offer.goal, is_running=is_running, then=accept)
+        write = keeper.accept(
+            goal, offer.goal, is_running=is_running, then=accept, too_large=reject
+        )
         return self._await_acceptance(keeper, offer, write, acceptance)
 
     async def _await_acceptance(
@@ -266,6 +277,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         except BaseException:
             acceptance.leave()
             raise
+        if acceptance.error is not None:
+            raise acceptance.error
         if acceptance.stream is not None:
             return acceptance.stream
         if self._registry.is_active(offer.goal_id):  # it has come here from the store meanwhile

@@ -10,7 +10,8 @@ given with the writes, so that they run as in any other task, and in slices. Wha
 when it is kept, is told by such a function; `kept` and `settled` wait for writes.
 
 The first write that fails is the end: nothing was told about it, nothing is written any more, and
-`on_failure` stops the server.
+`on_failure` stops the server. What is too large for the store concerns its goal alone: a function
+that was given with the write rejects or ends the goal.
 
 A goal that belongs to another server by now is lost for this one alone: a write of it is refused
 (`on_refused`), or the store says so by itself (`on_lost`). Both happen at once, and overtake the
@@ -29,6 +30,7 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from heapq import heappop, heappush
+from typing import NamedTuple
 
 from anyio import current_time
 
@@ -36,7 +38,7 @@ from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._slices import Slices
 from fibaction.exceptions import GoalKept, StoreError, copy_of
-from fibaction.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
+from fibaction.goal_store import GoalJournal, GoalStore, GoalTaken, RecordTooLarge, StoredGoal, Then
 from fibaction.goals import GoalID, Outcome
 from fibaction.server.goal_record import GoalRecord
 from fibaction.states import GoalStatus
@@ -57,7 +59,17 @@ logger = clean_logger("fibaction.server")
 
 Kept = Callable[[], None]
 """A function that is called when a write is durable."""
-_Answer = tuple[GoalRecord, Kept | None, StoreError | None]
+TooLarge = Callable[[RecordTooLarge], None]
+"""A function that is called when something is too large for the store."""
+
+
+class _Answer(NamedTuple):
+    """The answer of the store to a write."""
+
+    goal: GoalRecord
+    then: Kept | None
+    too_large: TooLarge | None
+    error: StoreError | None
 
 
 class GoalKeeper:
@@ -74,6 +86,7 @@ class GoalKeeper:
         self._answered = 0
         self._answers: deque[_Answer] = deque()
         self._news = Notifier()
+        self._too_large: dict[int, RecordTooLarge] = {}  # by the numbers of checkpoints
         self._waits: list[tuple[int, int, Notifier]] = []  # a heap, by the numbers of the writes
         self._turns = itertools.count()
         self._is_closed = False
@@ -118,7 +131,15 @@ class GoalKeeper:
 
     # Writes
 
-    def accept(self, goal: GoalRecord, payload: bytes, *, is_running: bool, then: Kept) -> int:
+    def accept(
+        self,
+        goal: GoalRecord,
+        payload: bytes,
+        *,
+        is_running: bool,
+        then: Kept,
+        too_large: TooLarge,
+    ) -> int:
         """Keep a goal that is about to be accepted, and return the number of the write."""
         deadline = 0
         if goal.deadline - current_time() < LONGEST:
@@ -133,7 +154,7 @@ class GoalKeeper:
             is_running=is_running,
             attempt=int(is_running),
         )
-        return self._write(self._journal.accept, goal, goal.stored, then)
+        return self._write(self._journal.accept, goal, goal.stored, then, too_large)
 
     def begin(self, goal: GoalRecord, then: Kept | None = None) -> None:
         """Keep that an attempt at the goal begins."""
@@ -150,10 +171,19 @@ class GoalKeeper:
     def checkpoint(self, goal: GoalRecord, state: bytes) -> int:
         """Keep a checkpoint, and return the number of the write."""
         stored = _stored(goal)
-        stored.checkpoint = state
-        return self._write(self._journal.checkpoint, goal, stored, None)
+        earlier, stored.checkpoint = stored.checkpoint, state
+        number = self._written + 1
 
-    def end(self, goal: GoalRecord, outcome: Outcome[bytes], then: Kept) -> None:
+        def too_large(error: RecordTooLarge) -> None:
+            self._too_large[number] = error
+            if stored.checkpoint is state:
+                stored.checkpoint = earlier
+
+        return self._write(self._journal.checkpoint, goal, stored, None, too_large)
+
+    def end(
+        self, goal: GoalRecord, outcome: Outcome[bytes], then: Kept, too_large: TooLarge
+    ) -> None:
         """Keep the end of the goal."""
         stored, goal.stored = _stored(goal), None
         now = time.time_ns()
@@ -166,7 +196,12 @@ class GoalKeeper:
         stored.feedback_count, stored.ended_at = goal.feedback_count, now
         if self._keep_for < LONGEST:
             stored.keep_until = now + int((self._keep_for + OUTCOME_GRACE) * SECOND)
-        self._write(self._journal.end, goal, stored, then)
+
+        def keep_without(error: RecordTooLarge) -> None:
+            goal.stored = stored
+            too_large(error)
+
+        self._write(self._journal.end, goal, stored, then, keep_without)
 
     def release(self, goal: GoalRecord, then: Kept) -> None:
         """Keep that the goal is free, to be run again."""
@@ -180,19 +215,26 @@ class GoalKeeper:
         goal: GoalRecord,
         stored: StoredGoal,
         then: Kept | None,
+        too_large: TooLarge | None = None,
     ) -> int:
         self._written += 1
         if self.failure is None and not self._is_closed:
-            method(stored, partial(self._answer, goal, then))
+            method(stored, partial(self._note, goal, then, too_large))
             self.on_change()
         return self._written
 
     # Answers
 
-    def _answer(self, goal: GoalRecord, then: Kept | None, error: StoreError | None) -> None:
+    def _note(
+        self,
+        goal: GoalRecord,
+        then: Kept | None,
+        too_large: TooLarge | None,
+        error: StoreError | None,
+    ) -> None:
         if isinstance(error, GoalTaken) and not (goal.is_lost or self._is_closed):
             self.on_refused(goal)  # at once, as the store may hand it over again
-        self._answers.append((goal, then, error))
+        self._answers.append(_Answer(goal, then, too_large, error))
         if len(self._answers) == 1:
             self._news.notify()
 
@@ -203,18 +245,23 @@ class GoalKeeper:
                 await self._news.wait()
             slices = Slices()
             while self._answers:
-                self._carry_out(*self._answers[0])
+                self._carry_out(self._answers[0])
                 self._answers.popleft()
                 await slices.pause()
 
-    def _carry_out(self, goal: GoalRecord, then: Kept | None, error: StoreError | None) -> None:
+    def _carry_out(self, answer: _Answer) -> None:
         if self.failure is not None or self._is_closed:
             return
         self._answered += 1
-        if error is not None and not isinstance(error, GoalTaken):
+        error = answer.error
+        if error is not None and not isinstance(error, GoalTaken | RecordTooLarge):
             self._fail(error)
-        elif then is not None and not goal.is_lost:
-            then()
+        elif not answer.goal.is_lost:
+            if isinstance(error, RecordTooLarge):
+                assert answer.too_large is not None  # only what can grow is too large
+                answer.too_large(error)
+            elif answer.then is not None:
+                answer.then()
         self.on_change()
         while self._waits and self._waits[0][0] <= self._answered:
             heappop(self._waits)[-1].notify()
@@ -260,6 +307,9 @@ class GoalKeeper:
             StoreError: It has failed, or one before it.
         """
         await self._wait(write)
+        too_large = self._too_large.pop(write, None)
+        if too_large is not None:
+            raise too_large
         if self.failure is not None:
             raise copy_of(self.failure)
         if self._answered < write:

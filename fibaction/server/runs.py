@@ -47,7 +47,8 @@ from anyio.abc import TaskGroup
 
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import ConnectionLost, GoalKept
-from fibaction.goals import GoalID
+from fibaction.goal_store import RecordTooLarge
+from fibaction.goals import GoalID, Outcome
 from fibaction.server._interruption import CancelOnce
 from fibaction.server._lost_executors import LostExecutors
 from fibaction.server._task_pool import TaskPool
@@ -374,8 +375,17 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             self._release(keeper, run)
         else:
             self._fix_outcome(run, ending)
-            assert run.outcome is not None
-            keeper.end(run.goal, run.outcome, partial(self._tell_end, run))
+            self._keep_end(keeper, run)
+
+    def _keep_end(self, keeper: GoalKeeper, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        """Write the outcome; one that is too large is replaced by the reason."""
+
+        def replace_result(error: RecordTooLarge) -> None:
+            run.outcome = Outcome(GoalStatus.ABORTED, None, f"the result is not kept: {error}")
+            self._keep_end(keeper, run)
+
+        assert run.outcome is not None
+        keeper.end(run.goal, run.outcome, partial(self._tell_end, run), replace_result)
 
     def _is_kept(self, goal: GoalRecord, ending: Ending, *, killed: bool) -> bool:
         """Return whether a goal stays in the store: it has not ended by itself."""

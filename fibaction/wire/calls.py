@@ -33,6 +33,11 @@ class Call(ABC):
         self._is_answered = False
 
     @property
+    def is_answered(self) -> bool:
+        """True if the server has answered."""
+        return self._is_answered
+
+    @property
     def is_over(self) -> bool:
         """True if its answers are not wanted any more, so that it need not be opened again."""
         return False
@@ -67,6 +72,10 @@ class Call(ABC):
         """End the call with an error."""
         self.error = error
         self.news.notify()
+
+    def lose(self, error: ActionError) -> None:
+        """Take an error of the connection or of the server; most calls end with it."""
+        self.fail(error)
 
     def raise_error(self) -> None:
         """Raise a copy of the error that the call has ended with, if it has."""
@@ -114,7 +123,7 @@ class Credits:
         self._window = window
         # In larger pieces: a credit message for each message would cost more than the message.
         self._piece = (window + 1) // 2
-        self._post = post
+        self.post = post
         self._allowed = window
         self._ungranted = 0
 
@@ -139,7 +148,7 @@ class Credits:
         self._ungranted += count
         if self._ungranted >= self._piece:
             self._allowed += self._ungranted
-            self._post(Credit(self._id, self._ungranted))
+            self.post(Credit(self._id, self._ungranted))
             self._ungranted = 0
 
 

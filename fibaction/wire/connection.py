@@ -32,7 +32,7 @@ Leaving says `Goodbye`, so that the server does not wait for this client, and th
 from __future__ import annotations
 
 import secrets
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -77,30 +77,47 @@ OpenLine = Callable[[], Awaitable[Line]]
 """Opens a line; raises `TransportError`."""
 
 
+def new_session() -> bytes:
+    """Return a new secret of a client, by which servers know whose goals are whose."""
+    return secrets.token_bytes(16)
+
+
 class RemoteConnection(Connection):
     """A connection to a server over the lines that `open_line` opens, while its block lasts."""
 
-    def __init__(self, open_line: OpenLine, url: str, settings: ClientSettings) -> None:
+    def __init__(
+        self,
+        open_line: OpenLine,
+        url: str,
+        settings: ClientSettings,
+        *,
+        session: bytes | None = None,
+        ids: Iterator[int] | None = None,
+    ) -> None:
+        """Let `session` and `ids`, of the calls, be those of other connections of this client."""
         self._open_line = open_line
         self._url = url
         self._settings = settings
-        self._session = secrets.token_bytes(16)
+        self._session = new_session() if session is None else session
         self._link: Link | None = None
         self._reconnector = Reconnector(url, settings, self._attempt, self._fail_calls)
-        self._calls = OpenCalls(
-            settings.window, settings.max_frame // WAITING_GOAL, self._reconnector.check
+        self.calls = OpenCalls(
+            settings.window, settings.max_frame // WAITING_GOAL, self._reconnector.check, ids
         )
+        """The calls that are open."""
+        self.lost_at: float | None = None
+        """Time at which the last line was lost; None while there is one, and before the first."""
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
         info = action.info if isinstance(action, Action) else action
-        return RemoteEndpoint(self._calls, self._reconnector, info)
+        return RemoteEndpoint(self.calls, self._reconnector, info)
 
     async def actions(self) -> list[ActionInfo]:
-        answer = await self._calls.ask(lambda call_id: ListActions(call_id), Actions)
+        answer = await self.calls.ask(lambda call_id: ListActions(call_id), Actions)
         return list(answer.actions)
 
     async def peers(self, action: str) -> ActionPeers:
-        answer: Peers = await self._calls.ask(lambda call_id: AskPeers(call_id, action), Peers)
+        answer: Peers = await self.calls.ask(lambda call_id: AskPeers(call_id, action), Peers)
         return ActionPeers((self._url,), tuple(answer.clients))
 
     async def first_attempt(self) -> None:
@@ -114,6 +131,10 @@ class RemoteConnection(Connection):
     async def run(self) -> None:
         """Connect, and connect again, until that is of no use."""
         await self._reconnector.run()
+
+    def end(self, error: ActionError) -> None:
+        """End all calls with an error: the server is gone, and nothing is to be sent any more."""
+        self._reconnector.stop(error)
 
     async def leave(self) -> None:
         """Say goodbye, and end all calls."""
@@ -141,10 +162,12 @@ class RemoteConnection(Connection):
                 VERSION, settings.heartbeat, settings.token, self._session, settings.max_frame
             )
             link.post(encode(hello))
-            error = await link.run(self._handle, self._calls.openings)
+            error = await link.run(self._handle, self.calls.openings)
         finally:
+            if self._reconnector.is_open:
+                self.lost_at = anyio.current_time()
             self._link = None
-            self._calls.detach()
+            self.calls.detach()
             await line.aclose()
         if type(error) is ProtocolError:
             return ProtocolError(naming(self._url, error))
@@ -153,7 +176,7 @@ class RemoteConnection(Connection):
     def _handle(self, frame: bytes) -> None:
         message = decode_from_server(frame)
         # Most belong to a call, so that is looked for first.
-        if not (self._reconnector.is_open and self._calls.handle(message)):
+        if not (self._reconnector.is_open and self.calls.handle(message)):
             self._handle_other(message)
 
     def _handle_other(self, message: FromServer) -> None:
@@ -169,18 +192,19 @@ class RemoteConnection(Connection):
         elif not self._reconnector.is_open:
             raise ProtocolError(f"the first message was a {type(message).__name__}, not a Welcome")
         elif isinstance(message, Ended):
-            self._calls.post(Received(message.id))  # of a call that was given up
+            self.calls.post(Received(message.id))  # of a call that was given up
 
     def _begin(self, welcome: Welcome) -> None:
         assert self._link is not None
         if self._reconnector.is_open or welcome.version != VERSION:
             raise ProtocolError(f"a Welcome of version {welcome.version} was not expected")
         self._link.heartbeat.agree(welcome.heartbeat, welcome.max_heartbeat)
-        self._calls.reopen(self._link, welcome.max_frame)
+        self.lost_at = None
+        self.calls.reopen(self._link, welcome.max_frame)
         self._reconnector.opened()
 
     def _fail_calls(self, error: ActionError) -> None:
-        self._calls.fail(error)
+        self.calls.fail(error)
 
 
 @asynccontextmanager

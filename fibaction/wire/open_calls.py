@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 from weakref import WeakValueDictionary
@@ -25,9 +25,16 @@ from fibaction.wire.remote_statuses import RemoteStatuses, StatusWatch
 class OpenCalls:
     """The open calls of one client, by their IDs, and those that wait to be sent."""
 
-    def __init__(self, window: int, most_places: int, check: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        window: int,
+        most_places: int,
+        check: Callable[[], None],
+        ids: Iterator[int] | None = None,
+    ) -> None:
         """Let `check` raise the reason why no call can be opened now, if there is one. A message
-        from the server has room for the places of `most_places` goals.
+        from the server has room for the places of `most_places` goals. `ids` has the IDs of new
+        calls, if other connections share them.
         """
         self._check = check
         self._most_places = most_places
@@ -39,7 +46,7 @@ class OpenCalls:
         # One for each action, for all who follow its statuses here.
         self._watches: WeakValueDictionary[str, StatusWatch] = WeakValueDictionary()
         self._unopened: deque[Call] = deque()  # on this connection; in turn, as they may be large
-        self._ids = itertools.count(1)
+        self._ids = itertools.count(1) if ids is None else ids
         # At least two: one can be dropped for the next. With one unread, the end would not come.
         self._goal_window = max(window, 2)
         self._window = window
@@ -63,16 +70,19 @@ class OpenCalls:
         request: Callable[[int, int], SendGoal | Follow],
         *,
         deadline: float = math.inf,
+        on_lost: Callable[[RemoteGoal, ActionError], None] | None = None,
     ) -> RemoteGoal:
         """Send or follow a goal; `request` gets the ID of the call, and the credit.
 
-        `deadline` is the time at which the client gives a goal up that it sends.
+        `deadline` is the time at which the client gives a goal up that it sends. `on_lost` gets the
+        goal if it has to go on somewhere else: see `RemoteGoal`.
 
         Raises:
             ActionError: As for `ask`.
         """
         opening = request(next(self._ids), self._goal_window)
         goal = RemoteGoal(goal_id, opening, self._goal_window, self.post, deadline)
+        goal.on_lost = on_lost
         await self._open(goal)
         if not goal.is_own and self._calls.pop(goal.id, None) is not None:
             self._observed[goal.id] = goal
@@ -145,6 +155,19 @@ class OpenCalls:
             # Calls that are opened in the same turn of the event loop are written together.
             self._link.wake_writer(at_once=len(self._calls) == 1)
 
+    @property
+    def is_empty(self) -> bool:
+        """True if no call is open."""
+        return not (self._calls or self._observed or self._watches)
+
+    def adopt(self, goal: RemoteGoal) -> None:
+        """Go on here with a goal that another connection has given up."""
+        goal.move_to(self.post)
+        self._start(goal)
+        if not goal.is_own:
+            del self._calls[goal.id]
+            self._observed[goal.id] = goal
+
     # For the connection
 
     def reopen(self, link: Link, max_frame: int) -> None:
@@ -206,7 +229,14 @@ class OpenCalls:
         self._calls = {}
         self._observed.clear()
         for call in calls:
-            call.fail(error)
+            call.lose(error)
+
+    def fail_unanswered(self, error: ActionError) -> None:
+        """End the calls that the server has not answered, and go on with all others."""
+        for call in tuple(self._calls.values()):
+            if not call.is_answered:
+                self._drop(call)
+                call.fail(error)
 
     def _reject(self, call: Call, text: str) -> None:
         self._drop(call)

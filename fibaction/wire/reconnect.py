@@ -110,10 +110,11 @@ class Reconnector:
         self._end_patience()
         self._tell()
 
-    def stop(self) -> None:
-        """End the connection for good: it was closed here."""
+    def stop(self, error: ActionError | None = None) -> None:
+        """End the connection for good, with that error, or because it was closed here."""
+        closed = ConnectionLost(f"the connection to {self._url} was closed here")
         self._is_final = True
-        self._give_up(ConnectionLost(f"the connection to {self._url} was closed here"))
+        self._give_up(error or closed)
 
     async def _keep_connecting(self, tasks: TaskGroup) -> None:
         pause = FIRST_PAUSE

@@ -8,20 +8,31 @@ numbered from 1 again. `Following` tells it. Feedback of the earlier attempt tha
 moves to `_earlier`, and is read first; `attempt` and `cursor` are those of the reader. The attempt
 may also be a lower one, since a store that need not outlive a power failure can lose its last
 writes: each attempt that is not the one before begins anew.
+
+A client that has connections to several servers, which share their goals, sets `on_lost`. A goal
+whose connection or server cannot go on with it is given to that function then, and does not end.
+It waits there, without messages, until another connection adopts it (`OpenCalls.adopt`), or until
+it is finished or failed from outside. No caller notices.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from anyio import current_time
 
 from fibaction._text import shortened
 from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
-from fibaction.exceptions import ProtocolError
+from fibaction.exceptions import (
+    ActionError,
+    ConnectionLost,
+    ProtocolError,
+    ServerNotFound,
+    UnknownGoal,
+)
 from fibaction.goals import UNKNOWN_OUTCOME, GoalID, Outcome
 from fibaction.states import GoalStatus
 from fibaction.wire.calls import Call, Credits, Post, unfitting
@@ -39,7 +50,6 @@ from fibaction.wire.messages import (
     Rejected,
     SendGoal,
     StatusChanged,
-    Why,
 )
 
 LEAST_TIMEOUT = 0.001
@@ -77,6 +87,13 @@ class RemoteGoal(Call, GoalStream):
         self.stamp = 0
         self.latest = False
         self.cursor = 0
+        self.on_lost: Callable[[RemoteGoal, ActionError], None] | None = None
+        """Takes the goal, once it is answered, if its connection or server cannot go on with it;
+        None lets it end with the error."""
+        self.lost_at: float | None = None
+        """Time at which it was lost, as noted by `on_lost`; None again when a server goes on with
+        it."""
+        self._is_released = False
         self._opening = opening
         self._window = window
         self._post = post
@@ -117,6 +134,11 @@ class RemoteGoal(Call, GoalStream):
     def is_own(self) -> bool:
         """True if this client has sent the goal."""
         return self._own
+
+    @property
+    def action(self) -> str:
+        """The name of the action."""
+        return self._opening.action
 
     def giving_up(self) -> FromClient:
         return Close(self.id) if self._own else Received(self.id)
@@ -191,17 +213,41 @@ class RemoteGoal(Call, GoalStream):
             outcome = Outcome(message.status, message.result, shortened(message.reason))
             self._end(outcome, message.place)
             self._post(Received(self.id))
-        elif kind is Failed and self._is_answered and message.why == Why.UNKNOWN_GOAL:
-            # The server was started anew, or the result has expired meanwhile.
-            self._end(UNKNOWN_OUTCOME, self._last)
         elif kind is Failed or kind is Rejected:
-            self.fail(error_of(message, self.goal_id))
+            self.lose(error_of(message, self.goal_id))
         else:
             raise unfitting(message)
         self.news.notify()
-        return self._outcome is not None or self.error is not None
+        return self._outcome is not None or self.error is not None or self._is_released
+
+    def lose(self, error: ActionError) -> None:
+        is_lost = isinstance(error, ConnectionLost | ServerNotFound | UnknownGoal)
+        if is_lost and self._is_answered and self.on_lost is not None:
+            self._is_released = True
+            self.on_lost(self, error)
+        elif self._is_answered and isinstance(error, UnknownGoal):
+            # The server was started anew, or the result has expired meanwhile.
+            self._end(UNKNOWN_OUTCOME, self._last)
+            self.news.notify()
+        else:
+            self.fail(error)
+
+    def move_to(self, post: Post) -> None:
+        """Go on with another connection, which sends small messages by `post`."""
+        self._is_released = False
+        self._post = self._credit.post = post
+
+    def finish(self, outcome: Outcome[bytes], number: int, attempt: int) -> None:
+        """End the goal by what is known without its server; `number` is that of the last feedback
+        of the attempt. Feedback that has not arrived is lost.
+        """
+        if attempt != self._newest:
+            self._take_attempt(attempt)
+        self._end(outcome, number)
+        self.news.notify()
 
     def _take_following(self, message: Following) -> None:
+        self.lost_at = None
         if self._is_answered and message.stamp != self.stamp:
             # The server was started anew, and has been sent another goal of that ID.
             self._end(UNKNOWN_OUTCOME, self._last)

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, Protocol
 
 from msgspec.structs import replace
 
@@ -45,6 +45,17 @@ UNREAD = 10_000
 """Changes that wait for one follower, at most."""
 MOST_GOALS = 100_000
 """Goals that one watch knows, at most: a server could tell of ever more."""
+
+
+class StatusSource(Protocol):
+    """The source of the statuses of its followers."""
+
+    @property
+    def dropped(self) -> int:
+        """The changes that were left out before they came here."""
+
+    def leave(self, statuses: RemoteStatuses) -> None:
+        """Remove a follower."""
 
 
 class StatusWatch(Call):
@@ -66,11 +77,6 @@ class StatusWatch(Call):
     @property
     def is_over(self) -> bool:
         return self._has_ended or self._is_closed
-
-    @property
-    def is_answered(self) -> bool:
-        """True if the server has begun to tell, on this connection."""
-        return self._is_answered
 
     @property
     def is_complete(self) -> bool:
@@ -191,7 +197,7 @@ class StatusWatch(Call):
 class RemoteStatuses(StatusStream):
     """One follower of the statuses of all goals of a server."""
 
-    def __init__(self, watch: StatusWatch, goals: Iterable[GoalInfo], unlisted: int) -> None:
+    def __init__(self, watch: StatusSource, goals: Iterable[GoalInfo], unlisted: int) -> None:
         """Begin with these goals; so many more are to come."""
         self._watch = watch
         self._items = deque(goals)
@@ -264,7 +270,7 @@ class RemoteStatuses(StatusStream):
         self._items.append(info)
         self._news.notify()
 
-    def go_on_with(self, watch: StatusWatch) -> None:
+    def go_on_with(self, watch: StatusSource) -> None:
         """Get the statuses from another watch from now on."""
         self._dropped_before = self.dropped - self._dropped_here
         self._watch, self._dropped_at_start = watch, watch.dropped

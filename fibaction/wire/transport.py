@@ -1,14 +1,17 @@
-"""The base of every transport over the wire protocol.
+"""The bases of every transport over the wire protocol.
 
-A transport of this kind says how to open and to accept lines; the rest is here and in the modules
-below: settings and their checks, URLs with settings behind `?`, TLS files, `serve` and `connect`.
-A subclass has
+A `WireTransport` says how to open and to accept lines; the rest is here and in the modules below:
+settings and their checks, URLs with settings behind `?`, TLS files, `serve` and `connect`. A
+subclass has
 
 - a constructor with its address, which passes `**settings` on,
 - `address_of`, the address in a URL as arguments of the constructor,
 - `url`, the address as a URL,
 - `open_line`, which connects,
 - `accept_lines`, which listens, and hands each line to the `WireServer`.
+
+`ConfiguredTransport` is the part with the settings and the URL, for a transport whose lines are
+only a part of how it connects.
 
 `docs/howto/write_a_transport.md` writes one; `fibaction_transports.tcp` has two.
 """
@@ -30,7 +33,7 @@ from fibaction.wire.settings import WireKeywords, client_settings, server_settin
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.wire_server import WireServer, open_server
 
-T = TypeVar("T", bound="WireTransport")
+T = TypeVar("T", bound="ConfiguredTransport")
 FromText = Callable[[str], Any]
 """Makes the value of a setting from the text in a URL; raises ValueError or KeyError."""
 
@@ -50,8 +53,8 @@ _IN_CODE = ("tokens", "authorize", "limits")
 """Settings that a URL cannot have: it ends up in logs, and is only text."""
 
 
-class WireTransport(Transport):
-    """A transport over the wire protocol."""
+class ConfiguredTransport(Transport):
+    """A transport with the settings of the wire protocol, and with a URL."""
 
     own_settings: ClassVar[tuple[str, ...]] = ()
     """Names of keyword arguments that the subclass has beside those of `WireKeywords`."""
@@ -89,6 +92,30 @@ class WireTransport(Transport):
     def url(self) -> str:
         """The address as a URL, without settings."""
 
+    # The part that all have in common
+
+    @classmethod
+    def from_url(cls: type[T], url: str, **settings: Any) -> T:
+        """Make the transport from a URL, with settings behind `?`; `settings` count for more.
+
+        Raises:
+            InvalidURL: The address or a setting in the URL is invalid; the text says which.
+            TypeError: There is no such setting.
+        """
+        parts, query = _split(url)
+        files = _TLS_FILES if parts.scheme in cls.tls_schemes else ()
+        readers = {**_FROM_TEXT, **cls.own_url_settings}
+        readers.update((name, str) for name in files)
+        found = _settings_in(url, query, readers)
+        if files:
+            found["tls"] = TlsFiles(**{name: found.pop(name, None) for name in files})
+        with _translated(url):
+            return cls(**cls.address_of(parts), **{**found, **settings})
+
+
+class WireTransport(ConfiguredTransport):
+    """A transport over lines of the wire protocol."""
+
     @abstractmethod
     async def open_line(self) -> Line:
         """Connect to the server.
@@ -108,26 +135,6 @@ class WireTransport(Transport):
         Raises:
             TransportError: The address cannot be used.
         """
-
-    # The parts that all have in common
-
-    @classmethod
-    def from_url(cls: type[T], url: str, **settings: Any) -> T:
-        """Make the transport from a URL, with settings behind `?`; `settings` count for more.
-
-        Raises:
-            InvalidURL: The address or a setting in the URL is invalid; the text says which.
-            TypeError: There is no such setting.
-        """
-        parts, query = _split(url)
-        files = _TLS_FILES if parts.scheme in cls.tls_schemes else ()
-        readers = {**_FROM_TEXT, **cls.own_url_settings}
-        readers.update((name, str) for name in files)
-        found = _settings_in(url, query, readers)
-        if files:
-            found["tls"] = TlsFiles(**{name: found.pop(name, None) for name in files})
-        with _translated(url):
-            return cls(**cls.address_of(parts), **{**found, **settings})
 
     @asynccontextmanager
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:

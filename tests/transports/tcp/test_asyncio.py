@@ -651,7 +651,7 @@ async def test_on_a_loop_of_somebody_else_addresses_are_tried_one_after_the_othe
             given.append(settings)
             return "transport", "line"
 
-    monkeypatch.setattr(_asyncio, "_loop", OtherLoop)
+    monkeypatch.setattr(_asyncio, "asyncio_loop", OtherLoop)
     made: object = await dial_tcp("robot", 1, FrameReader(), "robot")
     assert (made, given) == ("line", [{}])
 

@@ -16,10 +16,12 @@ No exception of a library crosses this interface.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncGenerator, Callable
 from contextlib import AbstractAsyncContextManager
 from enum import Enum
 from typing import NamedTuple, TypeAlias
+
+from fibaction_transports.nats.names import FleetNames
 
 
 class Message(NamedTuple):
@@ -110,6 +112,8 @@ class Broker(ABC):
 
     max_record: int
     """The bytes of the largest record or message that the broker takes."""
+    brokers: int
+    """The number of brokers that keep records together, as far as it is known."""
 
     @property
     @abstractmethod
@@ -155,6 +159,17 @@ class Broker(ABC):
     # Records
 
     @abstractmethod
+    async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
+        """Make the streams of a fleet, or check those that are there.
+
+        Clients make none: a stream that is missing is like an empty one. `replicas` is the number
+        of brokers that keep each record; 0 leaves it to the broker, or as it is.
+
+        Raises:
+            TransportError: A stream of this name is of something else, or cannot be made.
+        """
+
+    @abstractmethod
     def put(
         self,
         subject: str,
@@ -193,9 +208,9 @@ class Broker(ABC):
         """Add a note to the queue; it is tried again until the broker has it."""
 
     @abstractmethod
-    def notes(self, subject: str) -> AsyncIterator[Note]:
+    def notes(self, subject: str) -> AsyncGenerator[Note, None]:
         """Take notes of a subject, one after the other, in the order in which they were added.
 
         The next one is asked for when the iterator is asked, and not before: who has no room asks
-        for none. It waits as long as need be, also for the broker.
+        for none. It waits as long as need be, also for the broker. The caller closes it.
         """

@@ -6,6 +6,7 @@ hexadecimal digits. IDs of goals are 32 hexadecimal digits.
 
     fib.<fleet>.offer.<action>           question for a worker that can run a goal now
     fib.<fleet>.queue.<action>           question for a worker that has room in its queue
+    fib.<fleet>.taken.<worker>           hint to a worker that another one has taken a goal of it
     fib.<fleet>.up.<worker>.<client>.<line>     pieces of a line, from a client to a worker
     fib.<fleet>.down.<client>.<line>            pieces of a line, from a worker to a client
     fib.<fleet>.goal.<action>.<goal>     record of a goal, in the stream FIB_<fleet>_GOALS
@@ -44,7 +45,10 @@ def name_of(token: str) -> str:
     parts = [first.encode("ascii")]
     for one in rest:
         parts += bytes.fromhex(one[:2]), one[2:].encode("ascii")
-    return b"".join(parts).decode("utf-8", "surrogatepass")
+    name = b"".join(parts).decode("utf-8", "surrogatepass")
+    if token_of(name) != token:
+        raise ValueError(f"{token!r} is not the token of a name")
+    return name
 
 
 class FleetNames:
@@ -52,6 +56,7 @@ class FleetNames:
 
     def __init__(self, fleet: str) -> None:
         token = token_of(fleet)
+        self.fleet = fleet
         self.root = f"fib.{token}"
         self.goals = f"FIB_{token}_GOALS"
         """The stream of the records of goals."""
@@ -67,6 +72,10 @@ class FleetNames:
     def queue(self, action: str) -> str:
         """Return the subject of offers to workers that have room in their queue."""
         return f"{self.root}.queue.{token_of(action)}"
+
+    def taken(self, worker: str) -> str:
+        """Return the subject of hints to a worker that another one has taken a goal of it."""
+        return f"{self.root}.taken.{token_of(worker)}"
 
     def up(self, worker: str, client: str = "", line: str = "") -> str:
         """Return the subject of one line to a worker; without a client, that of all its lines."""
@@ -97,6 +106,14 @@ class FleetNames:
         """Return the subject of notes of goals whose worker is gone, or has given them up."""
         return f"{self.root}.left.{token_of(action)}"
 
+    def all_want(self) -> str:
+        """Return the subject of all notes of goals that wait."""
+        return f"{self.root}.want.{ANY}"
+
+    def all_left(self) -> str:
+        """Return the subject of all notes of goals without a worker."""
+        return f"{self.root}.left.{ANY}"
+
 
 def last_token(subject: str) -> str:
     """Return the last token of a subject: the ID of a goal, or the token of a worker."""
@@ -106,3 +123,8 @@ def last_token(subject: str) -> str:
 def action_of(subject: str) -> str:
     """Return the action in the subject of a goal's record."""
     return name_of(subject.split(".")[3])
+
+
+def stream_of_note(subject: str) -> str:
+    """Return the stream of a note's subject."""
+    return f"FIB_{subject.split('.')[1]}_NOTES"

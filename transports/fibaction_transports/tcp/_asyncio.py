@@ -21,6 +21,7 @@ from typing import Any, cast
 import anyio.lowlevel
 from anyio.abc import Listener, SocketAttribute, TaskGroup
 
+from fibaction._asyncio_task import asyncio_loop
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._slices import SLICE
@@ -220,7 +221,7 @@ async def dial_tcp(host: str, port: int, reader: FrameReader, where: str) -> Pro
     Raises:
         OSError: The server does not answer.
     """
-    loop = _loop()
+    loop = asyncio_loop()
     settings: dict[str, Any] = {}
     # Other loops, such as uvloop, try one address after the other. asyncio has to do so where tasks
     # begin at once, as in programs of Textual: before Python 3.12.8 and 3.13.1 it fails with an
@@ -239,7 +240,7 @@ async def dial_unix(path: os.PathLike[str], reader: FrameReader, where: str) -> 
     Raises:
         OSError: The server does not answer.
     """
-    made = await _loop().create_unix_connection(
+    made = await asyncio_loop().create_unix_connection(
         lambda: ProtocolLine(reader, _buffer(), where), os.fspath(path)
     )
     return made[1]
@@ -258,7 +259,7 @@ async def accept(
     Raises:
         OSError: A connection could not be accepted.
     """
-    loop = _loop()
+    loop = asyncio_loop()
     listening = listener.extra(SocketAttribute.raw_socket)
     buffer, turns = _buffer(), LineTurns()
 
@@ -293,17 +294,6 @@ async def accept(
 
 def _buffer() -> memoryview:
     return memoryview(bytearray(CHUNK))
-
-
-def _loop() -> asyncio.AbstractEventLoop:
-    """Return the event loop, and mark its callbacks as those of asyncio."""
-    try:
-        from sniffio import current_async_library_cvar
-    except ImportError:
-        pass  # anyio finds it out by itself
-    else:
-        current_async_library_cvar.set("asyncio")
-    return asyncio.get_running_loop()
 
 
 def _peer_of(transport: asyncio.BaseTransport) -> str:

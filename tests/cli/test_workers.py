@@ -1,0 +1,97 @@
+"""`workers`: the workers of a fleet."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+
+import pytest
+
+from fibaction import WorkerInfo
+from fibaction.abc import Connection, Endpoint
+from fibaction.cli import workers
+from fibaction.cli.workers import lines_of, list_workers
+from tests.cli.conftest import Invoke
+
+NOW = 1_800_000_000
+WORKERS = [
+    WorkerInfo("arm-1", ("pick", "/place"), (NOW - 90) * 10**9, 3, has_room=False),
+    WorkerInfo("idle \x1b[2J", (), (NOW - 5) * 10**9),
+]
+
+
+class _Fleet(Connection):
+    """A connection to a fleet with some workers."""
+
+    def __init__(self, found: list[WorkerInfo]) -> None:
+        self._found = found
+
+    def endpoint(self, action: object) -> Endpoint:
+        raise NotImplementedError
+
+    async def actions(self) -> list[object]:  # type: ignore[override]  # not asked for here
+        raise NotImplementedError
+
+    async def workers(self) -> list[WorkerInfo]:
+        return self._found
+
+
+def with_workers(monkeypatch: pytest.MonkeyPatch, found: list[WorkerInfo]) -> None:
+    @asynccontextmanager
+    async def connect(url: str) -> AsyncGenerator[Connection, None]:
+        assert url == "nats://broker/robots?token=secret"
+        yield _Fleet(found)
+
+    monkeypatch.setattr(workers, "connect", connect)
+
+
+def test_workers_are_told_in_columns() -> None:
+    assert lines_of(WORKERS, NOW) == [
+        "WORKER        ROOM  GOALS     JOINED  ACTIONS",
+        "arm-1         no        3   90 s ago  /pick, /place",
+        "idle \\x1b[2J  yes       0  5.0 s ago  -",
+    ]
+
+
+@pytest.mark.asyncio
+async def test_workers_are_printed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_workers(monkeypatch, WORKERS)
+    assert await list_workers("nats://broker/robots?token=secret", as_json=False) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
+        "WORKER",
+        "arm-1",
+        "idle",
+    ]
+
+
+@pytest.mark.asyncio
+async def test_workers_as_json_are_one_value_a_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_workers(monkeypatch, WORKERS[:1])
+    await list_workers("nats://broker/robots?token=secret", as_json=True)
+    assert capsys.readouterr().out == (
+        '{"name":"arm-1","actions":["pick","/place"],"since":1799999910000000000,"goals":3,'
+        '"has_room":false}\n'
+    )
+
+
+@pytest.mark.asyncio
+async def test_an_empty_fleet_is_a_remark_without_the_settings_of_the_url(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_workers(monkeypatch, [])
+    assert await list_workers("nats://broker/robots?token=secret", as_json=False) == 0
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err) == ("", "There are no workers at nats://broker/robots.\n")
+
+
+def test_a_server_without_a_fleet_has_no_workers(invoke: Invoke) -> None:
+    answer = invoke("workers", url="tcp://127.0.0.1:7400")
+    assert answer.exit_code == 2
+    assert answer.stderr == (
+        "Error: tcp://127.0.0.1:7400 is one server, and not a fleet with workers: give the URL of a"
+        " fleet, such as nats://127.0.0.1/robots\n"
+    )

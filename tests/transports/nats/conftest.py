@@ -1,0 +1,52 @@
+"""One broker for all tests of this folder that do not disturb it; each test has its own fleet."""
+
+from __future__ import annotations
+
+import gc
+import secrets
+from collections.abc import Generator
+
+import pytest
+
+from tests.nats_server import PROGRAM, NatsServer, nats_server
+from tests.transports.hearing import Hearing, hearing
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"  # nats-py needs it
+
+
+@pytest.fixture(autouse=True)
+def collected() -> Generator[None, None, None]:
+    """What a test leaves open is found in that test, not in one that comes later."""
+    yield
+    gc.collect()
+
+
+@pytest.fixture
+def log() -> Generator[Hearing, None, None]:
+    with hearing("fibaction.nats") as found:
+        yield found
+
+
+@pytest.fixture(scope="session")
+def shared_broker() -> Generator[NatsServer, None, None]:
+    if PROGRAM is None:
+        pytest.skip("nats-server is not installed: see the extra `broker`")
+    with nats_server() as server:
+        yield server
+
+
+@pytest.fixture
+def own_broker() -> Generator[NatsServer, None, None]:
+    """A broker to kill."""
+    if PROGRAM is None:
+        pytest.skip("nats-server is not installed: see the extra `broker`")
+    with nats_server() as server:
+        yield server
+
+
+@pytest.fixture
+def fleet() -> str:
+    return secrets.token_hex(4)

@@ -1,0 +1,412 @@
+"""A broker in memory, and workers in this process, to which lines can be dialed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncGenerator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any
+
+import anyio
+
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    Endpoint,
+    GoalHandle,
+    GoalID,
+    GoalStatus,
+)
+from fibaction._notify import Notifier
+from fibaction._tasks import Background
+from fibaction.abc import Connection
+from fibaction.exceptions import ServerNotFound
+from fibaction.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
+from fibaction.goals import UNKNOWN_SENDER
+from fibaction.server.goal_record import digest_of
+from fibaction.wire.channel import Line
+from fibaction.wire.settings import ClientSettings, ServerSettings
+from fibaction.wire.wire_server import open_server
+from fibaction_transports.nats.broker import (
+    Broker,
+    BrokerAway,
+    NobodyListens,
+    Note,
+    OnMessage,
+    PutError,
+    PutFailure,
+    Record,
+    Stored,
+    Subscription,
+    Watch,
+)
+from fibaction_transports.nats.fleet_connection import FleetConnection
+from fibaction_transports.nats.fleet_records import (
+    GoalEntry,
+    LeaseEntry,
+    Offer,
+    ServedAction,
+    encode,
+    goal_entry,
+)
+from fibaction_transports.nats.names import FleetNames
+from tests.wire.memory import MemoryChannel, pair
+
+NAMES = FleetNames("test")
+COUNT = Action("count", goal=int, feedback=int, result=str)
+"""Counts up to its goal; below 0, it then waits for a cancel."""
+GOAL_ID = GoalID(bytes(range(16)))
+THREE, MINUS_THREE = COUNT.goal.encode(3), COUNT.goal.encode(-3)
+ENDED: dict[str, Any] = {
+    "status": GoalStatus.SUCCEEDED,
+    "result": COUNT.result.encode("3"),
+    "feedback_count": 3,
+    "ended_at": 1,
+    "goal": b"",
+}
+"""The fields of a record after the end."""
+
+
+async def count(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
+    for number in range(abs(goal.request)):
+        yield number
+    if goal.request < 0:
+        await anyio.sleep_forever()
+    yield str(goal.request)
+
+
+def server(**settings: Any) -> ActionServer[int, int, str]:
+    return ActionServer(COUNT, count, result_timeout=math.inf, **settings)
+
+
+def client_of(connection: Connection) -> ActionClient[int, int, str]:
+    return ActionClient(connection.endpoint(COUNT), COUNT)
+
+
+class FakeBroker(Broker):
+    """Records and requests in memory, which can be away."""
+
+    max_record = 2**20
+    brokers = 1
+
+    def __init__(self) -> None:
+        self.records: dict[str, Record] = {}
+        self.sequence = 0
+        self.is_away = False
+        self.news = Notifier()
+        self.gets = 0
+        self.watches = 0
+        self.restarts = 0
+        self.questions: list[bytes] = []
+        self.listeners: dict[str, list[Callable[[bytes], bytes | None]]] = {}
+
+    @property
+    def is_connected(self) -> bool:
+        return not self.is_away
+
+    def publish(self, subject: str, data: bytes, reply: str = "") -> None:
+        raise NotImplementedError
+
+    async def subscribe(self, subject: str, on_message: OnMessage, queue: str = "") -> Subscription:
+        raise NotImplementedError
+
+    async def request(self, subject: str, data: bytes, timeout: float) -> bytes:
+        await anyio.lowlevel.checkpoint()
+        if self.is_away:
+            raise BrokerAway("away")
+        listeners = self.listeners.get(subject)
+        if not listeners:
+            raise NobodyListens
+        self.questions.append(data)
+        listeners.append(listeners.pop(0))  # in turn
+        answer = listeners[-1](data)
+        if answer is None:
+            await anyio.sleep(timeout)
+            raise BrokerAway("no answer")
+        return answer
+
+    async def flush(self) -> None:
+        raise NotImplementedError
+
+    async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
+        """Do nothing."""
+
+    def put(
+        self, subject: str, data: bytes, *, expected: int, ttl: float | None = None, then: Stored
+    ) -> None:
+        last = self.records.get(subject)
+        if expected != (last.sequence if last else 0):
+            then(PutError(PutFailure.REFUSED, "refused"))
+        else:
+            then(self.store(subject, data))
+
+    def store(self, subject: str, data: bytes) -> int:
+        """Store a record whatever there is."""
+        self.sequence += 1
+        self.records[subject] = Record(subject, data, self.sequence)
+        self.news.notify()
+        return self.sequence
+
+    async def get(self, stream: str, subject: str) -> Record | None:
+        await anyio.lowlevel.checkpoint()
+        self.gets += 1
+        if self.is_away:
+            raise BrokerAway("away")
+        return self.records.get(subject)
+
+    @asynccontextmanager
+    async def watch(self, stream: str, subject: str) -> AsyncGenerator[Watch, None]:
+        await anyio.lowlevel.checkpoint()
+        if self.is_away:
+            raise BrokerAway("away")
+        self.watches += 1
+        yield _Watch(self, subject.replace("*", ""))
+
+    def add_note(self, subject: str, data: bytes) -> None:
+        raise NotImplementedError
+
+    async def notes(self, subject: str) -> AsyncGenerator[Note, None]:
+        raise NotImplementedError
+        yield
+
+    def restart_watches(self) -> None:
+        """Let every watch begin anew."""
+        self.restarts += 1
+        self.news.notify()
+
+
+class _Watch(Watch):
+    def __init__(self, broker: FakeBroker, prefix: str) -> None:
+        self._broker = broker
+        self._prefix = prefix
+        self._sequence = 0
+        self._is_listed = False
+        self._restarts = broker.restarts
+
+    async def next(self) -> list[Record] | None:
+        while True:
+            await anyio.lowlevel.checkpoint()
+            if self._restarts != self._broker.restarts:
+                self._restarts = self._broker.restarts
+                self._sequence, self._is_listed = 0, False
+            records = [
+                record
+                for record in self._broker.records.values()
+                if record.subject.startswith(self._prefix) and record.sequence > self._sequence
+            ]
+            if records:
+                records.sort(key=lambda record: record.sequence)
+                self._sequence = records[-1].sequence
+                return records
+            if not self._is_listed:
+                self._is_listed = True
+                return None
+            await self._broker.news.wait()
+
+
+class FakeJournal(GoalJournal):
+    """Writes the records of goals, as the owner that its worker is."""
+
+    def __init__(self, broker: FakeBroker, action: str, worker: FakeWorker) -> None:
+        self._broker = broker
+        self._action = action
+        self._worker = worker
+        self.expected: dict[GoalID, int] = {}
+
+    def accept(self, goal: StoredGoal, then: Then) -> None:
+        goal.worker = self._worker.name
+        entry = encode(GoalEntry(goal, self._worker.incarnation, b"\0\0\0\0"))
+
+        def stored(answer: int | PutError) -> None:
+            if isinstance(answer, PutError):
+                then(GoalTaken("another worker has the goal"))
+            else:
+                self.expected[goal.goal_id] = answer
+                then(None)
+
+        self._broker.put(
+            NAMES.goal(self._action, goal.goal_id),
+            entry,
+            expected=self.expected.get(goal.goal_id, 0),
+            then=stored,
+        )
+
+    begin = cancel = checkpoint = end = release = accept
+
+
+class FakeStore(GoalStore):
+    """The store of the servers of one worker."""
+
+    def __init__(self, broker: FakeBroker, worker: FakeWorker) -> None:
+        self._broker = broker
+        self._worker = worker
+
+    @asynccontextmanager
+    async def open(
+        self,
+        action: str,
+        *,
+        max_results: int,
+        claim: Callable[[StoredGoal], None],
+        lose: Callable[[GoalID], None],
+    ) -> AsyncGenerator[GoalJournal, None]:
+        journal = FakeJournal(self._broker, action, self._worker)
+        self._worker.journals[action] = journal, claim, lose
+        yield journal
+
+
+class FakeWorker:
+    """A worker that serves its endpoints over lines in memory."""
+
+    def __init__(self, broker: FakeBroker, name: str, *, is_kept: bool = True) -> None:
+        self.broker = broker
+        self.name = name
+        self.incarnation = name.encode().ljust(8, b"\1")[:8]
+        self.is_kept = is_kept
+        self.room = 1000
+        self.has_room = True
+        self.is_frozen = False
+        self.server: Any = None
+        self.lines: list[MemoryChannel] = []
+        self.asked: list[bytes] = []
+        self.journals: dict[str, Any] = {}
+        self.actions: tuple[ServedAction, ...] = ()
+        self.since = 1
+
+    @asynccontextmanager
+    async def serve(self, *servers: Endpoint) -> AsyncGenerator[FakeWorker, None]:
+        """Serve while the block lasts."""
+        async with AsyncExitStack() as stack:
+            for server in servers:
+                if self.is_kept and isinstance(server, ActionServer):
+                    server.keep_in(FakeStore(self.broker, self))
+                await stack.enter_async_context(server)  # type: ignore[arg-type]
+            endpoints = {one.info.name: one for one in servers}
+            self.server = await stack.enter_async_context(open_server(endpoints, ServerSettings()))
+            self.actions = tuple(ServedAction(one.info, self.is_kept) for one in servers)
+            for action in endpoints:
+                self.listen(NAMES.offer(action))
+            self.renew()
+            stack.callback(self.die)
+            yield self
+
+    def listen(self, subject: str) -> None:
+        """Answer questions."""
+        self.broker.listeners.setdefault(subject, []).append(self._answer)
+
+    def deafen(self) -> None:
+        """Answer no more questions."""
+        for listeners in self.broker.listeners.values():
+            if self._answer in listeners:
+                listeners.remove(self._answer)
+
+    def _answer(self, question: bytes) -> bytes | None:
+        self.asked.append(question)
+        return None if self.is_frozen else encode(Offer(self.name, min(self.room, 16)))
+
+    def renew(self) -> None:
+        """Write the lease."""
+        lease = LeaseEntry(
+            self.name, self.incarnation, self.since, 5.0, self.actions, 0, self.has_room
+        )
+        self.broker.store(NAMES.worker(self.name), encode(lease))
+
+    def hang_up(self) -> None:
+        """Cut all lines, and take no more."""
+        self.server = None
+        for line in self.lines:
+            line.cut()
+
+    def flicker(self) -> None:
+        """Cut all lines, and take the next."""
+        for line in self.lines:
+            line.cut()
+        self.lines.clear()
+
+    def end_lease(self) -> None:
+        """Let the lease end."""
+        self.broker.store(NAMES.worker(self.name), b"")
+
+    def die(self) -> None:
+        """End everything at once."""
+        self.deafen()
+        self.hang_up()
+        self.end_lease()
+
+    def own(self, goal_id: GoalID, **changes: Any) -> None:
+        """Store the record of a goal, without knowing it."""
+        fields: dict[str, Any] = {
+            "stamp": 7,
+            "digest": digest_of(THREE),
+            "goal": THREE,
+            "worker": self.name,
+            "attempt": 1,
+            **changes,
+        }
+        goal = StoredGoal(goal_id, sender=UNKNOWN_SENDER, **fields)
+        entry = GoalEntry(goal, self.incarnation, b"\0\0\0\0")
+        self.broker.store(NAMES.goal("count", goal_id), encode(entry))
+
+    def take_over(self, action: str, goal_id: GoalID) -> None:
+        """Become the owner of a goal of another worker."""
+        subject = NAMES.goal(action, goal_id)
+        record = self.broker.records[subject]
+        stored = goal_entry(record.data).goal
+        stored.worker = self.name
+        journal, claim, _ = self.journals[action]
+        journal.expected[goal_id] = self.broker.store(
+            subject, encode(GoalEntry(stored, self.incarnation, b"\0\0\0\0"))
+        )
+        claim(stored)
+
+
+class FakeLines:
+    """Dials lines to the workers of a test."""
+
+    def __init__(self, workers: dict[str, FakeWorker]) -> None:
+        self._workers = workers
+        self.dialed: list[str] = []
+
+    async def open(self) -> None:
+        """Do nothing."""
+
+    async def dial(self, worker: str) -> Line:
+        self.dialed.append(worker)
+        found = self._workers.get(worker)
+        if found is None or found.server is None:
+            raise ServerNotFound(f"worker {worker!r} is not there")
+        far, near = pair("client", worker)
+        found.lines.append(near)
+        found.server.start(far)
+        return near
+
+
+class FakeFleet:
+    """A broker, workers and clients in one process."""
+
+    def __init__(self) -> None:
+        self.broker = FakeBroker()
+        self.workers: dict[str, FakeWorker] = {}
+        self.lines = FakeLines(self.workers)
+
+    def worker(self, name: str, *, is_kept: bool = True) -> FakeWorker:
+        """Add a worker, which does not serve yet."""
+        worker = self.workers[name] = FakeWorker(self.broker, name, is_kept=is_kept)
+        return worker
+
+    @asynccontextmanager
+    async def connect(self, **settings: Any) -> AsyncGenerator[FleetConnection, None]:
+        """Connect a client."""
+        async with Background() as tasks:
+            connection = FleetConnection(
+                self.broker,
+                NAMES,
+                self.lines,  # type: ignore[arg-type]  # as far as it is used
+                ClientSettings(**settings),
+                tasks,
+            )
+            try:
+                yield connection
+            finally:
+                await connection.leave()

@@ -1,0 +1,474 @@
+"""Goals, cancels and results of a fleet, at whichever worker they are."""
+
+from __future__ import annotations
+
+from contextlib import AsyncExitStack
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import (
+    Action,
+    CancelCode,
+    ConnectionLost,
+    GoalRejected,
+    GoalStatus,
+    InvalidMessage,
+    Outcome,
+    Schedule,
+    ServerFailed,
+    ServerNotFound,
+    UnknownGoal,
+)
+from fibaction.abc import Endpoint, ForwardingEndpoint
+from fibaction.goals import CancelAnswer
+from fibaction.server.goal_record import digest_of
+from tests.transports.nats.fake_fleet import (
+    COUNT,
+    ENDED,
+    GOAL_ID,
+    MINUS_THREE,
+    THREE,
+    FakeFleet,
+    FakeWorker,
+    client_of,
+    server,
+)
+from tests.virtual_time import in_virtual_time
+from tests.wire.memory import Running, settled
+
+pytestmark = [pytest.mark.anyio, in_virtual_time()]
+
+
+@pytest.fixture
+def fleet() -> FakeFleet:
+    return FakeFleet()
+
+
+class _Mute(ForwardingEndpoint):
+    """An endpoint that never answers a goal."""
+
+    def __init__(self, inner: Endpoint) -> None:
+        super().__init__(inner)
+        self.asked = anyio.Event()
+
+    async def send_goal(self, *_: Any, **__: Any) -> Any:
+        self.asked.set()
+        await anyio.sleep_forever()
+
+
+# To send a goal
+
+
+async def test_goals_are_run_by_all_workers_in_turn(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server()),
+        fleet.worker("b").serve(server()),
+        fleet.connect() as connection,
+    ):
+        client = client_of(connection)
+        assert client.endpoint.info == COUNT.info
+        assert [await client.call(3) for _ in range(4)] == ["3"] * 4
+        assert sorted(fleet.lines.dialed) == ["a", "b"]  # once each
+
+
+async def test_a_goal_larger_than_a_record_is_not_sent(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        with pytest.raises(InvalidMessage, match="the goal has 1048576 bytes, and 1044480 are"):
+            await connection.endpoint(COUNT).send_goal(GOAL_ID, bytes(2**20))
+        assert not a.asked
+
+
+async def test_a_goal_without_feedback_has_its_outcome(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
+        endpoint = connection.endpoint(COUNT)
+        goal = await endpoint.send_goal(GOAL_ID, THREE, feedback=False, timeout=60)
+        assert (await goal.outcome()).status is GoalStatus.SUCCEEDED
+        assert not goal.reads
+
+
+async def test_a_rejection_is_an_answer(fleet: FakeFleet) -> None:
+    def reject(goal: int) -> None:
+        raise GoalRejected(f"{goal} is too far")
+
+    async with fleet.worker("a").serve(server(on_goal=reject)) as a, fleet.connect() as connection:
+        with pytest.raises(GoalRejected, match="3 is too far"):
+            await client_of(connection).call(3)
+        assert len(a.asked) == 1
+
+
+async def test_a_worker_that_is_busy_by_now_is_left_for_another(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server(schedule=Schedule(concurrency=1))),
+        fleet.worker("b").serve(server(schedule=Schedule(concurrency=1))),
+        fleet.connect() as connection,
+    ):
+        client = client_of(connection)
+        await client.send_goal(-1)
+        assert [await client.call(3) for _ in range(4)] == ["3"] * 4
+        await client.send_goal(-1)
+        with pytest.raises(GoalRejected, match="busy: 1 of 1 running"):
+            await client.call(3)
+
+
+async def test_the_only_worker_says_itself_that_it_is_busy(fleet: FakeFleet) -> None:
+    schedule = Schedule(concurrency=1)
+    async with (
+        fleet.worker("a").serve(server(schedule=schedule)) as a,
+        fleet.connect() as connection,
+    ):
+        client = client_of(connection)
+        await client.send_goal(-1)
+        a.deafen()
+        with pytest.raises(GoalRejected) as caught:
+            await client.call(3)
+        assert caught.value.reason == "busy: 1 of 1 running, 0 of 0 waiting"
+
+
+async def test_a_worker_whose_server_has_stopped_is_left_for_another(fleet: FakeFleet) -> None:
+    stopping = server()
+    async with fleet.worker("a").serve(stopping), fleet.connect() as connection:
+        await stopping.stop()
+        with pytest.raises(ServerNotFound, match="is not running"):
+            await client_of(connection).call(3)
+        async with fleet.worker("b").serve(server()):
+            assert [await client_of(connection).call(3) for _ in range(2)] == ["3", "3"]
+
+
+async def test_a_goal_that_no_worker_has_room_for_is_rejected(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server()) as a,
+        fleet.worker("b").serve(server()) as b,
+        fleet.connect() as connection,
+    ):
+        for worker in (a, b):
+            worker.deafen()
+            worker.has_room = False
+            worker.renew()
+        with pytest.raises(GoalRejected) as caught:
+            await client_of(connection).call(3)
+        assert caught.value.reason == "busy: all 2 workers of action 'count' are busy"
+        assert caught.value.is_busy
+
+
+async def test_an_action_that_no_worker_serves_is_not_found(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
+        endpoint = connection.endpoint(Action("fly", goal=int, feedback=int, result=str))
+        text = "the action 'fly' is not served in this fleet: there is 'count'"
+        for ask in (
+            lambda: endpoint.send_goal(GOAL_ID, THREE),
+            lambda: endpoint.feedback(GOAL_ID),
+            endpoint.cancel_goals,
+            endpoint.status,
+        ):
+            with pytest.raises(ServerNotFound, match=text):
+                await ask()
+
+
+async def test_a_goal_goes_elsewhere_if_its_worker_ends_before_the_answer(
+    fleet: FakeFleet,
+) -> None:
+    mute = _Mute(server())
+    async with fleet.worker("a").serve(mute) as a, fleet.connect() as connection:
+        async with Running(lambda: client_of(connection).call(3)) as calling:
+            await mute.asked.wait()
+            async with fleet.worker("b").serve(server()):
+                a.deafen()
+                a.hang_up()  # its lease goes on for a while
+                assert await calling.answer() == "3"
+
+
+async def test_a_goal_goes_elsewhere_if_its_worker_is_frozen_before_the_answer(
+    fleet: FakeFleet,
+) -> None:
+    mute = _Mute(server())
+    async with fleet.worker("a").serve(mute) as a, fleet.connect() as connection:
+        async with Running(lambda: client_of(connection).call(3)) as calling:
+            await mute.asked.wait()
+            async with fleet.worker("b").serve(server()):
+                a.deafen()
+                a.end_lease()  # its line is open
+                assert await calling.answer() == "3"
+
+
+async def test_a_goal_whose_answer_is_lost_is_found_at_the_worker_that_has_it(
+    fleet: FakeFleet,
+) -> None:
+    mute = _Mute(server())
+    async with fleet.worker("a").serve(mute) as a, fleet.connect() as connection:
+        endpoint = connection.endpoint(COUNT)
+        async with Running(lambda: endpoint.send_goal(GOAL_ID, THREE)) as sending:
+            await mute.asked.wait()
+            async with fleet.worker("b").serve(server()) as b:
+                b.deafen()
+                b.own(GOAL_ID)
+                b.take_over("count", GOAL_ID)
+                a.die()
+                goal = await sending.answer()
+                assert (goal.stamp, fleet.lines.dialed[-1]) == (7, "b")
+
+
+async def test_a_goal_that_was_sent_before_has_the_same_answer(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        endpoint = connection.endpoint(COUNT)
+        first = await endpoint.send_goal(GOAL_ID, THREE)
+        assert await first.outcome() == Outcome(GoalStatus.SUCCEEDED, COUNT.result.encode("3"))
+        a.deafen()  # a question is not needed for it
+        again = await endpoint.send_goal(GOAL_ID, THREE)
+        assert (again.stamp, await again.outcome()) == (first.stamp, await first.outcome())
+        with pytest.raises(GoalRejected, match="its ID is in use by another goal"):
+            await endpoint.send_goal(GOAL_ID, MINUS_THREE)
+
+
+async def test_a_goal_that_has_ended_is_answered_without_its_worker(fleet: FakeFleet) -> None:
+    gone = FakeWorker(fleet.broker, "gone")
+    gone.own(GOAL_ID, **ENDED)
+    async with fleet.connect() as connection:
+        endpoint = connection.endpoint(COUNT)
+        again = await endpoint.send_goal(GOAL_ID, THREE)
+        assert await again.outcome() == Outcome(GoalStatus.SUCCEEDED, COUNT.result.encode("3"))
+        with pytest.raises(GoalRejected, match="its ID is in use by another goal"):
+            await endpoint.send_goal(GOAL_ID, MINUS_THREE)
+        followed = await endpoint.feedback(GOAL_ID, after=-1)
+        assert (followed.stamp, followed.cursor, followed.dropped) == (7, 3, 0)
+        assert (await endpoint.get_result(GOAL_ID)).status is GoalStatus.SUCCEEDED
+        answer = await endpoint.cancel_goals(GOAL_ID)
+        assert answer == CancelAnswer(CancelCode.GOAL_TERMINATED)
+
+
+async def test_brokers_that_are_away_for_a_moment_delay_a_goal(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
+        client = client_of(connection)
+        assert await client.call(1) == "1"
+        fleet.broker.is_away = True
+        async with Running(lambda: client.call(3)) as calling:
+            await anyio.sleep(5)
+            fleet.broker.is_away = False
+            assert await calling.answer() == "3"
+
+
+# To follow a goal
+
+
+async def test_a_goal_is_followed_at_its_owner(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server()),
+        fleet.worker("b").serve(server()),
+        fleet.connect() as one,
+        fleet.connect() as other,
+    ):
+        goals = [await client_of(one).send_goal(-3) for _ in range(2)]
+        for goal in goals:
+            followed = await client_of(other).attach(goal.goal_id, after=0)
+            assert [await anext(followed.feedback) for _ in range(3)] == [0, 1, 2]
+
+
+async def test_a_goal_without_a_record_is_unknown(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server()),
+        fleet.connect() as connection,
+    ):
+        with pytest.raises(UnknownGoal):
+            await connection.endpoint(COUNT).feedback(GOAL_ID)
+        assert (await connection.endpoint(COUNT).get_result(GOAL_ID)).status.name == "UNKNOWN"
+
+
+async def test_a_goal_whose_owner_is_gone_is_followed_at_the_next_one(fleet: FakeFleet) -> None:
+    gone = FakeWorker(fleet.broker, "gone")
+    gone.own(GOAL_ID)
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        async with Running(lambda: connection.endpoint(COUNT).feedback(GOAL_ID)) as asking:
+            await anyio.sleep(3)
+            a.take_over("count", GOAL_ID)
+            assert (await asking.answer()).stamp == 7
+
+
+async def test_a_goal_whose_owner_is_gone_is_lost_after_a_while(fleet: FakeFleet) -> None:
+    gone = FakeWorker(fleet.broker, "gone")
+    gone.own(GOAL_ID)
+    async with (
+        fleet.worker("a").serve(server()),
+        fleet.connect(reconnect_timeout=8) as connection,
+    ):
+        endpoint = connection.endpoint(COUNT)
+        for ask in (endpoint.feedback, endpoint.cancel_goals):
+            began = anyio.current_time()
+            with pytest.raises(
+                ConnectionLost, match=r"worker 'gone', which has goal 0001.* is gone"
+            ):
+                await ask(GOAL_ID)
+            assert anyio.current_time() - began == pytest.approx(8)
+
+
+async def test_an_owner_that_does_not_know_the_goal_yet_is_asked_again(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        a.own(GOAL_ID)
+        async with Running(lambda: connection.endpoint(COUNT).feedback(GOAL_ID)) as asking:
+            await anyio.sleep(3)
+            a.take_over("count", GOAL_ID)
+            assert (await asking.answer()).stamp == 7
+
+
+async def test_an_end_that_its_owner_has_forgotten_is_unknown(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        a.own(GOAL_ID, **ENDED)
+        outcome = await connection.endpoint(COUNT).get_result(GOAL_ID)
+        assert outcome.status is GoalStatus.UNKNOWN
+
+
+async def test_goals_of_a_gateway_are_followed_there(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server()),
+        fleet.worker("b", is_kept=False).serve(server()) as b,
+        fleet.worker("c", is_kept=False).serve(server()) as c,
+        fleet.connect() as one,
+        fleet.connect() as other,
+    ):
+        fleet.workers["a"].deafen()
+        b.deafen()
+        goal = await client_of(one).send_goal(-3)
+        followed = await client_of(other).attach(goal.goal_id, after=0)
+        assert await anext(followed.feedback) == 0
+        assert (await client_of(other).cancel_goals(goal.goal_id)).accepted
+        with pytest.raises(UnknownGoal):
+            await client_of(other).attach(GOAL_ID)
+        c.hang_up()
+        with pytest.raises(ConnectionLost, match="worker 'c' is not there"):
+            await client_of(other).attach(GOAL_ID)
+
+
+async def test_a_goal_of_a_gateway_does_not_move(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("b", is_kept=False).serve(server()) as b,
+        fleet.connect() as connection,
+    ):
+        goal = await client_of(connection).send_goal(-3)
+        b.die()
+        with pytest.raises(ConnectionLost, match="worker 'b' is gone"):
+            await goal.outcome()
+
+
+# To cancel goals
+
+
+async def test_a_goal_is_canceled_at_its_owner(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server()),
+        fleet.worker("b").serve(server()),
+        fleet.connect() as connection,
+    ):
+        client = client_of(connection)
+        goals = [await client.send_goal(-3) for _ in range(2)]
+        for goal in goals:
+            answer = await client.cancel_goals(goal.goal_id)
+            assert [info.goal_id for info in answer.goals_canceling] == [goal.goal_id]
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
+async def test_all_goals_are_canceled_at_all_workers(fleet: FakeFleet) -> None:
+    async with AsyncExitStack() as stack:
+        for name in ("a", "b", "c"):
+            await stack.enter_async_context(fleet.worker(name).serve(server()))
+        connection = await stack.enter_async_context(fleet.connect())
+        client = client_of(connection)
+        goals = [await client.send_goal(-3) for _ in range(6)]
+        by_stamp = await client.cancel_goals(before=goals[1].stamp)
+        assert {info.goal_id for info in by_stamp.goals_canceling} == {
+            goal.goal_id for goal in goals if goal.stamp <= goals[1].stamp
+        }
+        by_both = await client.cancel_goals(goals[5].goal_id, before=goals[1].stamp)
+        assert goals[5].goal_id in {info.goal_id for info in by_both.goals_canceling}
+        answer = await client.cancel_goals()
+        assert {info.goal_id for info in answer.goals_canceling} >= {
+            goal.goal_id for goal in goals[2:5]
+        }
+        for goal in goals:
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
+async def test_the_cancel_of_a_goal_that_no_worker_knows_is_answered_so(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server()),
+        fleet.worker("b").serve(server()),
+        fleet.connect() as connection,
+    ):
+        answer = await client_of(connection).cancel_goals(GOAL_ID)
+        assert answer.return_code is CancelCode.UNKNOWN_GOAL_ID
+
+
+async def test_a_cancel_goes_to_the_next_owner_if_the_first_one_is_gone(fleet: FakeFleet) -> None:
+    gone = FakeWorker(fleet.broker, "gone")
+    gone.own(GOAL_ID, goal=MINUS_THREE, digest=digest_of(MINUS_THREE), attempt=0)
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        async with Running(lambda: client_of(connection).cancel_goals(GOAL_ID)) as canceling:
+            await anyio.sleep(3)
+            a.take_over("count", GOAL_ID)
+            assert (await canceling.answer()).accepted
+
+
+async def test_a_cancel_is_asked_again_if_its_answer_is_lost(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        client = client_of(connection)
+        goal = await client.send_goal(-3)
+        serving = a.server
+        a.hang_up()
+        async with Running(lambda: client.cancel_goals(goal.goal_id)) as canceling:
+            await anyio.sleep(1)
+            a.server = serving
+            assert (await canceling.answer()).accepted
+
+
+async def test_a_cancel_of_all_goals_leaves_out_a_worker_that_is_gone(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server()),
+        fleet.worker("b").serve(server()) as b,
+        fleet.connect() as connection,
+    ):
+        client = client_of(connection)
+        assert (await client.cancel_goals()).return_code is CancelCode.NONE
+        b.hang_up()
+        async with Running(client.cancel_goals) as canceling:
+            await anyio.sleep(3)
+            b.end_lease()
+            assert (await canceling.answer()).return_code is CancelCode.NONE
+
+
+async def test_a_cancel_of_all_goals_fails_if_a_worker_does_not_answer(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server()),
+        fleet.worker("b").serve(server()) as b,
+        fleet.connect(reconnect_timeout=5) as connection,
+    ):
+        b.hang_up()
+        with pytest.raises(ConnectionLost, match="worker 'b' is not there"):
+            await client_of(connection).cancel_goals()
+
+
+async def test_an_error_of_one_worker_is_that_of_the_cancel_of_all_goals(
+    fleet: FakeFleet,
+) -> None:
+    class Broken(ForwardingEndpoint):
+        async def cancel_goals(self, *_: Any, **__: Any) -> Any:
+            raise RuntimeError
+
+    async with fleet.worker("a").serve(Broken(server())), fleet.connect() as connection:
+        with pytest.raises(ServerFailed):
+            await client_of(connection).cancel_goals()
+
+
+# To wait for a server
+
+
+async def test_a_server_is_waited_for_until_a_worker_serves_the_action(fleet: FakeFleet) -> None:
+    fleet.broker.is_away = True
+    async with fleet.connect() as connection:
+        async with Running(connection.endpoint(COUNT).wait_for_server) as waiting:
+            await anyio.sleep(60)
+            fleet.broker.is_away = False
+            async with fleet.worker("a").serve():
+                await settled()
+                await anyio.sleep(60)
+                assert not waiting.is_done
+                async with fleet.worker("b").serve(server()):
+                    await waiting.answer()

@@ -1,0 +1,448 @@
+"""Lines over a real nats-server: the wire protocol on them, and each way in which they break."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+
+import anyio
+import pytest
+
+from fibaction import ActionServer, GoalCanceled, GoalHandle, ServerNotFound, connect, serve
+from fibaction._notify import Notifier
+from fibaction.exceptions import ConnectionLost, ProtocolError
+from fibaction.wire.channel import Line, NextFrames, OnFrames
+from fibaction.wire.frames import FrameReader
+from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
+from fibaction_transports.nats.broker import Message
+from fibaction_transports.nats.fleet_settings import FleetSettings
+from fibaction_transports.nats.line import ClientLines, WorkerLines
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.nats_broker import NatsBroker, open_broker
+from fibaction_transports.nats.piece_line import WINDOW, PieceLine
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.nats_server import NatsServer
+from tests.transports.hearing import Hearing
+from tests.transports.nats.worker_lines import LineTransport
+
+pytestmark = pytest.mark.asyncio
+
+
+def transport_to(server: NatsServer, fleet: str, heartbeat: float = 1.0) -> LineTransport:
+    return LineTransport(
+        FleetSettings(fleet, (server.address,)),
+        ClientSettings(heartbeat=heartbeat),
+        ServerSettings(heartbeat=heartbeat),
+    )
+
+
+# The wire protocol on them
+
+
+async def test_goals_feedback_and_results_go_over_a_line(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    transport = transport_to(shared_broker, fleet)
+    async with serve(ActionServer(FIBONACCI, fibonacci), transport):
+        async with connect(transport, FIBONACCI) as client:
+            goal = await client.send_goal(Goal(5))
+            feedback = [item.partial_sequence async for item in goal.feedback]
+            assert feedback[-1] == [0, 1, 1, 2, 3, 5]
+            assert (await goal.result()).sequence == [0, 1, 1, 2, 3, 5]
+
+
+async def test_a_goal_is_canceled_over_a_line(shared_broker: NatsServer, fleet: str) -> None:
+    async def forever(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        yield Feedback([1])
+        await anyio.sleep_forever()
+
+    transport = transport_to(shared_broker, fleet)
+    async with serve(ActionServer(FIBONACCI, forever), transport):
+        async with connect(transport, FIBONACCI) as client:
+            goal = await client.send_goal(Goal(5))
+            async for _ in goal.feedback:
+                break
+            await goal.cancel()
+            with pytest.raises(GoalCanceled):
+                await goal.result()
+
+
+async def test_a_frame_may_be_larger_than_a_message_of_the_broker(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async def large(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        yield Result(list(range(goal.request.order)))
+
+    transport = transport_to(shared_broker, fleet)
+    async with serve(ActionServer(FIBONACCI, large), transport):
+        async with connect(transport, FIBONACCI) as client:
+            result = await (await client.send_goal(Goal(2_000_000))).result()
+            assert len(result.sequence) == 2_000_000
+
+
+async def test_a_goal_goes_on_while_the_broker_is_killed_and_started_again(
+    own_broker: NatsServer, fleet: str, log: Hearing
+) -> None:
+    runs: list[int] = []
+    go_on = anyio.Event()
+
+    async def counting(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        runs.append(1)
+        for number in range(goal.request.order):
+            yield Feedback([number])
+            if number == 10:
+                await go_on.wait()
+        yield Result([])
+
+    transport = transport_to(own_broker, fleet, heartbeat=0.1)
+    async with serve(ActionServer(FIBONACCI, counting), transport):
+        async with connect(transport, FIBONACCI) as client:
+            goal = await client.send_goal(Goal(50))
+            numbers: list[int] = []
+            with anyio.fail_after(20):
+                async for item in goal.feedback:
+                    numbers += item.partial_sequence
+                    if numbers[-1] == 10:
+                        own_broker.kill()
+                        go_on.set()
+                        await log.until("is lost")
+                        own_broker.start()
+                await goal.result()
+    assert numbers == list(range(50))
+    assert runs == [1]
+    assert not any(record.exc_info for record in log.records)
+
+
+# Each end alone
+
+
+class End:
+    """One end of a line, which a test reads and writes."""
+
+    def __init__(self, line: Line) -> None:
+        assert isinstance(line, PieceLine)
+        self.line = line
+        self.frames: list[bytes] = []
+        self.error: BaseException | None = None
+        self._news = Notifier()
+
+    async def run(
+        self, on_frames: OnFrames | None = None, next_frames: NextFrames = lambda: []
+    ) -> None:
+        """Run the line, and note the error that ends it."""
+        try:
+            await self.line.run(on_frames or self._on_frames, next_frames)
+        except Exception as exc:
+            self.error = exc
+            self._news.notify()
+
+    def _on_frames(self, frames: list[bytes]) -> list[bytes]:
+        self.frames += frames
+        self._news.notify()
+        return []
+
+    async def until(self, is_so: Callable[[], bool]) -> None:
+        with anyio.fail_after(10):
+            while not is_so():
+                await self._news.wait()
+
+    async def lost(self) -> str:
+        """The reason why the line ends, while nothing else runs it."""
+        with anyio.fail_after(10):
+            await self.run()
+        assert isinstance(self.error, ConnectionLost)
+        return str(self.error)
+
+
+class Ends:
+    """A client's end and a worker's end of one line, and the connection below."""
+
+    def __init__(self, client: Line, worker: Line, broker: NatsBroker, names: FleetNames) -> None:
+        self.client = End(client)
+        self.worker = End(worker)
+        self.broker = broker
+        self.names = names
+
+    def to_worker(self, data: bytes) -> None:
+        self.broker.publish(self.names.up("w", "c", "1"), data)
+
+
+@asynccontextmanager
+async def ends_of(server: NatsServer, fleet: str) -> AsyncGenerator[Ends, None]:
+    names, settings = FleetNames(fleet), FleetSettings(fleet, (server.address,))
+    started: list[Line] = []
+    async with open_broker(settings) as there, open_broker(settings) as here:
+        workers = WorkerLines(there, names, "w", FrameReader, started.append)
+        clients = ClientLines(here, names, "c")
+        await workers.open()
+        await clients.open()
+        line = await clients.dial("w")
+        yield Ends(line, started[0], here, names)
+        await line.aclose()
+        clients.close()
+        workers.close()
+
+
+def piece(number: int, data: bytes = b"", kind: bytes = b"D") -> bytes:
+    return kind + number.to_bytes(8, "big") + data
+
+
+async def test_nobody_listens_where_no_worker_is(shared_broker: NatsServer, fleet: str) -> None:
+    async with open_broker(FleetSettings(fleet, (shared_broker.address,))) as broker:
+        lines = ClientLines(broker, FleetNames(fleet))
+        await lines.open()
+        with anyio.fail_after(0.5), pytest.raises(ServerNotFound, match="'w' does not answer"):
+            await lines.dial("w")
+
+
+async def test_a_worker_that_does_not_answer_is_given_up(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    names = FleetNames(fleet)
+    async with open_broker(FleetSettings(fleet, (shared_broker.address,))) as broker:
+        await broker.subscribe(names.up("w"), lambda message: None)
+        lines = ClientLines(broker, names)
+        await lines.open()
+        with anyio.fail_after(5), pytest.raises(ServerNotFound):
+            await lines.dial("w")
+
+
+async def test_frames_go_both_ways_in_order(shared_broker: NatsServer, fleet: str) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        async with anyio.create_task_group() as tasks:
+            await ends.client.line.send([b"one", b"two"])
+            await ends.client.line.send([bytes(200_000)])
+            tasks.start_soon(ends.client.run)
+            tasks.start_soon(ends.worker.run)
+            await ends.worker.until(lambda: len(ends.worker.frames) == 3)
+            await ends.worker.line.send([b"back"])
+            await ends.client.until(lambda: ends.client.frames == [b"back"])
+            assert ends.worker.frames == [b"one", b"two", bytes(200_000)]
+            tasks.cancel_scope.cancel()
+
+
+async def test_a_reader_that_takes_nothing_holds_the_sender_back(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        fetched = 0
+
+        def next_frames() -> list[bytes]:
+            nonlocal fetched
+            fetched += 1
+            return [bytes(1000)] if fetched <= 10 * WINDOW else []
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ends.client.run, None, next_frames)
+            with anyio.move_on_after(0.3):
+                await anyio.sleep_forever()
+            assert fetched == WINDOW
+            assert ends.client.line.progress == 0
+            tasks.start_soon(ends.worker.run)
+            await ends.worker.until(lambda: len(ends.worker.frames) == 10 * WINDOW)
+            await ends.broker.flush()
+            assert ends.client.line.progress >= 9 * WINDOW
+            tasks.cancel_scope.cancel()
+
+
+async def test_frames_that_are_left_come_again_in_later_turns_before_others(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        taken: list[bytes] = []
+        done = anyio.Event()
+
+        def one_at_once(frames: list[bytes]) -> list[bytes]:
+            taken.extend(frames[:1])
+            if len(taken) == 4:
+                done.set()
+            return frames[1:]
+
+        ends.worker.line.share_turns(anyio.Lock())
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ends.worker.run, one_at_once)
+            await ends.client.line.send([b"1", b"2", b"3"])
+            await ends.client.line.send([b"4"])
+            with anyio.fail_after(5):
+                await done.wait()
+            assert taken == [b"1", b"2", b"3", b"4"]
+            tasks.cancel_scope.cancel()
+
+
+async def test_a_write_at_once_is_not_put_off(shared_broker: NatsServer, fleet: str) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        frames: list[bytes] = []
+
+        def next_frames() -> list[bytes]:
+            ends.client.line.wake_writer(at_once=True)  # while it is fetched
+            one, frames[:] = frames[:], []
+            return one
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ends.client.run, None, next_frames)
+            await anyio.lowlevel.checkpoint()
+            tasks.start_soon(ends.worker.run)
+            frames.append(b"now")
+            ends.client.line.wake_writer(at_once=True)
+            assert not frames
+            await ends.worker.until(lambda: ends.worker.frames == [b"now"])
+            tasks.cancel_scope.cancel()
+
+
+@pytest.mark.parametrize("is_left", [False, True])
+async def test_an_error_of_a_handler_ends_the_line(
+    shared_broker: NatsServer, fleet: str, is_left: bool
+) -> None:
+    calls = 0
+
+    def fail(frames: list[bytes]) -> list[bytes]:
+        nonlocal calls
+        calls += 1
+        if is_left and calls == 1:
+            return frames
+        raise ProtocolError("no")
+
+    async with ends_of(shared_broker, fleet) as ends:
+        await ends.client.line.send([b"x"])
+        with anyio.fail_after(5):
+            await ends.worker.run(fail)
+        assert isinstance(ends.worker.error, ProtocolError)
+
+
+async def test_an_error_of_a_source_ends_the_line(shared_broker: NatsServer, fleet: str) -> None:
+    def fail() -> list[bytes]:
+        raise ProtocolError("no")
+
+    async with ends_of(shared_broker, fleet) as ends:
+        with anyio.fail_after(5):
+            await ends.client.run(None, fail)
+        assert isinstance(ends.client.error, ProtocolError)
+
+
+async def test_a_lost_piece_breaks_the_line(shared_broker: NatsServer, fleet: str) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        ends.to_worker(piece(1))
+        assert await ends.worker.lost() == "a piece of the line to nats client c was lost"
+        ends.to_worker(piece(0, b"too late"))
+        await ends.broker.flush()
+
+
+async def test_what_came_before_the_end_is_still_read(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        await ends.client.line.send([b"last"])
+        await ends.client.line.aclose()
+        assert await ends.worker.lost() == "nats client c closed its side"
+        assert ends.worker.frames == [b"last"]
+        with pytest.raises(ConnectionLost):
+            await ends.worker.line.send([b"x"])
+
+
+async def test_an_end_that_is_gone_is_noticed_at_once(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        ends.to_worker(b"")
+        assert await ends.worker.lost() == "nats client c sent a piece that is too short"
+    names, settings = FleetNames(fleet), FleetSettings(fleet, (shared_broker.address,))
+    async with open_broker(settings) as here:
+        clients = ClientLines(here, names)
+        await clients.open()
+        async with open_broker(settings) as there:
+            workers = WorkerLines(there, names, "w", FrameReader, lambda line: None)
+            await workers.open()
+            line = await clients.dial("w")
+        await line.send([b"x"])
+        assert await End(line).lost() == "worker 'w' is gone"
+
+
+async def test_a_worker_that_does_not_know_a_line_closes_it(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        await ends.worker.line.aclose()
+        await ends.broker.flush()
+        ends.client.line._error = None  # as if the message of the end had been lost
+        await ends.client.line.send([b"x"])
+        assert await ends.client.lost() == "worker 'w' closed its side"
+
+
+async def test_more_pieces_than_the_window_break_the_line(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        for number in range(WINDOW + 1):
+            ends.to_worker(piece(number))
+        line = ends.worker.line
+        with anyio.fail_after(5):
+            while line._error is None:
+                await line._changed.wait()
+        assert await ends.worker.lost() == f"nats client c sent more than {WINDOW} pieces"
+
+
+async def test_acknowledgements_that_cannot_be_are_ignored(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        ends.to_worker(piece(7, kind=b"A"))
+        ends.to_worker(piece(7, kind=b"?"))
+        ends.to_worker(piece(0, b"\0\0\0\1x"))
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ends.worker.run)
+            await ends.worker.until(lambda: ends.worker.frames == [b"x"])
+            tasks.cancel_scope.cancel()
+        assert ends.worker.line.progress == 0
+
+
+async def test_sending_waits_for_the_window(shared_broker: NatsServer, fleet: str) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        large = bytes(2**16 * (WINDOW + 2))
+        with anyio.move_on_after(0.2) as scope:
+            await ends.client.line.send([large])
+        assert scope.cancelled_caught
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ends.client.run)
+            tasks.start_soon(ends.worker.run)
+            await ends.worker.until(lambda: ends.worker.frames == [large])
+            tasks.cancel_scope.cancel()
+
+
+async def test_a_worker_that_stops_ends_its_lines(shared_broker: NatsServer, fleet: str) -> None:
+    names, settings = FleetNames(fleet), FleetSettings(fleet, (shared_broker.address,))
+    started: list[Line] = []
+    async with open_broker(settings) as broker:
+        workers = WorkerLines(broker, names, "w", FrameReader, started.append)
+        workers.close()  # before it was opened
+        await workers.open()
+        clients = ClientLines(broker, names)
+        clients.close()  # as well
+        await clients.open()
+        await clients.dial("w")
+        workers.close()
+        assert await End(started[0]).lost() == "the worker has stopped"
+
+
+async def test_a_message_for_an_unknown_line_is_ignored(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with ends_of(shared_broker, fleet) as ends:
+        heard: list[Message] = []
+        await ends.broker.subscribe(ends.names.down("d"), heard.append)
+        ends.broker.publish(ends.names.down("c", "9"), piece(0))
+        ends.broker.publish(ends.names.up("w", "d", "1"), piece(0, kind=b"A"))
+        ends.broker.publish(ends.names.up("w", "d", "2"), piece(0))
+        with anyio.fail_after(5):
+            while not heard:
+                await ends.broker.flush()
+        assert [(one.subject, one.data[:1]) for one in heard] == [(ends.names.down("d", "2"), b"X")]
+
+
+async def test_limits_of_the_server_hold_on_a_line(shared_broker: NatsServer, fleet: str) -> None:
+    transport = LineTransport(
+        FleetSettings(fleet, (shared_broker.address,)),
+        server=ServerSettings(limits=Limits(frame=2048)),
+    )
+    async with serve(ActionServer(FIBONACCI, fibonacci), transport):
+        async with connect(transport, FIBONACCI) as client:
+            assert (await (await client.send_goal(Goal(2))).result()).sequence == [0, 1, 1]

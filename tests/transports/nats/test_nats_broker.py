@@ -1,0 +1,392 @@
+"""The broker on a real nats-server."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+
+import anyio
+import msgspec
+import pytest
+
+from fibaction import TransportError
+from fibaction_transports.nats.broker import (
+    Broker,
+    Message,
+    NobodyListens,
+    PutError,
+    PutFailure,
+    Record,
+    Watch,
+)
+from fibaction_transports.nats.fleet_settings import FleetSettings
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.nats_broker import NatsBroker, open_broker
+from tests.nats_server import PROGRAM, NatsServer, nats_cluster
+from tests.transports.hearing import Hearing
+
+pytestmark = pytest.mark.asyncio
+
+
+def settings_of(server: NatsServer, fleet: str = "fleet") -> FleetSettings:
+    return FleetSettings(fleet, (server.address,))
+
+
+@asynccontextmanager
+async def opened(server: NatsServer, fleet: str) -> AsyncGenerator[NatsBroker, None]:
+    """A broker with the streams of a fleet."""
+    async with open_broker(settings_of(server, fleet)) as broker:
+        await broker.create_streams(FleetNames(fleet))
+        yield broker
+
+
+async def put(
+    broker: Broker, subject: str, data: bytes, expected: int = 0, ttl: float | None = None
+) -> int | PutError:
+    done = anyio.Event()
+    found: list[int | PutError] = []
+
+    def then(outcome: int | PutError) -> None:
+        found.append(outcome)
+        done.set()
+
+    broker.put(subject, data, expected=expected, ttl=ttl, then=then)
+    with anyio.fail_after(10):
+        await done.wait()
+    return found[0]
+
+
+async def stored(
+    broker: Broker, subject: str, data: bytes, expected: int = 0, ttl: float | None = None
+) -> int:
+    outcome = await put(broker, subject, data, expected, ttl)
+    assert isinstance(outcome, int), outcome
+    return outcome
+
+
+async def first_of(watch: Watch) -> list[Record]:
+    """All records until the watch says that these were all."""
+    records: list[Record] = []
+    with anyio.fail_after(15):
+        while (batch := await watch.next()) is not None:
+            records += batch
+    return records
+
+
+async def until(watch: Watch, data: bytes) -> list[Record]:
+    """All records until one with this data."""
+    records: list[Record] = []
+    with anyio.fail_after(15):
+        while not any(record.data == data for record in records):
+            records += await watch.next() or []
+    return records
+
+
+# Messages
+
+
+async def test_messages_come_to_every_subscriber_and_once_to_a_queue(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    names = FleetNames(fleet)
+    async with open_broker(settings_of(shared_broker)) as one:
+        async with open_broker(settings_of(shared_broker)) as other:
+            heard: list[str] = []
+            await one.subscribe(names.offer("a"), lambda m: heard.append(f"one {m.data!r}"), "q")
+            await other.subscribe(names.offer("a"), lambda m: heard.append(f"two {m.data!r}"), "q")
+            closed = await other.subscribe(names.offer("a"), lambda m: heard.append("closed"))
+            every = await other.subscribe(f"{names.root}.>", lambda m: heard.append(m.subject))
+            closed.close()
+            closed.close()
+            one.publish(names.offer("a"), b"x")
+            await one.flush()
+            await other.flush()
+            assert sorted(heard) in (
+                [names.offer("a"), "one b'x'"],
+                [names.offer("a"), "two b'x'"],
+            )
+            every.close()
+
+
+async def test_a_request_gets_the_first_answer_or_learns_that_nobody_listens(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with open_broker(settings_of(shared_broker)) as one:
+        async with open_broker(settings_of(shared_broker)) as other:
+
+            def answer(message: Message) -> None:
+                other.publish(message.reply, b"yes " + message.data)
+
+            await other.subscribe(f"fib.{fleet}.x", answer)
+            assert await one.request(f"fib.{fleet}.x", b"?", 5) == b"yes ?"
+            with pytest.raises(NobodyListens):
+                await one.request(f"fib.{fleet}.y", b"?", 5)
+
+
+async def test_a_message_to_nobody_comes_back_to_its_reply(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with open_broker(settings_of(shared_broker)) as broker:
+        heard: list[Message] = []
+        await broker.subscribe(f"fib.{fleet}.back", heard.append)
+        broker.publish(f"fib.{fleet}.nobody", b"x", f"fib.{fleet}.back")
+        await broker.flush()
+        assert heard == [Message(f"fib.{fleet}.back", b"", "", nobody_listens=True)]
+
+
+# Records
+
+
+async def test_a_record_is_stored_in_place_of_the_expected_one_only(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    names = FleetNames(fleet)
+    async with opened(shared_broker, fleet) as broker:
+        subject = names.worker("w")
+        assert await broker.get(names.workers, subject) is None
+        first = await stored(broker, subject, b"one")
+        refused = await put(broker, subject, b"two")
+        assert isinstance(refused, PutError)
+        assert refused.kind is PutFailure.REFUSED
+        assert await broker.get(names.workers, subject) == Record(subject, b"one", first)
+        second = await stored(broker, subject, b"two", first)
+        assert second > first
+        assert await broker.get(names.workers, subject) == Record(subject, b"two", second)
+
+
+async def test_a_record_ends_with_its_time_to_live_and_leaves_a_marker(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    names = FleetNames(fleet)
+    async with opened(shared_broker, fleet) as broker:
+        subject = names.worker("w")
+        async with broker.watch(names.workers, names.worker()) as watch:
+            assert await first_of(watch) == []
+            first = await stored(broker, subject, b"one", ttl=0.3)
+            (record, marker) = await until(watch, b"")
+            assert record == Record(subject, b"one", first)
+            assert marker.subject == subject
+            assert marker.sequence > first
+        assert await broker.get(names.workers, subject) == marker
+        await stored(broker, subject, b"again", marker.sequence)
+
+
+async def test_a_put_without_data_deletes_the_record(shared_broker: NatsServer, fleet: str) -> None:
+    names = FleetNames(fleet)
+    async with opened(shared_broker, fleet) as broker:
+        subject = names.worker("w")
+        first = await stored(broker, subject, b"one")
+        second = await stored(broker, subject, b"", first)
+        assert await broker.get(names.workers, subject) == Record(subject, b"", second)
+
+
+async def test_a_record_larger_than_the_broker_takes_is_not_stored(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with opened(shared_broker, fleet) as broker:
+        subject = FleetNames(fleet).worker("w")
+        await stored(broker, subject, bytes(broker.max_record))
+        outcome = await put(broker, subject, bytes(broker.max_record + 1), 1)
+        assert isinstance(outcome, PutError)
+        assert outcome.kind is PutFailure.TOO_LARGE
+
+
+async def test_a_put_into_a_stream_that_is_missing_is_unknown(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with open_broker(settings_of(shared_broker)) as broker:
+        outcome = await put(broker, FleetNames(fleet).worker("w"), b"x")
+        assert isinstance(outcome, PutError)
+        assert outcome.kind is PutFailure.UNKNOWN
+
+
+async def test_a_stream_that_is_missing_is_empty_until_it_is_made(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    names = FleetNames(fleet)
+    async with open_broker(settings_of(shared_broker)) as broker:
+        assert await broker.get(names.goals, names.goal("a")) is None
+        async with broker.watch(names.workers, names.worker()) as watch:
+            assert await first_of(watch) == []
+            await broker.create_streams(names)
+            await stored(broker, names.worker("w"), b"one")
+            assert [record.data for record in await until(watch, b"one")] == [b"one"]
+
+
+async def test_a_watch_returns_the_newest_records_then_none_then_each_change(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    names = FleetNames(fleet)
+    async with opened(shared_broker, fleet) as broker:
+        for number in range(1000):
+            broker.put(names.worker(f"w{number}"), b"x", expected=0, then=lambda _: None)
+        last = await stored(broker, names.worker("v"), b"first")
+        await stored(broker, names.worker("v"), b"second", last)
+        async with broker.watch(names.workers, names.worker()) as watch:
+            records = await first_of(watch)
+            assert len(records) == 1001
+            assert records == sorted(records, key=lambda record: record.sequence)
+            assert records[-1].data == b"second"
+            await stored(broker, names.worker("u"), b"new")
+            assert [record.data for record in await until(watch, b"new")] == [b"new"]
+
+
+# Notes
+
+
+async def test_a_note_goes_to_one_reader_and_comes_again_until_it_is_done(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    names = FleetNames(fleet)
+    async with opened(shared_broker, fleet) as broker:
+        broker.add_note(names.want("a"), b"one")
+        broker.add_note(names.want("a"), b"two")
+        broker.add_note(names.want("b"), b"other")
+        one, two = broker.notes(names.want("a")), broker.notes(names.want("a"))
+        with anyio.fail_after(20):
+            first, second = await anext(one), await anext(two)
+            assert [first.data, second.data] == [b"one", b"two"]
+            second.done()
+            again = await anext(two)
+            assert again.data == b"one"
+            again.done()
+            other = broker.notes(names.want("b"))
+            assert (await anext(other)).data == b"other"
+        for notes in (one, two, other):
+            await notes.aclose()  # type: ignore[attr-defined]  # it is a generator
+
+
+# Streams
+
+
+async def test_streams_that_are_there_are_kept_and_checked(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    names = FleetNames(fleet)
+    async with opened(shared_broker, fleet) as broker:
+        first = await stored(broker, names.worker("w"), b"one")
+        await broker.create_streams(names, replicas=1)
+        assert await broker.get(names.workers, names.worker("w")) == Record(
+            names.worker("w"), b"one", first
+        )
+
+
+async def test_many_workers_may_make_the_streams_at_once(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with opened(shared_broker, fleet) as broker:
+        async with anyio.create_task_group() as tasks:
+            for _ in range(10):
+                tasks.start_soon(broker.create_streams, FleetNames(f"{fleet}x"))
+
+
+async def test_a_stream_of_something_else_is_one_sentence(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    names = FleetNames(fleet)
+    async with open_broker(settings_of(shared_broker)) as broker:
+        for name, subjects, text in (
+            (names.goals, [f"{fleet}.x"], f"the stream {names.goals} is of something else: its"),
+            (f"{fleet}_X", [names.all_goals()], f"the stream {names.goals} cannot be made: "),
+        ):
+            config = msgspec.json.encode({"name": name, "subjects": subjects})
+            await broker.request(f"$JS.API.STREAM.CREATE.{name}", config, 5)
+            with pytest.raises(TransportError, match=text):
+                await broker.create_streams(names)
+            await broker.request(f"$JS.API.STREAM.DELETE.{name}", b"", 5)
+
+
+async def test_more_replicas_than_brokers_are_one_sentence(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with open_broker(settings_of(shared_broker)) as broker:
+        with pytest.raises(TransportError, match=r"cannot be made: .*replicas"):
+            await broker.create_streams(FleetNames(fleet), replicas=3)
+
+
+async def test_a_stream_that_is_deleted_is_empty_again(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    names = FleetNames(fleet)
+    async with opened(shared_broker, fleet) as broker:
+        await stored(broker, names.worker("w"), b"one")
+        async with broker.watch(names.workers, names.worker()) as watch:
+            assert len(await first_of(watch)) == 1
+            await broker.request(f"$JS.API.STREAM.DELETE.{names.workers}", b"", 5)
+            assert await first_of(watch) == []
+            await broker.create_streams(names)
+            await stored(broker, names.worker("w"), b"two")
+            assert [record.data for record in await until(watch, b"two")] == [b"two"]
+
+
+# Brokers that come and go
+
+
+async def test_three_brokers_lose_nothing_when_the_leader_is_killed(
+    log: Hearing, fleet: str
+) -> None:
+    if PROGRAM is None:
+        pytest.skip("nats-server is not installed: see the extra `broker`")
+    names = FleetNames(fleet)
+    with nats_cluster() as servers:
+        settings = FleetSettings(fleet, tuple(server.address for server in servers))
+        async with open_broker(settings) as broker:
+            assert broker.brokers == 3
+            await broker.create_streams(names)
+            subject = names.worker("w")
+            assert await broker.get(names.workers, subject) is None
+            sequence = await stored(broker, subject, b"0")
+            async with broker.watch(names.workers, names.worker()) as watch:
+                assert len(await first_of(watch)) == 1
+                info = await broker.request(f"$JS.API.STREAM.INFO.{names.workers}", b"", 5)
+                config = msgspec.json.decode(info)
+                assert config["config"]["num_replicas"] == 3
+                leader = config["cluster"]["leader"]
+                servers[int(leader[-1])].kill()
+                with anyio.fail_after(20):
+                    while isinstance(
+                        outcome := await put(broker, subject, b"1", sequence), PutError
+                    ):
+                        assert outcome.kind is PutFailure.UNKNOWN
+                        await anyio.sleep(0.2)
+                    found = await broker.get(names.workers, subject)
+                    assert found is not None
+                    assert found.data == b"1"
+                    records = await until(watch, b"1")
+                    assert records[-1] == found
+
+
+async def test_a_broker_that_was_killed_is_found_again_with_everything(
+    own_broker: NatsServer, fleet: str, log: Hearing
+) -> None:
+    names = FleetNames(fleet)
+    async with opened(own_broker, fleet) as broker:
+        heard: list[bytes] = []
+        await broker.subscribe(f"{names.root}.x", lambda message: heard.append(message.data))
+        first = await stored(broker, names.worker("w"), b"one")
+        async with broker.watch(names.workers, names.worker()) as watch:
+            assert len(await first_of(watch)) == 1
+            notes = broker.notes(names.want("a"))
+            async with anyio.create_task_group() as tasks:
+                taken: list[bytes] = []
+
+                async def take() -> None:
+                    note = await anext(notes)
+                    note.done()
+                    taken.append(note.data)
+
+                tasks.start_soon(take)
+                await broker.flush()
+                own_broker.kill()
+                broker.add_note(names.want("a"), b"note")
+                await log.until("is lost")
+                broker.publish(f"{names.root}.x", b"late")
+                own_broker.start()
+                with anyio.fail_after(10):
+                    assert await watch.next() == [Record(names.worker("w"), b"one", first)]
+                    assert await watch.next() is None
+            assert taken == [b"note"]
+            assert heard == [b"late"]
+            await stored(broker, names.worker("w"), b"two", first)
+            assert [record.data for record in await until(watch, b"two")] == [b"two"]
+            await notes.aclose()  # type: ignore[attr-defined]  # it is a generator

@@ -1,0 +1,182 @@
+"""`nats://` URLs, and the transport as a whole."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import ActionServer, InvalidURL, ServerNotFound, TransportError, connect, serve
+from fibaction.urls import transport_for
+from fibaction.wire.tls_files import TlsFiles
+from fibaction_transports.nats import NatsTransport
+from tests.fibonacci import FIBONACCI, Goal, fibonacci
+from tests.nats_server import NatsServer
+
+
+def transport_of(url: str, **settings: Any) -> NatsTransport:
+    transport = transport_for(url, **settings)
+    assert isinstance(transport, NatsTransport)
+    return transport
+
+
+# URLs
+
+
+def test_a_url_has_brokers_a_login_a_fleet_and_settings() -> None:
+    transport = transport_of(
+        "nats://me:p%40ss@one,two:5000,[::1]/my%2Ffleet"
+        "?worker=robot7&lease=20&replicas=3&creds=/c&token=secret&heartbeat=2"
+    )
+    settings = transport.settings
+    assert settings.servers == ("one:4222", "two:5000", "[::1]:4222")
+    assert (settings.user, settings.password, settings.login_token) == ("me", "p@ss", "")
+    assert (settings.fleet, settings.worker) == ("my/fleet", "robot7")
+    assert (settings.lease, settings.replicas, settings.creds) == (20, 3, "/c")
+    assert (settings.client.token, settings.server.heartbeat) == ("secret", 2)
+    assert transport.url == "nats://one:4222,two:5000,[::1]:4222/my%2Ffleet"
+
+
+def test_what_is_not_given_has_defaults() -> None:
+    settings = transport_of("nats:///f").settings
+    assert settings.servers == ("127.0.0.1:4222",)
+    assert (settings.worker, settings.lease, settings.replicas, settings.tls) == ("", 0, 0, None)
+    assert NatsTransport().settings.fleet == "fibaction"
+
+
+def test_one_word_before_the_at_sign_is_a_token_for_the_brokers() -> None:
+    settings = transport_of("nats://s%2Fcret@host/f").settings
+    assert (settings.login_token, settings.user) == ("s/cret", "")
+
+
+def test_tls_files_belong_to_the_scheme_with_tls() -> None:
+    transport = transport_of("nats+tls://host/f?ca=a&cert=b&key=c")
+    assert transport.settings.tls == TlsFiles("a", "b", "c")
+    assert transport.url == "nats+tls://host:4222/f"
+    with pytest.raises(InvalidURL, match="has no setting 'ca'"):
+        transport_of("nats://host/f?ca=a")
+
+
+def test_arguments_count_for_more_than_the_url() -> None:
+    assert transport_of("nats://host/f?worker=a", worker="b").settings.worker == "b"
+    assert NatsTransport(["a", "b:1"], "f").settings.servers == ("a:4222", "b:1")
+
+
+@pytest.mark.parametrize(
+    ("url", "error"),
+    [
+        ("nats://host", "it does not name a fleet: a URL is like nats://host:4222/fleet"),
+        ("nats://host/", "it does not name a fleet"),
+        ("nats://host/a/b", "it has more than a fleet behind the brokers"),
+        ("nats://host/a/", "it has more than a fleet behind the brokers"),
+        ("nats://host:no/f", "invalid broker 'host:no'"),
+        ("nats://host:99999/f", "invalid broker 'host:99999'"),
+        ("nats://a,,b/f", "invalid broker ''"),
+        ("nats://a b/f", "invalid broker 'a b'"),
+        ("nats://host/f#x", "part behind #"),
+        ("nats://host/f?lease=1", "lease is between 2 and 3600 s, not 1"),
+        ("nats://host/f?lease=x", "the setting 'lease' cannot be 'x'"),
+        ("nats://host/f?replicas=4", "replicas is 1, 3 or 5, not 4"),
+        ("nats://host/f?tokens=a", "'tokens': it is given in code"),
+        ("nats://host/f?password=a", "has no setting 'password'"),
+        ("nats://host/f?worker=a&worker=b", "setting given twice"),
+        (f"nats://host/{'%20' * 40}", "the name of the fleet is too long"),
+    ],
+)
+def test_a_url_that_cannot_be_used_is_one_sentence(url: str, error: str) -> None:
+    with pytest.raises(InvalidURL) as caught:
+        transport_of(url)
+    assert error in str(caught.value)
+
+
+def test_a_login_is_in_no_error() -> None:
+    with pytest.raises(InvalidURL) as caught:
+        transport_of("nats://me:secret@host/?token=secret")
+    assert "secret" not in str(caught.value)
+
+
+def test_a_setting_that_does_not_exist_is_a_type_error() -> None:
+    with pytest.raises(TypeError, match="has no setting 'fleets'"):
+        NatsTransport(fleets="x")  # type: ignore[call-arg]
+
+
+# Connections
+
+
+@pytest.mark.asyncio
+async def test_no_broker_is_one_sentence_within_two_seconds() -> None:
+    url = "nats://127.0.0.1:1/f"
+    with anyio.fail_after(2):
+        with pytest.raises(ServerNotFound, match="no broker of NATS answers at"):
+            async with connect(url, FIBONACCI):
+                pass
+        with pytest.raises(ServerNotFound, match="no broker of NATS answers at"):
+            async with serve(ActionServer(FIBONACCI, fibonacci), url):
+                pass
+
+
+def test_trio_is_rejected_in_one_sentence() -> None:
+    async def use() -> None:
+        transport = transport_of("nats://127.0.0.1:1/f")
+        with pytest.raises(TransportError, match="needs asyncio"):
+            async with transport.connect():
+                pass
+        with pytest.raises(TransportError, match="needs asyncio"):
+            async with transport.goal_store():
+                pass
+
+    anyio.run(use, backend="trio")
+
+
+@pytest.mark.asyncio
+async def test_one_transport_is_one_worker(shared_broker: NatsServer, fleet: str) -> None:
+    transport = transport_of(shared_broker.url(fleet, "?worker=w"))
+    for _ in range(2):  # the second time, the first one has left
+        async with transport.goal_store() as store:
+            assert store is not None
+            with pytest.raises(TransportError, match="this transport is a worker already"):
+                async with transport.goal_store():
+                    pass
+
+
+@pytest.mark.asyncio
+async def test_two_endpoints_of_one_name_are_an_error() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    with pytest.raises(TransportError, match="two of the endpoints serve actions of the same name"):
+        async with transport_of("nats://127.0.0.1/f").serve(server, server):
+            pass
+
+
+@pytest.mark.asyncio
+async def test_one_worker_is_addressed_by_its_name(shared_broker: NatsServer, fleet: str) -> None:
+    url = shared_broker.url(fleet)
+    async with contextlib.AsyncExitStack() as stack:
+        for name in ("one", "two."):
+            server = ActionServer(FIBONACCI, fibonacci)
+            where = await stack.enter_async_context(serve(server, f"{url}?worker={name}"))
+            assert where == (url,)
+        client = await stack.enter_async_context(connect(f"{url}?worker=two.", FIBONACCI))
+        assert (await (await client.send_goal(Goal(3))).result()).sequence == [0, 1, 1, 2]
+
+
+@pytest.mark.asyncio
+async def test_a_gateway_without_a_store_is_a_worker_as_well(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    transport = transport_of(shared_broker.url(fleet, "?worker=w"))
+    async with ActionServer(FIBONACCI, fibonacci) as server, transport.serve(server) as url:
+        assert url == shared_broker.url(fleet)
+        async with connect(f"{url}?worker=w", FIBONACCI) as client:
+            assert (await (await client.send_goal(Goal(1))).result()).sequence == [0, 1]
+
+
+@pytest.mark.asyncio
+async def test_two_fleets_at_one_broker_do_not_see_each_other(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with serve(ActionServer(FIBONACCI, fibonacci), shared_broker.url(fleet)):
+        async with connect(shared_broker.url(fleet + ".other"), FIBONACCI) as client:
+            with pytest.raises(ServerNotFound):
+                await client.send_goal(Goal(1))

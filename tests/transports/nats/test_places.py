@@ -1,0 +1,176 @@
+"""Questions of a client for workers that have room."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+
+import anyio
+import pytest
+
+from fibaction import ConnectionLost, GoalRejected, ServerNotFound
+from fibaction._tasks import Background
+from fibaction_transports.nats.fleet_records import Offer, encode, question
+from fibaction_transports.nats.fleet_workers import FleetWorkers
+from fibaction_transports.nats.places import FIRST_WAIT, ROOM_WAIT, Places
+from tests.transports.nats.fake_fleet import NAMES, FakeFleet, client_of, server
+from tests.virtual_time import in_virtual_time
+from tests.wire.memory import Running, settled
+
+pytestmark = [pytest.mark.anyio, in_virtual_time()]
+
+
+@pytest.fixture
+def fleet() -> FakeFleet:
+    return FakeFleet()
+
+
+@asynccontextmanager
+async def places_of(fleet: FakeFleet, patience: float = 10) -> AsyncGenerator[Places, None]:
+    async with Background() as tasks:
+        workers = FleetWorkers(fleet.broker, NAMES, tasks, 5)
+        yield Places(fleet.broker, NAMES, workers, tasks, patience)
+
+
+def goals_asked(fleet: FakeFleet) -> list[int]:
+    return [question(data).goals for data in fleet.broker.questions]
+
+
+async def test_goals_that_wait_are_asked_for_together(fleet: FakeFleet) -> None:
+    taken: list[str] = []
+
+    async def take() -> None:
+        taken.append(await places.take("count"))
+
+    async with fleet.worker("a").serve(server()), places_of(fleet) as places:
+        async with anyio.create_task_group() as tasks:
+            for _ in range(40):
+                tasks.start_soon(take)
+        assert taken == ["a"] * 40
+        assert goals_asked(fleet) == [40, 24, 8]
+        assert await places.take("count") == "a"
+        assert goals_asked(fleet)[3:] == [1]
+
+
+async def test_many_goals_at_once_need_few_questions(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
+        async with anyio.create_task_group() as tasks:
+            for number in range(100):
+                tasks.start_soon(client_of(connection).call, number)
+        assert len(goals_asked(fleet)) == 7
+
+
+async def test_an_offer_for_no_goal_counts_as_one_for_one(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, places_of(fleet) as places:
+        a.room = 0
+        assert await places.take("count") == "a"
+
+
+async def test_a_goal_that_waits_no_longer_needs_no_place(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, places_of(fleet) as places:
+        a.is_frozen = True
+        with anyio.move_on_after(0.1):
+            await places.take("count")
+        async with Running(lambda: places.take("count")) as taking:
+            a.is_frozen = False
+            assert await taking.answer() == "a"
+        assert goals_asked(fleet)[-1] == 1
+
+
+async def test_a_worker_that_does_not_answer_is_left_for_another_soon(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server()) as a,
+        fleet.worker("b").serve(server()),
+        places_of(fleet) as places,
+    ):
+        a.is_frozen = True
+        began = anyio.current_time()
+        assert await places.take("count") == "b"
+        assert anyio.current_time() - began == pytest.approx(FIRST_WAIT, abs=0.01)
+
+
+async def test_workers_that_do_not_answer_are_asked_less_and_less(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, places_of(fleet) as places:
+        a.is_frozen = True
+        text = "no worker of action 'count' has answered within 10 s: no answer"
+        with pytest.raises(ConnectionLost, match=text):
+            await places.take("count")
+        assert len(a.asked) == 8
+
+
+async def test_brokers_that_are_away_are_not_asked_all_the_time(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()), places_of(fleet) as places:
+        fleet.broker.is_away = True
+        async with Running(lambda: places.take("count")) as taking:
+            await anyio.sleep(3)
+            fleet.broker.is_away = False
+            assert await taking.answer() == "a"
+
+
+async def test_an_answer_that_cannot_be_read_is_like_none(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()), places_of(fleet) as places:
+        fleet.broker.listeners[NAMES.offer("count")].append(lambda data: b"?")
+        for _ in range(2):
+            assert await places.take("count") == "a"
+
+
+async def test_workers_with_room_in_their_queue_are_asked_last(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, places_of(fleet) as places:
+        queue = [lambda data: encode(Offer("queue", 1))]
+        fleet.broker.listeners[NAMES.queue("count")] = list(queue)
+        assert await places.take("count") == "a"
+        a.deafen()
+        assert await places.take("count") == "queue"
+
+
+async def test_busy_workers_are_told_apart_from_none(fleet: FakeFleet) -> None:
+    async with places_of(fleet) as places:
+        with pytest.raises(ServerNotFound, match="is not served in this fleet: there is nothing"):
+            await places.take("count")
+        async with fleet.worker("a").serve(server()) as a, fleet.worker("b").serve(server()) as b:
+            for worker in (a, b):
+                worker.deafen()
+                worker.has_room = False
+                worker.renew()
+            await settled()
+            with pytest.raises(GoalRejected) as caught:
+                await places.take("count")
+            assert caught.value.reason == "busy: all 2 workers of action 'count' are busy"
+            b.die()
+            await settled()
+            assert await places.take("count") == "a"  # the only one answers itself
+
+
+async def test_a_worker_that_has_room_by_its_lease_is_waited_for_a_moment(
+    fleet: FakeFleet,
+) -> None:
+    async with (
+        fleet.worker("a").serve(server()) as a,
+        fleet.worker("b").serve(server()) as b,
+        places_of(fleet) as places,
+    ):
+        a.deafen()
+        b.deafen()
+        began = anyio.current_time()
+        with pytest.raises(GoalRejected):
+            await places.take("count")
+        assert anyio.current_time() - began == pytest.approx(ROOM_WAIT, abs=0.1)
+        async with Running(lambda: places.take("count")) as taking:
+            await anyio.sleep(ROOM_WAIT / 2)
+            a.listen(NAMES.offer("count"))
+            assert await taking.answer() == "a"
+
+
+async def test_an_error_is_that_of_each_goal_that_was_asked_for(fleet: FakeFleet) -> None:
+    errors: list[ServerNotFound] = []
+
+    async def take() -> None:
+        with pytest.raises(ServerNotFound) as caught:
+            await places.take("count")
+        errors.append(caught.value)
+
+    async with places_of(fleet) as places:
+        async with anyio.create_task_group() as tasks:
+            for _ in range(3):
+                tasks.start_soon(take)
+    assert len({id(error) for error in errors}) == 3
