@@ -246,6 +246,7 @@ async def test_a_checkpoint_of_a_goal_that_was_taken_is_an_error_of_the_executor
                 await goal.checkpoint(1)
         except StoreError as exc:
             errors.append(exc)
+            assert goal.cancel_requested
             raise
         yield ""
 
@@ -489,7 +490,7 @@ async def test_a_goal_that_comes_while_it_is_decided_here_is_taken_over_afterwar
     store = MemoryStore(lambda _number, what: Fate.TAKEN if what == "accept" else Fate.KEPT)
 
     def keep(goal: StoredGoal) -> None:
-        store.goals["paint", GoalID(goal.goal_id)] = goal  # it is the one that was handed over
+        store.give("paint", goal)  # it is the one that was handed over
 
     async with server_with(store, on_goal=wait) as server, anyio.create_task_group() as tasks:
 
