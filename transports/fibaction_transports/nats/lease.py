@@ -305,7 +305,7 @@ class Membership:
     def _fence(self, why: str) -> None:
         logger.error("worker %r gives up its goals, and joins again: %s", self.worker, why)
         self.incarnation = b""
-        # Until then no other worker takes the goals over, so executors have that time for their end.
+        # Until then no other worker takes the goals over: executors have that time for their end.
         self._rest_until = self._term.valid_until + self._term.lease * MARGIN
         self._term.end()
         self.on_fence()
