@@ -1126,3 +1126,24 @@ def test_stamps_go_on_behind_those_of_restored_goals() -> None:
     registry = GoalRegistry()
     registry.restore(stored(7))
     assert accepted(registry, A, stamp=3).stamp == 8
+
+
+def test_an_outcome_that_is_restored_again_counts_once() -> None:
+    registry = GoalRegistry(result_timeout=100.0)
+    ended = stored(1, status=GoalStatus.SUCCEEDED, result=b"result", reason="why")
+    for _ in range(2):
+        registry.restore(ended, until=5.0)
+    assert len(registry.goals()) == 1
+    assert not registry.is_active(goal_id(1))
+    registry.expire(6.0)
+    assert registry._kept_bytes == 0
+
+
+def test_a_goal_that_is_lost_while_it_is_canceled_is_not_in_the_answer() -> None:
+    registry = GoalRegistry()
+    goal = registry.restore(stored(1))
+    cancellation = registry.cancel(goal_id(1), None, now=0.0)
+    assert cancellation.accept(goal)
+    cancellation.forget(goal)
+    answer = cancellation.answer()
+    assert (answer.return_code, answer.goals_canceling) == (CancelCode.UNKNOWN_GOAL_ID, ())
