@@ -402,7 +402,7 @@ class FakeFleet:
             connection = FleetConnection(
                 self.broker,
                 NAMES,
-                self.lines,  # type: ignore[arg-type]  # as far as it is used
+                self.lines,
                 ClientSettings(**settings),
                 tasks,
             )
