@@ -29,7 +29,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test format lint types imports unit docs docs-serve bench simulate soak kills fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
+.PHONY: help demo test format lint types imports unit docs docs-serve bench simulate soak kills fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -66,12 +66,17 @@ docs-serve: $(VENV)/.docs  ## Serve the documentation, rebuilt at each change
 	$(BIN)/python -m tests.promises
 	$(BIN)/zensical serve
 
-# A server of NATS is unpacked rather than installed: as a package, it would start a service.
+# Servers of NATS and of Redis are unpacked rather than installed: as packages, they would start
+# services.
 bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparisons.md
 	@cd $(VENV) && which nats-server >/dev/null || [ -d nats ] || ! which apt-get >/dev/null || \
 	    { apt-get download -qq nats-server 2>/dev/null && dpkg -x nats-server_*.deb nats; } || true
+	@cd $(VENV) && which redis-server >/dev/null || [ -d redis ] || ! which apt-get >/dev/null || \
+	    { apt-get download -qq redis-server redis-tools libjemalloc2 liblzf1 2>/dev/null && \
+	    for package in redis-*.deb libjemalloc2_*.deb liblzf1_*.deb; do dpkg -x $$package redis; done; } || true
 	$(no_other_ros) $(BIN)/python -m tests.benchmarks all --scale $(SCALE)
 	$(BIN)/python -m tests.benchmarks.durable
+	$(BIN)/python -m tests.benchmarks.fleet
 
 simulate: $(VENV)/.tools  ## Run random scenarios in virtual time for ten minutes
 	$(BIN)/python -m tests.simulation --seconds 600
@@ -83,6 +88,9 @@ kills: $(VENV)/.tools  ## Kill a server that keeps its goals, for two minutes tw
 	$(BIN)/python -m tests.kills --seconds 120 --clients 20
 	$(BIN)/python -m tests.kills --seconds 120 --clients 20 --recovery rerun
 
+fleet: $(VENV)/.tools  ## Kill and freeze workers and brokers of a fleet, ten times each
+	$(BIN)/python -m tests.fleet all --times 10
+
 fuzz: $(VENV)/.fuzz  ## Send random bytes to a server for two minutes
 	$(BIN)/python -m tests.fuzz.wire -max_total_time=120
 
@@ -92,8 +100,8 @@ attack: $(VENV)/.tools  ## Attack a server in every way, for 20 seconds each, be
 mutants: $(MUTANTS_VENV)/.installed  ## Put small faults into the rules, and check that the tests find each
 	$(MUTANTS_VENV)/bin/python -m tests.mutants
 
-# The wheel is made from the sdist, as packagers do; and from the checkout, to compare. The attacks
-# and the kills are left out: their servers are forked from a process that knows the checkout only.
+# The wheel is made from the sdist, as packagers do; and from the checkout, to compare. The attacks,
+# the kills and the fleet are left out: their servers are forked from a process that knows the checkout only.
 test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the tests against the wheel
 	rm -rf dist build/checkout build/consumer build/wheel
 	$(BIN)/python -m build --quiet --outdir dist .
@@ -106,7 +114,7 @@ test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the test
 	$(call install,build/wheel) dist/*.whl --group test
 	cd build && $(no_other_ros) wheel/bin/python -m pytest -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
 	    -o cache_dir=build/.pytest_cache ../tests \
-	    --ignore=../tests/hostile --ignore=../tests/kills
+	    --ignore=../tests/hostile --ignore=../tests/kills --ignore=../tests/fleet
 
 # The versions in pyproject.toml that `make test` does not use.
 PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'),3.11 3.12 3.13)

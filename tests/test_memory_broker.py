@@ -1,4 +1,4 @@
-"""The faults of the broker in memory; its rules are in tests/transports/nats/test_broker_rules.py."""
+"""The faults of the broker in memory; its rules are in `test_broker_rules`."""
 
 from __future__ import annotations
 

@@ -27,6 +27,7 @@ UNITS = {
     "fibaction/wire/settings.py": ["tests/wire", "tests/transports/tcp"],
     "fibaction/wire/tls_files.py": ["tests/transports/tcp"],
     "fibaction/wire/transport.py": ["tests/transports/tcp"],
+    "transports/fibaction_transports/nats": ["tests/transports/nats"],
     "transports/fibaction_transports/tcp": ["tests/transports/tcp"],
 }
 """The tests that cover a module, or all modules of a folder together; the longest path counts.

@@ -14,9 +14,9 @@ The first write that fails is the end: nothing was told about it, nothing is wri
 that was given with the write rejects or ends the goal.
 
 A goal that belongs to another server by now is lost for this one alone: a write of it is refused
-(`on_refused`), or the store says so by itself (`on_lost`), which overtakes the answers that wait.
-Answers about a lost goal that come later change nothing. The same goal may come back as another
-record, so a refusal is about a record, and not about an ID.
+(`on_refused`), or the store says so by itself (`on_lost`). Both happen at once, and overtake the
+answers that wait: those about a lost goal change nothing any more. The same goal may come back as
+another record, so a refusal is about a record, and not about an ID.
 
 Without a store, a server has no keeper.
 """
@@ -232,6 +232,8 @@ class GoalKeeper:
         too_large: TooLarge | None,
         error: StoreError | None,
     ) -> None:
+        if isinstance(error, GoalTaken) and not (goal.is_lost or self._is_closed):
+            self.on_refused(goal)  # at once, as the store may hand it over again
         self._answers.append(_Answer(goal, then, too_large, error))
         if len(self._answers) == 1:
             self._news.notify()
@@ -258,11 +260,9 @@ class GoalKeeper:
             if isinstance(error, RecordTooLarge):
                 assert answer.too_large is not None  # only what can grow is too large
                 answer.too_large(error)
-            elif error is not None:
-                self.on_refused(answer.goal)
             elif answer.then is not None:
                 answer.then()
-            self.on_change()
+        self.on_change()
         while self._waits and self._waits[0][0] <= self._answered:
             heappop(self._waits)[-1].notify()
 

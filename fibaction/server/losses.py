@@ -29,6 +29,7 @@ class Losses:
         self._admission = admission
         self._runs = runs
         self._recovery = recovery
+        recovery.on_take = self._lose_sent
 
     def keep_by(self, keeper: GoalKeeper) -> None:
         """Let go of the goals that this keeper loses."""
@@ -38,6 +39,12 @@ class Losses:
         """Let go of a goal that another server has taken over; of an unknown one, nothing."""
         self._recovery.forget(goal_id)
         goal = self._admission.writing(goal_id) or self._runs.record_of(goal_id)
+        if goal is not None:
+            self.lose_record(goal)
+
+    def _lose_sent(self, goal_id: GoalID) -> None:
+        """Give up the acceptance of a goal that the store hands over meanwhile."""
+        goal = self._admission.writing(goal_id)
         if goal is not None:
             self.lose_record(goal)
 

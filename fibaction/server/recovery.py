@@ -7,9 +7,10 @@ Theory of operation
 They wait in a queue, and one task, `run`, takes them over in order; a server starts when the queue
 is empty (`recovered`). A goal that is lost while it waits is forgotten (`forget`).
 
-A goal may come that was here before. If its acceptance is still being decided or written here, it
-is taken over after that. If its old executor has not ended yet, it is known to clients, and goes on
-when that is gone.
+A goal may come that is here in another way. If a client has sent it here as well, its acceptance
+cannot be kept: if that is being written, it is given up (`on_take`), and if it is still being
+decided, the goal is taken over after the decision. If its old executor has not ended yet, the goal
+is known to clients, and goes on when that is gone.
 
 A goal that has ended is remembered with its outcome. An active one is known to clients from then
 on, and one of these happens:
@@ -103,6 +104,8 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         self._done = Notifier()
         self._is_taking = False
         self._is_closed = False
+        self.on_take: Callable[[GoalID], None] = lambda _: None
+        """The function that is called before an active goal is taken over."""
         self._tasks: TaskGroup
 
     def open(self, tasks: TaskGroup) -> None:
@@ -156,6 +159,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         goal_id = GoalID(stored.goal_id)
         if self._registry.is_active(goal_id):
             return  # the store has handed it over before
+        self.on_take(goal_id)
         if self._registry.is_undecided(goal_id):
             self._tasks.start_soon(self._take_later, stored)
             return

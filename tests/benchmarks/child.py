@@ -38,6 +38,18 @@ async def batches(contender: Contender, times: int) -> list[float]:
     return [done / AT_ONCE, perf_counter() - start]
 
 
+async def hundred(contender: Contender, times: int) -> list[float]:
+    start = perf_counter()
+    await contender.at_once(times, 100)
+    return [times, perf_counter() - start]
+
+
+async def five_hundred(contender: Contender, times: int) -> list[float]:
+    start = perf_counter()
+    await contender.at_once(times, 500)
+    return [times, perf_counter() - start]
+
+
 async def feedback(contender: Contender, times: int) -> list[float]:
     start = perf_counter()
     return [await contender.feedback(times), perf_counter() - start]
@@ -58,7 +70,17 @@ async def hold(contender: Contender, times: int) -> None:
 
 
 ORDERS: dict[str, Callable[[Contender, int], Awaitable[Any]]] = {
-    one.__name__: one for one in (goals, batches, feedback, goal_times, feedback_times, hold)
+    one.__name__: one
+    for one in (
+        goals,
+        hundred,
+        five_hundred,
+        batches,
+        feedback,
+        goal_times,
+        feedback_times,
+        hold,
+    )
 }
 
 

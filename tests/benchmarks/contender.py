@@ -11,6 +11,8 @@ from abc import ABC, abstractmethod
 from time import monotonic_ns, perf_counter
 from typing import NamedTuple
 
+from anyio import create_task_group
+
 AT_ONCE = 500
 """The number of goals in a batch."""
 
@@ -42,6 +44,17 @@ class Contender(ABC):
         """Run batches of goals without feedback, one batch after another; return the number of
         goals that were done.
         """
+
+    async def at_once(self, times: int, width: int) -> None:
+        """Run goals without feedback, always so many at once."""
+
+        async def some(first: int) -> None:
+            for _ in range(first, times, width):
+                await self.goals(1)
+
+        async with create_task_group() as tasks:
+            for first in range(width):
+                tasks.start_soon(some, first)
 
     @abstractmethod
     async def feedback(self, times: int) -> int:

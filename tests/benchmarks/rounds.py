@@ -20,7 +20,7 @@ ROUNDS = 7
 SECONDS = 0.7
 """Seconds that each way works in a round."""
 LATENCY_SECONDS = 1.0
-FIRST = {"batches": 1}
+FIRST = {"batches": 1, "hundred": 200, "five_hundred": 1000}
 """The number of times that calibration begins with; 20 for other orders."""
 
 PERCENTILES = {"p50": 500, "p90": 900, "p99": 990, "p99.9": 999}

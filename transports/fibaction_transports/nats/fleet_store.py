@@ -19,7 +19,6 @@ that other workers find it: see `takeover`.
 
 from __future__ import annotations
 
-import math
 import secrets
 import time
 from collections import deque
@@ -107,7 +106,7 @@ class FleetJournal(GoalJournal):
         lose: Callable[[GoalID], None],
     ) -> None:
         self.action = action
-        self.running = math.inf
+        self.running = 0.0
         """The number of goals that the server can run now."""
         self.waiting = 0.0
         """The number of goals that have room in its queue."""
@@ -140,9 +139,11 @@ class FleetJournal(GoalJournal):
 
     def accept(self, goal: StoredGoal, then: Then) -> None:
         """See `GoalJournal.accept`."""
-        held = self._held.get(goal.goal_id)
-        if held is None:
-            held = self._held[goal.goal_id] = _Held(goal.goal_id, 0, goal)
+        if goal.goal_id in self._held:
+            # It is being taken over from another worker, and the server will be given it.
+            self._refuse(self._new_write("accept", goal, then))
+            return
+        held = self._held[goal.goal_id] = _Held(goal.goal_id, 0, goal)
         held.waits = not goal.is_running
         self._write("accept", goal, then)
 
@@ -174,18 +175,27 @@ class FleetJournal(GoalJournal):
         self._write("release", goal, then)
 
     def _write(self, kind: str, goal: StoredGoal, then: Then) -> None:
+        write = self._new_write(kind, goal, then)
+        held = self._held.get(goal.goal_id)
+        if held is None:
+            self._refuse(write)
+            return
+        held.writes.append(write)
+        if len(held.writes) == 1:
+            self._send(held)
+
+    def _new_write(self, kind: str, goal: StoredGoal, then: Then) -> _Write:
+        """Return a write of a goal, and take its turn among the answers."""
         stored = copy(goal)
         stored.worker = "" if kind == "release" else self._membership.worker
         incarnation = self._membership.incarnation
         write = _Write(kind, stored, incarnation, secrets.token_bytes(NONCE_SIZE), then)
         self._order.append(write)
-        held = self._held.get(goal.goal_id)
-        if held is None:
-            self._answer(write, _taken(goal.goal_id))
-            return
-        held.writes.append(write)
-        if len(held.writes) == 1:
-            self._send(held)
+        return write
+
+    def _refuse(self, write: _Write) -> None:
+        """Answer a write of a goal that belongs to another worker."""
+        self._answer(write, _taken(write.stored.goal_id))
 
     def _send(self, held: _Held) -> None:
         """Send the first write of a goal."""
@@ -314,10 +324,10 @@ class FleetJournal(GoalJournal):
 
     def _sequence_for(self, held: _Held, write: _Write, record: Record | None) -> int | None:
         """Return the sequence to write over; -1 if the write is stored, None if it cannot be."""
-        if record is None or not record.data:
-            expected = 0 if record is None else record.sequence
-            is_same = expected == held.sequence or write.kind == "accept"
-            return expected if is_same else None
+        if record is None or record.sequence < held.sequence:
+            return held.sequence  # by a broker that is behind: sequences only grow
+        if not record.data:
+            return record.sequence if write.kind == "accept" else None
         try:
             entry = goal_entry(record.data)
         except ProtocolError:
@@ -372,10 +382,8 @@ class FleetJournal(GoalJournal):
         """Let go of a goal that another worker has."""
         held = self._held.get(goal_id)
         if held is not None:
-            is_told = bool(held.writes)
+            self._lose(goal_id)
             self._taken_away(held)
-            if not is_told:
-                self._lose(goal_id)
 
     def lose_all(self) -> None:
         """Let go of all goals: they do not belong to this worker any longer."""

@@ -24,8 +24,10 @@ LEAST_VERSION = (2, 11)
 """The first version whose records have a time to live."""
 API_TIMEOUT = 5.0
 """Seconds for requests that all brokers have to agree on."""
-ELECTION = 10.0
+ELECTION = 15.0
 """Seconds within which several brokers agree on a leader."""
+INFO_TIMEOUT = 1.0
+"""Seconds for one request for the account, which brokers without a leader do not answer."""
 TRY_AGAIN = 0.2
 """Seconds until a request is made again that no leader has answered."""
 SECOND = 10**9
@@ -48,14 +50,16 @@ class ApiError(Exception):
         self.number: int = error.get("err_code", 0)
 
 
-async def call(client: NatsClient, name: str, body: bytes = b"") -> dict[str, Any]:
+async def call(
+    client: NatsClient, name: str, body: bytes = b"", timeout: float = API_TIMEOUT
+) -> dict[str, Any]:
     """Make a request to JetStream, and return the answer.
 
     Raises:
         ApiError: It answers with an error.
         NobodyListens, BrokerAway: It does not answer.
     """
-    message = await client.request(f"$JS.API.{name}", body, API_TIMEOUT)
+    message = await client.request(f"$JS.API.{name}", body, timeout)
     try:
         answer: dict[str, Any] = msgspec.json.decode(message.data, type=dict[str, Any])
     except msgspec.DecodeError as exc:
@@ -123,7 +127,7 @@ async def check_account(client: NatsClient) -> None:
     with anyio.move_on_after(ELECTION):
         while True:
             try:
-                answer = await call(client, "INFO")
+                answer = await call(client, "INFO", timeout=INFO_TIMEOUT)
             except NobodyListens as exc:
                 why = "is not enabled: start nats-server with -js"
                 if not client.info.get("cluster"):
@@ -133,7 +137,8 @@ async def check_account(client: NatsClient) -> None:
                 if exc.number not in (NO_LEADER, OFFLINE):
                     raise TransportError(f"JetStream of the broker {client.url} {why}") from exc
             except BrokerAway as exc:
-                raise TransportError(f"the broker {client.url} does not answer") from exc
+                if not client.info.get("cluster"):
+                    raise TransportError(f"the broker {client.url} does not answer") from exc
             else:
                 if answer.get("api", {}).get("level", 0) < 1:
                     raise TransportError(

@@ -21,11 +21,9 @@ a subscription nor a task of its own.
 from __future__ import annotations
 
 import asyncio  # noqa: TID251  # nats-py is for asyncio only
-import ssl
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import anyio
@@ -35,19 +33,15 @@ from nats.nuid import NUID
 
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
-from fibaction.exceptions import AuthenticationFailed, ServerNotFound, TransportError
-from fibaction.wire.tls_files import TlsFiles
+from fibaction.exceptions import TransportError
 from fibaction_transports.nats.broker import BrokerAway, NobodyListens, Subscription
 from fibaction_transports.nats.fleet_settings import FleetSettings
+from fibaction_transports.nats.nats_dial import PING, Dialer, cut, is_alive, tasks_of
 
-DIAL_TIMEOUT = 2.0
-"""Seconds that one broker has to let this client in."""
 FIRST_PAUSE, LONGEST_PAUSE = 0.05, 1.0
 """Seconds between attempts to connect."""
 ACK_TIMEOUT = 2.0
 """Seconds within which a broker answers to a write."""
-PING = 2.0
-"""Seconds between pings; a broker that misses two of them counts as lost."""
 CLOSE_TIMEOUT = 1.0
 """Seconds that closing waits for the last messages to be taken."""
 MAX_QUEUED = 2**24
@@ -120,7 +114,6 @@ class NatsClient:
         self._settings = settings
         self._servers = list(settings.servers)
         self._nats: Client | None = None
-        self._tls: ssl.SSLContext | None = None
         self._commands: deque[_Command | _Subscribed] = deque()
         self._queued = 0  # bytes
         self._is_written = Notifier()  # something is to be written
@@ -131,6 +124,7 @@ class NatsClient:
         self._has_acks = Notifier()
         self._answers: dict[str, asyncio.Future[RawMessage]] = {}
         self._is_hurt = Notifier()  # the connection may be lost
+        self._dialer = Dialer(settings, self._is_hurt.notify)
         self.info: Mapping[str, Any] = {}
         """The INFO of the broker."""
         self.connections = 0
@@ -173,15 +167,8 @@ class NatsClient:
             BrokerAway: There was no answer within `timeout` seconds.
         """
         number = self._number()
-        answer = self._answers[number] = asyncio.get_running_loop().create_future()
-        self._send(_Command(subject, data, f"{self._inbox}.{number}", None, number))
-        try:
-            with anyio.fail_after(timeout):
-                message = await answer
-        except TimeoutError:
-            raise BrokerAway(f"no answer within {timeout:g} s from {self.url}") from None
-        finally:
-            del self._answers[number]
+        command = _Command(subject, data, f"{self._inbox}.{number}", None, number)
+        message = await self._answer_to(command, timeout)
         if message.status == NOBODY:
             raise NobodyListens(f"nobody gets {subject}")
         return message
@@ -195,15 +182,19 @@ class NatsClient:
             BrokerAway: There is no connection.
         """
         number = self._number()
-        answer = self._answers[number] = asyncio.get_running_loop().create_future()
-        self._send(_Command(f"{self._inbox}.{number}", b"", "", None, number))
+        await self._answer_to(_Command(f"{self._inbox}.{number}", b"", "", None, number), timeout)
+
+    async def _answer_to(self, command: _Command, timeout: float) -> RawMessage:
+        answer: asyncio.Future[RawMessage] = asyncio.get_running_loop().create_future()
+        self._answers[command.number] = answer
+        self._send(command)
         try:
             with anyio.fail_after(timeout):
-                await answer
+                return await answer
         except TimeoutError:
             raise BrokerAway(f"no answer within {timeout:g} s from {self.url}") from None
         finally:
-            del self._answers[number]
+            del self._answers[command.number]
 
     async def subscribe(self, subject: str, on_message: OnRaw, queue: str = "") -> Subscription:
         """Get the messages of a subject, from when this returns on.
@@ -283,7 +274,7 @@ class NatsClient:
                 self._is_hurt.notify()
                 await anyio.lowlevel.checkpoint()
 
-    async def _apply(self, client: Client, one: _Subscribed) -> None:
+    async def _apply(self, client: Any, one: _Subscribed) -> None:
         """Begin or end a subscription on the present connection."""
         if not one.is_closed and one.part is None:
             one.part = await client.subscribe(one.subject, one.queue, cb=one.deliver)
@@ -309,13 +300,13 @@ class NatsClient:
             with anyio.move_on_after(PING):
                 await self._is_hurt.wait()
             client = self._nats
-            if client is None or _is_alive(client):
+            if client is None or is_alive(client):
                 continue
             self._nats = None
             logger.warning("the connection to %s is lost", self.url)
             self._give_up_answers()
             self._notify()
-            await _cut(client)
+            await cut(client)
             await self._connect_again()
             logger.warning("the connection to %s is back", self.url)
 
@@ -349,9 +340,9 @@ class NatsClient:
         Raises:
             ServerNotFound: None of them answers.
             AuthenticationFailed: One of them does not let this client in.
+            TransportError: The files of the settings cannot be used.
         """
-        tls = self._settings.tls
-        self._tls = tls.client() if isinstance(tls, TlsFiles) else tls
+        self._dialer.read_files()
         failure: TransportError | None = None
         for server in self._settings.servers:
             try:
@@ -362,74 +353,19 @@ class NatsClient:
         raise failure
 
     async def _connect_to(self, server: str) -> None:
-        errors: list[Exception] = []
-        client = Client()
-        task = asyncio.ensure_future(self._handshake(client, server, errors))
+        client: Any = await self._dialer.dial(server)
         try:
-            await asyncio.wait({task}, timeout=DIAL_TIMEOUT)
-            if not task.done():
-                raise ServerNotFound(f"the broker {server} did not answer in {DIAL_TIMEOUT:g} s")
-            if error := task.exception():
-                raise _translated(server, [error, *errors]) from error
+            await client.subscribe(f"{self._inbox}.*", cb=self._on_answer)
             for one in tuple(self._subscribed):
                 one.part = None
                 await self._apply(client, one)
         except BaseException:
-            task.cancel()
-            await _cut(client, task)
+            await cut(client)
             raise
         self._begin(client)
 
-    async def _handshake(self, client: Client, server: str, errors: list[Exception]) -> None:
-        """Connect and log in, and subscribe to the answers."""
-        settings = self._settings
-
-        async def on_error(error: Exception) -> None:
-            errors.append(error)
-            del errors[4:]
-            if client is self._nats:
-                logger.debug("%s: %s", server, error)
-            self._is_hurt.notify()
-
-        async def on_closed() -> None:
-            self._is_hurt.notify()
-
-        login: dict[str, Any] = {}
-        if settings.user or settings.password:
-            login["user"] = partial(self._secret, client, settings.user)
-            login["password"] = settings.password
-        else:
-            if settings.login_token or self._tls is not None:
-                login["token"] = partial(self._secret, client, settings.login_token)
-            if settings.creds:
-                login["user_credentials"] = settings.creds
-        await client.connect(
-            [f"nats://{server}"],
-            error_cb=on_error,
-            closed_cb=on_closed,
-            name="fibaction",
-            allow_reconnect=False,
-            connect_timeout=DIAL_TIMEOUT,  # pyright: ignore[reportArgumentType]
-            reconnect_time_wait=0,
-            max_reconnect_attempts=1,
-            ping_interval=PING,  # pyright: ignore[reportArgumentType]
-            max_outstanding_pings=2,
-            tls=self._tls,
-            **login,
-        )
-        await client.subscribe(f"{self._inbox}.*", cb=self._on_answer)
-
-    def _secret(self, client: Any, secret: str) -> str:
-        """Return a part of the login, if the connection has TLS or need not have it.
-
-        nats-py asks for it when the broker has said whether it has TLS.
-        """
-        if self._tls is not None and not client._server_info.get("tls_required"):
-            raise nats.errors.Error("the broker has no TLS: use nats:// if the network is your own")
-        return secret
-
     def _begin(self, client: Any) -> None:
-        for task in _tasks_of(client):
+        for task in tasks_of(client):
             task.add_done_callback(self._on_done)
         self.info = client._server_info
         for url in self.info.get("connect_urls") or ():
@@ -457,59 +393,4 @@ class NatsClient:
                 with suppress(BrokerAway):
                     await self.flush(CLOSE_TIMEOUT)
             client, self._nats = self._nats, None
-            await _cut(client)
-
-
-def _is_alive(client: Any) -> bool:
-    return not (client.is_closed or client._reading_task.done())
-
-
-def _tasks_of(client: Any) -> list[asyncio.Task[Any]]:
-    """Return the tasks of nats-py, of which it has no list."""
-    tasks = [client._reading_task, client._ping_interval_task, client._flusher_task]
-    tasks += [one._wait_for_msgs_task for one in client._subs.values()]
-    return [task for task in tasks if task is not None]
-
-
-async def _cut(client: Any, *tasks: asyncio.Task[Any]) -> None:
-    """Close a connection at once, and end its tasks."""
-    if client is None:
-        return
-    ending = [*tasks, *_tasks_of(client)]
-    for task in ending:
-        task.cancel()
-    stream = getattr(client._transport, "_io_writer", None)
-    if stream is not None:
-        stream.transport.abort()
-    with anyio.CancelScope(shield=True):
-        if ending:
-            await asyncio.wait(ending, timeout=CLOSE_TIMEOUT)
-        await anyio.lowlevel.checkpoint()  # in which the socket is closed
-    for task in ending:
-        if task.done() and not task.cancelled():
-            task.exception()
-
-
-def _translated(server: str, errors: list[BaseException | Exception]) -> TransportError:
-    """Return the error of a failed attempt to connect, in one sentence."""
-    texts = [str(error) for error in errors]
-    for error, text in zip(errors, texts, strict=True):
-        if isinstance(error, ModuleNotFoundError):
-            return TransportError(
-                f"credentials files need the package {error.name!r}: install fibaction[nats]"
-            )
-        if isinstance(error, ssl.SSLError):
-            return AuthenticationFailed(f"no TLS with the broker {server}: {error}")
-        if "has no TLS" in text:
-            return AuthenticationFailed(f"broker {server}: {text}")
-        if "uthorization" in text or "uthentication" in text:
-            return AuthenticationFailed(
-                f"the broker {server} rejects the login: give user:password@ or token@ in front of"
-                f" the host, or creds="
-            )
-    for error in errors:
-        if isinstance(error, OSError) and not isinstance(error, ConnectionError):
-            return ServerNotFound(f"no broker at {server}: {error.strerror or error}")
-    return ServerNotFound(
-        f"no broker of NATS answers at {server}: start one, for example with 'fibaction broker'"
-    )
+            await cut(client)

@@ -135,7 +135,9 @@ class NatsTransport(ConfiguredTransport):
         if len(served) < len(endpoints):
             raise TransportError("two of the endpoints serve actions of the same name")
         async with AsyncExitStack() as stack:
-            worker = self._worker or await stack.enter_async_context(self._open_worker())
+            worker = self._worker
+            if worker is None:
+                worker = await stack.enter_async_context(self._open_worker())
             await stack.enter_async_context(worker.serve(endpoints))
             yield self.url
 

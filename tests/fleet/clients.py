@@ -1,0 +1,152 @@
+"""Clients of a fleet: each goal is sent, followed, sometimes canceled, and asked for by others."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import AsyncGenerator
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import TypeAlias
+
+import anyio
+import msgspec
+
+from fibaction import ActionClient, ClientGoal, connect
+from tests.kills.ledger import Ledger
+from tests.kills.victim import WORK, Done, Work
+
+PATIENCE = 90.0
+"""Seconds after which a goal without an end is a fault."""
+
+Client: TypeAlias = ActionClient[Work, int, Done]
+
+
+class Load(msgspec.Struct, frozen=True):
+    """The goals of a run."""
+
+    goals: int
+    steps: tuple[int, int]
+    """The least and the most steps of a goal."""
+    pause: float
+    """Seconds of a step."""
+    late: float = 0.2
+    """The share of the goals that are sent after the fault."""
+    spread: float = 3.0
+    """Seconds over which they are sent, both before and after the fault."""
+
+
+class Crowd:
+    """Some connections, and the goals that are sent over them."""
+
+    def __init__(self, clients: list[Client], load: Load, seed: int, ledger: Ledger) -> None:
+        self._clients = clients
+        self._load = load
+        self._chance = random.Random(seed)
+        self._ledger = ledger
+        self._left = load.goals - round(load.goals * load.late)
+        self._fault = anyio.Event()
+        self._early = anyio.Event()
+        self.answered = 0
+        """The number of goals whose client was told their end."""
+        self.dropped = 0
+        """The number of feedback messages that were lost."""
+
+    async def run(self) -> None:
+        """Send all goals, and wait for their ends."""
+        late = round(self._load.goals * self._load.late)
+        async with anyio.create_task_group() as tasks:
+            for number in range(self._load.goals):
+                client = self._clients[number % len(self._clients)]
+                other = self._clients[(number + 1) % len(self._clients)]
+                tasks.start_soon(self._visit, client, other, number < late)
+
+    async def are_running(self) -> None:
+        """Wait until all goals that are sent before the fault are accepted."""
+        await self._early.wait()
+
+    def go_on(self) -> None:
+        """Send the goals that are sent after the fault."""
+        self._fault.set()
+
+    async def _visit(self, client: Client, other: Client, is_late: bool) -> None:
+        chance, work = self._chance, self._work()
+        if is_late:
+            await self._fault.wait()
+        await anyio.sleep(chance.uniform(0, self._load.spread))
+        name = "a goal that was not accepted"
+        try:
+            with anyio.fail_after(PATIENCE):
+                goal = await client.send_goal(work)
+                name = str(goal.goal_id)
+                self._ledger.note_acceptance(goal.goal_id, work, goal.stamp)
+                if not is_late:
+                    self._left -= 1
+                    if not self._left:
+                        self._early.set()
+                await self._follow(goal, other, chance.random())
+        except TimeoutError:
+            self._ledger.faults.append(f"{name} had no end within {PATIENCE} s")
+        except Exception as error:
+            self._ledger.faults.append(f"{name} raised {error!r}")
+
+    async def _follow(self, goal: ClientGoal[int, Done], other: Client, kind: float) -> None:
+        told = self._ledger.goals[goal.goal_id]
+        if kind < 0.05:  # some are canceled
+            await anyio.sleep(self._load.pause * kind * 100)
+            told.asked_to_cancel = True
+            if (await goal.cancel()).accepted:
+                told.canceled_at = time.monotonic_ns()
+        elif kind < 0.15:  # another client waits for some
+            told.outcomes.append(await (await other.attach(goal.goal_id)).outcome())
+        again, seen = 0, 0
+        async for steps in goal.feedback:
+            again += steps <= seen
+            if again >= goal.attempt:
+                self._fault_of(goal, f"told step {steps} after {seen} in attempt {goal.attempt}")
+            seen = steps
+        told.outcomes.append(await goal.outcome())
+        self.answered += 1
+        self.dropped += goal.feedback_dropped
+
+    def _fault_of(self, goal: ClientGoal[int, Done], text: str) -> None:
+        self._ledger.faults.append(f"{goal.goal_id} {text}")
+
+    def _work(self) -> Work:
+        chance = self._chance
+        return Work(
+            steps=chance.randint(*self._load.steps),
+            pause=self._load.pause,
+            fails=chance.random() < 0.05,
+        )
+
+
+@asynccontextmanager
+async def crowd(
+    url: str, load: Load, seed: int, ledger: Ledger, connections: int = 4
+) -> AsyncGenerator[Crowd, None]:
+    """Open connections for a load while the block lasts."""
+    async with AsyncExitStack() as stack:
+        clients = [
+            await stack.enter_async_context(connect(url, WORK, reconnect_timeout=PATIENCE))
+            for _ in range(connections)
+        ]
+        yield Crowd(clients, load, seed, ledger)
+
+
+async def settle(url: str, ledger: Ledger) -> None:
+    """Ask a fleet without faults for the end of each goal, by a client that knows none of them."""
+    limit = anyio.Semaphore(50)
+
+    async def ask(client: Client, number: int) -> None:
+        goal_id, told = goals[number]
+        async with limit:
+            try:
+                with anyio.fail_after(PATIENCE):
+                    told.outcomes.append(await (await client.attach(goal_id)).outcome())
+            except Exception as error:
+                ledger.faults.append(f"{goal_id} has no end: {error!r}")
+
+    goals = list(ledger.goals.items())
+    async with connect(url, WORK) as client, anyio.create_task_group() as tasks:
+        for number in range(len(goals)):
+            tasks.start_soon(ask, client, number)

@@ -1,0 +1,274 @@
+"""The runs: what is killed or frozen while clients use a fleet, and the report of each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+from typing import Literal, NamedTuple, TypeAlias
+
+import anyio
+import msgspec
+
+from fibaction import connect
+from tests.fleet.clients import Crowd, Load, crowd, settle
+from tests.fleet.servers import Servers, servers
+from tests.fleet.verdict import (
+    Case,
+    Handover,
+    Rules,
+    faults_of,
+    handover,
+    longest_pause,
+    moves,
+    unseen,
+)
+from tests.fleet.witness import Witness, Write, witness
+from tests.fleet.workers import Setup, WorkerProcess, workers
+from tests.kills.ledger import Ledger, attempts_of
+from tests.kills.victim import entries_of
+
+FLEET = "trial"
+GRACE = 2.0
+"""Seconds after the end of a lease within which the goals of a lost worker are safe."""
+PAUSE = 10.0
+"""Seconds that a fleet may stand still when one broker of three is killed."""
+
+
+class Run(msgspec.Struct, frozen=True):
+    """The settings of a run."""
+
+    recovery: Literal["abort", "rerun"]
+    load: Load
+    lease: float | None = None
+    """Seconds; None for the default."""
+    seed: int = 1
+    stream: Literal["goals", "workers"] = "goals"
+    """The stream whose leader is killed."""
+
+
+class Report(msgspec.Struct):
+    """The figures of a run, and the contradictions."""
+
+    scenario: str
+    recovery: str
+    goals: int
+    """The number of goals whose acceptance was told."""
+    answered: int
+    """The number of goals whose end was told to the client that has sent them."""
+    ends: Mapping[str, int]
+    writes: int
+    """The number of records that the brokers have stored."""
+    unseen_writes: int
+    moves: int
+    """How many times a worker took a goal from another."""
+    attempts: Mapping[int, int]
+    dropped_feedback: int
+    longest_pause: float
+    """The most seconds between two records."""
+    rejoined: list[str]
+    """The workers that were fenced, and have joined the fleet again."""
+    handovers: Mapping[str, Handover]
+    seconds: float
+    faults: list[str]
+
+
+class Scene(NamedTuple):
+    """A fleet at work."""
+
+    servers: Servers
+    witness: Witness
+    workers: list[WorkerProcess]
+    crowd: Crowd
+    run: Run
+
+    @property
+    def lease(self) -> float:
+        """The seconds of a lease."""
+        default = 5.0 if len(self.servers.by_name) == 1 else 15.0
+        return default if self.run.lease is None else self.run.lease
+
+
+class Loss(NamedTuple):
+    """A worker that has lost its goals."""
+
+    worker: str
+    at: float
+    """Time of the loss: seconds since 1970."""
+    within: float
+    """Seconds after which all of them are safe."""
+    is_released: bool = False
+
+
+Act: TypeAlias = Callable[[Scene], Awaitable[list[Loss]]]
+"""Does the harm, and returns the workers that have lost their goals by it."""
+
+
+# The scenarios
+
+
+async def lose_workers(scene: Scene) -> list[Loss]:
+    """Kill a worker, and freeze another for longer than its lease."""
+    killed, frozen, _ = scene.workers
+    losses = [Loss(one.name, time.time(), scene.lease + GRACE) for one in (killed, frozen)]
+    killed.kill()
+    frozen.freeze()
+    scene.crowd.go_on()
+    await anyio.sleep(scene.lease * 1.5 + 1)
+    frozen.thaw()
+    return losses
+
+
+async def lose_the_broker(scene: Scene) -> list[Loss]:
+    """Kill the only broker, start it after a second, and freeze it for two seconds later."""
+    (broker,) = scene.servers.by_name.values()
+    broker.kill()
+    scene.crowd.go_on()
+    await anyio.sleep(1)
+    broker.start(wait=False)
+    await anyio.sleep(1)
+    broker.freeze()
+    await anyio.sleep(2)
+    broker.thaw()
+    return []
+
+
+async def lose_the_leader(scene: Scene) -> list[Loss]:
+    """Kill the broker that leads a stream of the fleet."""
+    leader = await scene.witness.leader(scene.run.stream)
+    await scene.witness.lead_elsewhere(leader)
+    killed = scene.servers.by_name[leader]
+    killed.kill()
+    scene.crowd.go_on()
+    await anyio.sleep(PAUSE)
+    killed.start(wait=False)
+    return []
+
+
+async def drain(scene: Scene) -> list[Loss]:
+    """Stop a worker in good order."""
+    drained, *_ = scene.workers
+    at = time.time()
+    scene.crowd.go_on()
+    code = await drained.stop()
+    if code != 0:
+        raise RuntimeError(f"the drained worker has ended with the exit code {code}")
+    return [Loss(drained.name, at, GRACE, is_released=True)]
+
+
+class Scenario(NamedTuple):
+    """Some brokers, and the harm that is done to a fleet of three workers."""
+
+    act: Act
+    brokers: int = 1
+
+
+SCENARIOS = {
+    "workers": Scenario(lose_workers),
+    "broker": Scenario(lose_the_broker),
+    "leader": Scenario(lose_the_leader, brokers=3),
+    "drain": Scenario(drain),
+}
+
+
+async def run(name: str, settings: Run, folder: Path) -> Report:
+    """Run a scenario with files in a folder, and return the report."""
+    began = time.monotonic()
+    epoch = time.time() - time.monotonic()
+    scenario, ledger = SCENARIOS[name], Ledger()
+    async with _scene(scenario, settings, folder, ledger) as scene:
+        before = await _since(_url(scene.servers))
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(scene.crowd.run)
+            await scene.crowd.are_running()
+            losses = await scenario.act(scene)
+        await settle(_url(scene.servers), ledger)
+        after = await _since(_url(scene.servers))
+        writes = await scene.witness.writes()
+        diary = sorted(
+            (entry for one in scene.workers for entry in entries_of(one.diary)),
+            key=lambda entry: entry.at,
+        )
+        crowd = scene.crowd
+    rules = Rules(
+        settings.recovery == "rerun",
+        lost=frozenset(one.worker for one in losses if not one.is_released),
+        released=frozenset(one.worker for one in losses if one.is_released),
+    )
+    handovers = {one.worker: handover(writes, one.worker, one.at) for one in losses}
+    rejoined = [one for one, since in after.items() if since != before.get(one, since)]
+    faults = [*faults_of(Case(ledger, diary, writes, rules, epoch))]
+    if len(ledger.goals) < settings.load.goals or crowd.answered < settings.load.goals:
+        faults.append(f"{len(ledger.goals)} were accepted, and {crowd.answered} answered")
+    faults += _faults_of_time(losses, handovers, writes, scenario)
+    faults += [f"{one} was fenced" for one in rejoined if one not in rules.lost]
+    return Report(
+        scenario=name,
+        recovery=settings.recovery,
+        goals=len(ledger.goals),
+        answered=crowd.answered,
+        ends=dict(ledger.ends()),
+        writes=len(writes),
+        unseen_writes=unseen(writes),
+        moves=moves(writes),
+        attempts=attempts_of(diary),
+        dropped_feedback=crowd.dropped,
+        longest_pause=round(longest_pause(writes), 2),
+        rejoined=rejoined,
+        handovers=handovers,
+        seconds=round(time.monotonic() - began, 1),
+        faults=faults,
+    )
+
+
+def _faults_of_time(
+    losses: list[Loss],
+    handovers: Mapping[str, Handover],
+    writes: list[Write],
+    scenario: Scenario,
+) -> list[str]:
+    found = [
+        f"goals of {one.worker} were safe after {handovers[one.worker].longest} s, and"
+        f" {one.within:g} s are allowed"
+        for one in losses
+        if handovers[one.worker].longest > one.within
+    ]
+    if scenario.brokers > 1 and longest_pause(writes) > PAUSE:
+        found.append(f"the fleet stood still for {longest_pause(writes):.1f} s")
+    return found
+
+
+@asynccontextmanager
+async def _scene(
+    scenario: Scenario, settings: Run, folder: Path, ledger: Ledger
+) -> AsyncGenerator[Scene, None]:
+    async with AsyncExitStack() as stack:
+        brokers = stack.enter_context(servers(scenario.brokers))
+        lease = "" if settings.lease is None else f"&lease={settings.lease:g}"
+        setups = [
+            Setup(
+                name,
+                f"{_url(brokers)}?worker={name}{lease}",
+                str(folder / f"{name}.diary"),
+                settings.recovery,
+            )
+            for name in ("w1", "w2", "w3")
+        ]
+        started = await stack.enter_async_context(workers(*setups))
+        seen = await stack.enter_async_context(witness(brokers.urls, FLEET))
+        await seen.begin()
+        clients = await stack.enter_async_context(
+            crowd(_url(brokers), settings.load, settings.seed, ledger)
+        )
+        yield Scene(brokers, seen, started, clients, settings)
+
+
+def _url(servers: Servers) -> str:
+    return f"nats://{servers.hosts}/{FLEET}"
+
+
+async def _since(url: str) -> dict[str, int]:
+    """Return the time at which each worker has joined the fleet."""
+    async with connect(url) as connection:
+        return {worker.name: worker.since for worker in await connection.workers()}

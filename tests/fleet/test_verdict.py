@@ -1,0 +1,203 @@
+"""The contradictions that the trials of a fleet would find."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from fibaction import GoalID, GoalStatus, Outcome
+from fibaction.goal_store import StoredGoal
+from fibaction.goals import Sender
+from tests.fleet.verdict import (
+    Case,
+    Handover,
+    Rules,
+    faults_of,
+    handover,
+    longest_pause,
+    moves,
+    unseen,
+)
+from tests.fleet.witness import Write
+from tests.kills.ledger import Ledger
+from tests.kills.victim import TOO_HARD, Done, Entry, What, Work
+
+GOAL = GoalID(bytes(15) + b"1")
+SUCCEEDED = Outcome(GoalStatus.SUCCEEDED, Done(4, 1), "")
+CANCELED = Outcome(GoalStatus.CANCELED, Done(1, 1), "")
+LOST: Outcome[Done] = Outcome(GoalStatus.ABORTED, None, "the worker 'w1' was lost")
+HARD = Outcome(GoalStatus.ABORTED, Done(4, 1), TOO_HARD)
+ABORT = Rules(rerun=False, lost=frozenset({"w1"}))
+RERUN = Rules(rerun=True, lost=frozenset({"w1"}))
+NOTHING = Rules(rerun=True)
+
+
+def write(
+    number: int,
+    worker: str = "w1",
+    status: GoalStatus = GoalStatus.ACCEPTED,
+    *,
+    at: float = 0.0,
+    replaced: int | None = None,
+    is_running: bool = True,
+) -> Write:
+    goal = StoredGoal(GOAL, 7, Sender(), b"", b"", worker=worker, status=status)
+    goal.is_running = is_running and not status.is_terminal
+    return Write(at or float(number), number, number - 1 if replaced is None else replaced, goal)
+
+
+def entry(what: What, attempt: int, steps: int, at: int = 0) -> Entry:
+    return Entry(at, what, str(GOAL), attempt, steps)
+
+
+def case(
+    *outcomes: Outcome[Done],
+    rules: Rules = NOTHING,
+    diary: tuple[Entry, ...] = (),
+    writes: tuple[Write, ...] | None = None,
+    fails: bool = False,
+    canceled_at: int | None = None,
+) -> Callable[[], Iterator[str]]:
+    ledger = Ledger()
+    told = ledger.note_acceptance(GOAL, Work(4, 0.0, fails), 7)
+    told.outcomes += outcomes
+    told.canceled_at = canceled_at
+    told.asked_to_cancel = canceled_at is not None
+    if writes is None:
+        status = outcomes[0].status if outcomes else GoalStatus.SUCCEEDED
+        writes = (write(1), write(2, status=status))
+    return lambda: faults_of(Case(ledger, list(diary), list(writes), rules))
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        case(SUCCEEDED, SUCCEEDED),
+        case(HARD, fails=True),
+        case(CANCELED, canceled_at=5, diary=(entry("began", 1, 0, at=4),)),
+        case(LOST, rules=ABORT, diary=(entry("began", 1, 0), entry("stepped", 1, 1))),
+        case(
+            SUCCEEDED,
+            rules=RERUN,
+            writes=(write(1), write(2, "w2"), write(3, "w2", GoalStatus.SUCCEEDED)),
+            diary=(entry("began", 1, 0), entry("kept", 1, 2), entry("began", 2, 2)),
+        ),
+        case(
+            SUCCEEDED,
+            rules=Rules(rerun=False, released=frozenset({"w1"})),
+            writes=(write(1), write(2, "w2"), write(3, "w2", GoalStatus.SUCCEEDED)),
+            diary=(entry("began", 1, 0), entry("began", 2, 0)),
+        ),
+    ],
+)
+def test_a_fleet_that_keeps_its_promises_has_no_fault(found: Callable[[], Iterator[str]]) -> None:
+    assert list(found()) == []
+
+
+@pytest.mark.parametrize(
+    ("found", "fault"),
+    [
+        (case(), "was accepted, and its end was never told"),
+        (case(SUCCEEDED, LOST), "was told to have ended as"),
+        (case(SUCCEEDED, fails=True), "succeeded with 4 of 4 steps"),
+        (case(HARD), "gave up after 4 of 4 steps"),
+        (case(CANCELED), "was canceled, and no client asked for it"),
+        (case(LOST, rules=RERUN), "was aborted: the worker 'w1' was lost"),
+        (case(LOST), "was aborted: the worker 'w1' was lost"),
+        (case(LOST, rules=ABORT, canceled_at=5), "was aborted as lost, although"),
+        (case(Outcome(GoalStatus.SUCCEEDED, Done(4, 1), "luck")), "ended as "),
+        (case(SUCCEEDED, writes=(write(1),)), "was recorded as ended 0 times"),
+        (
+            case(SUCCEEDED, writes=tuple(write(n, status=GoalStatus.SUCCEEDED) for n in (1, 2))),
+            "was recorded as ended 2 times",
+        ),
+        (
+            case(SUCCEEDED, writes=(write(1, status=GoalStatus.SUCCEEDED), write(2))),
+            "was recorded again after its end",
+        ),
+        (
+            case(SUCCEEDED, writes=(write(1), write(2, status=GoalStatus.ABORTED))),
+            "was told as SUCCEEDED, and recorded as ABORTED",
+        ),
+        (
+            case(SUCCEEDED, writes=(write(1), write(2, "w2", GoalStatus.SUCCEEDED))),
+            "was taken from 'w1' by 'w2'",
+        ),
+        (
+            case(SUCCEEDED, rules=RERUN, diary=(entry("began", 1, 0), entry("began", 1, 0))),
+            "began attempt 1 after attempt 1",
+        ),
+        (
+            case(
+                SUCCEEDED,
+                rules=RERUN,
+                diary=(entry("began", 1, 0), entry("kept", 1, 2), entry("began", 2, 0)),
+            ),
+            "began again with 0 steps, although 2 were kept",
+        ),
+        (
+            case(CANCELED, canceled_at=5, diary=(entry("began", 1, 0, at=6),)),
+            "was run again, although a client was told that it is canceled",
+        ),
+        (
+            case(
+                SUCCEEDED,
+                rules=RERUN,
+                diary=(entry("began", 1, 0), entry("began", 2, 0), entry("stepped", 1, 1)),
+            ),
+            "took a step in attempt 1 after attempt 2 had begun",
+        ),
+        (
+            case(SUCCEEDED, diary=(entry("began", 1, 0), entry("began", 2, 0))),
+            "was run 2 times, and 1 are allowed",
+        ),
+        (
+            case(SUCCEEDED, diary=(entry("stepped", 1, 1, at=3 * 10**9),)),
+            "took a step after its end was recorded",
+        ),
+    ],
+)
+def test_a_broken_promise_is_found(found: Callable[[], Iterator[str]], fault: str) -> None:
+    (one,) = found()
+
+    assert one.removeprefix(f"{GOAL} ").startswith(fault)
+
+
+def test_a_write_that_was_not_seen_is_missed_by_the_next_one() -> None:
+    assert unseen([write(1, replaced=0), write(3, replaced=2), write(4, replaced=3)]) == 1
+
+
+def test_the_longest_pause_is_between_two_writes() -> None:
+    assert longest_pause([]) == 0
+    assert longest_pause([write(1, at=1.0), write(2, at=1.5), write(3, at=4.0)]) == 2.5
+
+
+def test_a_move_is_counted_each_time_that_the_worker_changes() -> None:
+    writes: list[Any] = [write(1), write(2, "w2"), write(3, "w2"), write(4, "w3")]
+
+    assert moves(writes) == 2
+
+
+@pytest.mark.parametrize(
+    ("after", "expected"),
+    [
+        ((), Handover(1, float("inf"), float("inf"))),
+        ((write(2, "w2", at=9.0, is_running=False),), Handover(1, float("inf"), float("inf"))),
+        ((write(2, "w2", at=9.0), write(3, "w2", at=20.0)), Handover(1, 4.0, 4.0)),
+        ((write(2, "w2", GoalStatus.ABORTED, at=7.5),), Handover(1, 2.5, 2.5)),
+    ],
+)
+def test_goals_are_safe_when_they_have_ended_or_run_elsewhere(
+    after: tuple[Write, ...], expected: Handover
+) -> None:
+    assert handover([write(1, at=1.0), *after], "w1", 5.0) == expected
+
+
+def test_goals_of_others_and_ended_ones_need_no_handover() -> None:
+    writes = [write(1, "w2", at=1.0), write(2, "w2", at=6.0)]
+    ended = [write(1, at=1.0), write(2, status=GoalStatus.SUCCEEDED, at=2.0)]
+
+    assert handover(writes, "w1", 5.0) == Handover(0)
+    assert handover(ended, "w1", 5.0) == Handover(0)

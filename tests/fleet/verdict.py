@@ -1,0 +1,194 @@
+"""The contradictions between what clients were told, what is recorded, and what executors did."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
+from statistics import median
+from typing import NamedTuple
+
+from fibaction import GoalID, GoalStatus, Outcome
+from tests.fleet.witness import Write
+from tests.kills.ledger import Ledger, Told
+from tests.kills.victim import TOO_HARD, Done, Entry
+
+LOST = re.compile(r"the worker '(?P<worker>.+)' was lost")
+
+
+class Rules(NamedTuple):
+    """The things that a scenario allows."""
+
+    rerun: bool
+    lost: frozenset[str] = frozenset()
+    """The names of workers that were killed, or frozen for longer than their lease."""
+    released: frozenset[str] = frozenset()
+    """The names of workers that were stopped in good order."""
+
+
+class Case(NamedTuple):
+    """All that is known about a run."""
+
+    ledger: Ledger
+    diary: list[Entry]
+    """The entries of all workers, in the order of time."""
+    writes: list[Write]
+    rules: Rules
+    epoch: float = 0.0
+    """Time at which the clock of the diary was 0: seconds since 1970."""
+
+
+def faults_of(case: Case) -> Iterator[str]:
+    """Yield each contradiction as a line."""
+    yield from case.ledger.faults
+    done: defaultdict[str, list[Entry]] = defaultdict(list)
+    for entry in case.diary:
+        done[entry.goal_id].append(entry)
+    recorded = writes_by_goal(case.writes)
+    for goal_id, told in case.ledger.goals.items():
+        writes, entries = recorded.get(goal_id, []), done[str(goal_id)]
+        faults = (
+            *_faults_of_end(told, case.rules),
+            *_faults_of_record(told, writes, case.rules),
+            *_faults_of_attempts(told, entries, case.rules),
+            *_faults_after_end(writes, entries, case.epoch),
+        )
+        yield from (f"{goal_id} {fault}" for fault in faults)
+
+
+def writes_by_goal(writes: Iterable[Write]) -> Mapping[GoalID, list[Write]]:
+    """Return the writes of each goal, in their order."""
+    found: dict[GoalID, list[Write]] = {}
+    for write in writes:
+        if write.goal is not None:
+            found.setdefault(write.goal.goal_id, []).append(write)
+    return found
+
+
+def _faults_of_end(told: Told, rules: Rules) -> Iterator[str]:
+    if not told.outcomes:
+        yield "was accepted, and its end was never told"
+        return
+    outcome = told.outcomes[0]
+    if any(other != outcome for other in told.outcomes):
+        yield f"was told to have ended as {' and as '.join(map(str, told.outcomes))}"
+    match outcome:
+        case Outcome(GoalStatus.SUCCEEDED, Done(steps), ""):
+            if told.work.fails or steps != told.work.steps:
+                yield f"succeeded with {steps} of {told.work.steps} steps"
+        case Outcome(GoalStatus.CANCELED):
+            if not told.asked_to_cancel:
+                yield "was canceled, and no client asked for it"
+        case Outcome(GoalStatus.ABORTED, Done(steps), reason) if reason == TOO_HARD:
+            if not told.work.fails or steps != told.work.steps:
+                yield f"gave up after {steps} of {told.work.steps} steps"
+        case Outcome(GoalStatus.ABORTED, None, reason) if lost := LOST.fullmatch(reason):
+            if rules.rerun or lost["worker"] not in rules.lost:
+                yield f"was aborted: {reason}"
+            if told.canceled_at is not None:
+                yield "was aborted as lost, although a client was told that it is canceled"
+        case _:
+            yield f"ended as {outcome}"
+
+
+def _faults_of_record(told: Told, writes: list[Write], rules: Rules) -> Iterator[str]:
+    ends = [write.goal for write in writes if write.goal and write.goal.status.is_terminal]
+    if len(ends) != 1:
+        yield f"was recorded as ended {len(ends)} times"
+    elif writes[-1].goal is not ends[0]:
+        yield "was recorded again after its end"
+    elif told.outcomes and told.outcomes[0].status is not ends[0].status:
+        yield f"was told as {told.outcomes[0].status.name}, and recorded as {ends[0].status.name}"
+    for one, other in pairwise(write.goal for write in writes):
+        assert one is not None
+        assert other is not None
+        is_taken = one.worker and other.worker != one.worker
+        if is_taken and one.worker not in rules.lost | rules.released:
+            yield f"was taken from {one.worker!r} by {other.worker!r}"
+
+
+def _faults_of_attempts(told: Told, entries: Iterable[Entry], rules: Rules) -> Iterator[str]:
+    attempt, kept = 0, 0
+    for entry in entries:
+        match entry.what:
+            case "began":
+                if entry.attempt <= attempt:
+                    yield f"began attempt {entry.attempt} after attempt {attempt}"
+                if entry.steps < kept:
+                    yield f"began again with {entry.steps} steps, although {kept} were kept"
+                if told.canceled_at is not None and entry.at > told.canceled_at:
+                    yield "was run again, although a client was told that it is canceled"
+                attempt = entry.attempt
+            case _ if entry.attempt < attempt:
+                yield f"took a step in attempt {entry.attempt} after attempt {attempt} had begun"
+            case "kept":
+                kept = entry.steps
+            case "stepped":
+                pass
+    limit = 1 + len(rules.released) + (len(rules.lost) if rules.rerun else 0)
+    if attempt > limit:
+        yield f"was run {attempt} times, and {limit} are allowed"
+
+
+def _faults_after_end(writes: list[Write], entries: Iterable[Entry], epoch: float) -> Iterator[str]:
+    ended = [write.at for write in writes if write.goal and write.goal.status.is_terminal]
+    if ended and any(entry.at / 1e9 + epoch > ended[0] for entry in entries):
+        yield "took a step after its end was recorded"
+
+
+# Figures
+
+
+def unseen(writes: Iterable[Write]) -> int:
+    """Return the number of writes that are missing, because a broker was killed after them."""
+    seen = {write.sequence for write in writes}
+    return sum(write.replaced not in seen for write in writes if write.replaced)
+
+
+def longest_pause(writes: Iterable[Write]) -> float:
+    """Return the most seconds between two writes."""
+    return max((other.at - one.at for one, other in pairwise(writes)), default=0.0)
+
+
+def moves(writes: Iterable[Write]) -> int:
+    """Return how many times a worker has taken a goal from another."""
+    return sum(
+        one.goal is not None and other.goal is not None and one.goal.worker != other.goal.worker
+        for of_goal in writes_by_goal(writes).values()
+        for one, other in pairwise(of_goal)
+    )
+
+
+class Handover(NamedTuple):
+    """The goals that a worker had when it was lost, and the seconds until they were safe."""
+
+    goals: int
+    median: float = 0.0
+    longest: float = 0.0
+
+
+def handover(writes: Iterable[Write], worker: str, lost_at: float) -> Handover:
+    """Return the seconds from the loss of a worker until its goals had ended or ran elsewhere."""
+    seconds: list[float] = []
+    for of_goal in writes_by_goal(writes).values():
+        before = [write.goal for write in of_goal if write.at <= lost_at]
+        if not before or before[-1] is None:
+            continue
+        if before[-1].worker != worker or before[-1].status.is_terminal:
+            continue
+        safe = (
+            write.at - lost_at
+            for write in of_goal
+            if write.at > lost_at and write.goal and _is_safe(write, worker)
+        )
+        seconds.append(next(safe, float("inf")))
+    if not seconds:
+        return Handover(0)
+    return Handover(len(seconds), round(median(seconds), 2), round(max(seconds), 2))
+
+
+def _is_safe(write: Write, worker: str) -> bool:
+    goal = write.goal
+    assert goal is not None
+    return goal.status.is_terminal or (goal.is_running and goal.worker != worker)

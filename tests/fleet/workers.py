@@ -1,0 +1,118 @@
+"""Workers of a fleet as processes, which are killed, frozen and stopped from outside."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+from signal import SIGTERM
+from typing import Literal
+
+import anyio
+import msgspec
+
+from fibaction import ActionServer, serve
+from tests.kills.harness import serving
+from tests.kills.victim import WORK, Diary, Worker
+
+STOP_TIMEOUT = 20.0
+"""Seconds for the end of a process in good order; then it is killed."""
+
+
+class Setup(msgspec.Struct):
+    """The settings of one worker."""
+
+    name: str
+    url: str
+    diary: str
+    recovery: Literal["abort", "rerun"]
+    at_stop: Literal["abort", "keep"] = "keep"
+
+
+async def serve_until_stopped(setup: Setup, parent: Connection) -> None:
+    """Serve as a worker, tell the parent when clients can find it, and stop at SIGTERM."""
+    diary = Diary(Path(setup.diary))
+    server = ActionServer(
+        WORK,
+        Worker(diary),
+        recovery=setup.recovery,
+        at_stop=setup.at_stop,
+        result_timeout=float("inf"),
+        max_results=1_000_000,
+        max_goals=10_000,
+    )
+    with anyio.open_signal_receiver(SIGTERM) as signals:
+        async with serve(server, setup.url):
+            parent.send("serving")
+            await anext(signals)
+    diary.close()
+
+
+def run_worker(setup: Setup, parent: Connection) -> None:
+    """Run a worker in this process."""
+    anyio.run(serve_until_stopped, setup, parent)
+
+
+class WorkerProcess:
+    """A worker that serves."""
+
+    def __init__(self, setup: Setup, process: ForkServerProcess) -> None:
+        self.name = setup.name
+        self.diary = Path(setup.diary)
+        self._process = process
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+        self._process.join()
+
+    def freeze(self) -> None:
+        """Stop it, so that it does nothing until `thaw`."""
+        self._signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        """Let it go on."""
+        self._signal(signal.SIGCONT)
+
+    def _signal(self, number: signal.Signals) -> None:
+        assert self._process.pid is not None
+        os.kill(self._process.pid, number)
+
+    async def stop(self) -> int | None:
+        """Stop it in good order, and return its exit code; None if it had to be killed."""
+        self._process.terminate()
+        with anyio.CancelScope(shield=True):
+            await anyio.to_thread.run_sync(self._process.join, STOP_TIMEOUT)
+        code = self._process.exitcode
+        self.kill()
+        return code
+
+
+@asynccontextmanager
+async def workers(*setups: Setup) -> AsyncGenerator[list[WorkerProcess], None]:
+    """Run workers while the block lasts; it begins when clients can find all of them."""
+    processes = get_context("forkserver")
+    processes.set_forkserver_preload(["tests.fleet.workers", "fibaction_transports.nats"])
+    started: list[WorkerProcess] = []
+    pipes: list[Connection] = []
+    try:
+        for setup in setups:
+            here, there = processes.Pipe(duplex=False)
+            process = processes.Process(target=run_worker, args=(setup, there))
+            process.start()
+            there.close()
+            started.append(WorkerProcess(setup, process))
+            pipes.append(here)
+        for pipe in pipes:
+            await serving(pipe)
+        yield started
+    finally:
+        for one in started:
+            one.kill()
+        for pipe in pipes:
+            pipe.close()

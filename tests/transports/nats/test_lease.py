@@ -1,0 +1,371 @@
+"""The lease of a worker: when it is renewed, when it is given up, and who may have its name."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from functools import partial
+
+import pytest
+from anyio import create_task_group, current_time, fail_after, sleep
+
+from fibaction._tasks import Background
+from fibaction.exceptions import TransportError
+from fibaction_transports.nats.broker import BrokerAway, Record
+from fibaction_transports.nats.fleet_records import LeaseEntry, encode, lease_entry
+from fibaction_transports.nats.lease import Membership, Term
+from fibaction_transports.nats.names import FleetNames
+from tests.memory_broker import MemoryBroker, MemoryBrokers
+from tests.virtual_time import in_virtual_time
+
+pytestmark = [pytest.mark.anyio, in_virtual_time()]
+NAMES = FleetNames("test")
+LEASE = 6.0
+MARGIN = 1.2
+
+
+class Member(Membership):
+    """A membership that notes its fences."""
+
+    def __init__(self, broker: MemoryBroker, name: str = "robot") -> None:
+        super().__init__(broker, NAMES, name, LEASE)
+        self.fences: list[float] = []
+        self.joins: list[float] = []
+        self.on_fence = lambda: self.fences.append(current_time())
+        self.on_join = lambda: self.joins.append(current_time())
+
+
+@asynccontextmanager
+async def joined(broker: MemoryBroker, name: str = "robot") -> AsyncGenerator[Member, None]:
+    member = Member(broker, name)
+    await member.join()
+    async with Background() as tasks:
+        tasks.start_soon(member.run)
+        tasks.start_soon(member.fence_in_time)
+        yield member
+
+
+def lease(shared: MemoryBrokers, name: str = "robot") -> LeaseEntry | None:
+    record = shared.newest(NAMES.worker(name))
+    return None if record is None or not record.data else lease_entry(record.data)
+
+
+def puts(shared: MemoryBrokers, name: str = "robot") -> int:
+    return sum(write.subject == NAMES.worker(name) for write in shared.writes)
+
+
+# The term
+
+
+async def test_a_term_counts_from_before_the_first_write_that_may_be_stored() -> None:
+    term = Term(10)
+    term.sent(100)
+    term.sent(101)
+    term.stored()
+    assert (term.valid_until, term.renew_at) == (108, pytest.approx(100 + 10 / 3))
+    term.sent(105)
+    term.stored()
+    assert term.valid_until == 113
+    term.end()
+    assert term.valid_until < 0
+
+
+# Stay
+
+
+async def test_a_lease_is_renewed_three_times_in_its_time() -> None:
+    async with MemoryBrokers() as shared, joined(shared.member()) as member:
+        first, began = member.incarnation, current_time()
+        await sleep(10 * LEASE + 0.1)
+        assert puts(shared) == 31
+        assert member.incarnation == first
+        assert not member.fences
+        assert began + 10 * LEASE + LEASE - MARGIN - 0.1 <= member.valid_until
+        entry = lease(shared)
+        assert entry is not None
+        assert (entry.worker, entry.incarnation, entry.lease) == ("robot", first, LEASE)
+
+
+async def test_a_worker_without_answers_is_fenced_a_margin_before_its_lease_ends() -> None:
+    async with MemoryBrokers() as shared, joined(shared.member()) as member:
+        valid_until = member.valid_until
+        member._broker.is_away = True  # type: ignore[attr-defined]
+        await sleep(LEASE + 0.1)
+        assert member.fences == [pytest.approx(valid_until)]
+        assert not member.incarnation
+        assert lease(shared) is None, "the brokers have ended the lease later"
+
+
+async def test_a_short_absence_fences_nobody() -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        async with joined(broker) as member:
+            first = member.incarnation
+            for _ in range(10):
+                broker.is_away = True
+                await sleep(1.5)
+                broker.is_away = False
+                await sleep(LEASE / 2)
+            assert member.incarnation == first
+            assert not member.fences
+
+
+async def test_a_renewal_whose_answer_is_lost_counts_from_when_it_was_sent() -> None:
+    async with MemoryBrokers() as shared, joined(shared.member()) as member:
+        lost: list[float] = []
+
+        def lose(_: object) -> bool:
+            lost.append(current_time())
+            return True
+
+        shared.loses_answer = lose
+        await sleep(LEASE / 3 + 2.1)
+        assert len(lost) == 2, "the lease was found to be stored, and is renewed again"
+        assert not member.fences
+        assert member.valid_until == pytest.approx(lost[0] + LEASE - MARGIN)
+
+
+async def test_a_lease_that_cannot_be_read_is_no_reason_to_give_it_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        async with joined(broker) as member:
+            get = broker.get
+            record = shared.newest(NAMES.worker("robot"))
+            old = [record, None, BrokerAway("on purpose")]
+
+            async def behind(stream: str, subject: str) -> Record | None:
+                found = old.pop() if old else await get(stream, subject)
+                if isinstance(found, BrokerAway):
+                    raise found
+                return found
+
+            monkeypatch.setattr(broker, "get", behind)
+            shared.loses_answer = lambda _: len(shared.writes) == 2
+            await sleep(LEASE)
+            assert not old
+            assert not member.fences
+
+
+async def test_a_full_stream_is_tried_again_until_the_lease_ends(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with MemoryBrokers() as shared, joined(shared.member()) as member:
+        shared.is_full = True
+        with caplog.at_level(logging.WARNING, "fibaction.nats"):
+            await sleep(LEASE)
+        assert len(member.fences) == 1
+        assert "the lease is not renewed: maximum bytes exceeded" in caplog.text
+        shared.is_full = False
+        await sleep(2)
+        assert member.incarnation
+
+
+async def test_a_worker_joins_again_with_a_new_incarnation() -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        async with joined(broker) as member:
+            first = member.incarnation
+            broker.is_away = True
+            await sleep(3 * LEASE)
+            broker.is_away = False
+            await sleep(3)
+            assert member.incarnation not in (b"", first)
+            assert len(member.fences) == len(member.joins) == 1
+            assert member.check()
+            entry = lease(shared)
+            assert entry is not None
+            assert entry.incarnation == member.incarnation
+
+
+async def test_a_worker_is_fenced_when_another_one_has_its_lease() -> None:
+    async with MemoryBrokers() as shared, joined(shared.member()) as member:
+        other = lease(shared)
+        assert other is not None
+        other.incarnation = b"other"
+        record = shared.newest(NAMES.worker("robot"))
+        assert record is not None
+        shared.put(record.subject, encode(other), record.sequence, LEASE)
+        await sleep(LEASE / 3 + 0.1)
+        assert len(member.fences) == 1
+        assert not member.joins
+        await sleep(2 * LEASE)
+        assert len(member.joins) == 1, "the other lease has ended"
+
+
+async def test_a_frozen_worker_is_fenced_by_its_first_check() -> None:
+    async with MemoryBrokers() as shared:
+        member = Member(shared.member())
+        await member.join()
+        assert member.check()
+        await sleep(LEASE - MARGIN + 0.1)  # none of its tasks ran
+        assert not member.check()
+        assert len(member.fences) == 1
+        assert not member.check()
+        assert len(member.fences) == 1
+
+
+async def test_a_lease_that_is_not_readable_is_not_ours() -> None:
+    async with MemoryBrokers() as shared, joined(shared.member()) as member:
+        record = shared.newest(NAMES.worker("robot"))
+        assert record is not None
+        shared.put(record.subject, b"rubbish", record.sequence, LEASE)
+        await sleep(LEASE / 3 + 0.1)
+        assert len(member.fences) == 1
+
+
+# Changes
+
+
+async def test_changes_are_stored_at_most_once_a_second() -> None:
+    async with MemoryBrokers() as shared, joined(shared.member()) as member:
+        goals: list[int] = []
+        member.describe = lambda entry: setattr(entry, "goals", len(goals))
+        before = puts(shared)
+        for number in range(20):
+            goals.append(number)
+            member.note_change()
+            await sleep(0.1)
+        await sleep(1)
+        assert puts(shared) - before <= 4
+        entry = lease(shared)
+        assert entry is not None
+        assert entry.goals == 20
+
+
+async def test_an_update_is_stored_when_it_returns() -> None:
+    async with MemoryBrokers() as shared, joined(shared.member()) as member:
+        member.describe = lambda entry: setattr(entry, "goals", 7)
+        began = current_time()
+        await member.update()
+        assert current_time() - began < 0.1
+        entry = lease(shared)
+        assert entry is not None
+        assert entry.goals == 7
+
+
+# Names
+
+
+async def test_a_name_in_use_is_refused_in_one_sentence() -> None:
+    async with MemoryBrokers() as shared, joined(shared.member()):
+        began = current_time()
+        with pytest.raises(TransportError) as caught:
+            await Member(shared.member()).join()
+        assert str(caught.value) == (
+            "the worker name 'robot' is in use in fleet 'test': give this worker another one"
+        )
+        assert current_time() - began <= LEASE / 3 + 1.1
+
+
+async def test_the_lease_of_a_lost_process_of_that_name_is_waited_for() -> None:
+    async with MemoryBrokers() as shared:
+        lost = Member(shared.member())
+        await lost.join()
+        await sleep(1)
+        began = current_time()
+        async with joined(shared.member()) as member:
+            assert member.incarnation != lost.incarnation
+            assert current_time() - began < LEASE + 1
+
+
+async def test_a_lease_that_does_not_end_is_given_up() -> None:
+    async with MemoryBrokers() as shared:
+        shared.put(NAMES.worker("robot"), encode(LeaseEntry("robot", b"other")), 0, 1000)
+        with pytest.raises(TransportError, match="the lease of 'robot' does not end"):
+            await Member(shared.member()).join()
+
+
+async def test_a_name_that_is_cleared_up_after_can_be_used() -> None:
+    async with MemoryBrokers() as shared:
+        entry = LeaseEntry("robot", b"", cleared_by="other")
+        shared.put(NAMES.worker("robot"), encode(entry), 0, 1000)
+        async with joined(shared.member()) as member:
+            assert member.incarnation
+
+
+async def test_joining_without_brokers_fails_in_one_sentence() -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        broker.is_away = True
+        with pytest.raises(TransportError, match="the fleet: the brokers do not answer"):
+            await Member(broker).join()
+
+
+async def test_joining_is_tried_again_when_an_answer_is_lost() -> None:
+    async with MemoryBrokers() as shared:
+        shared.loses_answer = lambda _: len(shared.writes) == 1
+        async with joined(shared.member()) as member:
+            assert member.incarnation
+            assert puts(shared) == 2
+
+
+@pytest.mark.parametrize(
+    ("record", "text"),
+    [(b"rubbish", "the lease of a worker of the fleet cannot be read"), (b"", "maximum bytes")],
+)
+async def test_what_is_wrong_at_the_brokers_is_said_in_one_sentence(
+    record: bytes, text: str
+) -> None:
+    async with MemoryBrokers() as shared:
+        if record:
+            shared.put(NAMES.worker("robot"), record, 0, 1000)
+        else:
+            shared.is_full = True
+        with pytest.raises(TransportError, match=f"cannot join the fleet: {text}"):
+            await Member(shared.member()).join()
+
+
+# Leave
+
+
+@pytest.mark.parametrize("is_clean", [True, False])
+async def test_a_worker_that_leaves_ends_its_lease(*, is_clean: bool) -> None:
+    async with MemoryBrokers() as shared:
+        async with joined(shared.member()) as member:
+            pass
+        await member.leave(is_clean=is_clean)
+        record = shared.newest(NAMES.worker("robot"))
+        assert record is not None
+        if is_clean:
+            assert not lease_entry(record.data).incarnation
+            assert not lease_entry(record.data).cleared_by
+        else:
+            assert not record.data
+        async with joined(shared.member()):
+            pass
+
+
+async def test_leaving_ends_a_lease_whose_renewal_was_not_answered() -> None:
+    async with MemoryBrokers() as shared:
+        async with joined(shared.member()) as member:
+            shared.loses_answer = lambda _: len(shared.writes) == 2
+            await sleep(LEASE / 3 + 0.5)
+        await member.leave(is_clean=False)
+        assert lease(shared) is None
+
+
+async def test_leaving_ends_nothing_that_another_worker_has() -> None:
+    async with MemoryBrokers() as shared:
+        member = Member(shared.member())
+        await member.join()
+        await sleep(LEASE + 0.1)
+        async with joined(shared.member()) as other:
+            await member.leave(is_clean=True)
+            entry = lease(shared)
+            assert entry is not None
+            assert entry.incarnation == other.incarnation
+            await member.leave(is_clean=True)  # it has left already
+
+
+async def test_leaving_without_brokers_takes_no_longer_than_a_lease() -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        member = Member(broker)
+        await member.join()
+        broker.is_away = True
+        with fail_after(LEASE + 0.1):
+            async with create_task_group() as tasks:
+                tasks.start_soon(partial(member.leave, is_clean=True))
