@@ -349,6 +349,17 @@ async def test_a_goal_of_a_gateway_does_not_move(fleet: FakeFleet) -> None:
             await goal.outcome()
 
 
+async def test_a_busy_gateway_is_left_for_another(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a", is_kept=False).serve(server(schedule=Schedule(concurrency=1))),
+        fleet.worker("b", is_kept=False).serve(server()),
+        fleet.connect() as connection,
+    ):
+        client = client_of(connection)
+        await client.send_goal(-1)
+        assert [await client.call(3) for _ in range(3)] == ["3"] * 3
+
+
 # To cancel goals
 
 

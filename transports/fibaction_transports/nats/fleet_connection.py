@@ -31,7 +31,8 @@ from fibaction.wire.messages import AskPeers, Peers
 from fibaction.wire.settings import ClientSettings
 from fibaction_transports.nats.broker import Broker
 from fibaction_transports.nats.call_routes import CallRoutes
-from fibaction_transports.nats.fleet_endpoint import FleetEndpoint, FleetParts
+from fibaction_transports.nats.fleet_endpoint import FleetEndpoint
+from fibaction_transports.nats.fleet_parts import FleetParts
 from fibaction_transports.nats.fleet_settings import FleetSettings
 from fibaction_transports.nats.fleet_statuses import AllStatuses
 from fibaction_transports.nats.fleet_workers import FleetWorkers

@@ -38,97 +38,15 @@ from fibaction.server.registry import ID_IN_USE
 from fibaction.wire.messages import LARGEST, CancelAnswered, CancelGoals, Follow, SendGoal
 from fibaction.wire.remote_goal import RemoteGoal
 from fibaction_transports.nats.call_routes import (
-    FIRST_PAUSE,
-    LONGEST_PAUSE,
-    CallRoutes,
     Found,
     ended_goal,
 )
-from fibaction_transports.nats.fleet_statuses import AllStatuses
-from fibaction_transports.nats.fleet_workers import FleetWorkers
-from fibaction_transports.nats.places import Places
-from fibaction_transports.nats.worker_connections import WorkerConnections
+from fibaction_transports.nats.fleet_parts import FleetParts, Patience, Trial
 
 T = TypeVar("T")
 
 RECORD_OVERHEAD = 4096
 """Bytes of a record beside the goal, at most."""
-
-
-class FleetParts:
-    """The parts of a connection to a fleet, which all its endpoints share."""
-
-    def __init__(
-        self,
-        workers: FleetWorkers,
-        connections: WorkerConnections,
-        routes: CallRoutes,
-        places: Places,
-        statuses: AllStatuses,
-        max_record: int,
-    ) -> None:
-        self.workers = workers
-        self.connections = connections
-        self.routes = routes
-        self.places = places
-        self.statuses = statuses
-        self.max_record = max_record
-
-
-class _Patience:
-    """The time that a call has, from its first failure, to find a worker."""
-
-    def __init__(self, routes: CallRoutes) -> None:
-        self._routes = routes
-        self._ends: float | None = None
-        self._pause = FIRST_PAUSE
-
-    async def wait(self, error: ActionError) -> None:
-        """Wait before the next try; raise the error if the time is over."""
-        if self._ends is None:
-            self._ends = current_time() + self._routes.patience
-        left = self._ends - current_time()
-        if left <= 0:
-            raise error
-        await self._routes.changes(min(self._pause, left))
-        self._pause = min(2 * self._pause, LONGEST_PAUSE)
-
-
-class _Trial:
-    """One goal that is to be sent, and the workers that it was sent to."""
-
-    def __init__(self, parts: FleetParts, action: str) -> None:
-        self._parts = parts
-        self._action = action
-        self._refused: set[str] = set()
-        self.patience = _Patience(parts.routes)
-        self.owner = ""
-        """The worker that has the goal by its record; empty if it may go to any."""
-        self.worker = ""
-        """The worker that it was sent to last; empty if there was no place for it."""
-
-    def is_decided_by(self, error: ActionError) -> bool:
-        """Return whether an error of a worker is the answer, so that no other one is asked."""
-        if not self.worker:
-            return False
-        if isinstance(error, GoalRejected) and (self.owner or not error.is_busy):
-            return True
-        if not self._parts.workers.is_kept(self.worker, self._action):
-            return True  # no record tells whether a gateway has the goal
-        if self.owner or isinstance(error, ConnectionLost):
-            return False
-        self._refused.add(self.worker)
-        serving = self._parts.workers.serving(self._action)
-        return self._refused.issuperset(lease.worker for lease in serving)
-
-    def goes_to(self, found: Found | None) -> bool:
-        """Go to the owner of the goal next, or to any worker if it has none; return whether that
-        can be at once.
-        """
-        before = self.owner
-        self.owner = found.goal.worker if found is not None and found.is_alive else ""
-        self.worker = ""
-        return bool(self.owner) and self.owner != before
 
 
 class FleetEndpoint(Endpoint):
@@ -163,7 +81,7 @@ class FleetEndpoint(Endpoint):
         def request(call_id: int, credit: int) -> SendGoal:
             return SendGoal(call_id, self._info.name, goal_id, goal, credit if feedback else None)
 
-        trial = _Trial(self._parts, self._info.name)
+        trial = Trial(self._parts, self._info.name)
         while True:
             try:
                 # The end of a lease says that a goal is lost, so the leases are needed.
@@ -215,7 +133,7 @@ class FleetEndpoint(Endpoint):
         def request(call_id: int, credit: int) -> Follow:
             return Follow(call_id, self._info.name, goal_id, after, own, credit, attempt)
 
-        patience = _Patience(self._parts.routes)
+        patience = Patience(self._parts.routes)
         while True:
             found = await self._found(goal_id, patience)
             if found is None:
@@ -259,7 +177,7 @@ class FleetEndpoint(Endpoint):
         return await self._cancel_at_all(goal_id, stamp)
 
     async def _cancel_one(self, goal_id: GoalID) -> CancelAnswer:
-        patience = _Patience(self._parts.routes)
+        patience = Patience(self._parts.routes)
         while True:
             found = await self._found(goal_id, patience)
             if found is None:
@@ -310,7 +228,7 @@ class FleetEndpoint(Endpoint):
 
     # Parts of these
 
-    async def _found(self, goal_id: GoalID, patience: _Patience) -> Found | None:
+    async def _found(self, goal_id: GoalID, patience: Patience) -> Found | None:
         """Return the goal by its record; wait for the brokers, if they are away."""
         while True:
             try:
@@ -354,7 +272,7 @@ class FleetEndpoint(Endpoint):
         errors: list[ActionError] = []
 
         async def ask_one(worker: str) -> None:
-            patience = _Patience(self._parts.routes)
+            patience = Patience(self._parts.routes)
             while True:
                 try:
                     answers.append(await ask(worker))
