@@ -191,14 +191,16 @@ class ServerNotFound(TransportError):
 
 
 class ConnectionLost(TransportError):
-    """The connection ended while something was waited for; goals may run on at the server."""
+    """The connection ended while something was waited for; goals may run on at the server.
+
+    Also raised for a goal that another server has taken over from this one.
+    """
 
 
 class GoalKept(ConnectionLost):
     """This server tells nothing more about the goal, which the next one may know.
 
-    It has stopped and keeps the goal in its store, its store has failed, or another server has
-    taken the goal over.
+    It has stopped and keeps the goal in its store, or its store has failed.
     """
 
 

@@ -145,6 +145,10 @@ class GoalJournal(ABC):
 class GoalStore(ABC):
     """A place where the goals of servers outlive their process."""
 
+    tells_statuses: bool = False
+    """True if clients follow the statuses of goals in the store, and not at the server, which then
+    cannot know whether they are followed."""
+
     @abstractmethod
     def open(
         self,

@@ -97,6 +97,8 @@ class MemoryStore(GoalStore):
         """The room for goals that servers have told."""
         self.takeovers: Counter[tuple[str, GoalID]] = Counter()
         """The number of times that each goal was taken over by another server."""
+        self.elsewhere: set[tuple[str, GoalID]] = set()
+        """The goals that other servers have, and that cannot be accepted here."""
         self.journals: dict[str, MemoryJournal] = {}
         """The journals that are open, by their actions."""
         self._dead: list[MemoryJournal] = []
@@ -147,11 +149,13 @@ class MemoryStore(GoalStore):
         self.takeovers[action, goal_id] += 1
         goal = self.goals.pop((action, goal_id), None)
         if goal is not None:
+            self.elsewhere.add((action, goal_id))
             self.on_taken(goal)
         return goal
 
     def give(self, action: str, goal: StoredGoal) -> None:
         """Hand a goal over, that another server had, to the one that has the store open."""
+        self.elsewhere.discard((action, GoalID(goal.goal_id)))
         self.goals[action, goal.goal_id] = goal
         self.on_claim(goal)
         if action in self.journals:
@@ -286,6 +290,8 @@ class MemoryJournal(GoalJournal):
         if self._failure is not None:
             return self._failure
         goal_id = GoalID(write.goal.goal_id)
+        if (self._action, goal_id) in self._store.elsewhere:
+            return GoalTaken(BROKEN)
         if write.takeovers < self._store.takeovers[self._action, goal_id]:
             return GoalTaken(BROKEN)
         if fate is Fate.TAKEN:

@@ -104,7 +104,9 @@ class NatsServer:
         self._process.wait()
 
     def freeze(self) -> None:
+        """Stop it, and wait until it has stopped."""
         self._signal(signal.SIGSTOP)
+        os.waitpid(self.pid, os.WUNTRACED)
 
     def thaw(self) -> None:
         self._signal(signal.SIGCONT)

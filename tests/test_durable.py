@@ -38,6 +38,7 @@ from fibaction import (
 from fibaction._tasks import Background
 from fibaction.goal_store import GoalJournal, GoalStore, StoredGoal, Then
 from tests.contract.conftest import tcp_address
+from tests.memory_store import Fate, MemoryStore
 
 pytestmark = pytest.mark.anyio
 
@@ -703,6 +704,27 @@ async def test_a_goal_still_belongs_to_its_client_after_a_restart(remote: Machin
     # An observer would have lost most of it.
     assert seen[-999:] == list(range(2, 1001))
     assert goal.feedback_dropped == 0
+
+
+@pytest.mark.promise("KEEP-7")
+async def test_a_client_is_told_that_another_server_has_its_goal_and_stays_connected(
+    remote: Machine,
+) -> None:
+    store = MemoryStore()
+    painter = Painter(stop_at=1)
+    with anyio.fail_after(10):
+        async with serve(ActionServer(PAINT, painter, store=store), remote.url):
+            async with connect(remote.url, PAINT) as client:
+                goal = await client.send_goal(4)
+                await painter.waits.wait()
+                store.take("paint", goal.goal_id)
+                with pytest.raises(ConnectionLost, match="another server has taken the goal over"):
+                    await goal.result()
+                store.fate = lambda _number, _what: Fate.TAKEN
+                with pytest.raises(ConnectionLost, match="another server has taken the goal over"):
+                    await client.send_goal(4)
+                store.fate = lambda _number, _what: Fate.KEPT
+                assert await client.call(0) == "painted 0"
 
 
 # A store that cannot be used

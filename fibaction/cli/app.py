@@ -36,7 +36,7 @@ VERBS = {
     "workers": ("workers", "workers_command", "List the workers of a fleet."),
     "top": ("top", "top_command", "Watch all actions and goals on a live screen."),
     "serve": ("serve", "serve_command", "Run your action servers."),
-    "broker": ("broker", "broker_command", "Run a broker for a fleet on this machine."),
+    "broker": ("run_broker", "broker_command", "Run a broker for a fleet on this machine."),
     "bridge": ("bridge", "bridge_command", "Serve at one URL the actions of another."),
     "gen": ("gen", "gen_command", "Write Python types for an .action file."),
 }

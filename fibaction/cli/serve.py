@@ -79,18 +79,19 @@ def serve_command(
         raise Failure("--sync is a setting of --store FILE", ExitCode.USAGE)
     where = urls or (url_of(context),)
     reject_inproc(*where)  # beside another one it is for clients in the module itself
+    sync = sync or "full"
     if store is not None:
         store = os.path.abspath(store)  # the module may change the folder when it is imported
     with log_with_time():
         if reload:
-            options = () if store is None else ("--store", store, "--sync", sync or "full")
+            options = () if store is None else ("--store", store, "--sync", sync)
             run_reloading(target, urls, url_of(context), options)
         else:
             with started_by(parent):
                 same = None if parent is None else SAME_STOP
                 servers = import_servers(target)
                 if store is not None:
-                    keep_in_file(servers, store, sync or "full")
+                    keep_in_file(servers, store, sync)
                 with LastSeconds(LAST_SECONDS, ExitCode.SUCCEEDED) as last:
                     run(serve_servers, servers, where, same=same, at_end=last.begin, uvloop=True)
 

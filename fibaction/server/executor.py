@@ -294,6 +294,8 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         return Ending(EndKind.FAILED, self._result, reason)
 
     def _log_failure(self, reason: str, exc: BaseException) -> None:
+        if self.goal.is_lost:
+            return  # it was interrupted, and could not keep its checkpoint
         logger.error(
             "goal %s of action %r failed: %s",
             self.handle.goal_id,

@@ -61,6 +61,8 @@ class GoalLogs:
         self._unread: WeakValueDictionary[GoalID, FeedbackLog] = WeakValueDictionary()
         self._recent: deque[tuple[float, FeedbackLog]] = deque(maxlen=RECENT_GOALS)
         self._statuses = StatusBroadcast()
+        self.are_told_elsewhere = False
+        """True if the statuses may be followed without this server's knowledge."""
         self.ended = Notifier()
         """The notifier of the ends of goals."""
 
@@ -102,7 +104,7 @@ class GoalLogs:
 
     def end(self, log: FeedbackLog, now: float) -> None:
         """Keep the log of a goal that has ended, for its followers only."""
-        are_followed = self._statuses.is_followed
+        are_followed = self._statuses.is_followed or self.are_told_elsewhere
         if are_followed:
             self._recent.append((now + RECENT_TIME, log))
         if are_followed or log.is_followed:

@@ -9,8 +9,8 @@ is empty (`recovered`). A goal that is lost while it waits is forgotten (`forget
 
 A goal may come that is here in another way. If a client has sent it here as well, its acceptance
 cannot be kept: if that is being written, it is given up (`on_take`), and if it is still being
-decided, the goal is taken over after the decision. If its old executor has not ended yet, it is known to clients, and goes on
-when that is gone.
+decided, the goal is taken over after the decision. If its old executor has not ended yet, the goal
+is known to clients, and goes on when that is gone.
 
 A goal that has ended is remembered with its outcome. An active one is known to clients from then
 on, and one of these happens:

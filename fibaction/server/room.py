@@ -8,6 +8,7 @@ so a server that has too many looks again after a while.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from anyio import sleep
@@ -63,17 +64,17 @@ class Room:
         """Return how many more goals can run now, and how many more can wait."""
         if not self._is_open:
             return 0, 0
-        left = self._registry.goals_left
-        if left and self._registry.has_too_many_bytes:
+        if self._registry.has_too_many_bytes:
             self._shortage.notify()
             return 0, 0
-        if self._dispatcher is None:
-            return (float("inf"), 0) if left else (0, 0)
-        return self._dispatcher.room() if left else (0, 0)
+        if self._registry.goals_left <= 0:
+            return 0, 0
+        return (math.inf, 0) if self._dispatcher is None else self._dispatcher.room()
 
     async def run(self) -> None:
         """Look again after a shortage of bytes, until canceled."""
         while True:
-            await self._shortage.wait()
+            while not (self._is_open and self._registry.has_too_many_bytes):
+                await self._shortage.wait()
             await sleep(LOOK_AGAIN)
             self.update()

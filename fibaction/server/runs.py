@@ -299,6 +299,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         run = self._runs.get(goal.goal_id)
         if run is None or run.goal is not goal:
             return
+        goal.stop_reason = goal.stop_reason or GOAL_IS_TAKEN  # its executor may look for that
         self._let_go(run, ConnectionLost(GOAL_IS_TAKEN))
         execution = run.execution
         if not run.has_begun:

@@ -254,6 +254,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             raise RuntimeError(f"{self!r} {state}; give the store to another one")
         check_is_store(store)
         self.store = store
+        self._logs.are_told_elsewhere = store.tells_statuses
         keeper = self._keeper = GoalKeeper(
             store, self.action.name, keep_for=self._keep_for, max_results=self._max_results
         )

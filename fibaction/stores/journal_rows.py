@@ -5,8 +5,8 @@ Theory of operation
 
 A journal is a sequence of numbered rows. A row holds the records of one commit, in msgpack: a goal
 that was accepted with all its fields, and later only what changed. The first row of a journal
-begins with `Start`. `KeptGoals` adds records up to the goals as they are now; it can write them
-down again as the first rows of a new journal, which replaces the old one and is smaller.
+begins with `StartRecord`. `KeptGoals` adds records up to the goals as they are now; it can write
+them down again as the first rows of a new journal, which replaces the old one and is smaller.
 
 Each row begins with a checksum of its number and its bytes: the database has none of its own.
 
@@ -35,18 +35,18 @@ class DamagedRow(Exception):
     """A row of a journal is missing, or its bytes are not what was written."""
 
 
-class Start(msgspec.Struct, array_like=True, tag=0, gc=False):
+class StartRecord(msgspec.Struct, array_like=True, tag=0, gc=False):
     """The begin of a journal: there is nothing before it."""
 
 
-class Whole(msgspec.Struct, array_like=True, tag=1, gc=False):
+class WholeRecord(msgspec.Struct, array_like=True, tag=1, gc=False):
     """A goal with all its fields: it was accepted, or is copied from an older journal."""
 
     action: str
     goal: StoredGoal
 
 
-class Moved(msgspec.Struct, array_like=True, tag=2, gc=False):
+class StateRecord(msgspec.Struct, array_like=True, tag=2, gc=False):
     """An attempt begins, a cancel was accepted, or the goal is free."""
 
     action: str
@@ -57,7 +57,7 @@ class Moved(msgspec.Struct, array_like=True, tag=2, gc=False):
     lost: int
 
 
-class Checkpointed(msgspec.Struct, array_like=True, tag=3, gc=False):
+class CheckpointRecord(msgspec.Struct, array_like=True, tag=3, gc=False):
     """A checkpoint of a goal."""
 
     action: str
@@ -65,7 +65,7 @@ class Checkpointed(msgspec.Struct, array_like=True, tag=3, gc=False):
     checkpoint: bytes | None
 
 
-class Ended(msgspec.Struct, array_like=True, tag=4, gc=False):
+class EndRecord(msgspec.Struct, array_like=True, tag=4, gc=False):
     """The end of a goal."""
 
     action: str
@@ -80,7 +80,7 @@ class Ended(msgspec.Struct, array_like=True, tag=4, gc=False):
     keep_until: int
 
 
-Record: TypeAlias = Start | Whole | Moved | Checkpointed | Ended
+Record: TypeAlias = StartRecord | WholeRecord | StateRecord | CheckpointRecord | EndRecord
 
 
 def _plain(value: Any) -> Any:
@@ -96,17 +96,19 @@ _encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 _decode = msgspec.msgpack.Decoder(list[Record], dec_hook=_made).decode
 
 
-def moved(action: str, goal: StoredGoal) -> Moved:
+def moved(action: str, goal: StoredGoal) -> StateRecord:
     """Return the record of a begin, a cancel or a release."""
-    return Moved(action, goal.goal_id, int(goal.status), goal.is_running, goal.attempt, goal.lost)
+    return StateRecord(
+        action, goal.goal_id, int(goal.status), goal.is_running, goal.attempt, goal.lost
+    )
 
 
-def ended(action: str, goal: StoredGoal) -> Ended:
+def ended(action: str, goal: StoredGoal) -> EndRecord:
     """Return the record of an end."""
     reason = goal.reason
     if not reason.isascii():
         reason = reason.encode(errors="replace").decode()  # half a character cannot be written
-    return Ended(
+    return EndRecord(
         action,
         goal.goal_id,
         int(goal.status),
@@ -173,19 +175,19 @@ class ActionGoals:
             *sorted(self.active.values(), key=lambda goal: goal.stamp),
         ]
 
-    def add(self, record: Whole | Moved | Checkpointed | Ended) -> None:
+    def add(self, record: WholeRecord | StateRecord | CheckpointRecord | EndRecord) -> None:
         """Apply one record."""
-        if isinstance(record, Whole):
+        if isinstance(record, WholeRecord):
             self._add_whole(record.goal)
             return
         goal = self.active.get(record.goal_id)
         if goal is None:
             return  # it has ended, which no later record changes
-        if isinstance(record, Moved):
+        if isinstance(record, StateRecord):
             goal.status = GoalStatus(record.status)
             goal.is_running = record.is_running
             goal.attempt, goal.lost = record.attempt, record.lost
-        elif isinstance(record, Checkpointed):
+        elif isinstance(record, CheckpointRecord):
             goal.checkpoint = record.checkpoint
         else:
             self._end(goal, record)
@@ -197,7 +199,7 @@ class ActionGoals:
         goals = self.ended if goal.status.is_terminal else self.active
         goals[goal.goal_id] = goal
 
-    def _end(self, goal: StoredGoal, end: Ended) -> None:
+    def _end(self, goal: StoredGoal, end: EndRecord) -> None:
         goal.status = GoalStatus(end.status)
         goal.attempt, goal.lost = end.attempt, end.lost
         goal.result, goal.reason = end.result, end.reason
@@ -222,11 +224,11 @@ class KeptGoals:
             DamagedRow: The row, or one before it, is missing or is not what was written.
         """
         records = decode_row(number, row)
-        if number != self._next and not (self._next == 0 and records[:1] == [Start()]):
+        if number != self._next and not (self._next == 0 and records[:1] == [StartRecord()]):
             raise DamagedRow(f"a row before row {number} is missing")
         self._next = number + 1
         for record in records:
-            if not isinstance(record, Start):
+            if not isinstance(record, StartRecord):
                 self.of(record.action).add(record)
 
     def of(self, action: str) -> ActionGoals:
@@ -238,10 +240,10 @@ class KeptGoals:
 
     def rows(self, number: int) -> Iterator[bytes]:
         """Yield the first rows of a journal of these goals, the first of them with this number."""
-        records: list[Record] = [Start()]
+        records: list[Record] = [StartRecord()]
         size = 0
         for action, goal in self._all():
-            records.append(Whole(action, goal))
+            records.append(WholeRecord(action, goal))
             size += len(goal.goal) + len(goal.checkpoint or b"") + len(goal.result or b"") + 100
             if size >= ROW:
                 yield encode_row(number, records)

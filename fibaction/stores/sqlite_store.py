@@ -5,19 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
-from copy import copy
 from threading import get_ident
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from anyio import CancelScope, Event
 
 from fibaction._slices import Slices
 from fibaction._text import excerpt
 from fibaction.exceptions import StoreError
-from fibaction.goal_store import GoalJournal, GoalStore, StoredGoal, Then
+from fibaction.goal_store import GoalJournal, GoalStore, StoredGoal
 from fibaction.goals import GoalID
-from fibaction.stores._writer import Writer
-from fibaction.stores.journal_rows import Checkpointed, Whole, ended, moved
+
+if TYPE_CHECKING:
+    from fibaction.stores._writer import Writer
 
 
 class SqliteStore(GoalStore):
@@ -68,6 +68,9 @@ class SqliteStore(GoalStore):
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
     ) -> AsyncGenerator[GoalJournal, None]:
+        # The imports take their time, which only programs with a store are to pay.
+        from fibaction.stores._sqlite_journal import SqliteJournal
+
         writer = await self._begin(action)
         try:
             slices = Slices()
@@ -88,6 +91,8 @@ class SqliteStore(GoalStore):
         if action in self._actions:
             raise self._error(f"a server of the action {excerpt(action)!r} uses it already")
         if self._writer is None:
+            from fibaction.stores._writer import Writer
+
             self._writer, self._thread = Writer(self._path, self._sync), get_ident()
         self._users += 1
         self._actions.add(action)
@@ -111,30 +116,3 @@ class SqliteStore(GoalStore):
 
     def _error(self, reason: str) -> StoreError:
         return StoreError(f"cannot keep goals in {excerpt(self._path)}: {reason}")
-
-
-class SqliteJournal(GoalJournal):
-    """The goals of one action in a `SqliteStore` that is open."""
-
-    def __init__(self, action: str, writer: Writer) -> None:
-        self._action = action
-        self._write = writer.write
-
-    def accept(self, goal: StoredGoal, then: Then) -> None:
-        # A copy: the goal goes on while it waits for the thread.
-        self._write(Whole(self._action, copy(goal)), then)
-
-    def begin(self, goal: StoredGoal, then: Then) -> None:
-        self._write(moved(self._action, goal), then)
-
-    def cancel(self, goal: StoredGoal, then: Then) -> None:
-        self._write(moved(self._action, goal), then)
-
-    def checkpoint(self, goal: StoredGoal, then: Then) -> None:
-        self._write(Checkpointed(self._action, goal.goal_id, goal.checkpoint), then)
-
-    def end(self, goal: StoredGoal, then: Then) -> None:
-        self._write(ended(self._action, goal), then)
-
-    def release(self, goal: StoredGoal, then: Then) -> None:
-        self._write(moved(self._action, goal), then)

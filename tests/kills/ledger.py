@@ -1,4 +1,4 @@
-"""What clients were told, what executors did, and the contradictions between the two."""
+"""The ledger of all that clients were told and executors did, with the contradictions in it."""
 
 from __future__ import annotations
 

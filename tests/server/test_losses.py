@@ -92,15 +92,21 @@ class CleanUp:
 # Lost
 
 
-async def test_a_loss_that_overtakes_answers_is_told_to_clients_and_nothing_else_happens() -> None:
-    for schedule in (None, Schedule(concurrency=1)):
-        store = MemoryStore()
-        async with server_with(store, schedule=schedule) as server:
-            store.on_kept = lambda _what, goal: store.take("paint", GoalID(goal.goal_id)) and None
-            with pytest.raises(ConnectionLost, match=TAKEN):
-                await client_of(server).send_goal(1)
-            store.on_kept = lambda _what, _goal: None
-            assert await client_of(server).call(1) == "painted 1 in attempt 1"
+@pytest.mark.parametrize("schedule", [None, Schedule(concurrency=1)])
+async def test_a_loss_that_overtakes_answers_is_told_to_clients_and_nothing_else_happens(
+    schedule: Any,
+) -> None:
+    store = MemoryStore()
+
+    def take(_what: str, goal: StoredGoal) -> None:
+        store.take("paint", GoalID(goal.goal_id))
+
+    async with server_with(store, schedule=schedule) as server:
+        store.on_kept = take
+        with pytest.raises(ConnectionLost, match=TAKEN):
+            await client_of(server).send_goal(1)
+        store.on_kept = lambda _what, _goal: None
+        assert await client_of(server).call(1) == "painted 1 in attempt 1"
 
 
 async def test_a_loss_that_is_told_while_the_end_is_written_is_told_in_place_of_the_end() -> None:
@@ -206,7 +212,7 @@ async def test_orders_for_other_goals_are_carried_out_if_a_goal_is_not_accepted(
         with pytest.raises(ConnectionLost, match=TAKEN):
             await client.send_goal(1000)
         gives_way = first if when_full == "preempt" else second
-        with pytest.raises(GoalAborted, match="preempted by|replaced by"), anyio.fail_after(5):
+        with pytest.raises(GoalAborted, match=r"preempted by|replaced by"), anyio.fail_after(5):
             await gives_way.result()
         assert await (await client.send_goal(0)).result() == "painted 0 in attempt 1"
 
@@ -240,6 +246,7 @@ async def test_a_checkpoint_of_a_goal_that_was_taken_is_an_error_of_the_executor
                 await goal.checkpoint(1)
         except StoreError as exc:
             errors.append(exc)
+            assert goal.cancel_requested
             raise
         yield ""
 
@@ -481,6 +488,10 @@ async def test_a_goal_that_comes_while_it_is_decided_here_is_taken_over_afterwar
         await decide.wait()
 
     store = MemoryStore(lambda _number, what: Fate.TAKEN if what == "accept" else Fate.KEPT)
+
+    def keep(goal: StoredGoal) -> None:
+        store.give("paint", goal)  # it is the one that was handed over
+
     async with server_with(store, on_goal=wait) as server, anyio.create_task_group() as tasks:
 
         async def send() -> None:
@@ -491,7 +502,7 @@ async def test_a_goal_that_comes_while_it_is_decided_here_is_taken_over_afterwar
         await anyio.sleep(1)
         store.give("paint", stored(1))
         await anyio.sleep(1)
-        store.note_takeover = lambda _action, _goal_id: None  # type: ignore[method-assign]  # it stays
+        store.on_taken = keep
         decide.set()
         await anyio.sleep(0.1)
         assert await (await client_of(server).attach(ID)).result() == "painted 1 in attempt 1"

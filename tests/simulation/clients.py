@@ -75,7 +75,7 @@ class Client:
             return []
         remote = self._connection._connection
         assert isinstance(remote, RemoteConnection)
-        return list(remote._calls._calls)
+        return list(remote.calls._calls)
 
     async def _stop_deeds(self, everything: CancelScope) -> None:
         """Leave early, in one of three ways: end the deeds before the connection, or by closing the

@@ -326,8 +326,8 @@ def a_call_is_not_opened_again(real: Any) -> Any:
     """Do not resume the last request on a new connection."""
 
     def _begin(self: RemoteConnection, welcome: Any) -> None:
-        if self._calls._calls:
-            self._calls._calls.popitem()
+        if self.calls._calls:
+            self.calls._calls.popitem()
         real(self, welcome)
 
     return _begin
@@ -338,8 +338,8 @@ def giving_up_forgets_a_waiter(real: Any) -> Any:
     """Do not fail one waiting call when a connection is given up."""
 
     def _fail_calls(self: RemoteConnection, error: Any) -> None:
-        if self._calls._calls:
-            self._calls._calls.popitem()
+        if self.calls._calls:
+            self.calls._calls.popitem()
         real(self, error)
 
     return _fail_calls

@@ -16,7 +16,7 @@ from fibaction.states import GoalStatus
 from fibaction.stores import _copy
 from fibaction.stores._copy import stored_goals
 from fibaction.stores._journal_file import JournalFile
-from fibaction.stores.journal_rows import Whole, encode_row
+from fibaction.stores.journal_rows import WholeRecord, encode_row
 from tests.stores.made import a_goal
 from tests.stores.test_sqlite_store import KILLED
 
@@ -47,7 +47,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def add(file: JournalFile, action: str, number: int) -> None:
-    file.add(encode_row(file.next_number, [Whole(action, a_goal(number))]))
+    file.add(encode_row(file.next_number, [WholeRecord(action, a_goal(number))]))
 
 
 def test_the_goals_of_a_file_are_read_in_use_and_afterwards(path: Path) -> None:
@@ -90,7 +90,7 @@ def test_outcomes_whose_time_is_over_are_not_shown(path: Path) -> None:
     with closing(JournalFile(str(path), "full")) as file:
         old = a_goal(1)
         old.status, old.keep_until = GoalStatus.SUCCEEDED, 1
-        file.add(encode_row(file.next_number, [Whole("paint", old)]))
+        file.add(encode_row(file.next_number, [WholeRecord("paint", old)]))
         add(file, "paint", 2)
     assert read(path) == {"paint": [2]}
 

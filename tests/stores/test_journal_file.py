@@ -17,7 +17,7 @@ import pytest
 from fibaction.exceptions import StoreError
 from fibaction.stores import _journal_file, _wal
 from fibaction.stores._journal_file import JournalFile
-from fibaction.stores.journal_rows import Whole, encode_row
+from fibaction.stores.journal_rows import WholeRecord, encode_row
 from tests.stores.made import a_goal
 
 SIZE = 3000
@@ -31,7 +31,7 @@ def path(tmp_path: Path) -> Path:
 
 def add(file: JournalFile, number: int) -> None:
     goal = a_goal(number, result=bytes([number]) * SIZE)
-    file.add(encode_row(file.next_number, [Whole("paint", goal)]))
+    file.add(encode_row(file.next_number, [WholeRecord("paint", goal)]))
 
 
 def write(path: Path, count: int) -> None:

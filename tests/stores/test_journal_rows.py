@@ -14,12 +14,12 @@ from fibaction.states import GoalStatus
 from fibaction.stores.journal_rows import (
     ROW,
     ActionGoals,
-    Checkpointed,
+    CheckpointRecord,
     DamagedRow,
     KeptGoals,
     Record,
-    Start,
-    Whole,
+    StartRecord,
+    WholeRecord,
     decode_row,
     encode_row,
     ended,
@@ -28,11 +28,11 @@ from fibaction.stores.journal_rows import (
 from tests.stores.made import a_goal, after_end, as_kept
 
 ACTIONS = ["paint", "drive"]
-START = encode_row(1, [Start()])
+START = encode_row(1, [StartRecord()])
 
 
 class Model:
-    """What a server has in memory: goals that it changes, and the record of each change."""
+    """The goals that a server has in memory and changes, and the record of each change."""
 
     def __init__(self) -> None:
         self.goals: dict[str, dict[int, StoredGoal]] = {action: {} for action in ACTIONS}
@@ -49,7 +49,7 @@ class Model:
             goal = goals[number] = StoredGoal(goal_id, self.stamp, Sender(), data, data)
             if number in ends:
                 ends.remove(number)
-            return Whole(action, copy(goal))
+            return WholeRecord(action, copy(goal))
         if goal is None or goal.status.is_terminal:
             return None
         if what == "end":
@@ -59,7 +59,7 @@ class Model:
             return record
         if what == "checkpoint":
             goal.checkpoint = data
-            return Checkpointed(action, goal.goal_id, data)
+            return CheckpointRecord(action, goal.goal_id, data)
         if what == "cancel":
             goal.status = GoalStatus.CANCELING
         elif what == "begin":
@@ -148,7 +148,7 @@ def test_goals_that_are_written_down_and_later_rows_add_up_to_all(
 def test_many_goals_are_written_down_in_several_rows() -> None:
     goals = KeptGoals()
     for number in range(10):
-        goals.of("paint").add(Whole("paint", a_goal(number, result=b"x" * (ROW // 4))))
+        goals.of("paint").add(WholeRecord("paint", a_goal(number, result=b"x" * (ROW // 4))))
 
     rows = list(goals.rows(7))
 
@@ -158,7 +158,7 @@ def test_many_goals_are_written_down_in_several_rows() -> None:
 
 def test_goals_that_fill_a_row_leave_no_empty_one() -> None:
     goals = KeptGoals()
-    goals.of("paint").add(Whole("paint", a_goal(1, result=b"x" * ROW)))
+    goals.of("paint").add(WholeRecord("paint", a_goal(1, result=b"x" * ROW)))
 
     assert len(list(goals.rows(1))) == 1
 
@@ -166,7 +166,7 @@ def test_goals_that_fill_a_row_leave_no_empty_one() -> None:
 def test_ended_goals_are_forgotten_when_their_time_has_passed() -> None:
     goals = ActionGoals()
     for number, until in enumerate([10, 0, 30, 20], 1):
-        goals.add(Whole("paint", a_goal(number, status=GoalStatus.ABORTED, keep_until=until)))
+        goals.add(WholeRecord("paint", a_goal(number, status=GoalStatus.ABORTED, keep_until=until)))
 
     goals.drop_expired(100, 20)
 
@@ -176,7 +176,7 @@ def test_ended_goals_are_forgotten_when_their_time_has_passed() -> None:
 def test_the_oldest_of_too_many_ended_goals_are_forgotten() -> None:
     goals = ActionGoals()
     for number in range(1, 6):
-        goals.add(Whole("paint", a_goal(number)))
+        goals.add(WholeRecord("paint", a_goal(number)))
     for number in (4, 2, 3):
         goals.add(ended("paint", after_end(a_goal(number))))
 
@@ -188,7 +188,7 @@ def test_the_oldest_of_too_many_ended_goals_are_forgotten() -> None:
 
 def test_an_end_is_final() -> None:
     goals = ActionGoals()
-    goals.add(Whole("paint", a_goal()))
+    goals.add(WholeRecord("paint", a_goal()))
     goals.add(ended("paint", after_end(a_goal())))
     expected = [copy(goal) for goal in goals.in_order()]
 
@@ -208,7 +208,7 @@ def test_half_a_character_in_a_reason_is_written_as_a_question_mark() -> None:
 
 @given(st.integers(0, 10_000), st.integers(1, 255), st.sampled_from([10, 5000]))
 def test_a_byte_that_has_changed_is_damage(place: int, change: int, size: int) -> None:
-    row = bytearray(encode_row(5, [Whole("paint", a_goal(result=bytes(size)))]))
+    row = bytearray(encode_row(5, [WholeRecord("paint", a_goal(result=bytes(size)))]))
     row[place % len(row)] ^= change
 
     with pytest.raises(DamagedRow, match="row 5 is not what was written"):
@@ -216,7 +216,7 @@ def test_a_byte_that_has_changed_is_damage(place: int, change: int, size: int) -
 
 
 def test_a_row_under_another_number_is_damage() -> None:
-    row = encode_row(5, [Start()])
+    row = encode_row(5, [StartRecord()])
 
     with pytest.raises(DamagedRow, match="row 6 is not what was written"):
         decode_row(6, row)
@@ -245,4 +245,20 @@ def test_a_start_in_the_middle_is_damage() -> None:
     goals = read([START])
 
     with pytest.raises(DamagedRow, match="a row before row 3 is missing"):
-        goals.read(3, encode_row(3, [Start()]))
+        goals.read(3, encode_row(3, [StartRecord()]))
+
+
+def test_goals_of_an_older_file_are_read_which_have_no_worker() -> None:
+    row = bytes.fromhex(
+        "f33900cf9291009301a57061696e74dc0010c410000102030405060708090a0b0c0d0e0f"
+        "0583a46e616d65a4616e6e61a56f776e6572c4056f776e6572a761646472657373a77463"
+        "703a2f2f78c406646967657374c404676f616c0703c30201c4057374617465c0a0000000"
+    )
+    goals = KeptGoals()
+    goals.read(1, row)
+    (goal,) = goals.of("paint").active.values()
+    assert (goal.goal_id, goal.stamp, goal.digest) == (bytes(range(16)), 5, b"digest")
+    assert goal.sender == Sender("anna", b"owner", "tcp://x")
+    assert (goal.status, goal.is_running) == (GoalStatus.CANCELING, True)
+    assert (goal.attempt, goal.lost, goal.checkpoint) == (2, 1, b"state")
+    assert goal.worker == ""

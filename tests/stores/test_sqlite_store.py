@@ -21,7 +21,7 @@ from fibaction import GoalStatus, SqliteStore, StoreError
 from fibaction.goal_store import GoalJournal, StoredGoal
 from fibaction.stores import _writer
 from fibaction.stores._journal_file import JournalFile
-from fibaction.stores.journal_rows import Record, Start, encode_row
+from fibaction.stores.journal_rows import Record, StartRecord, encode_row
 from tests.stores.made import a_goal, after_end, as_kept
 
 pytestmark = pytest.mark.anyio
@@ -393,7 +393,7 @@ def test_the_thread_ends_with_a_write_that_outlives_the_event_loop(
         writer = _writer.Writer(str(path), "full")
         await writer.load("paint", 0)
         monkeypatch.setattr(_writer, "encode_row", late)
-        writer.write(Start(), lambda error: None)
+        writer.write(StartRecord(), lambda error: None)
         await anyio.wait_all_tasks_blocked()
 
     anyio.run(begin, backend=backend)

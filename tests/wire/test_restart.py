@@ -1,4 +1,4 @@
-"""What clients see of a goal that its server has kept across a restart: another attempt, the same
+"""Clients and a goal that its server has kept across a restart: another attempt, the same
 owner, and nothing of the stop.
 """
 

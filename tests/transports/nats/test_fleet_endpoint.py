@@ -130,7 +130,7 @@ async def test_a_worker_whose_server_has_stopped_is_left_for_another(fleet: Fake
     stopping = server()
     async with fleet.worker("a").serve(stopping), fleet.connect() as connection:
         await stopping.stop()
-        with pytest.raises(ServerNotFound, match="server stopped"):
+        with pytest.raises(ServerNotFound, match="is not running"):
             await client_of(connection).call(3)
         async with fleet.worker("b").serve(server()):
             assert [await client_of(connection).call(3) for _ in range(2)] == ["3", "3"]

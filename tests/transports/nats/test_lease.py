@@ -12,6 +12,7 @@ from anyio import create_task_group, current_time, fail_after, sleep
 
 from fibaction._tasks import Background
 from fibaction.exceptions import TransportError
+from fibaction_transports.nats.broker import BrokerAway, Record
 from fibaction_transports.nats.fleet_records import LeaseEntry, encode, lease_entry
 from fibaction_transports.nats.lease import Membership, Term
 from fibaction_transports.nats.names import FleetNames
@@ -90,7 +91,7 @@ async def test_a_worker_without_answers_is_fenced_a_margin_before_its_lease_ends
     async with MemoryBrokers() as shared, joined(shared.member()) as member:
         valid_until = member.valid_until
         member._broker.is_away = True  # type: ignore[attr-defined]
-        await sleep(LEASE)
+        await sleep(LEASE + 0.1)
         assert member.fences == [pytest.approx(valid_until)]
         assert not member.incarnation
         assert lease(shared) is None, "the brokers have ended the lease later"
@@ -123,6 +124,29 @@ async def test_a_renewal_whose_answer_is_lost_counts_from_when_it_was_sent() -> 
         assert len(lost) == 2, "the lease was found to be stored, and is renewed again"
         assert not member.fences
         assert member.valid_until == pytest.approx(lost[0] + LEASE - MARGIN)
+
+
+async def test_a_lease_that_cannot_be_read_is_no_reason_to_give_it_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        async with joined(broker) as member:
+            get = broker.get
+            record = shared.newest(NAMES.worker("robot"))
+            old = [record, None, BrokerAway("on purpose")]
+
+            async def behind(stream: str, subject: str) -> Record | None:
+                found = old.pop() if old else await get(stream, subject)
+                if isinstance(found, BrokerAway):
+                    raise found
+                return found
+
+            monkeypatch.setattr(broker, "get", behind)
+            shared.loses_answer = lambda _: len(shared.writes) == 2
+            await sleep(LEASE)
+            assert not old
+            assert not member.fences
 
 
 async def test_a_full_stream_is_tried_again_until_the_lease_ends(
@@ -197,21 +221,18 @@ async def test_a_lease_that_is_not_readable_is_not_ours() -> None:
 
 async def test_changes_are_stored_at_most_once_a_second() -> None:
     async with MemoryBrokers() as shared, joined(shared.member()) as member:
-        goals = 0
-
-        def describe(entry: LeaseEntry) -> None:
-            entry.goals = goals
-
-        member.describe = describe
+        goals: list[int] = []
+        member.describe = lambda entry: setattr(entry, "goals", len(goals))
         before = puts(shared)
-        for goals in range(20):
+        for number in range(20):
+            goals.append(number)
             member.note_change()
             await sleep(0.1)
         await sleep(1)
         assert puts(shared) - before <= 4
         entry = lease(shared)
         assert entry is not None
-        assert entry.goals == 19
+        assert entry.goals == 20
 
 
 async def test_an_update_is_stored_when_it_returns() -> None:
@@ -269,7 +290,7 @@ async def test_joining_without_brokers_fails_in_one_sentence() -> None:
     async with MemoryBrokers() as shared:
         broker = shared.member()
         broker.is_away = True
-        with pytest.raises(TransportError, match="cannot join the fleet: the brokers do not answer"):
+        with pytest.raises(TransportError, match="the fleet: the brokers do not answer"):
             await Member(broker).join()
 
 

@@ -253,7 +253,7 @@ async def test_a_note_goes_to_one_reader_and_comes_again_until_it_is_done(
             other = broker.notes(names.want("b"))
             assert (await anext(other)).data == b"other"
         for notes in (one, two, other):
-            await notes.aclose()  # type: ignore[attr-defined]  # it is a generator
+            await notes.aclose()
 
 
 # Streams
@@ -389,4 +389,4 @@ async def test_a_broker_that_was_killed_is_found_again_with_everything(
             assert heard == [b"late"]
             await stored(broker, names.worker("w"), b"two", first)
             assert [record.data for record in await until(watch, b"two")] == [b"two"]
-            await notes.aclose()  # type: ignore[attr-defined]  # it is a generator
+            await notes.aclose()

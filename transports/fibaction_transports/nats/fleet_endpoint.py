@@ -303,9 +303,10 @@ class FleetEndpoint(Endpoint):
                 await workers.ready()
                 break
             except ConnectionLost:
-                pass
+                workers.check()  # the brokers may be away for as long as they like
         while not workers.serving(self._info.name):
             await workers.news.wait()
+            workers.check()
 
     # Parts of these
 

@@ -139,9 +139,11 @@ class FleetJournal(GoalJournal):
 
     def accept(self, goal: StoredGoal, then: Then) -> None:
         """See `GoalJournal.accept`."""
-        held = self._held.get(goal.goal_id)
-        if held is None:
-            held = self._held[goal.goal_id] = _Held(goal.goal_id, 0, goal)
+        if goal.goal_id in self._held:
+            # It is being taken over from another worker, and the server will be given it.
+            self._refuse(self._new_write("accept", goal, then))
+            return
+        held = self._held[goal.goal_id] = _Held(goal.goal_id, 0, goal)
         held.waits = not goal.is_running
         self._write("accept", goal, then)
 
@@ -173,18 +175,27 @@ class FleetJournal(GoalJournal):
         self._write("release", goal, then)
 
     def _write(self, kind: str, goal: StoredGoal, then: Then) -> None:
+        write = self._new_write(kind, goal, then)
+        held = self._held.get(goal.goal_id)
+        if held is None:
+            self._refuse(write)
+            return
+        held.writes.append(write)
+        if len(held.writes) == 1:
+            self._send(held)
+
+    def _new_write(self, kind: str, goal: StoredGoal, then: Then) -> _Write:
+        """Return a write of a goal, and take its turn among the answers."""
         stored = copy(goal)
         stored.worker = "" if kind == "release" else self._membership.worker
         incarnation = self._membership.incarnation
         write = _Write(kind, stored, incarnation, secrets.token_bytes(NONCE_SIZE), then)
         self._order.append(write)
-        held = self._held.get(goal.goal_id)
-        if held is None:
-            self._answer(write, _taken(goal.goal_id))
-            return
-        held.writes.append(write)
-        if len(held.writes) == 1:
-            self._send(held)
+        return write
+
+    def _refuse(self, write: _Write) -> None:
+        """Answer a write of a goal that belongs to another worker."""
+        self._answer(write, _taken(write.stored.goal_id))
 
     def _send(self, held: _Held) -> None:
         """Send the first write of a goal."""
@@ -313,10 +324,10 @@ class FleetJournal(GoalJournal):
 
     def _sequence_for(self, held: _Held, write: _Write, record: Record | None) -> int | None:
         """Return the sequence to write over; -1 if the write is stored, None if it cannot be."""
-        if record is None or not record.data:
-            expected = 0 if record is None else record.sequence
-            is_same = expected == held.sequence or write.kind == "accept"
-            return expected if is_same else None
+        if record is None or record.sequence < held.sequence:
+            return held.sequence  # by a broker that is behind: sequences only grow
+        if not record.data:
+            return record.sequence if write.kind == "accept" else None
         try:
             entry = goal_entry(record.data)
         except ProtocolError:
@@ -415,6 +426,8 @@ def _taken(goal_id: GoalID) -> GoalTaken:
 
 class FleetStore(GoalStore):
     """The goals of all servers of one worker."""
+
+    tells_statuses = True
 
     def __init__(self, broker: Broker, names: FleetNames, membership: Membership) -> None:
         self.broker = broker

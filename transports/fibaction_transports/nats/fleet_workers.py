@@ -54,8 +54,7 @@ class FleetWorkers:
         Raises:
             ConnectionLost: The brokers do not answer, or the connection was closed.
         """
-        if self._is_closed:
-            raise ConnectionLost("the connection to the fleet was closed here")
+        self.check()
         if self._is_listed:
             return
         if not self._is_watching:
@@ -68,6 +67,15 @@ class FleetWorkers:
         raise ConnectionLost(
             f"the brokers have not told the workers of the fleet within {self.timeout:g} s"
         )
+
+    def check(self) -> None:
+        """Raise an error if the connection was closed.
+
+        Raises:
+            ConnectionLost: It was closed.
+        """
+        if self._is_closed:
+            raise ConnectionLost("the connection to the fleet was closed here")
 
     def close(self) -> None:
         """Let `ready` raise from now on."""

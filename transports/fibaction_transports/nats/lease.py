@@ -43,6 +43,8 @@ MARGIN = 1 / 5
 """The part of a lease that a worker leaves unused, so that it has stopped when the lease ends."""
 RENEWALS = 3
 """The number of renewals in the time of one lease."""
+PATIENCE = 1 / 6
+"""The part of a lease after which a renewal that is not answered is sent again."""
 CHANGE_INTERVAL = 1.0
 """Seconds between two renewals because something has changed."""
 FIRST_PAUSE, LONGEST_PAUSE = 0.02, 1.0
@@ -102,6 +104,7 @@ class Membership:
         self._term = Term(lease)
         self._mine: set[bytes] = set()
         self._sequence = 0
+        self._rest_until = -math.inf  # the end of the lease that was given up
         self._wanted = 0  # the number of changes so far
         self._stored = 0  # the number of those that the stored lease has
         self._changes = Notifier()
@@ -219,9 +222,10 @@ class Membership:
         self._broker.put(
             self._subject, data, expected=expected, ttl=ttl or self.lease, then=answered
         )
-        while not answers:
-            await news.wait()
-        return answers[0]
+        with move_on_after(self.lease * PATIENCE):
+            while not answers:
+                await news.wait()
+        return answers[0] if answers else PutError(PutFailure.UNKNOWN, "no answer")
 
     # Stay
 
@@ -277,9 +281,9 @@ class Membership:
             return False
         if self.incarnation != incarnation:
             return True
-        if record is not None and record.data and self._has(record, incarnation):
-            if record.sequence == self._sequence:
-                return False  # an older answer, of a broker that is behind
+        if record is None or record.sequence <= self._sequence:
+            return False  # by a broker that is behind: sequences only grow
+        if record.data and self._has(record, incarnation):
             self._keep(record.sequence, self._stored)
             return True
         self._fence("its lease has ended")
@@ -301,10 +305,13 @@ class Membership:
     def _fence(self, why: str) -> None:
         logger.error("worker %r gives up its goals, and joins again: %s", self.worker, why)
         self.incarnation = b""
+        # Until then no other worker takes the goals over: executors have that time for their end.
+        self._rest_until = self._term.valid_until + self._term.lease * MARGIN
         self._term.end()
         self.on_fence()
 
     async def _join_again(self) -> None:
+        await sleep(max(0.0, self._rest_until - current_time()))
         try:
             await self.join()
         except TransportError as exc:

@@ -274,7 +274,7 @@ class NatsClient:
                 self._is_hurt.notify()
                 await anyio.lowlevel.checkpoint()
 
-    async def _apply(self, client: Client, one: _Subscribed) -> None:
+    async def _apply(self, client: Any, one: _Subscribed) -> None:
         """Begin or end a subscription on the present connection."""
         if not one.is_closed and one.part is None:
             one.part = await client.subscribe(one.subject, one.queue, cb=one.deliver)
@@ -353,7 +353,7 @@ class NatsClient:
         raise failure
 
     async def _connect_to(self, server: str) -> None:
-        client = await self._dialer.dial(server)
+        client: Any = await self._dialer.dial(server)
         try:
             await client.subscribe(f"{self._inbox}.*", cb=self._on_answer)
             for one in tuple(self._subscribed):

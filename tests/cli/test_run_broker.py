@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from fibaction.cli import broker
+from fibaction.cli import run_broker
 from fibaction.cli.exit_codes import ExitCode
 from tests.cli.conftest import Invoke, Run, Start
 from tests.nats_server import PROGRAM
@@ -123,7 +123,7 @@ def test_it_says_where_it_is_and_what_troubles_it(
 def test_one_that_does_not_stop_is_killed(
     invoke: Invoke, program: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(broker, "STOP_TIMEOUT", 0.2)
+    monkeypatch.setattr(run_broker, "STOP_TIMEOUT", 0.2)
     program('trap "" TERM\nkill -TERM $PPID\nexec sleep 60')
 
     assert invoke("broker").exit_code == 0
@@ -192,7 +192,7 @@ def test_a_program_on_path_is_found(
     monkeypatch.setattr(sys, "executable", str(tmp_path / "elsewhere" / "python"))
     monkeypatch.setenv("PATH", str(path.parent))
 
-    assert broker.find_program() == str(path)
+    assert run_broker.find_program() == str(path)
 
 
 def test_a_folder_that_cannot_be_used_is_one_sentence(

@@ -169,6 +169,7 @@ async def run_broker(program: str, config: Path, data: str) -> int:
     Raises:
         Failure: It has ended by itself.
     """
+    last = ""
     async with stop_signals() as stop:
         # In a session of its own, as Ctrl-C at the terminal is for this process.
         process = await anyio.open_process(

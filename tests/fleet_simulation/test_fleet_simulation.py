@@ -1,0 +1,135 @@
+"""Some seeds of the simulation of fleets, and mistakes that it finds."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from typing import Any
+
+import pytest
+
+from fibaction.goal_store import StoredGoal, Then
+from fibaction_transports.nats.fleet_store import FleetJournal
+from fibaction_transports.nats.lease import Membership, Term
+from fibaction_transports.nats.takeover import Takeover
+from tests.fleet_simulation import __main__ as program
+from tests.fleet_simulation.world import simulate
+from tests.memory_broker import MemoryBrokers
+
+FEWER = "FIBACTION_EXAMPLES" in os.environ
+"""True where the tests run once more, with other versions."""
+SEEDS = range(1000, 1006 if FEWER else 1030)
+MOST = 200
+"""Seeds in which a mistake has to be found; most are found in the first ones."""
+
+
+@pytest.mark.promise("FLEET-1", "FLEET-2", "FLEET-4", "FLEET-5")
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_fleet_keeps_its_promises_whatever_happens(seed: int) -> None:
+    assert simulate(seed).violations == []
+
+
+def test_a_seed_is_the_same_each_time() -> None:
+    assert simulate(1003) == simulate(1003)
+
+
+def test_workers_are_killed_and_cut_off_and_goals_taken_over() -> None:
+    reports = [simulate(seed) for seed in range(1000, 1010)]
+
+    assert sum(report.kills for report in reports) > 5
+    assert sum(report.cuts for report in reports) > 5
+    assert sum(report.takeovers for report in reports) > 5
+
+
+# Mistakes
+
+
+def stores_whatever_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the brokers refuse no record."""
+
+    def put(self: Any, subject: str, data: bytes, expected: int, ttl: float) -> Any:
+        return self._store(subject, data, ttl)
+
+    monkeypatch.setattr(MemoryBrokers, "put", put)
+
+
+def never_fences_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stored(self: Any) -> None:
+        self.valid_until = math.inf
+        self.renew_at = self._sent + self.lease / 3
+        self._sent = None
+
+    monkeypatch.setattr(Term, "stored", stored)
+
+
+def joins_again_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Membership, "_rest_until", -math.inf, raising=False)
+    fence = Membership._fence
+
+    def without_rest(self: Any, why: str) -> None:
+        fence(self, why)
+        self._rest_until = -math.inf
+
+    monkeypatch.setattr(Membership, "_fence", without_rest)
+
+
+def says_too_early_that_a_checkpoint_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    write = FleetJournal.checkpoint
+
+    def checkpoint(self: Any, goal: StoredGoal, then: Then) -> None:
+        then(None)
+        write(self, goal, lambda _error: None)
+
+    monkeypatch.setattr(FleetJournal, "checkpoint", checkpoint)
+
+
+def takes_goals_of_workers_that_live(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def is_gone(self: Any, entry: Any) -> bool:
+        return True
+
+    monkeypatch.setattr(Takeover, "_is_gone", is_gone)
+
+
+def leaves_the_goals_of_the_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def is_gone(self: Any, entry: Any) -> bool:
+        return not entry.incarnation
+
+    monkeypatch.setattr(Takeover, "_is_gone", is_gone)
+
+
+@pytest.mark.timeout(180)  # many seeds, on a busy machine
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        stores_whatever_comes,
+        never_fences_itself,
+        joins_again_at_once,
+        says_too_early_that_a_checkpoint_is_kept,
+        takes_goals_of_workers_that_live,
+        leaves_the_goals_of_the_lost,
+    ],
+)
+def test_a_mistake_is_found(mistake: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    mistake(monkeypatch)
+
+    assert any(simulate(seed).violations for seed in range(2000, 2000 + MOST))
+
+
+def test_the_program_tells_what_it_has_seen(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["fleet", "--seed", "1000", "--once"])
+
+    assert program.main() == 0
+    assert "'seeds': 1" in capsys.readouterr().out
+
+
+def test_the_program_tells_what_is_wrong(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stores_whatever_comes(monkeypatch)
+    monkeypatch.setattr(sys, "argv", ["fleet", "--seed", "2000"])
+
+    assert program.main() == 1
+    assert "seed 2" in capsys.readouterr().out

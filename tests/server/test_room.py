@@ -1,0 +1,230 @@
+"""The room for goals that a server tells its store, and its drain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncGenerator
+from typing import Any, TypeAlias
+
+import anyio
+import pytest
+from anyio import current_time
+
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    ConnectionLost,
+    GoalHandle,
+    GoalRejected,
+    GoalStatus,
+    Schedule,
+)
+from fibaction.goals import GoalID
+from fibaction.server.scheduler import Scheduler
+from tests.memory_store import MemoryStore
+from tests.virtual_time import in_virtual_time
+
+pytestmark = [pytest.mark.anyio, in_virtual_time()]
+
+WORK = Action("work", goal=float, feedback=bytes, result=str)
+Working: TypeAlias = AsyncGenerator[bytes | str, None]
+DRAINS = "busy: the server drains"
+
+
+async def work(goal: GoalHandle[float]) -> Working:
+    """Work so many seconds."""
+    await anyio.sleep(goal.request)
+    yield "done"
+
+
+def server_with(store: MemoryStore | None, **settings: Any) -> ActionServer[float, bytes, str]:
+    return ActionServer(WORK, work, store=store, **settings)
+
+
+def client_of(server: ActionServer[float, bytes, str]) -> ActionClient[float, bytes, str]:
+    return ActionClient(server, WORK)
+
+
+# Room
+
+
+async def test_a_server_without_a_schedule_has_room_until_it_has_as_many_goals_as_it_may() -> None:
+    store = MemoryStore()
+    async with server_with(store, max_goals=2) as server:
+        assert store.rooms == [(math.inf, 0)]
+        client = client_of(server)
+        goals = [await client.send_goal(seconds) for seconds in (1, 2)]
+        assert store.rooms == [(math.inf, 0), (0, 0)]
+        with pytest.raises(GoalRejected, match="busy: 2 goals are active, the limit is 2"):
+            await client.send_goal(1)
+        for goal in goals:
+            await goal.result()
+        assert store.rooms == [(math.inf, 0), (0, 0), (math.inf, 0)]
+    assert store.rooms[3:] == [(0, 0)]
+
+
+async def test_a_schedule_has_room_to_run_and_to_wait() -> None:
+    store = MemoryStore()
+    async with server_with(store, schedule=Schedule(concurrency=2, queue=1)) as server:
+        client = client_of(server)
+        goals = [await client.send_goal(seconds) for seconds in (1, 2, 3)]
+        assert store.rooms == [(2, 1), (0, 1), (0, 0)]
+        store.rooms.clear()
+        for goal in goals:
+            await goal.result()
+        assert store.rooms == [(0, 1), (1, 1)]
+
+
+async def test_a_place_of_a_lost_goal_is_room_when_its_executor_is_gone() -> None:
+    async def clean_up(goal: GoalHandle[float]) -> Working:
+        try:
+            await anyio.sleep(100)
+        finally:
+            await anyio.sleep(2)
+        yield ""
+
+    store = MemoryStore()
+    schedule = Schedule(concurrency=1)
+    async with ActionServer(WORK, clean_up, store=store, schedule=schedule) as server:
+        goal = await client_of(server).send_goal(1)
+        await anyio.sleep(1)
+        store.take("work", goal.goal_id)
+        await anyio.sleep(1)
+        assert store.rooms == [(1, 0), (0, 0)]
+        await anyio.sleep(2)
+        assert store.rooms == [(1, 0), (0, 0), (1, 0)]
+
+
+async def test_goals_without_places_take_no_room() -> None:
+    store = MemoryStore()
+    async with server_with(store, schedule=Schedule(total=2, key=lambda goal: goal)) as server:
+        goals = [await client_of(server).send_goal(seconds) for seconds in (1, 2)]
+        assert store.rooms == [(2, 0), (0, 0)]
+        for goal in goals:
+            await goal.result()
+
+
+async def test_a_server_with_too_many_bytes_has_no_room_until_they_are_read() -> None:
+    async def talk(goal: GoalHandle[float]) -> Working:
+        yield bytes(1000)
+        await anyio.sleep(goal.request)
+        yield "done"
+
+    store = MemoryStore()
+    async with ActionServer(WORK, talk, store=store, max_bytes=500) as server:
+        goal = await client_of(server).send_goal(1)
+        await anyio.sleep(0.5)
+        other = GoalID.random()
+        await goal.cancel()
+        assert store.rooms == [(math.inf, 0), (0, 0)]
+        with pytest.raises(GoalRejected, match="busy: goals and feedback would take"):
+            await client_of(server).send_goal(1, goal_id=other)
+        await anyio.sleep(1)
+        assert store.rooms == [(math.inf, 0), (0, 0)]
+        async for _ in goal.feedback:
+            pass
+        del goal, _
+        await anyio.sleep(1)
+        assert store.rooms == [(math.inf, 0), (0, 0), (math.inf, 0)]
+
+
+@pytest.mark.parametrize(
+    ("schedule", "room"),
+    [
+        (Schedule(), (math.inf, 0)),
+        (Schedule(concurrency=3, queue=5), (3, 5)),
+        (Schedule(concurrency=3, total=2, queue=5), (2, 5)),
+        (Schedule(concurrency=3, queue=5, when_full="replace"), (3, math.inf)),
+        (Schedule(concurrency=3, when_full="preempt"), (3, math.inf)),
+        (Schedule(concurrency=3, key=lambda _: 1), (math.inf, 0)),
+        (Schedule(concurrency=3, total=2, queue=1, key=lambda _: 1), (2, math.inf)),
+    ],
+)
+async def test_the_room_of_a_schedule_without_goals(schedule: Schedule, room: Any) -> None:
+    assert Scheduler(schedule).room() == room
+
+
+async def test_goals_beyond_a_queue_leave_no_room() -> None:
+    scheduler = Scheduler(Schedule(concurrency=1, queue=1))
+    for number in range(4):
+        scheduler.restore(GoalID(number.to_bytes(16, "big")), now=0)
+    assert scheduler.room() == (0, 0)
+
+
+# Drain
+
+
+@pytest.mark.parametrize("store", [None, MemoryStore()], ids=["alone", "store"])
+async def test_a_server_that_drains_rejects_new_goals_and_waits_for_the_others(store: Any) -> None:
+    async with server_with(store) as server:
+        client = client_of(server)
+        goals = [await client.send_goal(seconds) for seconds in (1, 3)]
+        async with anyio.create_task_group() as tasks:
+            begin = current_time()
+            tasks.start_soon(server.drain)
+            await anyio.sleep(0.5)
+            with pytest.raises(GoalRejected, match=DRAINS) as caught:
+                await client.send_goal(1)
+            assert caught.value.is_busy
+            same = await client.send_goal(1, goal_id=goals[0].goal_id)  # it is known
+            assert await same.result() == "done"
+        assert current_time() - begin == pytest.approx(3, abs=0.5)
+        assert (await goals[1].outcome()).status is GoalStatus.SUCCEEDED
+        with pytest.raises(GoalRejected, match=DRAINS):
+            await client.send_goal(1)
+    if store is not None:
+        assert store.rooms == [(math.inf, 0), (0, 0)]
+
+
+async def test_a_drain_takes_as_long_as_it_may() -> None:
+    async with server_with(None) as server:
+        goal = await client_of(server).send_goal(100)
+        begin = current_time()
+        await server.drain(timeout=5)
+        with anyio.move_on_after(5):
+            await server.drain()
+        assert current_time() - begin == pytest.approx(10, abs=0.5)
+        await server.stop()
+        await server.drain()
+        assert (await goal.outcome()).reason == "server stopped"
+
+
+async def test_a_goal_that_is_decided_when_the_drain_begins_is_rejected() -> None:
+    async def wait(_goal: float) -> None:
+        await anyio.sleep(1)
+
+    async with server_with(None, on_goal=wait) as server, anyio.create_task_group() as tasks:
+
+        async def send() -> None:
+            with pytest.raises(GoalRejected, match=DRAINS):
+                await client_of(server).send_goal(1)
+
+        tasks.start_soon(send)
+        await anyio.sleep(0.5)
+        await server.drain()
+
+
+async def test_goals_that_are_left_after_a_drain_are_released_before_that_is_told() -> None:
+    store = MemoryStore()
+    schedule = Schedule(concurrency=1, queue=1)
+    async with server_with(store, at_stop="keep", schedule=schedule) as server:
+        goals = [await client_of(server).send_goal(100) for _ in range(2)]
+        await server.drain(timeout=1)
+        released: list[GoalID] = []
+
+        def note(what: str, goal: Any) -> None:
+            if what == "release":
+                released.append(goal.goal_id)
+
+        store.on_kept = note
+
+        async def wait() -> None:
+            with pytest.raises(ConnectionLost):
+                await goals[0].result()
+            assert goals[0].goal_id in released
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            await server.stop()
+        assert sorted(released) == sorted(goal.goal_id for goal in goals)

@@ -1,0 +1,81 @@
+"""What is too large for a store: a goal, a checkpoint or a result, each by itself."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from typing import Any
+
+import pytest
+
+from fibaction import Action, ActionClient, ActionServer, GoalHandle, Schedule
+from fibaction.exceptions import GoalAborted, GoalRejected
+from fibaction.goal_store import RecordTooLarge, StoredGoal, Then
+from tests.memory_store import MemoryJournal, MemoryStore
+from tests.virtual_time import in_virtual_time
+
+pytestmark = [pytest.mark.anyio, in_virtual_time()]
+LIMIT = 100
+ECHO = Action("echo", goal=str, feedback=int, result=str, checkpoint=str)
+
+
+async def echo(goal: GoalHandle[str]) -> AsyncGenerator[int | str, None]:
+    """Keep a checkpoint, or return a result, of the size in the goal."""
+    what, _, size = goal.request.partition(" ")
+    if what == "checkpoint":
+        try:
+            await goal.checkpoint("x" * int(size))
+        except RecordTooLarge as exc:
+            await goal.checkpoint("small")
+            yield f"{exc}"
+            return
+    yield "x" * int(size or 0) if what == "result" else goal.request[:5]
+
+
+@pytest.fixture
+def store(monkeypatch: pytest.MonkeyPatch) -> MemoryStore:
+    """A store that takes records of so many bytes."""
+    write = MemoryJournal._write
+
+    def limited(self: MemoryJournal, what: str, goal: StoredGoal, then: Then) -> None:
+        sizes = (goal.goal, goal.checkpoint or b"", goal.result or b"")
+        if sum(map(len, sizes)) <= LIMIT:
+            write(self, what, goal, then)
+        else:
+            then(RecordTooLarge(f"it has more than {LIMIT} bytes"))
+
+    monkeypatch.setattr(MemoryJournal, "_write", limited)
+    return MemoryStore()
+
+
+def server_with(store: MemoryStore, **settings: Any) -> ActionServer[str, int, str]:
+    return ActionServer(ECHO, echo, store=store, **settings)
+
+
+@pytest.mark.parametrize("schedule", [None, Schedule(concurrency=1)])
+async def test_a_goal_is_rejected_with_the_reason(
+    store: MemoryStore, schedule: Schedule | None
+) -> None:
+    async with server_with(store, schedule=schedule) as server:
+        client = ActionClient(server, ECHO)
+        with pytest.raises(GoalRejected) as caught:
+            await client.call("x" * 200)
+        assert caught.value.reason == "the goal cannot be kept: it has more than 100 bytes"
+        assert await client.call("hello") == "hello"
+    assert len(store.goals) == 1
+
+
+async def test_a_checkpoint_is_an_error_at_the_await_and_the_goal_goes_on(
+    store: MemoryStore,
+) -> None:
+    async with server_with(store) as server:
+        client = ActionClient(server, ECHO)
+        assert await client.call("checkpoint 200") == "it has more than 100 bytes"
+        assert await client.call("checkpoint 20") == "check"
+
+
+async def test_a_result_ends_the_goal_as_aborted_with_the_reason(store: MemoryStore) -> None:
+    async with server_with(store) as server:
+        client = ActionClient(server, ECHO)
+        with pytest.raises(GoalAborted, match="the result is not kept: it has more than 100"):
+            await client.call("result 200")
+        assert await client.call("result 20") == "x" * 20

@@ -1,0 +1,222 @@
+"""The statuses of the goals of a fleet, which come from their records."""
+
+from __future__ import annotations
+
+import anyio
+import pytest
+
+from fibaction import ConnectionLost, GoalID, GoalStatus, Schedule, ServerFailed
+from fibaction._notify import Notifier
+from fibaction.abc import ForwardingEndpoint, StatusStream
+from fibaction.goals import Sender
+from fibaction_transports.nats import fleet_statuses
+from fibaction_transports.nats.fleet_statuses import steps
+from tests.transports.nats.fake_fleet import (
+    ENDED,
+    GOAL_ID,
+    NAMES,
+    FakeFleet,
+    FakeWorker,
+    client_of,
+    server,
+)
+from tests.virtual_time import in_virtual_time
+from tests.wire.memory import settled
+
+pytestmark = [pytest.mark.anyio, in_virtual_time()]
+
+SUBJECT = NAMES.goal("count", GOAL_ID)
+
+
+@pytest.fixture
+def fleet() -> FakeFleet:
+    return FakeFleet()
+
+
+async def next_of(statuses: StatusStream, count: int) -> list[str]:
+    """The next statuses, and no more."""
+    found = []
+    for _ in range(count):
+        with anyio.fail_after(5):
+            info = await statuses.receive()
+        assert info is not None
+        found.append(info.status.name)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "has_begun", "told"),
+    [
+        (None, "ACCEPTED", False, "ACCEPTED"),
+        (None, "EXECUTING", True, "ACCEPTED EXECUTING"),
+        (None, "SUCCEEDED", True, "ACCEPTED EXECUTING SUCCEEDED"),
+        (None, "ABORTED", False, "ACCEPTED EXECUTING ABORTED"),
+        (None, "CANCELED", False, "ACCEPTED CANCELING CANCELED"),
+        (None, "CANCELED", True, "ACCEPTED EXECUTING CANCELING CANCELED"),
+        ("ACCEPTED", "CANCELING", True, "EXECUTING CANCELING"),
+        ("EXECUTING", "CANCELED", True, "CANCELING CANCELED"),
+        ("CANCELING", "SUCCEEDED", True, "SUCCEEDED"),
+        ("EXECUTING", "EXECUTING", True, ""),
+        ("SUCCEEDED", "EXECUTING", True, ""),
+    ],
+)
+async def test_overwritten_statuses_are_filled_in(
+    before: str | None, after: str, has_begun: bool, told: str
+) -> None:
+    first = None if before is None else GoalStatus[before]
+    found = steps(first, GoalStatus[after], has_begun=has_begun)
+    assert " ".join(step.name for step in found) == told
+
+
+async def test_goals_are_told_as_they_are_and_then_as_they_change(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        client = client_of(connection)
+        await client.call(3)
+        with await client.endpoint.status() as statuses:
+            assert (statuses.known, statuses.dropped) == (1, 0)
+            assert await next_of(statuses, 1) == ["SUCCEEDED"]
+            await client.call(3)
+            assert await next_of(statuses, 3) == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
+            a.own(GOAL_ID, **ENDED)
+            assert await next_of(statuses, 3) == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
+            fleet.broker.store(SUBJECT, b"")
+            assert await next_of(statuses, 1) == ["UNKNOWN"]
+            fleet.broker.store(SUBJECT, b"")
+            fleet.broker.store(SUBJECT, b"?")
+            a.own(GOAL_ID)
+            assert await next_of(statuses, 2) == ["ACCEPTED", "EXECUTING"]
+
+
+async def test_ended_goals_come_first_and_all_that_is_known_is_told(fleet: FakeFleet) -> None:
+    gone = FakeWorker(fleet.broker, "gone")
+    other = GoalID(bytes(16)[:15] + b"\1")
+    gone.own(other, stamp=9, attempt=2)
+    gone.own(GOAL_ID, **ENDED)
+    async with fleet.connect() as connection:
+        ended, active = await client_of(connection).goals()
+        assert (ended.goal_id, ended.feedback_count) == (GOAL_ID, 3)
+        assert (active.goal_id, active.stamp, active.attempt) == (other, 9, 2)
+        assert active.client == str(Sender())
+
+
+async def test_all_followers_share_one_watch(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
+        client = client_of(connection)
+        with await client.endpoint.status() as one:
+            watches = fleet.broker.watches
+            await client.call(3)
+            with await client.endpoint.status() as other:
+                assert other.known == 1
+                assert fleet.broker.watches == watches + 1  # for a list, which ends
+                await client.call(3)
+                assert await next_of(other, 4) == [
+                    "SUCCEEDED",
+                    "ACCEPTED",
+                    "EXECUTING",
+                    "SUCCEEDED",
+                ]
+            assert await next_of(one, 6) == ["ACCEPTED", "EXECUTING", "SUCCEEDED"] * 2
+
+
+async def test_a_follower_knows_what_the_watch_has_not_told_yet(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        client = client_of(connection)
+        with await client.endpoint.status():
+            fleet.broker.news = Notifier()  # the watch is late
+            a.own(GOAL_ID)
+            assert [info.goal_id for info in await client.goals()] == [GOAL_ID]
+
+
+async def test_what_was_forgotten_while_the_watch_was_interrupted_is_told(
+    fleet: FakeFleet,
+) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        client = client_of(connection)
+        a.own(GOAL_ID)
+        with await client.endpoint.status() as statuses:
+            assert await next_of(statuses, 1) == ["EXECUTING"]
+            fleet.broker.restart_watches()
+            await settled()
+            del fleet.broker.records[SUBJECT]
+            fleet.broker.restart_watches()
+            assert await next_of(statuses, 1) == ["UNKNOWN"]
+
+
+async def test_places_of_waiting_goals_are_asked_of_their_workers(fleet: FakeFleet) -> None:
+    schedule = Schedule(concurrency=1, queue=5)
+    gone = FakeWorker(fleet.broker, "gone")
+    gone.own(GOAL_ID, attempt=0)
+    async with fleet.worker("a").serve(server(schedule=schedule)), fleet.connect() as connection:
+        client = client_of(connection)
+        goals = [await client.send_goal(-1) for _ in range(3)]
+        places = {info.goal_id: (info.place, info.queue_length) for info in await client.goals()}
+        assert [places[goal.goal_id] for goal in goals] == [(0, 0), (1, 2), (2, 2)]
+        assert places[GOAL_ID] == (0, 0)
+
+
+async def test_places_that_a_worker_does_not_tell_are_left_out(
+    fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        client = client_of(connection)
+        a.own(GOAL_ID, attempt=0)
+        a.hang_up()
+        monkeypatch.setattr(fleet_statuses, "PLACES_TIMEOUT", 0.5)
+        assert [info.place for info in await client.goals()] == [0]
+
+
+async def test_brokers_that_are_away_delay_the_statuses(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        client = client_of(connection)
+        await connection.actions()
+        fleet.broker.is_away = True
+        with pytest.raises(ConnectionLost, match="have not told the goals of the fleet in time"):
+            await client.goals()
+        async with anyio.create_task_group() as tasks:
+
+            async def come_back() -> None:
+                await anyio.sleep(1)
+                fleet.broker.is_away = False
+
+            tasks.start_soon(come_back)
+            a.own(GOAL_ID)
+            with await client.endpoint.status() as statuses:
+                assert statuses.known == 1
+                fleet.broker.is_away = True
+                with pytest.raises(ConnectionLost, match="cannot be listed: away"):
+                    await client.goals()
+
+
+async def test_goals_of_a_gateway_are_told_as_well(fleet: FakeFleet) -> None:
+    async with fleet.worker("g", is_kept=False).serve(server()) as g, fleet.connect() as connection:
+        client = client_of(connection)
+        await client.call(3)
+        with await client.endpoint.status() as statuses:
+            assert await next_of(statuses, 1) == ["SUCCEEDED"]
+            await client.call(3)
+            assert await next_of(statuses, 3) == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
+            assert len(await client.goals()) == 2
+            g.die()
+            await settled()
+        await settled()
+
+
+async def test_the_error_of_a_gateway_is_that_of_the_statuses(fleet: FakeFleet) -> None:
+    class Broken(ForwardingEndpoint):
+        async def status(self) -> StatusStream:
+            raise RuntimeError
+
+    async with (
+        fleet.worker("g", is_kept=False).serve(Broken(server())),
+        fleet.connect() as connection,
+    ):
+        with pytest.raises(ServerFailed):
+            await client_of(connection).goals()
+
+
+async def test_leaving_ends_the_statuses(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()):
+        async with fleet.connect() as connection:
+            statuses = await client_of(connection).endpoint.status()
+        with pytest.raises(ConnectionLost, match="was closed here"):
+            await statuses.receive()

@@ -1,0 +1,561 @@
+"""The records of goals: who may write them, in which order, and what becomes of doubtful writes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+
+import pytest
+from anyio import create_task_group, fail_after, sleep
+from msgspec.structs import replace
+
+from fibaction import GoalID, GoalStatus
+from fibaction._notify import Notifier
+from fibaction._tasks import Background
+from fibaction.exceptions import StoreError
+from fibaction.goal_store import GoalTaken, RecordTooLarge, StoredGoal, Then
+from fibaction.goals import Sender
+from fibaction_transports.nats.broker import BrokerAway, Record
+from fibaction_transports.nats.fleet_records import GoalEntry, encode, goal_entry
+from fibaction_transports.nats.fleet_store import FleetJournal, FleetStore
+from fibaction_transports.nats.lease import Membership
+from fibaction_transports.nats.names import FleetNames
+from tests.memory_broker import MemoryBroker, MemoryBrokers, Write
+from tests.virtual_time import in_virtual_time
+
+pytestmark = [pytest.mark.anyio, in_virtual_time()]
+NAMES = FleetNames("test")
+LEASE = 6.0
+
+
+def goal(number: int = 1, **changes: object) -> StoredGoal:
+    made = StoredGoal(GoalID(bytes([number]) * 16), number, Sender("me"), b"digest", b"goal")
+    return replace(made, **{"is_running": True, "attempt": 1, **changes})
+
+
+def ended(one: StoredGoal, keep_until: int = 0) -> StoredGoal:
+    return replace(
+        one,
+        status=GoalStatus.SUCCEEDED,
+        is_running=False,
+        goal=b"",
+        result=b"result",
+        ended_at=time.time_ns(),
+        keep_until=keep_until,
+    )
+
+
+class Member:
+    """A worker with a journal of the action `count`."""
+
+    def __init__(self, shared: MemoryBrokers, name: str) -> None:
+        self.shared = shared
+        self.broker: MemoryBroker = shared.member(name)
+        self.membership = Membership(self.broker, NAMES, name, LEASE)
+        self.store = FleetStore(self.broker, NAMES, self.membership)
+        self.journal: FleetJournal
+        self.claimed: list[StoredGoal] = []
+        self.lost: list[GoalID] = []
+        self.answers: list[tuple[str, StoreError | None]] = []
+        self._news = Notifier()
+
+    def then(self, name: str) -> Then:
+        def answered(error: StoreError | None) -> None:
+            self.answers.append((name, error))
+            self._news.notify()
+
+        return answered
+
+    @property
+    def errors(self) -> list[type[StoreError] | None]:
+        return [None if error is None else type(error) for _, error in self.answers]
+
+    async def answered(self, count: int) -> None:
+        with fail_after(LEASE * 2):
+            while len(self.answers) < count:
+                await self._news.wait()
+
+    def write(self, kind: str, one: StoredGoal, name: str = "") -> None:
+        getattr(self.journal, kind)(one, self.then(name or kind))
+
+
+@asynccontextmanager
+async def member(
+    shared: MemoryBrokers, name: str = "robot", max_results: int = 1000
+) -> AsyncGenerator[Member, None]:
+    made = Member(shared, name)
+    await made.membership.join()
+    async with Background() as tasks:
+        made.store.tasks = tasks
+        tasks.start_soon(made.membership.run)
+        tasks.start_soon(made.membership.fence_in_time)
+        async with made.store.open(
+            "count", max_results=max_results, claim=made.claimed.append, lose=made.lost.append
+        ) as made.journal:
+            yield made
+
+
+def entry(shared: MemoryBrokers, one: StoredGoal) -> GoalEntry | None:
+    record = shared.newest(NAMES.goal("count", one.goal_id))
+    return None if record is None or not record.data else goal_entry(record.data)
+
+
+def writes(shared: MemoryBrokers) -> list[Write]:
+    return [write for write in shared.writes if ".goal." in write.subject]
+
+
+def notes(shared: MemoryBrokers) -> list[tuple[str, bytes]]:
+    return [(note.subject, note.data) for note in shared.notes]
+
+
+# Writes
+
+
+async def test_a_goal_is_kept_from_its_acceptance_to_its_end() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one = goal()
+        robot.write("accept", one)
+        assert not robot.answers, "an answer came within the call"
+        await robot.answered(1)
+        found = entry(shared, one)
+        assert found is not None
+        assert found.incarnation == robot.membership.incarnation
+        assert found.goal == replace(one, worker="robot")
+        assert len(robot.store) == 1
+        robot.write("end", ended(one))
+        await robot.answered(2)
+        assert robot.errors == [None, None]
+        found = entry(shared, one)
+        assert found is not None
+        assert found.goal == replace(ended(one), worker="robot", ended_at=found.goal.ended_at)
+        assert len(robot.store) == 0
+        assert one.worker == "", "the server's own goal is as it was"
+
+
+async def test_writes_of_a_goal_follow_each_other_without_a_wait() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one = goal(is_running=False, attempt=0)
+        robot.write("accept", one)
+        one.is_running, one.attempt = True, 1
+        robot.write("begin", one)
+        one.checkpoint = b"half"
+        robot.write("checkpoint", one)
+        one.status = GoalStatus.CANCELING
+        robot.write("cancel", one)
+        robot.write("end", ended(one))
+        await robot.answered(5)
+        assert robot.errors == [None] * 5
+        kept = [goal_entry(write.data).goal for write in writes(shared)]
+        assert [one.attempt for one in kept] == [0, 1, 1, 1, 1]
+        assert [one.checkpoint for one in kept] == [None, None, *[b"half"] * 3]
+        assert [one.status for one in kept][-2:] == [GoalStatus.CANCELING, GoalStatus.SUCCEEDED]
+
+
+async def test_many_goals_are_written_at_once_and_answered_in_order() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        shared.delay = lambda: 0.5
+        shared.loses_answer = lambda write: write.subject == NAMES.goal("count", goal(1).goal_id)
+        for number in range(5):
+            robot.write("accept", goal(number), str(number))
+        await robot.answered(5)
+        assert [name for name, _ in robot.answers] == list("01234")
+        assert robot.errors == [None] * 5
+
+
+async def test_a_goal_of_another_worker_is_taken() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a") as a, member(shared, "b") as b:
+        one = goal()
+        a.write("accept", one)
+        await a.answered(1)
+        b.write("accept", one)
+        b.write("end", ended(one))
+        await b.answered(2)
+        assert b.errors == [GoalTaken, GoalTaken]
+        assert len(b.store) == 0
+        found = entry(shared, one)
+        assert found is not None
+        assert found.goal.worker == "a"
+        b.write("begin", one)  # of a goal that it does not have
+        assert b.errors == [GoalTaken] * 3
+
+
+async def test_an_outcome_that_the_server_has_forgotten_is_replaced() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one = goal()
+        robot.write("accept", one)
+        robot.write("end", ended(one))
+        await robot.answered(2)
+        robot.write("accept", one)
+        await robot.answered(3)
+        assert robot.errors == [None] * 3
+        found = entry(shared, one)
+        assert found is not None
+        assert found.goal.status is GoalStatus.ACCEPTED
+
+
+async def test_a_goal_is_accepted_over_a_marker() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one = goal()
+        shared.put(NAMES.goal("count", one.goal_id), b"old", 0, 1)
+        await sleep(1.5)
+        robot.write("accept", one)
+        await robot.answered(1)
+        assert robot.errors == [None]
+        assert entry(shared, one) is not None
+
+
+async def test_nothing_is_written_over_a_marker_or_rubbish_in_place_of_a_goal() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        for number, data in ((1, b""), (2, b"rubbish")):
+            one = goal(number)
+            robot.write("accept", one)
+            await robot.answered(2 * number - 1)
+            record = shared.newest(NAMES.goal("count", one.goal_id))
+            assert record is not None
+            shared.put(record.subject, data, record.sequence, 60)
+            robot.write("end", ended(one))
+            await robot.answered(2 * number)
+        assert robot.errors == [None, GoalTaken] * 2
+
+
+# Doubt
+
+
+async def test_a_write_whose_answer_is_lost_is_found_by_its_nonce() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        shared.loses_answer = lambda write: ".goal." in write.subject
+        one = goal()
+        robot.write("accept", one)
+        robot.write("end", ended(one))
+        await robot.answered(2)
+        assert robot.errors == [None, None]
+        assert len(writes(shared)) == 2, "nothing was written twice"
+
+
+async def test_a_write_that_did_not_arrive_is_written_again() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        robot.broker.is_away = True
+        robot.write("accept", goal())
+        await sleep(2.5)
+        robot.broker.is_away = False
+        await robot.answered(1)
+        assert robot.errors == [None]
+        assert len(writes(shared)) == 1
+
+
+async def test_an_old_answer_of_a_broker_that_is_behind_takes_no_goal_away(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one = goal()
+        robot.write("accept", one)
+        await robot.answered(1)
+        name = NAMES.goal("count", one.goal_id)
+        robot.write("checkpoint", one)
+        await robot.answered(2)
+        get, old = robot.broker.get, [None, Record(name, b"old", 1)]
+
+        async def behind(stream: str, subject: str) -> Record | None:
+            return old.pop() if old and subject == name else await get(stream, subject)
+
+        monkeypatch.setattr(robot.broker, "get", behind)
+        shared.loses_answer = lambda write: write.subject == name
+        robot.write("end", ended(one))
+        await robot.answered(3)
+        assert robot.errors == [None] * 3
+        assert not old
+        assert len(writes(shared)) == 3
+
+
+async def test_the_next_worker_s_write_is_told_from_a_lost_answer() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one = goal()
+        robot.write("accept", one)
+        await robot.answered(1)
+        robot.broker.is_away = True
+        robot.write("end", ended(one))
+        await sleep(0.1)
+        record = shared.newest(NAMES.goal("count", one.goal_id))
+        assert record is not None
+        other = encode(GoalEntry(one, b"other", b"9999"))
+        shared.put(record.subject, other, record.sequence, 100)
+        robot.broker.is_away = False
+        await robot.answered(2)
+        assert robot.errors == [None, GoalTaken]
+
+
+async def test_a_record_is_read_again_while_the_brokers_do_not_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        get, failures = robot.broker.get, [1, 2, 3]
+
+        async def away(stream: str, subject: str) -> Record | None:
+            if failures and ".goal." in subject:
+                failures.pop()
+                raise BrokerAway("on purpose")
+            return await get(stream, subject)
+
+        monkeypatch.setattr(robot.broker, "get", away)
+        shared.loses_answer = lambda write: ".goal." in write.subject
+        robot.write("accept", goal())
+        await robot.answered(1)
+        assert robot.errors == [None]
+        assert not failures
+
+
+async def test_no_answer_is_never_taken_for_a_loss_before_the_lease_ends() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        robot.broker.is_away = True
+        robot.write("accept", goal())
+        await sleep(3.9)
+        assert not robot.answers
+        robot.broker.is_away = False
+        await robot.answered(1)
+        assert robot.errors == [None]
+
+
+async def test_all_goals_are_lost_when_the_lease_ends() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one, two = goal(1), goal(2)
+        robot.write("accept", one)
+        await robot.answered(1)
+        robot.broker.is_away = True
+        robot.write("accept", two)
+        await sleep(LEASE)
+        assert set(robot.lost) == {one.goal_id, two.goal_id}
+        assert robot.errors == [None, GoalTaken]
+        assert len(robot.store) == 0
+        robot.write("end", ended(one))
+        robot.write("accept", goal(3))
+        assert robot.errors[2:] == [GoalTaken, GoalTaken]
+        robot.broker.is_away = False
+        await sleep(LEASE)
+        assert entry(shared, two) is None, "nothing of the old incarnation was written"
+        robot.write("accept", goal(4))
+        await robot.answered(5)
+        found = entry(shared, goal(4))
+        assert found is not None
+        assert found.incarnation == robot.membership.incarnation
+
+
+async def test_a_frozen_worker_writes_nothing() -> None:
+    async with MemoryBrokers() as shared:
+        robot = Member(shared, "robot")
+        await robot.membership.join()
+        async with (
+            Background() as robot.store.tasks,
+            robot.store.open(
+                "count", max_results=9, claim=robot.claimed.append, lose=robot.lost.append
+            ) as robot.journal,
+        ):
+            robot.write("accept", goal())
+            await robot.answered(1)
+            await sleep(LEASE)  # none of its tasks ran
+            robot.write("end", ended(goal()))
+            assert robot.errors == [None, GoalTaken]
+            assert robot.lost == [goal().goal_id]
+            found = entry(shared, goal())
+            assert found is not None
+            assert found.goal.status.is_active
+
+
+# Sizes
+
+
+async def test_what_is_too_large_concerns_its_goal_alone() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        large = bytes(2**20)
+        robot.write("accept", goal(1, goal=large))
+        robot.write("accept", goal(2))
+        robot.write("checkpoint", goal(2, checkpoint=large))
+        robot.write("end", replace(ended(goal(2)), result=large))
+        robot.write("end", ended(goal(2)))
+        await robot.answered(5)
+        assert robot.errors == [RecordTooLarge, None, RecordTooLarge, RecordTooLarge, None]
+        assert "and the brokers take 1048576 at most" in str(robot.answers[0][1])
+        assert len(robot.store) == 0
+
+
+async def test_a_full_stream_is_an_error_of_the_store() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        shared.is_full = True
+        robot.write("accept", goal())
+        await robot.answered(1)
+        assert robot.errors == [StoreError]
+        assert "the brokers of fleet 'test' keep no more goals: maximum" in str(robot.answers[0][1])
+
+
+# Outcomes
+
+
+async def test_an_outcome_ends_by_its_time_to_live() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one = goal()
+        robot.write("accept", one)
+        robot.write("end", ended(one, time.time_ns() + 4_500_000_000))
+        await robot.answered(2)
+        await sleep(4)
+        assert entry(shared, one) is not None
+        await sleep(1.1)
+        assert entry(shared, one) is None
+
+
+async def test_the_oldest_outcomes_beyond_the_limit_are_deleted() -> None:
+    async with MemoryBrokers() as shared, member(shared, max_results=2) as robot:
+        for number in range(4):
+            robot.write("accept", goal(number))
+            robot.write("end", ended(goal(number)))
+        await robot.answered(8)
+        await robot.broker.flush()
+        kept = [number for number in range(4) if entry(shared, goal(number)) is not None]
+        assert kept == [2, 3]
+
+
+async def test_outcomes_that_have_expired_do_not_count() -> None:
+    async with MemoryBrokers() as shared, member(shared, max_results=1) as robot:
+        for number, keep_until in ((1, 1), (2, 0)):
+            robot.write("accept", goal(number))
+            robot.write("end", ended(goal(number), keep_until))
+        await robot.answered(4)
+        await robot.broker.flush()
+        assert len(writes(shared)) == 4, "the expired one is left to its time to live"
+
+
+# Notes
+
+
+async def test_a_waiting_goal_is_offered_to_other_workers() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one = goal(is_running=False, attempt=0)
+        robot.write("accept", one)
+        robot.write("accept", goal(2))
+        await robot.answered(2)
+        await robot.broker.flush()
+        assert notes(shared) == [(NAMES.want("count"), bytes(one.goal_id))]
+        assert robot.journal.waits(one.goal_id)
+        assert not robot.journal.waits(goal(2).goal_id)
+        robot.write("begin", one)
+        assert not robot.journal.waits(one.goal_id)
+
+
+async def test_a_released_goal_has_no_owner_and_a_note() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one = goal()
+        robot.write("accept", one)
+        robot.write("release", replace(one, is_running=False))
+        await robot.answered(2)
+        await robot.broker.flush()
+        found = entry(shared, one)
+        assert found is not None
+        assert (found.incarnation, found.goal.worker) == (b"", "")
+        assert notes(shared) == [(NAMES.left("count"), bytes(one.goal_id))]
+
+
+async def test_goals_that_are_left_when_a_server_stops_are_released() -> None:
+    async with MemoryBrokers() as shared:
+        async with member(shared) as robot:
+            one = goal(is_running=False, attempt=0)
+            robot.write("accept", one)
+            await robot.answered(1)
+        await robot.broker.flush()
+        assert not robot.store.has_goals_left
+        found = entry(shared, one)
+        assert found is not None
+        assert found.incarnation == b""
+        assert (NAMES.left("count"), bytes(one.goal_id)) in notes(shared)
+
+
+async def test_goals_that_cannot_be_released_are_known() -> None:
+    async with MemoryBrokers() as shared:
+        async with member(shared) as robot:
+            robot.write("accept", goal())
+            await robot.answered(1)
+            shared.is_full = True
+        assert robot.store.has_goals_left
+
+
+# Takeover
+
+
+async def test_a_taken_goal_is_claimed_with_its_former_worker() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a") as a, member(shared, "b") as b:
+        one = goal(is_running=False, attempt=0)
+        a.write("accept", one)
+        await a.answered(1)
+        record = shared.newest(NAMES.goal("count", one.goal_id))
+        assert record is not None
+        assert await b.journal.take(record, goal_entry(record.data).goal)
+        assert b.claimed == [replace(one, worker="a")]
+        assert b.journal.has(one.goal_id)
+        found = entry(shared, one)
+        assert found is not None
+        assert (found.goal.worker, found.incarnation) == ("b", b.membership.incarnation)
+        assert not await b.journal.take(record, one), "it has it already"
+        a.write("begin", one)
+        await a.answered(2)
+        assert a.errors == [None, GoalTaken]
+        b.write("begin", b.claimed[0])
+        await b.answered(1)
+        assert b.errors == [None]
+
+
+async def test_a_goal_that_another_worker_was_faster_to_take_is_not_claimed() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a") as a, member(shared, "b") as b:
+        one = goal()
+        shared.put(NAMES.goal("count", one.goal_id), encode(GoalEntry(one, b"", b"1234")), 0, 100)
+        record = shared.newest(NAMES.goal("count", one.goal_id))
+        assert record is not None
+        assert await a.journal.take(record, replace(one))
+        assert not await b.journal.take(record, replace(one))
+        assert not b.claimed
+        assert not b.journal.has(one.goal_id)
+
+
+async def test_a_goal_that_is_being_taken_is_not_accepted_anew() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        one = goal()
+        shared.put(NAMES.goal("count", one.goal_id), encode(GoalEntry(one, b"", b"1234")), 0, 100)
+        record = shared.newest(NAMES.goal("count", one.goal_id))
+        assert record is not None
+        shared.delay = lambda: 0.5
+        async with create_task_group() as tasks:
+            tasks.start_soon(robot.journal.take, record, replace(one))
+            await sleep(0.1)
+            robot.write("accept", one)
+        assert robot.errors == [GoalTaken]
+        assert robot.claimed == [one]
+
+
+async def test_a_goal_is_lost_alone() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        robot.write("accept", goal(1))
+        robot.write("accept", goal(2))
+        await robot.answered(2)
+        robot.journal.lose(goal(1).goal_id)
+        robot.journal.lose(goal(1).goal_id)
+        assert robot.lost == [goal(1).goal_id]
+        assert robot.journal.has(goal(2).goal_id)
+
+
+# The store
+
+
+async def test_an_action_is_served_once() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        with pytest.raises(StoreError, match="this worker serves the action 'count' already"):
+            async with robot.store.open(
+                "count", max_results=1, claim=robot.claimed.append, lose=robot.lost.append
+            ):
+                pass
+
+
+async def test_goals_are_valid_as_long_as_the_lease() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        assert robot.journal.valid_until == robot.membership.valid_until
+        changes = []
+        robot.store.on_room = lambda: changes.append(1)
+        robot.journal.set_room(3, 2)
+        assert (robot.journal.running, robot.journal.waiting) == (3, 2)
+        assert changes == [1]

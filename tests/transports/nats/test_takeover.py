@@ -1,0 +1,419 @@
+"""The goals that come to a worker from others: lost, released, or waiting there."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncGenerator
+from contextlib import AsyncExitStack, asynccontextmanager
+
+import pytest
+from anyio import fail_after, sleep
+from msgspec.structs import replace
+
+from fibaction import GoalID, GoalStatus
+from fibaction._notify import Notifier
+from fibaction._tasks import Background
+from fibaction.goal_store import StoredGoal
+from fibaction.goals import Sender
+from fibaction_transports.nats.broker import BrokerAway, Record
+from fibaction_transports.nats.fleet_records import GoalEntry, encode, goal_entry, lease_entry
+from fibaction_transports.nats.fleet_store import FleetJournal, FleetStore
+from fibaction_transports.nats.fleet_workers import FleetWorkers
+from fibaction_transports.nats.lease import Membership
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.takeover import SCAN_INTERVAL, Takeover
+from tests.memory_broker import MemoryBrokers, Write
+from tests.virtual_time import in_virtual_time
+
+pytestmark = [pytest.mark.anyio, in_virtual_time()]
+NAMES = FleetNames("test")
+LEASE = 6.0
+
+
+def goal(number: int = 1, **changes: object) -> StoredGoal:
+    made = StoredGoal(GoalID(bytes([number]) * 16), number, Sender("me"), b"digest", b"goal")
+    return replace(made, **{"is_running": True, "attempt": 1, **changes})
+
+
+def waiting(number: int = 1) -> StoredGoal:
+    return goal(number, is_running=False, attempt=0)
+
+
+class Member:
+    """A worker whose server notes what it is told, and begins what it has room for."""
+
+    def __init__(self, shared: MemoryBrokers, name: str) -> None:
+        self.broker = shared.member(name)
+        self.name = name
+        self.membership = Membership(self.broker, NAMES, name, LEASE)
+        self.store = FleetStore(self.broker, NAMES, self.membership)
+        self.journal: FleetJournal
+        self.claimed: list[StoredGoal] = []
+        self.lost: list[GoalID] = []
+        self.begins = True
+        self.news = Notifier()
+
+    def claim(self, one: StoredGoal) -> None:
+        self.claimed.append(replace(one))
+        self.news.notify()
+        if self.begins:
+            one.is_running, one.attempt = True, one.attempt + 1
+            self.journal.begin(one, lambda _error: None)
+
+    def accept(self, *goals: StoredGoal) -> None:
+        for one in goals:
+            self.journal.accept(one, lambda _error: None)
+
+    async def claims(self, count: int, within: float = 3 * LEASE) -> list[StoredGoal]:
+        with fail_after(within):
+            while len(self.claimed) < count:
+                await self.news.wait()
+        return self.claimed
+
+
+@asynccontextmanager
+async def member(
+    shared: MemoryBrokers, name: str, *, running: float = 0
+) -> AsyncGenerator[Member, None]:
+    made = Member(shared, name)
+    await made.membership.join()
+    async with AsyncExitStack() as stack:
+        tasks = made.store.tasks = await stack.enter_async_context(Background())
+        stack.callback(lambda: setattr(made.broker, "is_away", False))
+        tasks.start_soon(made.membership.run)
+        tasks.start_soon(made.membership.fence_in_time)
+        workers = FleetWorkers(made.broker, NAMES, tasks, 5)
+        takeover = Takeover(made.broker, NAMES, made.store, made.membership, workers)
+        made.store.on_room = takeover.room.notify
+        await takeover.open()
+        made.journal = await stack.enter_async_context(
+            made.store.open("count", max_results=9, claim=made.claim, lose=made.lost.append)
+        )
+        made.journal.set_room(running, 9)
+        await made.broker.flush()
+        yield made
+
+
+def entry(shared: MemoryBrokers, one: StoredGoal) -> GoalEntry:
+    record = shared.newest(NAMES.goal("count", one.goal_id))
+    assert record is not None
+    return goal_entry(record.data)
+
+
+def keep(shared: MemoryBrokers, one: StoredGoal, incarnation: bytes = b"") -> None:
+    """Store a record as an earlier worker did."""
+    shared.put(NAMES.goal("count", one.goal_id), encode(GoalEntry(one, incarnation, b"1")), 0, 9e9)
+
+
+# Lost workers
+
+
+async def test_the_goals_of_a_lost_worker_are_taken_over_once() -> None:
+    async with MemoryBrokers() as shared:
+        async with (
+            member(shared, "a") as a,
+            member(shared, "b") as b,
+            member(shared, "c") as c,
+        ):
+            goals = [goal(number) for number in range(40)]
+            a.accept(*goals)
+            c.accept(goal(100))
+            await sleep(1)
+            a.broker.is_away = True
+            await sleep(LEASE + 2)
+            taken = sorted(b.claimed + c.claimed, key=lambda one: one.stamp)
+            assert taken == [replace(one, worker="a") for one in goals]
+            await sleep(3 * LEASE)
+            assert len(b.claimed) + len(c.claimed) == 40
+            assert len(a.lost) == 40, "it was fenced"
+            assert not shared.notes
+            assert entry(shared, goal(100)).goal.worker == "c"
+
+
+async def test_one_survivor_clears_up_and_then_removes_the_lease(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with MemoryBrokers() as shared, member(shared, "b"), member(shared, "c"):
+        with caplog.at_level(logging.WARNING, "fibaction.nats"):
+            lost = Membership(shared.member("a"), NAMES, "a", LEASE)
+            await lost.join()
+            await sleep(LEASE + 1)
+        assert caplog.text.count("worker 'a' is gone; its goals are taken over") == 1
+        entries = [
+            lease_entry(write.data)
+            for write in shared.writes
+            if write.subject == NAMES.worker("a") and write.data
+        ]
+        assert [(bool(one.incarnation), bool(one.cleared_by)) for one in entries] == [
+            (True, False),
+            (False, True),
+            (False, False),
+        ]
+
+
+async def test_a_worker_that_leaves_in_good_order_is_not_cleared_up_after(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with MemoryBrokers() as shared, member(shared, "b"):
+        left = Membership(shared.member("a"), NAMES, "a", LEASE)
+        await left.join()
+        with caplog.at_level(logging.WARNING, "fibaction.nats"):
+            await left.leave(is_clean=True)
+            await sleep(2 * LEASE)
+        assert not caplog.text
+
+
+async def test_the_goals_of_a_worker_that_joins_again_are_found() -> None:
+    async with MemoryBrokers() as shared, member(shared, "b") as b:
+        first = Membership(shared.member("a"), NAMES, "a", LEASE)
+        await first.join()
+        await b.broker.flush()
+        keep(shared, goal(worker="a"), first.incarnation)
+        again = Membership(first._broker, NAMES, "a", LEASE)
+        again._mine.add(first.incarnation)
+        await again.join()
+        assert await b.claims(1, within=1) == [goal(worker="a")]
+
+
+async def test_clearing_up_is_tried_again_while_the_brokers_do_not_answer() -> None:
+    async with MemoryBrokers() as shared, member(shared, "b") as b:
+        lost = Membership(shared.member("a"), NAMES, "a", LEASE)
+        await lost.join()
+        keep(shared, goal(worker="a"), lost.incarnation)
+        shared.loses_answer = lambda write: write.subject == NAMES.worker("a")
+        await sleep(LEASE + 0.1)
+        b.broker.is_away = True
+        await sleep(2.5)
+        b.broker.is_away = False
+        assert await b.claims(1) == [goal(worker="a")]
+
+
+# Scans
+
+
+async def test_a_worker_finds_goals_without_an_owner_when_it_starts() -> None:
+    async with MemoryBrokers() as shared:
+        keep(shared, goal(1, worker="gone"), b"gone")
+        keep(shared, waiting(2))
+        keep(shared, goal(3, status=GoalStatus.SUCCEEDED, worker="gone"), b"gone")
+        shared.put(NAMES.goal("count", goal(4).goal_id), b"rubbish", 0, 9e9)
+        shared.put(
+            NAMES.goal("other", goal(5).goal_id), encode(GoalEntry(goal(5), b"", b"")), 0, 9e9
+        )
+        async with member(shared, "b") as b:
+            found = await b.claims(2, within=1)
+            assert sorted(one.stamp for one in found) == [1, 2]
+            await sleep(LEASE)
+            assert len(b.claimed) == 2
+
+
+async def test_late_writes_of_a_lost_worker_are_found_in_the_end() -> None:
+    async with MemoryBrokers() as shared, member(shared, "b") as b:
+        await sleep(1)
+        keep(shared, goal(worker="gone"), b"gone")
+        await b.claims(1, within=(SCAN_INTERVAL + 1) * LEASE)
+
+
+async def test_a_goal_is_noted_once_by_the_scans_of_a_worker() -> None:
+    async with MemoryBrokers() as shared, member(shared, "b") as b:
+        b.journal.lose_all()
+        b.membership.incarnation, kept = b"", b.membership.incarnation
+        keep(shared, goal(worker="gone"), b"gone")
+        await sleep(3 * SCAN_INTERVAL * LEASE)
+        assert kept
+        assert len(shared.notes) + len(b.claimed) == 1
+
+
+async def test_a_worker_whose_lease_is_not_known_yet_is_asked_for() -> None:
+    async with MemoryBrokers() as shared, member(shared, "b") as b:
+        shared.delay = lambda: 0.05  # the watch of the leases is told later
+        new = Membership(shared.member("a"), NAMES, "a", LEASE)
+        await new.join()
+        keep(shared, goal(worker="a"), new.incarnation)
+        b.broker.add_note(NAMES.left("count"), bytes(goal().goal_id))
+        await sleep(1)
+        assert not b.claimed
+        assert not shared.notes
+
+
+async def test_an_unreadable_lease_is_not_judged() -> None:
+    async with MemoryBrokers() as shared, member(shared, "b") as b:
+        shared.put(NAMES.worker("a"), b"rubbish", 0, 9e9)
+        keep(shared, goal(worker="a"), b"a")
+        b.broker.add_note(NAMES.left("count"), bytes(goal().goal_id))
+        await sleep(1)
+        assert not b.claimed
+
+
+# Notes of goals without a worker
+
+
+async def test_a_released_goal_is_taken_also_without_room() -> None:
+    async with MemoryBrokers() as shared:
+        async with member(shared, "b", running=0) as b:
+            async with member(shared, "a") as a:
+                a.accept(waiting())  # it is released when the server stops
+            assert await b.claims(1, within=1) == [waiting()]
+
+
+async def test_notes_of_goals_that_are_not_lost_are_removed() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a") as a, member(shared, "b") as b:
+        a.accept(goal(1))
+        b.accept(goal(2))
+        for note in (bytes(goal(1).goal_id), bytes(goal(2).goal_id), bytes(16), b"rubbish"):
+            a.broker.add_note(NAMES.left("count"), note)
+        await sleep(2)
+        assert not shared.notes
+        assert not a.claimed + b.claimed
+
+
+async def test_a_note_comes_again_if_its_goal_cannot_be_read() -> None:
+    async with MemoryBrokers() as shared, member(shared, "b") as b:
+        keep(shared, waiting())
+        shared.delay = lambda: 3.0
+        b.broker.add_note(NAMES.left("count"), bytes(goal().goal_id))
+        await sleep(4)
+        shared.delay = lambda: 0.0
+        assert await b.claims(1, within=10)
+
+
+# Notes of goals that wait
+
+
+async def test_a_waiting_goal_runs_at_a_worker_with_room() -> None:
+    async with MemoryBrokers() as shared:
+        async with member(shared, "a") as a, member(shared, "b", running=3) as b:
+            a.accept(waiting())
+            assert await b.claims(1, within=1) == [replace(waiting(), worker="a")]
+            await sleep(0.5)
+            assert a.lost == [waiting().goal_id], "it has got a hint"
+            assert entry(shared, goal()).goal.worker == "b"
+            assert not shared.notes
+
+
+async def test_a_worker_without_room_takes_no_waiting_goals() -> None:
+    async with MemoryBrokers() as shared:
+        async with member(shared, "a") as a, member(shared, "b") as b:
+            a.accept(waiting())
+            await sleep(2 * LEASE)
+            assert not b.claimed
+            b.journal.set_room(1, 0)
+            await b.claims(1, within=1)
+
+
+async def test_a_note_that_comes_when_there_is_no_room_any_more_is_given_back() -> None:
+    async with MemoryBrokers() as shared:
+        async with member(shared, "a") as a, member(shared, "b", running=1) as b:
+            await sleep(1)
+            b.journal.set_room(0, 0)
+            a.accept(waiting())
+            await sleep(1)
+            assert not b.claimed
+            assert len(shared.notes) == 1
+            async with member(shared, "c", running=1) as c:
+                await c.claims(1, within=1)
+
+
+async def test_a_note_of_a_goal_that_waits_here_comes_again() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a", running=1) as a:
+        a.accept(waiting())
+        await sleep(2)
+        assert len(shared.notes) == 1
+        a.journal.begin(goal(), lambda _error: None)
+        await sleep(10)
+        assert not shared.notes
+        assert not a.claimed
+
+
+async def test_notes_of_goals_that_do_not_wait_are_removed() -> None:
+    async with MemoryBrokers() as shared:
+        async with member(shared, "a") as a, member(shared, "b", running=9) as b:
+            a.accept(goal(1))
+            keep(shared, goal(2, is_running=False, status=GoalStatus.CANCELING), b"x")
+            for note in (bytes(goal(1).goal_id), bytes(goal(2).goal_id), bytes(16), b"rubbish"):
+                a.broker.add_note(NAMES.want("count"), note)
+            await sleep(2)
+            assert not shared.notes
+            assert goal(1).goal_id not in {one.goal_id for one in b.claimed}
+
+
+async def test_a_taken_goal_that_does_not_begin_is_offered_to_others() -> None:
+    async with MemoryBrokers() as shared:
+        async with member(shared, "a") as a, member(shared, "b", running=1) as b:
+            b.begins = False
+            a.accept(waiting())
+            await b.claims(1, within=1)
+            b.journal.set_room(0, 0)
+            async with member(shared, "c", running=1) as c:
+                await c.claims(1, within=4)
+                await sleep(0.1)  # the hint comes later
+                assert b.lost == [waiting().goal_id]
+
+
+async def test_a_released_goal_that_is_wanted_is_taken_without_a_hint() -> None:
+    async with MemoryBrokers() as shared, member(shared, "b", running=1) as b:
+        await sleep(1)
+        keep(shared, waiting())
+        b.broker.add_note(NAMES.want("count"), bytes(goal().goal_id))
+        await b.claims(1, within=1)
+
+
+async def test_a_waiting_goal_is_not_taken_while_the_brokers_do_not_answer() -> None:
+    async with MemoryBrokers() as shared, member(shared, "b", running=1) as b:
+        await sleep(1)
+        keep(shared, waiting())
+        shared.delay = lambda: 3.0
+        b.broker.add_note(NAMES.want("count"), bytes(goal().goal_id))
+        await sleep(4)
+        shared.delay = lambda: 0.0
+        await b.claims(1, within=12)
+
+
+# Hints
+
+
+async def test_a_hint_alone_takes_no_goal_away() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a") as a:
+        other = shared.member()
+        a.accept(waiting())
+        await sleep(0.1)
+        subject = NAMES.goal("count", waiting().goal_id)
+        unknown = NAMES.goal("count", GoalID(bytes(16)))
+        for hint in (subject, unknown, NAMES.goal("x", goal().goal_id), "x", "ä", f"{subject}x"):
+            other.publish(NAMES.taken("a"), hint.encode())
+        await sleep(1)
+        assert not a.lost
+
+
+async def test_a_hint_is_ignored_while_the_brokers_do_not_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def get(_stream: str, _subject: str) -> Record | None:
+        raise BrokerAway("on purpose")
+
+    async with MemoryBrokers() as shared, member(shared, "a") as a:
+        a.accept(waiting())
+        await sleep(0.1)
+        monkeypatch.setattr(a.broker, "get", get)
+        shared.member().publish(NAMES.taken("a"), NAMES.goal("count", waiting().goal_id).encode())
+        await sleep(1)
+        assert not a.lost
+
+
+async def test_a_note_comes_again_if_the_worker_is_fenced_while_it_takes_the_goal() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a", running=9) as a:
+        await sleep(1)
+        for number, subject in ((1, NAMES.left("count")), (2, NAMES.want("count"))):
+            keep(shared, waiting(number))
+            a.broker.add_note(subject, bytes(goal(number).goal_id))
+        first = a.membership.incarnation
+
+        def fence(write: Write) -> bool:
+            if first == a.membership.incarnation and ".goal." in write.subject:
+                a.membership._fence("on purpose")
+            return False
+
+        shared.loses_answer = fence
+        found = await a.claims(2, within=20)
+        assert sorted(one.stamp for one in found) == [1, 2]
+        assert a.membership.incarnation not in (b"", first)

@@ -1,0 +1,210 @@
+"""A worker from its start to its end, with clients of the fleet, over brokers in memory."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any
+
+import pytest
+from anyio import create_task_group, fail_after, sleep, sleep_forever
+
+from fibaction import Action, ActionClient, ActionServer, GoalHandle, Schedule
+from fibaction.exceptions import GoalRejected, TransportError
+from fibaction_transports.nats.fleet_connection import open_fleet
+from fibaction_transports.nats.fleet_records import (
+    Question,
+    ServedAction,
+    encode,
+    lease_entry,
+    offer,
+)
+from fibaction_transports.nats.fleet_settings import FleetSettings
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.worker import Worker, open_worker
+from tests.memory_broker import MemoryBroker, MemoryBrokers
+from tests.simulation.loop import VirtualLoop
+
+VIRTUAL = ("asyncio", {"loop_factory": VirtualLoop})  # lines need asyncio
+pytestmark = [
+    pytest.mark.anyio,
+    pytest.mark.parametrize("anyio_backend", [VIRTUAL], ids=["virtual"]),
+]
+NAMES = FleetNames("test")
+COUNT = Action("count", goal=int, feedback=str, result=int)
+LEASE = 5.0
+
+
+async def count(goal: GoalHandle[int]) -> AsyncGenerator[int, None]:
+    """Take as many seconds as the goal says; return the number of the attempt."""
+    await sleep(goal.request)
+    yield goal.attempt
+
+
+def settings(name: str = "robot") -> FleetSettings:
+    return FleetSettings("test", worker=name, lease=LEASE)
+
+
+@asynccontextmanager
+async def serving(
+    broker: MemoryBroker, server: ActionServer[Any, Any, Any], name: str = "robot"
+) -> AsyncGenerator[Worker, None]:
+    """Serve as `fibaction.serve` does."""
+    async with open_worker(broker, NAMES, settings(name)) as worker:
+        server.keep_in(worker.store)
+        async with AsyncExitStack() as stack:
+            await stack.enter_async_context(server)
+            await stack.enter_async_context(worker.serve([server]))
+            stack.push_async_callback(server.stop)
+            yield worker
+
+
+@asynccontextmanager
+async def client(broker: MemoryBroker) -> AsyncGenerator[ActionClient[int, str, int], None]:
+    async with open_fleet(broker, NAMES, settings("")) as fleet:
+        yield ActionClient(fleet.endpoint(COUNT), COUNT)
+
+
+def lease(shared: MemoryBrokers, name: str = "robot") -> Any:
+    record = shared.newest(NAMES.worker(name))
+    assert record is not None
+    return lease_entry(record.data)
+
+
+async def test_a_goal_is_run_by_a_worker() -> None:
+    async with MemoryBrokers() as shared:
+        async with serving(shared.member(), ActionServer(COUNT, count)) as worker:
+            assert worker.name == "robot"
+            async with client(shared.member()) as caller:
+                with fail_after(10):
+                    assert await caller.call(1) == 1
+
+
+async def test_a_lease_lists_what_the_worker_serves() -> None:
+    async with MemoryBrokers() as shared:
+        async with serving(shared.member(), ActionServer(COUNT, count)):
+            assert lease(shared).actions == (ServedAction(COUNT.info, is_kept=True),)
+            assert lease(shared).has_room
+            async with client(shared.member()) as caller, create_task_group() as tasks:
+                tasks.start_soon(caller.call, 10)
+                await sleep(3)
+                assert lease(shared).goals == 1
+                tasks.cancel_scope.cancel()
+        assert lease(shared).incarnation == b""
+
+
+async def test_a_gateway_keeps_nothing_and_always_has_room() -> None:
+    async with MemoryBrokers() as shared:
+        async with (
+            ActionServer(COUNT, count) as server,
+            open_worker(shared.member(), NAMES, settings()) as worker,
+            worker.serve([server]),
+        ):
+            assert lease(shared).actions == (ServedAction(COUNT.info, is_kept=False),)
+            asked = encode(Question(99))
+            answer = await shared.member().request(NAMES.offer("count"), asked, 5)
+            assert (offer(answer).worker, offer(answer).goals) == ("robot", 16)
+
+
+async def test_a_worker_answers_only_while_it_has_room() -> None:
+    async with MemoryBrokers() as shared:
+        server = ActionServer(COUNT, count, schedule=Schedule(concurrency=1))
+        async with serving(shared.member(), server), client(shared.member()) as caller:
+            async with create_task_group() as tasks:
+                tasks.start_soon(caller.call, 5)
+                await sleep(2)
+                assert not lease(shared).has_room
+                with fail_after(4), pytest.raises(GoalRejected, match="busy"):
+                    await caller.call(1)
+            await sleep(1.5)
+            assert lease(shared).has_room
+            with fail_after(10):
+                assert await caller.call(1) == 1
+
+
+async def test_a_question_that_is_not_one_is_not_answered() -> None:
+    async with MemoryBrokers() as shared:
+        async with serving(shared.member(), ActionServer(COUNT, count)):
+            asker = shared.member()
+            found: list[object] = []
+            await asker.subscribe("_INBOX.x", found.append)
+            asker.publish(NAMES.offer("count"), b"rubbish", "_INBOX.x")
+            await sleep(1)
+            assert not found
+
+
+async def test_waiting_goals_run_at_the_worker_that_is_free() -> None:
+    async with MemoryBrokers() as shared:
+        schedule = Schedule(concurrency=1, queue=9)
+        servers = [ActionServer(COUNT, count, schedule=schedule) for _ in range(2)]
+        async with serving(shared.member(), servers[0], "a"):
+            async with client(shared.member()) as caller, create_task_group() as tasks:
+                for _ in range(4):
+                    tasks.start_soon(caller.call, 4)
+                await sleep(1)
+                async with serving(shared.member(), servers[1], "b"):
+                    await sleep(8.5)  # two by each, and not four after each other
+                    assert not servers[0]._runs
+                    assert not servers[1]._runs
+                    assert not shared.notes
+
+
+async def test_a_fenced_worker_lets_its_goals_go_and_runs_others_later() -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        async with serving(broker, ActionServer(COUNT, count, recovery="rerun")):
+            async with client(shared.member()) as caller, create_task_group() as tasks:
+                found: list[int] = []
+
+                async def call() -> None:
+                    found.append(await caller.call(20))
+
+                tasks.start_soon(call)
+                await sleep(2)
+                broker.is_away = True
+                await sleep(2 * LEASE)
+                broker.is_away = False
+                await sleep(30)
+                assert found == [2], "it is the second attempt"
+
+
+async def test_a_worker_without_brokers_says_so_in_one_sentence() -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        async with open_worker(broker, NAMES, settings()) as worker:
+            broker.is_away = True
+            with pytest.raises(TransportError, match="cannot serve in the fleet"):
+                async with worker.serve([ActionServer(COUNT, count)]):
+                    await sleep_forever()
+
+
+async def test_a_worker_that_loses_the_brokers_as_it_joins_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        subscribe = broker.subscribe
+
+        async def away(*args: Any) -> Any:
+            broker.is_away = True
+            return await subscribe(*args)
+
+        monkeypatch.setattr(broker, "subscribe", away)
+        with pytest.raises(TransportError, match="cannot join the fleet"):
+            async with open_worker(broker, NAMES, settings()):
+                await sleep_forever()
+
+
+async def test_a_worker_listens_again_when_the_brokers_are_back() -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        server = ActionServer(COUNT, count, schedule=Schedule(concurrency=1))
+        async with serving(broker, server), client(shared.member()) as caller:
+            with fail_after(10):
+                assert await caller.call(1) == 1
+            broker.is_away = True
+            await sleep(2 * LEASE)
+            broker.is_away = False
+            await sleep(LEASE)
+            with fail_after(10):
+                assert await caller.call(1) == 1
