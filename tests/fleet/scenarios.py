@@ -11,7 +11,6 @@ from typing import Literal, NamedTuple, TypeAlias
 import anyio
 import msgspec
 
-from fibaction import connect
 from tests.fleet.clients import Crowd, Load, crowd, settle
 from tests.fleet.servers import Servers, servers
 from tests.fleet.verdict import (
@@ -32,6 +31,8 @@ from tests.kills.victim import entries_of
 FLEET = "trial"
 GRACE = 2.0
 """Seconds after the end of a lease within which the goals of a lost worker are safe."""
+AWAY = 8.0
+"""Seconds for which one broker of three is away, longer than the others need to replace it."""
 PAUSE = 10.0
 """Seconds that a fleet may stand still when one broker of three is killed."""
 
@@ -141,7 +142,7 @@ async def lose_the_leader(scene: Scene) -> list[Loss]:
     killed = scene.servers.by_name[leader]
     killed.kill()
     scene.crowd.go_on()
-    await anyio.sleep(PAUSE)
+    await anyio.sleep(AWAY)
     killed.start(wait=False)
     return []
 
@@ -178,13 +179,16 @@ async def run(name: str, settings: Run, folder: Path) -> Report:
     epoch = time.time() - time.monotonic()
     scenario, ledger = SCENARIOS[name], Ledger()
     async with _scene(scenario, settings, folder, ledger) as scene:
-        before = await _since(_url(scene.servers))
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(scene.crowd.run)
-            await scene.crowd.are_running()
-            losses = await scenario.act(scene)
+        before = await scene.witness.incarnations()
+        async with anyio.create_task_group() as following:
+            following.start_soon(scene.witness.follow)
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(scene.crowd.run)
+                await scene.crowd.are_running()
+                losses = await scenario.act(scene)
+            following.cancel_scope.cancel()
         await settle(_url(scene.servers), ledger)
-        after = await _since(_url(scene.servers))
+        after = await scene.witness.incarnations()
         writes = await scene.witness.writes()
         diary = sorted(
             (entry for one in scene.workers for entry in entries_of(one.diary)),
@@ -197,7 +201,7 @@ async def run(name: str, settings: Run, folder: Path) -> Report:
         released=frozenset(one.worker for one in losses if one.is_released),
     )
     handovers = {one.worker: handover(writes, one.worker, one.at) for one in losses}
-    rejoined = [one for one, since in after.items() if since != before.get(one, since)]
+    rejoined = [one for one, found in after.items() if found != before[one]]
     faults = [*faults_of(Case(ledger, diary, writes, rules, epoch))]
     if len(ledger.goals) < settings.load.goals or crowd.answered < settings.load.goals:
         faults.append(f"{len(ledger.goals)} were accepted, and {crowd.answered} answered")
@@ -266,9 +270,3 @@ async def _scene(
 
 def _url(servers: Servers) -> str:
     return f"nats://{servers.hosts}/{FLEET}"
-
-
-async def _since(url: str) -> dict[str, int]:
-    """Return the time at which each worker has joined the fleet."""
-    async with connect(url) as connection:
-        return {worker.name: worker.since for worker in await connection.workers()}

@@ -3,7 +3,8 @@
 A fleet's stream keeps the newest record of each goal only. Here the broker is told to republish
 each record that it has stored to another stream, which keeps all of them, with the time of each and
 the sequence of the one that it has replaced. So a write that is missing here, because a broker was
-killed after it had stored it, is noticed by the write after it.
+killed after it had stored it, is noticed by the write after it. The newest record of each goal is
+read from the fleet's stream as well.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from nats.js.api import RePublish, StreamConfig
 from nats.js.errors import Error
 
 from fibaction.goal_store import StoredGoal
-from fibaction_transports.nats.fleet_records import goal_entry
+from fibaction_transports.nats.fleet_records import goal_entry, lease_entry
 from fibaction_transports.nats.names import FleetNames
 
 NAME = "WITNESS"
@@ -46,6 +47,7 @@ class Witness:
         self._client = client
         self._names = FleetNames(fleet)
         self._replicas = replicas
+        self._followed: dict[int, Write] = {}
 
     async def begin(self) -> None:
         """Keep all writes from now on. The fleet's streams must be there."""
@@ -57,43 +59,92 @@ class Witness:
         config.republish = RePublish(src=">", dest=f"{PREFIX}.>")
         await stream.update_stream(config)
 
+    async def follow(self) -> None:
+        """Read the writes while they are made, until canceled; needed with several brokers, because
+        some of them do not republish any more when another one leads a stream.
+        """
+        reader: Any = None
+        while self._replicas > 1:
+            try:
+                if reader is None:
+                    stream = self._client.jetstream(timeout=5)
+                    reader = await stream.pull_subscribe("", durable=NAME, stream=self._names.goals)
+                for message in await reader.fetch(BATCH, timeout=1):
+                    write = _newest(message)
+                    self._followed[write.sequence] = write
+                    await message.ack()
+            except (Error, nats.errors.Error):
+                await anyio.sleep(0.1)
+
     async def leader(self, stream: str) -> str:
         """Return the name of the server that leads a stream: `goals`, `workers` or the witness."""
         name = {"goals": self._names.goals, "workers": self._names.workers}.get(stream, stream)
         cluster = (await self._client.jetstream(timeout=10).stream_info(name)).cluster
-        return str(cluster.leader)
+        return cluster.leader or ""
+
+    async def incarnations(self) -> dict[str, bytes]:
+        """Return the incarnation of each worker, which is another one when it has joined again."""
+        stream = self._client.jetstream(timeout=10)
+        found: dict[str, bytes] = {}
+        for name in ("w1", "w2", "w3"):
+            with suppress(Error):  # it has left
+                message = await stream.get_msg(
+                    self._names.workers, subject=self._names.worker(name), direct=False
+                )
+                if message.data:
+                    found[name] = lease_entry(message.data).incarnation
+        # While a lost worker is cleared up after, there is none.
+        return {name: one for name, one in found.items() if one}
 
     async def lead_elsewhere(self, server: str) -> None:
         """Let another server lead the witness than the one that is about to be killed."""
-        while await self.leader(NAME) == server:
+        while await self.leader(NAME) in (server, ""):
             with suppress(nats.errors.TimeoutError):
                 await self._client.request(f"$JS.API.STREAM.LEADER.STEPDOWN.{NAME}", b"", timeout=5)
-            await anyio.sleep(0.1)
+            await anyio.sleep(0.5)
 
     async def writes(self) -> list[Write]:
-        """Return all writes so far."""
+        """Return all writes so far: those that were republished, and the newest of each goal."""
+        found = self._followed | {
+            write.sequence: write
+            for name, write_of in ((self._names.goals, _newest), (NAME, _republished))
+            for write in [write_of(message) for message in await self._messages(name)]
+        }
+        return sorted(found.values(), key=lambda write: write.sequence)
+
+    async def _messages(self, name: str) -> list[Any]:
         stream = self._client.jetstream(timeout=10)
-        while True:  # a server may have to be found again after the last fault
+        while True:  # a leader may have to be found again after the last fault
             with suppress(Error, nats.errors.Error):
-                total = (await stream.stream_info(NAME)).state.messages
+                total = (await stream.stream_info(name)).state.messages
+                reader = await stream.pull_subscribe("", stream=name)
                 break
             await anyio.sleep(0.2)
-        reader = await stream.pull_subscribe(f"{PREFIX}.>", stream=NAME)
-        found: list[Write] = []
+        found: list[Any] = []
         while len(found) < total:
             for message in await reader.fetch(min(BATCH, total - len(found)), timeout=10):
-                found.append(_write_of(message))
+                found.append(message)
                 await message.ack()
         await reader.unsubscribe()
-        return sorted(found, key=lambda write: write.sequence)
+        return found
 
 
-def _write_of(message: Any) -> Write:
+def _republished(message: Any) -> Write:
     headers = message.headers
     return Write(
         datetime.fromisoformat(headers["Nats-Time-Stamp"]).timestamp(),
         int(headers["Nats-Sequence"]),
         int(headers["Nats-Last-Sequence"]),
+        goal_entry(message.data).goal if message.data else None,
+    )
+
+
+def _newest(message: Any) -> Write:
+    expected = (message.headers or {}).get("Nats-Expected-Last-Subject-Sequence", "0")
+    return Write(
+        message.metadata.timestamp.timestamp(),
+        message.metadata.sequence.stream,
+        int(expected),
         goal_entry(message.data).goal if message.data else None,
     )
 

