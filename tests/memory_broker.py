@@ -34,7 +34,7 @@ from fibaction_transports.nats.broker import (
     Subscription,
     Watch,
 )
-from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.fleet_names import FleetNames
 
 ANSWER_TIMEOUT = 2.0
 """Seconds after which a member gives up an answer."""

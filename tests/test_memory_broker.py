@@ -9,7 +9,7 @@ import pytest
 from anyio import current_time, fail_after, move_on_after, sleep
 
 from fibaction_transports.nats.broker import BrokerAway, Message, PutError, PutFailure, Record
-from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.fleet_names import FleetNames
 from tests.memory_broker import MARKER_TIME, MemoryBroker, MemoryBrokers, Write
 from tests.virtual_time import in_virtual_time
 

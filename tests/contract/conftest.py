@@ -212,20 +212,24 @@ RECORDS_LAST = "the record of a goal outlives its result by a minute, and its st
 
 RECORDS_ANSWER = "goals of a fleet are known from their records, whichever worker has stopped"
 
-EXCLUSIONS: dict[tuple[str, str], str] = {
-    (way, "test_the_sender_has_the_name_of_its_token_and_its_address"): NO_TOKENS
-    for way in ("inproc", "gateway", "inproc, with a store")
-} | {
-    (way, "test_an_executor_takes_its_successor_over_without_an_interruption"): KEPT_FIRST
-    for way in ("inproc, with a store", "tcp, with a store", "nats")
-} | {
-    ("nats", name): reason
-    for name, reason in {
-        "test_a_result_is_forgotten_when_its_time_is_over": RECORDS_LAST,
-        "test_an_attached_client_of_a_goal_that_is_forgotten_meanwhile_is_told": RECORDS_LAST,
-        "test_a_server_that_has_stopped_is_not_found": RECORDS_ANSWER,
-    }.items()
-}
+EXCLUSIONS: dict[tuple[str, str], str] = (
+    {
+        (way, "test_the_sender_has_the_name_of_its_token_and_its_address"): NO_TOKENS
+        for way in ("inproc", "gateway", "inproc, with a store")
+    }
+    | {
+        (way, "test_an_executor_takes_its_successor_over_without_an_interruption"): KEPT_FIRST
+        for way in ("inproc, with a store", "tcp, with a store", "nats")
+    }
+    | {
+        ("nats", name): reason
+        for name, reason in {
+            "test_a_result_is_forgotten_when_its_time_is_over": RECORDS_LAST,
+            "test_an_attached_client_of_a_goal_that_is_forgotten_meanwhile_is_told": RECORDS_LAST,
+            "test_a_server_that_has_stopped_is_not_found": RECORDS_ANSWER,
+        }.items()
+    }
+)
 """(way, test name): the reason why that way cannot keep it."""
 
 

@@ -12,8 +12,8 @@ from nats.js.errors import BadRequestError
 from fibaction import GoalID, GoalStatus
 from fibaction.goal_store import StoredGoal
 from fibaction.goals import Sender
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import GoalEntry, encode
-from fibaction_transports.nats.names import FleetNames
 from tests.fleet.servers import servers
 from tests.fleet.witness import witness
 from tests.nats_server import PROGRAM

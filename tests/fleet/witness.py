@@ -20,8 +20,8 @@ from nats.js.api import RePublish, StreamConfig
 from nats.js.errors import Error
 
 from fibaction.goal_store import StoredGoal
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import goal_entry, lease_entry
-from fibaction_transports.nats.names import FleetNames
 
 NAME = "WITNESS"
 PREFIX = "witness"

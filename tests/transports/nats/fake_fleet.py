@@ -42,6 +42,7 @@ from fibaction_transports.nats.broker import (
     Watch,
 )
 from fibaction_transports.nats.fleet_connection import FleetConnection
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import (
     GoalEntry,
     LeaseEntry,
@@ -50,7 +51,6 @@ from fibaction_transports.nats.fleet_records import (
     encode,
     goal_entry,
 )
-from fibaction_transports.nats.names import FleetNames
 from tests.wire.memory import MemoryChannel, pair
 
 NAMES = FleetNames("test")

@@ -16,8 +16,8 @@ from anyio.abc import SocketAttribute, SocketStream
 from fibaction import AuthenticationFailed, ServerNotFound, TransportError
 from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports.nats.broker import BrokerAway, NobodyListens, PutError, PutFailure
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.nats_broker import open_broker
 from tests.certificates import pems
 from tests.nats_server import NatsServer, nats_server

@@ -20,8 +20,8 @@ from fibaction_transports.nats.broker import (
     Record,
     Watch,
 )
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.nats_broker import open_broker
 from tests.memory_broker import MemoryBrokers
 from tests.nats_server import NatsServer

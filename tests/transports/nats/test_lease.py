@@ -13,9 +13,9 @@ from anyio import create_task_group, current_time, fail_after, sleep
 from fibaction._tasks import Background
 from fibaction.exceptions import TransportError
 from fibaction_transports.nats.broker import BrokerAway, Record
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import LeaseEntry, encode, lease_entry
 from fibaction_transports.nats.lease import Membership, Term
-from fibaction_transports.nats.names import FleetNames
 from tests.memory_broker import MemoryBroker, MemoryBrokers
 from tests.virtual_time import in_virtual_time
 

@@ -15,9 +15,9 @@ from fibaction.wire.channel import Line, NextFrames, OnFrames
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
 from fibaction_transports.nats.broker import Message
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import FleetSettings
 from fibaction_transports.nats.line import ClientLines, WorkerLines
-from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.nats_broker import NatsBroker, open_broker
 from fibaction_transports.nats.piece_line import WINDOW, PieceLine
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci

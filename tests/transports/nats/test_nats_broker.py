@@ -19,8 +19,8 @@ from fibaction_transports.nats.broker import (
     Record,
     Watch,
 )
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.nats_broker import NatsBroker, open_broker
 from tests.nats_server import PROGRAM, NatsServer, nats_cluster
 from tests.transports.hearing import Hearing

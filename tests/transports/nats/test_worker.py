@@ -12,6 +12,7 @@ from anyio import create_task_group, fail_after, sleep, sleep_forever
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, Schedule
 from fibaction.exceptions import GoalRejected, TransportError
 from fibaction_transports.nats.fleet_connection import open_fleet
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import (
     Question,
     ServedAction,
@@ -20,7 +21,6 @@ from fibaction_transports.nats.fleet_records import (
     offer,
 )
 from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.worker import Worker, open_worker
 from tests.memory_broker import MemoryBroker, MemoryBrokers
 from tests.simulation.loop import VirtualLoop

@@ -21,7 +21,7 @@ from contextlib import AbstractAsyncContextManager
 from enum import Enum
 from typing import NamedTuple, TypeAlias
 
-from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.fleet_names import FleetNames
 
 
 class Message(NamedTuple):

@@ -37,9 +37,9 @@ from fibaction.goals import UNKNOWN_OUTCOME, GoalID, Outcome
 from fibaction.wire.messages import Follow, Following, SendGoal
 from fibaction.wire.remote_goal import RemoteGoal
 from fibaction_transports.nats.broker import Broker, BrokerAway
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import GoalEntry, goal_entry
 from fibaction_transports.nats.fleet_workers import FleetWorkers
-from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.worker_connections import WorkerConnections
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.05, 1.0

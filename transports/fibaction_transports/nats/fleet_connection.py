@@ -32,11 +32,11 @@ from fibaction.wire.settings import ClientSettings
 from fibaction_transports.nats.broker import Broker
 from fibaction_transports.nats.call_routes import CallRoutes
 from fibaction_transports.nats.fleet_endpoint import FleetEndpoint
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_parts import FleetParts
 from fibaction_transports.nats.fleet_settings import FleetSettings
 from fibaction_transports.nats.fleet_statuses import AllStatuses
 from fibaction_transports.nats.fleet_workers import FleetWorkers
-from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.places import Places
 from fibaction_transports.nats.worker_connections import Lines, WorkerConnections
 

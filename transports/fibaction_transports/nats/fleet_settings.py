@@ -11,7 +11,7 @@ import msgspec
 from fibaction.exceptions import TransportError
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.tls_files import TlsFiles
-from fibaction_transports.nats.names import token_of
+from fibaction_transports.nats.fleet_names import token_of
 
 MANY = 3
 """The number of brokers from which on records are kept by several of them."""

@@ -40,9 +40,9 @@ from fibaction.wire.messages import AskPlaces
 from fibaction.wire.messages import Places as PlacesAnswer
 from fibaction.wire.remote_statuses import RemoteStatuses
 from fibaction_transports.nats.broker import Broker, BrokerAway, Record, Watch
+from fibaction_transports.nats.fleet_names import FleetNames, last_token
 from fibaction_transports.nats.fleet_records import GoalEntry, goal_entry
 from fibaction_transports.nats.fleet_workers import PAUSE, FleetWorkers
-from fibaction_transports.nats.names import FleetNames, last_token
 from fibaction_transports.nats.worker_connections import WorkerConnections
 
 MOST_PLACES = 10_000

@@ -37,9 +37,9 @@ from fibaction.exceptions import ProtocolError, StoreError
 from fibaction.goal_store import GoalJournal, GoalStore, GoalTaken, RecordTooLarge, StoredGoal, Then
 from fibaction.goals import GoalID
 from fibaction_transports.nats.broker import Broker, BrokerAway, PutError, PutFailure, Record
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import NONCE_SIZE, GoalEntry, encode, goal_entry
 from fibaction_transports.nats.lease import FIRST_PAUSE, LONGEST_PAUSE, Membership
-from fibaction_transports.nats.names import FleetNames
 
 SECOND: Final = 1_000_000_000
 DELETED_TTL = 60.0

@@ -18,8 +18,8 @@ from fibaction.action import ActionInfo
 from fibaction.exceptions import ConnectionLost, ProtocolError, ServerNotFound
 from fibaction.goals import WorkerInfo
 from fibaction_transports.nats.broker import Broker, BrokerAway, Record, Watch
+from fibaction_transports.nats.fleet_names import FleetNames, last_token
 from fibaction_transports.nats.fleet_records import LeaseEntry, lease_entry
-from fibaction_transports.nats.names import FleetNames, last_token
 
 PAUSE = 0.5
 """Seconds between attempts to watch the leases."""

@@ -14,8 +14,8 @@ import msgspec
 
 from fibaction.exceptions import TransportError
 from fibaction_transports.nats.broker import BrokerAway, NobodyListens, PutError, PutFailure
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import MANY
-from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.nats_client import NatsClient
 
 MARKER_TTL = 60

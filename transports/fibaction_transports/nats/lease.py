@@ -31,13 +31,13 @@ from fibaction._notify import Notifier
 from fibaction._text import excerpt
 from fibaction.exceptions import ProtocolError, TransportError
 from fibaction_transports.nats.broker import Broker, BrokerAway, PutError, PutFailure, Record
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import (
     INCARNATION_SIZE,
     LeaseEntry,
     encode,
     lease_entry,
 )
-from fibaction_transports.nats.names import FleetNames
 
 MARGIN = 1 / 5
 """The part of a lease that a worker leaves unused, so that it has stopped when the lease ends."""

@@ -13,7 +13,7 @@ from fibaction.exceptions import ConnectionLost
 from fibaction.wire.channel import Line
 from fibaction.wire.frames import MAX_FRAME, FrameReader
 from fibaction_transports.nats.broker import Broker, Message, Subscription
-from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.piece_line import CLOSED, DATA, OPEN, PieceLine, message_of
 
 

@@ -27,8 +27,8 @@ from fibaction_transports.nats.broker import (
     Subscription,
     Watch,
 )
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.nats_client import ACK_TIMEOUT, NOBODY, NatsClient, RawMessage
 from fibaction_transports.nats.note_queue import NoteQueue
 from fibaction_transports.nats.record_watch import watch_records

@@ -16,8 +16,8 @@ from fibaction.wire.connection import open_connection
 from fibaction.wire.settings import WireKeywords
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import ConfiguredTransport
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.names import FleetNames
 
 if TYPE_CHECKING:
     from fibaction_transports.nats.worker import Worker

@@ -17,7 +17,7 @@ import msgspec
 from fibaction._notify import Notifier
 from fibaction_transports.nats import jetstream
 from fibaction_transports.nats.broker import BrokerAway, NobodyListens, Note
-from fibaction_transports.nats.names import stream_of_note
+from fibaction_transports.nats.fleet_names import stream_of_note
 from fibaction_transports.nats.nats_client import NatsClient, RawMessage
 
 ACK_WAIT = 5

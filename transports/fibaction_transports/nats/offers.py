@@ -14,10 +14,10 @@ from anyio.lowlevel import checkpoint
 from fibaction._notify import Notifier
 from fibaction.exceptions import ProtocolError
 from fibaction_transports.nats.broker import Broker, BrokerAway, Message, Subscription
+from fibaction_transports.nats.fleet_names import OFFER_GROUP, FleetNames
 from fibaction_transports.nats.fleet_records import Offer, encode, question
 from fibaction_transports.nats.fleet_store import FleetStore
 from fibaction_transports.nats.lease import LONGEST_PAUSE, Membership
-from fibaction_transports.nats.names import OFFER_GROUP, FleetNames
 
 MOST = 16
 """The largest number of goals of one offer."""

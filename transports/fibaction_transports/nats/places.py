@@ -29,9 +29,9 @@ from fibaction.exceptions import (
     copy_of,
 )
 from fibaction_transports.nats.broker import Broker, BrokerAway, NobodyListens
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import Question, encode, offer
 from fibaction_transports.nats.fleet_workers import FleetWorkers
-from fibaction_transports.nats.names import FleetNames
 
 FIRST_WAIT, LONGEST_WAIT = 0.25, 2.0
 """Seconds that a question waits for an answer, at first and later."""

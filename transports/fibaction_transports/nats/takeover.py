@@ -39,6 +39,7 @@ from fibaction_transports.nats.broker import (
     PutFailure,
     Record,
 )
+from fibaction_transports.nats.fleet_names import FleetNames, action_of, last_token
 from fibaction_transports.nats.fleet_records import (
     GoalEntry,
     LeaseEntry,
@@ -49,7 +50,6 @@ from fibaction_transports.nats.fleet_records import (
 from fibaction_transports.nats.fleet_store import FleetJournal, FleetStore
 from fibaction_transports.nats.fleet_workers import FleetWorkers
 from fibaction_transports.nats.lease import LEFT_TTL, LONGEST_PAUSE, Membership
-from fibaction_transports.nats.names import FleetNames, action_of, last_token
 
 AT_ONCE = 16
 """The number of lost goals of an action that a worker takes over at the same time."""

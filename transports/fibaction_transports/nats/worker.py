@@ -13,13 +13,13 @@ from fibaction.abc import Endpoint
 from fibaction.exceptions import ConnectionLost, TransportError
 from fibaction.wire.wire_server import open_server
 from fibaction_transports.nats.broker import Broker, BrokerAway
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import LeaseEntry, ServedAction
 from fibaction_transports.nats.fleet_settings import FleetSettings
 from fibaction_transports.nats.fleet_store import FleetStore
 from fibaction_transports.nats.fleet_workers import FleetWorkers
 from fibaction_transports.nats.lease import Membership
 from fibaction_transports.nats.line import WorkerLines
-from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.offers import Offers
 from fibaction_transports.nats.takeover import Takeover
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fibaction.goals import GoalID
-from fibaction_transports.nats.names import (
+from fibaction_transports.nats.fleet_names import (
     FleetNames,
     action_of,
     last_token,
