@@ -46,8 +46,8 @@ LENGTH = 25.0
 QUIET = 120.0
 """Seconds after that, in which everything has to come to its end."""
 MAX_ATTEMPTS = 5
-CLEAN_UP = 0.05
-"""Seconds that executors take for their clean-up."""
+CLEAN_UP = 0.8
+"""Seconds that executors take for their clean-up, at most: less than the margin of a lease."""
 
 WORK = Action("work", goal=int, feedback=int, result=str, checkpoint=int)
 NAMES = FleetNames("simulated")
