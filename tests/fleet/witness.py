@@ -73,7 +73,7 @@ class Witness:
                     write = _newest(message)
                     self._followed[write.sequence] = write
                     await message.ack()
-            except (Error, nats.errors.Error):
+            except (Error, nats.errors.Error, TimeoutError):
                 await anyio.sleep(0.1)
 
     async def leader(self, stream: str) -> str:
@@ -115,7 +115,7 @@ class Witness:
     async def _messages(self, name: str) -> list[Any]:
         stream = self._client.jetstream(timeout=10)
         while True:  # a leader may have to be found again after the last fault
-            with suppress(Error, nats.errors.Error):
+            with suppress(Error, nats.errors.Error, TimeoutError):
                 total = (await stream.stream_info(name)).state.messages
                 reader = await stream.pull_subscribe("", stream=name)
                 break

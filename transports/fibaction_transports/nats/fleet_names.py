@@ -17,6 +17,8 @@ hexadecimal digits. IDs of goals are 32 hexadecimal digits.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from fibaction.goals import GoalID
 
 _PLAIN = frozenset(b"abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-")
@@ -27,6 +29,7 @@ OFFER_GROUP = "workers"
 """The queue group of all workers: each offer goes to one of them."""
 
 
+@lru_cache(maxsize=1000)  # several subjects of each goal have the name of its action
 def token_of(name: str) -> str:
     """Return a name as a token of a subject."""
     return "".join(
