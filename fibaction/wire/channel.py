@@ -232,7 +232,10 @@ class StreamChannel(Channel):
             framing.close()
             if last:
                 await self._send(last)
+            if framing.ends_stream:
+                with suppress(NotImplementedError):  # TLS
+                    await self._stream.send_eof()
             while not framing.is_closed:
                 framing.discard(await self._receive())
-        except ConnectionLost:
+        except (ConnectionLost, OSError, anyio.BrokenResourceError, anyio.ClosedResourceError):
             pass  # it was lost before, or the peer has closed in its way

@@ -73,6 +73,9 @@ class Framing(ABC):
     is_closed: bool = True
     """True if nothing more is expected of the peer when the line is closed."""
 
+    ends_stream: bool = False
+    """True if the stream to the peer ends with the goodbye: it is to read that, and leave."""
+
     @abstractmethod
     def feed(self, data: bytes) -> list[bytes]:
         """Add received bytes, and return the frames that are now complete.

@@ -129,6 +129,8 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         framing.close()
         self._is_leaving = True
         self._transport.write(last)
+        if framing.ends_stream:
+            self._transport.write_eof()
         framing.discard(self._early)
         self._transport.resume_reading()
         with anyio.move_on_after(LEAVE, shield=True):
@@ -167,8 +169,8 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
                 self._rest = self._on_frames(frames)
             if self._framing.has_answer:
                 self.wake_writer()
-                if not self._rest:
-                    self._framing.check()
+            if not self._rest:
+                self._framing.check()
         except Exception as exc:
             self._end(exc)
         else:

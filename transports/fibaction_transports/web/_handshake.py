@@ -18,6 +18,7 @@ from fibaction._text import excerpt
 from fibaction.exceptions import (
     AuthenticationFailed,
     ConnectionLost,
+    LimitReached,
     ProtocolError,
 )
 from fibaction.wire.codec import decode_from_server
@@ -30,8 +31,10 @@ LONGEST_HEAD = 2**14
 """Bytes of a request or an answer, at most: room for the cookies of other servers of this host."""
 VERSION = "13"
 """The version of WebSocket, of RFC 6455."""
-BUSY = frozenset({408, 429, 500, 502, 503, 504})
-"""Statuses of a server, or a proxy before it, that may answer otherwise the next time."""
+FULL = frozenset({429, 503})
+"""Statuses of a server that has no room for this client now."""
+AWAY = frozenset({408, 500, 502, 504})
+"""Statuses of a proxy that does not reach the server now."""
 REJECTED = frozenset({401, 403, 407})
 """Statuses that say that this client is not let in."""
 
@@ -181,7 +184,8 @@ class ClientHandshake:
 
         Raises:
             AuthenticationFailed: The server does not let this client in.
-            ConnectionLost: The server is busy, or a proxy does not reach it.
+            ConnectionLost: A proxy does not reach the server.
+            LimitReached: The server is full.
             ProtocolError: There is no server of the wire protocol over WebSocket.
         """
         self._http.receive_data(data)
@@ -196,7 +200,7 @@ class ClientHandshake:
         assert isinstance(answer, h11.Response | h11.InformationalResponse)
         if answer.status_code != HTTPStatus.SWITCHING_PROTOCOLS:
             raise self._error_of(answer)
-        headers = {name: value for name, value in answer.headers}
+        headers = dict(answer.headers)
         accept = generate_accept_token(self._key)
         if headers.get(b"sec-websocket-accept") != accept:
             raise ProtocolError("it does not speak WebSocket: its Sec-WebSocket-Accept is wrong")
@@ -210,11 +214,13 @@ class ClientHandshake:
 
     def _error_of(
         self, answer: h11.Response | h11.InformationalResponse
-    ) -> AuthenticationFailed | ConnectionLost | ProtocolError:
+    ) -> AuthenticationFailed | ConnectionLost | LimitReached | ProtocolError:
         status = answer.status_code
         text = excerpt(self._text() or answer.reason.decode("latin-1"))
         said = f"HTTP {status}: {text}"
-        if status in BUSY:
+        if status in FULL:
+            return LimitReached(said)
+        if status in AWAY:
             return ConnectionLost(said)
         if status in REJECTED:
             return AuthenticationFailed(said)

@@ -3,9 +3,9 @@
 A browser lets every page open a WebSocket to every address, also to one of this machine, and says
 by `Origin` which page it was. So a page may only use the server that it came from, or one that
 names it in `origins`. A page of another host may still point its own name at this machine after it
-was loaded ("DNS rebinding"): then `Origin` and `Host` agree, but the name is foreign. So `Host` must
-be an address, a name of this machine, or one of `hosts`. With TLS the certificate keeps such names
-away, and `Host` is not checked.
+was loaded ("DNS rebinding"): then `Origin` and `Host` agree, but the name is foreign. So `Host`
+must be an address, a name of this machine, or one of `hosts`. With TLS the certificate keeps such
+names away, and `Host` is not checked.
 
 Clients that are not browsers send no `Origin`.
 """

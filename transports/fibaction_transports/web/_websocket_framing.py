@@ -10,12 +10,11 @@ costs one message, whose overhead counts little, and what arrives goes piece by 
 the connection by its first bytes, however it is cut into pieces.
 
 Both sides may use the framing at once: until the handshake is done, frames to send wait in it. What
-WebSocket has to say by itself (the handshake, pongs, the close) is the answer that the next
-`encode` returns. Of many pings only the last one gets a pong, which RFC 6455 permits, so a peer
+WebSocket has to say by itself (the handshake, pongs) is the answer that the next `encode` returns. Of many pings only the last one gets a pong, which RFC 6455 permits, so a peer
 that sends pings and reads nothing costs no memory.
 
-The end: each side sends one close, and the side that was asked answers it. `goodbye` returns ours;
-the line then waits for the peer's for a limited time. After an error of the peer the close has the
+The end: each side sends one close. `goodbye` returns ours, which may be the reply to the peer's;
+otherwise the line waits for the peer's for a limited time. After an error of the peer the close has the
 code that fits, and the reason is in the `Goodbye` before it.
 
 The library is wsproto. The other one that fits, the sans-I/O layer of websockets, is two to three
@@ -60,6 +59,7 @@ class WebSocketFraming(Framing):
         self._code = CloseReason.NORMAL_CLOSURE
         self._is_broken = False
         self._lost = ""  # why the peer has closed
+        self._reply: Event | None = None  # to the close of the peer
 
     @property
     def has_answer(self) -> bool:  # type: ignore[override]  # here it changes
@@ -74,10 +74,16 @@ class WebSocketFraming(Framing):
         return self._socket.state is ConnectionState.CLOSED and not self._is_broken
 
     @property
+    def ends_stream(self) -> bool:  # type: ignore[override]  # here it changes
+        """True if nothing that the peer may still say can be read."""
+        return self._is_server and (self._handshake is not None or self._is_broken)
+
+    @property
     def is_within_frame(self) -> bool:
         return self._reader.is_within_frame
 
     def feed(self, data: bytes) -> list[bytes]:
+        self.check()
         if self._handshake is not None:
             rest = self._shake_hands(self._handshake, data)
             if not rest:
@@ -120,6 +126,7 @@ class WebSocketFraming(Framing):
                 self._end(event)
                 if not frames:
                     self.check()
+                break  # nothing counts behind it
         return frames
 
     def _take(self, event: BytesMessage) -> list[bytes]:
@@ -142,7 +149,7 @@ class WebSocketFraming(Framing):
         if self._socket.state is ConnectionState.OPEN:
             self._code = CloseReason(event.code)
             raise ProtocolError(f"invalid WebSocket data: {reason}")
-        self._answer += self._socket.send(event.response())
+        self._reply = event.response()
         self._lost = f"{self._peer} closed: {event.code} {reason}".rstrip()
 
     def check(self) -> None:
@@ -177,7 +184,10 @@ class WebSocketFraming(Framing):
                 return handshake.give_up(self._waiting)
             return self._take_answer()
         last = self._take_answer()
-        if self._socket.state is ConnectionState.OPEN:
+        if self._reply is not None:
+            reply, self._reply = self._reply, None
+            last += self._socket.send(reply)
+        elif self._socket.state is ConnectionState.OPEN:
             last += self._socket.send(CloseConnection(code=self._code))
         return last
 
