@@ -1,8 +1,9 @@
 """`Line`: a connection that moves frames, which every transport over the wire protocol supplies.
 
-A transport over a stream of bytes wraps it in a `StreamChannel`. One that has frames of its own,
-such as WebSocket, implements `Channel`, whose two directions have a task each. One that needs no
-tasks, because it is called with what arrives, implements `Line` itself.
+A transport over a stream of bytes wraps it in a `StreamChannel`; if its frames have another form
+there than a length before each, as over WebSocket, it supplies a `Framing`. One that has frames of
+its own implements `Channel`, whose two directions have a task each. One that needs no tasks,
+because it is called with what arrives, implements `Line` itself.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ A subclass has
 - `open_line`, which connects,
 - `accept_lines`, which listens, and hands each line to the `WireServer`.
 
-`docs/howto/write_a_transport.md` writes one; `fibaction_transports.tcp` has two.
+`docs/howto/write_a_transport.md` writes one; `fibaction_transports.tcp` has two, and `web` one.
 """
 
 from __future__ import annotations

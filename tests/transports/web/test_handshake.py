@@ -6,7 +6,13 @@ from typing import Any
 
 import pytest
 
-from fibaction.exceptions import AuthenticationFailed, ConnectionLost, LimitReached, ProtocolError
+from fibaction.exceptions import (
+    AuthenticationFailed,
+    ConnectionLost,
+    InvalidURL,
+    LimitReached,
+    ProtocolError,
+)
 from fibaction.wire.codec import encode
 from fibaction.wire.messages import Goodbye, Ping, Why
 from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake, http_answer
@@ -127,3 +133,11 @@ def test_a_server_must_choose_the_subprotocol() -> None:
     shaking.feed(asking.answer)
     with pytest.raises(ProtocolError, match=r"does not speak the subprotocol fibaction\.1"):
         asking.feed(shaking.answer.replace(b"fibaction.1", b"other"))
+
+
+def test_a_host_that_cannot_be_asked_for_is_an_invalid_url() -> None:
+    with pytest.raises(InvalidURL, match="invalid host"):
+        ClientHandshake("robot\n", "/")
+    with pytest.raises(UnicodeError):
+        ClientHandshake("rö..bot", "/")
+    assert b"\r\nHost: xn--rbot-5qa:80\r\n" in ClientHandshake("röbot:80", "/").answer

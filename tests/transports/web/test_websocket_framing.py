@@ -222,7 +222,9 @@ def test_what_arrives_after_our_close_is_ignored() -> None:
     assert peer.server.encode([b"more"]) == b""
 
 
-def test_a_server_that_gives_up_before_the_handshake_answers_by_http_and_waits_for_the_end() -> None:
+def test_a_server_that_gives_up_before_the_handshake_answers_by_http_and_waits_for_the_end() -> (
+    None
+):
     answering = server()
     answering.feed(upgrade()[:20])
     assert answering.goodbye().startswith(b"HTTP/1.1 503 ")

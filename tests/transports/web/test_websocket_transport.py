@@ -16,8 +16,8 @@ from fibaction import (
     AuthenticationFailed,
     ConnectionLost,
     InvalidURL,
-    Limits,
     LimitReached,
+    Limits,
     ProtocolError,
     TransportError,
     connect,
@@ -106,7 +106,9 @@ def test_a_path_begins_with_a_slash() -> None:
 
 
 async def test_an_address_of_the_network_needs_tls() -> None:
-    with pytest.raises(TransportError, match=r"use wss://, or, if the network is your own, \?insec"):
+    with pytest.raises(
+        TransportError, match=r"use wss://, or, if the network is your own, \?insec"
+    ):
         async with serve(new_server(), "ws://0.0.0.0:0"):
             pass
     async with serve(new_server(), "ws://0.0.0.0:0?insecure=true") as (url,):

@@ -35,7 +35,11 @@ UPGRADE: dict[str, tuple[bytes, int, str]] = {
     "an old version": (upgrade({b"Sec-WebSocket-Version": b"8"}), 426, "WebSocket is 13"),
     "no key": (upgrade({b"Sec-WebSocket-Key": None}), 400, "no Sec-WebSocket-Key"),
     "no subprotocol": (upgrade({b"Sec-WebSocket-Protocol": None}), 400, "must offer"),
-    "another subprotocol": (upgrade({b"Sec-WebSocket-Protocol": b"fibaction.2"}), 400, "must offer"),
+    "another subprotocol": (
+        upgrade({b"Sec-WebSocket-Protocol": b"fibaction.2"}),
+        400,
+        "must offer",
+    ),
     "no host": (upgrade({b"Host": None}), 400, "Host"),
     "another host": (upgrade({b"Host": b"evil.example"}), 421, "not known as 'evil.example'"),
     "a foreign page": (upgrade({b"Origin": b"http://evil.example"}), 403, "may not use the server"),

@@ -32,7 +32,7 @@ MAX_PORT = 65535
 class HostTransport(StreamTransport):
     """A transport whose servers have a host and a port."""
 
-    own_settings = ("tls", "insecure")
+    own_settings: ClassVar[tuple[str, ...]] = ("tls", "insecure")
     own_url_settings: ClassVar = {"insecure": boolean}
     speaks_tls: ClassVar[bytes] = SPEAKS_TLS
     """The answer of a server with TLS to a client that does not begin with TLS."""
@@ -95,8 +95,8 @@ class HostTransport(StreamTransport):
     async def _listen(self) -> tuple[Listener[Any], str]:
         if not (self._insecure or self._tls or is_loopback(self._host)):
             raise TransportError(
-                f"{self.url} can be reached from other machines: use {self.tls_schemes[0]}://, or, if the network is"
-                f" your own, ?insecure=true behind the URL (in code insecure=True)"
+                f"{self.url} can be reached from other machines: use {self.tls_schemes[0]}://, or,"
+                f" if the network is your own, ?insecure=true behind the URL (in code insecure=True)"
             )
         context = self._tls
         if isinstance(context, TlsFiles):

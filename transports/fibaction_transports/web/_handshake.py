@@ -18,6 +18,7 @@ from fibaction._text import excerpt
 from fibaction.exceptions import (
     AuthenticationFailed,
     ConnectionLost,
+    InvalidURL,
     LimitReached,
     ProtocolError,
 )
@@ -87,10 +88,10 @@ class ServerHandshake:
                 h11.InformationalResponse(
                     status_code=101,
                     headers=[
-                        ("Upgrade", "websocket"),
-                        ("Connection", "Upgrade"),
-                        ("Sec-WebSocket-Accept", generate_accept_token(key)),
-                        ("Sec-WebSocket-Protocol", SUBPROTOCOL),
+                        (b"Upgrade", b"websocket"),
+                        (b"Connection", b"Upgrade"),
+                        (b"Sec-WebSocket-Accept", generate_accept_token(key)),
+                        (b"Sec-WebSocket-Protocol", SUBPROTOCOL.encode()),
                     ],
                     reason=b"Switching Protocols",
                 )
@@ -159,21 +160,25 @@ class ClientHandshake:
     """Makes a request, and reads its answer."""
 
     def __init__(self, host: str, target: str) -> None:
-        """Ask for a target at a host, which has the port if it is not the scheme's own."""
+        """Ask for a target at a host, which has the port if it is not the scheme's own.
+
+        Raises:
+            InvalidURL, UnicodeError: The host cannot be part of a request.
+        """
         self._http = h11.Connection(h11.CLIENT, max_incomplete_event_size=LONGEST_HEAD)
         self._key = generate_nonce()
-        request = h11.Request(
-            method="GET",
-            target=target,
-            headers=[
-                ("Host", host),
-                ("Upgrade", "websocket"),
-                ("Connection", "Upgrade"),
-                ("Sec-WebSocket-Key", self._key),
-                ("Sec-WebSocket-Version", VERSION),
-                ("Sec-WebSocket-Protocol", SUBPROTOCOL),
-            ],
-        )
+        headers = [
+            (b"Host", _ascii(host)),
+            (b"Upgrade", b"websocket"),
+            (b"Connection", b"Upgrade"),
+            (b"Sec-WebSocket-Key", self._key),
+            (b"Sec-WebSocket-Version", VERSION.encode()),
+            (b"Sec-WebSocket-Protocol", SUBPROTOCOL.encode()),
+        ]
+        try:
+            request = h11.Request(method="GET", target=target, headers=headers)
+        except h11.LocalProtocolError as exc:
+            raise InvalidURL(f"invalid host {host!r}: {exc}") from exc
         self.answer = (self._http.send(request) or b"") + (
             self._http.send(h11.EndOfMessage()) or b""
         )
@@ -233,6 +238,14 @@ class ClientHandshake:
             while isinstance(event := self._http.next_event(), h11.Data):
                 body += event.data
         return body.decode(errors="replace").strip()
+
+
+def _ascii(host: str) -> bytes:
+    """Return a host, and its port if it has one, as a request names them."""
+    if host.isascii():
+        return host.encode()
+    name, colon, port = host.partition(":")
+    return name.encode("idna") + f"{colon}{port}".encode()
 
 
 def _items(value: str) -> list[str]:

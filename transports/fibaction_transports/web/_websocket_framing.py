@@ -10,12 +10,13 @@ costs one message, whose overhead counts little, and what arrives goes piece by 
 the connection by its first bytes, however it is cut into pieces.
 
 Both sides may use the framing at once: until the handshake is done, frames to send wait in it. What
-WebSocket has to say by itself (the handshake, pongs) is the answer that the next `encode` returns. Of many pings only the last one gets a pong, which RFC 6455 permits, so a peer
-that sends pings and reads nothing costs no memory.
+WebSocket has to say by itself (the handshake, pongs) is the answer that the next `encode` returns.
+Of many pings only the last one gets a pong, which RFC 6455 permits, so a peer that sends pings and
+reads nothing costs no memory.
 
 The end: each side sends one close. `goodbye` returns ours, which may be the reply to the peer's;
-otherwise the line waits for the peer's for a limited time. After an error of the peer the close has the
-code that fits, and the reason is in the `Goodbye` before it.
+otherwise the line waits for the peer's for a limited time. After an error of the peer the close has
+the code that fits, and the reason is in the `Goodbye` before it.
 
 The library is wsproto. The other one that fits, the sans-I/O layer of websockets, is two to three
 times as fast with small messages, but returns a message only when all of it has arrived: its memory
@@ -131,7 +132,7 @@ class WebSocketFraming(Framing):
 
     def _take(self, event: BytesMessage) -> list[bytes]:
         try:
-            frames = self._reader.feed(event.data)
+            frames = self._reader.feed(bytes(event.data))
         except ProtocolError:
             self._code = CloseReason.MESSAGE_TOO_BIG
             raise
