@@ -21,7 +21,7 @@ from fibaction.wire.frames import FrameReader
 from fibaction.wire.messages import Goodbye, Ping
 from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake
 from fibaction_transports.web._http_rules import rules
-from fibaction_transports.web._websocket_framing import WebSocketFraming
+from fibaction_transports.web._websocket_frames import WebSocketFraming
 from tests.transports.web.upgrade import upgrade
 
 LIMIT = 2**16

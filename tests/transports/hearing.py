@@ -17,7 +17,7 @@ from fibaction.exceptions import ConnectionLost
 from fibaction.wire.codec import FromServer, decode_from_server
 from fibaction.wire.frames import FrameReader, Framing
 from fibaction_transports.web._handshake import ClientHandshake
-from fibaction_transports.web._websocket_framing import WebSocketFraming
+from fibaction_transports.web._websocket_frames import WebSocketFraming
 
 
 class Hearing(logging.Handler):

@@ -96,7 +96,8 @@ class HostTransport(StreamTransport):
         if not (self._insecure or self._tls or is_loopback(self._host)):
             raise TransportError(
                 f"{self.url} can be reached from other machines: use {self.tls_schemes[0]}://, or,"
-                f" if the network is your own, ?insecure=true behind the URL (in code insecure=True)"
+                f" if the network is your own, ?insecure=true behind the URL"
+                f" (in code insecure=True)"
             )
         context = self._tls
         if isinstance(context, TlsFiles):

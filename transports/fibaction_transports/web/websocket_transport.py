@@ -15,7 +15,7 @@ from fibaction.wire.wire_server import WireServer
 from fibaction_transports._streams._host_transport import HostTransport, port_in
 from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake, http_answer
 from fibaction_transports.web._http_rules import rules
-from fibaction_transports.web._websocket_framing import WebSocketFraming
+from fibaction_transports.web._websocket_frames import WebSocketFraming
 
 HOST = "127.0.0.1"
 """The default host: this machine only."""

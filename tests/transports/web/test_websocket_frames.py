@@ -1,4 +1,4 @@
-"""`fibaction_transports.web._websocket_framing`: frames in messages, without a network."""
+"""`fibaction_transports.web._websocket_frames`: frames in messages, without a network."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fibaction.exceptions import ActionError, ConnectionLost, LimitReached, Prot
 from fibaction.wire.frames import FrameMemory, FrameReader, framed, header
 from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake
 from fibaction_transports.web._http_rules import rules
-from fibaction_transports.web._websocket_framing import WebSocketFraming
+from fibaction_transports.web._websocket_frames import WebSocketFraming
 from tests.transports.web.upgrade import upgrade
 
 LIMIT = 1000
