@@ -55,7 +55,7 @@ PAGES = [
     ROOT / "transports" / "README.md",
     *sorted(DOCS.rglob("*.md")),
 ]
-LANGUAGES = {"cmake", "console", "ini", "python", "text", "toml", "xml"}
+LANGUAGES = {"cmake", "console", "ini", "javascript", "python", "text", "toml", "xml"}
 WITH_ROS = "it needs ROS 2, and is run where that is"
 """Why a block is not run here: tests/ros2/test_docs_ros.py runs it."""
 
@@ -68,7 +68,7 @@ SHELLS_ELSEWHERE = {
 """Pages whose shell commands are not run by `tests.walks`, and who runs them."""
 
 _LINK = re.compile(r"\]\((?P<target>[^)\s]+)\)")
-_NAME = re.compile(r"`(fibaction(?:_transports)?(?:\.\w+)+)`")
+_NAME = re.compile(r"`(fibaction(?:_transports)?(?:\.[A-Za-z_]\w*)+)`")
 _DIRECTIVE = re.compile(r"^::: (\S+)$", re.MULTILINE)
 
 

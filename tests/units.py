@@ -28,7 +28,9 @@ UNITS = {
     "fibaction/wire/tls_files.py": ["tests/transports/tcp"],
     "fibaction/wire/transport.py": ["tests/transports/tcp"],
     "transports/fibaction_transports/nats": ["tests/transports/nats"],
+    "transports/fibaction_transports/_streams": ["tests/transports/tcp", "tests/transports/web"],
     "transports/fibaction_transports/tcp": ["tests/transports/tcp"],
+    "transports/fibaction_transports/web": ["tests/transports/web"],
 }
 """The tests that cover a module, or all modules of a folder together; the longest path counts.
 Every other module, so each public one, is covered by a test file of its own."""

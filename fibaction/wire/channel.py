@@ -1,14 +1,16 @@
 """`Line`: a connection that moves frames, which every transport over the wire protocol supplies.
 
-A transport over a stream of bytes wraps it in a `StreamChannel`. One that has frames of its own,
-such as WebSocket, implements `Channel`, whose two directions have a task each. One that needs no
-tasks, because it is called with what arrives, implements `Line` itself.
+A transport over a stream of bytes wraps it in a `StreamChannel`; if its frames have another form
+there than a length before each, as over WebSocket, it supplies a `Framing`. One that has frames of
+its own implements `Channel`, whose two directions have a task each. One that needs no tasks,
+because it is called with what arrives, implements `Line` itself.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
 from typing import TypeAlias
 
 import anyio
@@ -16,11 +18,13 @@ from anyio.abc import ByteStream
 
 from fibaction._notify import Notifier
 from fibaction.exceptions import ActionError, ConnectionLost
-from fibaction.wire.frames import FrameReader, framed
+from fibaction.wire.frames import Framing
 
 CHUNK = 2**16
 """Bytes read or written at once: large, so that the cost of a call does not count, and small enough
 for a slow line to move one within a heartbeat."""
+LEAVE = 1.0
+"""Seconds for a peer to take part in closing."""
 
 
 OnFrames: TypeAlias = Callable[[list[bytes]], list[bytes]]
@@ -92,6 +96,8 @@ class Line(ABC):
 class Channel(Line):
     """A line whose two directions have a task each."""
 
+    has_answer = False
+    """True if `send` is to be called also without frames: for bytes that belong to no frame."""
     _wanted: Notifier | None = None
     _turn: anyio.Lock | None = None
 
@@ -133,7 +139,7 @@ class Channel(Line):
 
         async def write() -> None:
             while True:
-                if frames := next_frames():
+                if (frames := next_frames()) or self.has_answer:
                     await self.send(frames)
                 else:
                     await wanted.wait()
@@ -154,14 +160,15 @@ class Channel(Line):
 class StreamChannel(Channel):
     """Frames over a stream of bytes."""
 
-    def __init__(self, stream: ByteStream, peer: str, reader: FrameReader) -> None:
-        """Take a stream. The reader is the server's (`WireServer.new_reader()`), or a client's own.
+    def __init__(self, stream: ByteStream, peer: str, framing: Framing) -> None:
+        """Take a stream, and the form of its frames.
 
-        The channel closes the reader with the stream.
+        The simplest form is a `FrameReader`: the server's (`WireServer.new_reader()`), or a
+        client's own. The channel closes the form with the stream.
         """
         self.peer = peer
         self._stream = stream
-        self._reader = reader
+        self._framing = framing
         self._unfinished = False
         self._pieces = 0
 
@@ -169,8 +176,15 @@ class StreamChannel(Channel):
     def progress(self) -> int:
         return self._pieces
 
+    @property
+    def has_answer(self) -> bool:  # type: ignore[override]  # here it changes
+        """True if `send` is to be called also without frames: for bytes that belong to no frame."""
+        return self._framing.has_answer
+
     async def send(self, frames: Sequence[bytes]) -> None:
-        data = framed(frames)
+        await self._send(self._framing.encode(frames))
+
+    async def _send(self, data: bytes) -> None:
         if self._unfinished:
             raise ConnectionLost(f"the last message to {self.peer} was cut off")
         self._unfinished = True
@@ -183,20 +197,46 @@ class StreamChannel(Channel):
         self._unfinished = False
 
     async def receive(self) -> list[bytes]:
+        self._framing.check()
+        data = await self._receive()
+        frames = self._framing.feed(data)
+        if self._framing.has_answer:
+            self.wake_writer()
+        return frames
+
+    async def _receive(self) -> bytes:
         try:
-            data = await self._stream.receive(CHUNK)
+            return await self._stream.receive(CHUNK)
         except anyio.EndOfStream:
-            how = "in the middle of a message" if self._reader.is_within_frame else "its side"
+            how = "in the middle of a message" if self._framing.is_within_frame else "its side"
             raise ConnectionLost(f"{self.peer} closed {how}") from None
         except (OSError, anyio.BrokenResourceError, anyio.ClosedResourceError) as exc:
             raise ConnectionLost(f"the connection to {self.peer} broke") from exc
-        return self._reader.feed(data)
 
     async def aclose(self) -> None:
-        self._reader.close()
         # Do not wait for a peer that does not take part in closing, or for a dead line.
         try:
-            with anyio.move_on_after(1, shield=True):
+            with anyio.move_on_after(LEAVE, shield=True):
+                await self._take_leave()
+        finally:  # asyncio can cancel the task itself, which no scope shields
+            with (
+                suppress(OSError, anyio.BrokenResourceError, anyio.ClosedResourceError),
+                anyio.move_on_after(LEAVE, shield=True),
+            ):
                 await self._stream.aclose()
-        except (OSError, anyio.BrokenResourceError, anyio.ClosedResourceError):
-            pass
+
+    async def _take_leave(self) -> None:
+        """Say goodbye, as the framing does it, and wait for the answer of the peer."""
+        framing = self._framing
+        try:
+            last = framing.goodbye()
+            framing.close()
+            if last:
+                await self._send(last)
+            if framing.ends_stream:
+                with suppress(NotImplementedError):  # TLS
+                    await self._stream.send_eof()
+            while not framing.is_closed:
+                framing.discard(await self._receive())
+        except (ConnectionLost, OSError, anyio.BrokenResourceError, anyio.ClosedResourceError):
+            pass  # it was lost before, or the peer has closed in its way

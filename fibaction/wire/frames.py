@@ -5,7 +5,8 @@ Sans-I/O: bytes in, frames out. The content of a frame is not examined.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
 from struct import Struct
 from typing import Protocol
 
@@ -60,8 +61,60 @@ def framed(frames: Iterable[bytes]) -> bytes:
     return b"".join(parts)
 
 
-class FrameReader:
-    """Parser of frames, which may arrive in pieces of any size.
+class Framing(ABC):
+    """The form that frames have in a stream of bytes, both ways.
+
+    Sans-I/O. A form may have bytes of its own beside the frames, such as WebSocket's handshake and
+    pongs: it keeps them as its answer until the line can send them.
+    """
+
+    has_answer: bool = False
+    """True if there are bytes to send that belong to no frame; `encode` returns them first."""
+    is_closed: bool = True
+    """True if nothing more is expected of the peer when the line is closed."""
+
+    ends_stream: bool = False
+    """True if the stream to the peer ends with the goodbye: it is to read that, and leave."""
+
+    @abstractmethod
+    def feed(self, data: bytes) -> list[bytes]:
+        """Add received bytes, and return the frames that are now complete.
+
+        Raises:
+            ActionError: The bytes are invalid, or the peer has closed.
+        """
+
+    @abstractmethod
+    def encode(self, frames: Sequence[bytes]) -> bytes:
+        """Return the answer, if there is one, and the frames as bytes to send."""
+
+    @property
+    @abstractmethod
+    def is_within_frame(self) -> bool:
+        """True if part of a frame has arrived, and the rest has not."""
+
+    def check(self) -> None:  # noqa: B027  # a form may have no end of its own
+        """Raise the end of the peer, if it came behind frames that `feed` has returned.
+
+        Raises:
+            ConnectionLost: The peer has closed.
+        """
+
+    def goodbye(self) -> bytes:
+        """Return the last bytes to send; what arrives from now on goes to `discard`."""
+        return b""
+
+    def discard(self, data: bytes) -> None:  # noqa: B027  # as above
+        """Look for the end of the peer in the bytes, and ignore everything else."""
+
+    def close(self) -> None:  # noqa: B027  # as above
+        """Forget what is incomplete: no more bytes come."""
+
+
+class FrameReader(Framing):
+    """Frames one after another, each after its length.
+
+    Frames may arrive in pieces of any size.
 
     It keeps at most one incomplete frame. What a large one takes is counted in a memory that many
     readers share, until the frame is complete or the reader is closed.
@@ -98,6 +151,9 @@ class FrameReader:
             self._count(max(0, len(buffer) - UNCOUNTED))
             self._check()
         return frames
+
+    def encode(self, frames: Sequence[bytes]) -> bytes:
+        return framed(frames)
 
     def _split(self, data: bytes | bytearray, view: bytes | memoryview) -> tuple[list[bytes], int]:
         """Return the complete frames in the bytes, and the place behind the last of them."""

@@ -13,7 +13,7 @@ subclass has
 `ConfiguredTransport` is the part with the settings and the URL, for a transport whose lines are
 only a part of how it connects.
 
-`docs/howto/write_a_transport.md` writes one; `fibaction_transports.tcp` has two.
+`docs/howto/write_a_transport.md` writes one; `fibaction_transports.tcp` has two, and `web` one.
 """
 
 from __future__ import annotations
@@ -161,16 +161,28 @@ def host_only(parts: SplitResult) -> str:
     Raises:
         ValueError: It has more; the text says what.
     """
-    for what, is_there in (
-        ("user", "@" in parts.netloc),
-        ("path", parts.path not in ("", "/")),
-    ):
-        if is_there:
-            raise ValueError(
-                f"it has a {what}, and the URL of a server is like"
-                f" {parts.scheme}://host:port, with settings behind ? such as token="
-            )
+    host = without_user(parts)
+    if parts.path not in ("", "/"):
+        raise _surplus(parts, "path")
+    return host
+
+
+def without_user(parts: SplitResult) -> str:
+    """Return the host of a URL that may have a host, a port and a path, and no user.
+
+    Raises:
+        ValueError: It has a user.
+    """
+    if "@" in parts.netloc:
+        raise _surplus(parts, "user")
     return parts.hostname or ""
+
+
+def _surplus(parts: SplitResult, what: str) -> ValueError:
+    return ValueError(
+        f"it has a {what}, and the URL of a server is like"
+        f" {parts.scheme}://host:port, with settings behind ? such as token="
+    )
 
 
 def _split(url: str) -> tuple[SplitResult, dict[str, str]]:

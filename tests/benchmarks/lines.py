@@ -21,7 +21,7 @@ from anyio.abc import SocketAttribute, SocketStream
 from fibaction._notify import Notifier
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.frames import FrameReader
-from fibaction_transports.tcp import _anyio, _asyncio
+from fibaction_transports._streams import _anyio, _asyncio
 
 FRAME = bytes(100)
 TURNS = 7

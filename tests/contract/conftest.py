@@ -175,6 +175,14 @@ def tls_address() -> str:
     return f"{tcp_address().replace('tcp', 'tls')}?cert={pems().cert}"
 
 
+def ws_address() -> str:
+    return tcp_address().replace("tcp", "ws")
+
+
+def wss_address() -> str:
+    return tls_address().replace("tls", "wss")
+
+
 def unix_address() -> str:
     return f"unix://{tempfile.mkdtemp()}/socket"
 
@@ -198,6 +206,8 @@ WAYS: dict[str, Reach] = {
     "tcp": Reach(directly, tcp_address),
     "tls": Reach(directly, tls_address),
     "unix": Reach(directly, unix_address),
+    "ws": Reach(directly, ws_address),
+    "wss": Reach(directly, wss_address),
     "gateway to tcp": Reach(through_a_gateway, tcp_address),
     "inproc, with a store": Reach(with_a_store, InProcessTransport),
     "tcp, with a store": Reach(with_a_file, tcp_address),

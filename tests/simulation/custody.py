@@ -31,7 +31,7 @@ def excesses(session: Session, limits: Limits) -> Iterator[str]:
     yield from _above("requests", len(session._waiting), limits.requests)
     yield from _above("follows of one goal", max(follows.values(), default=0), limits.follows)
     yield from _above("bytes to send", link._queued, OVERFULL * limits.queue + ANSWER)
-    reader = link._line._reader  # type: ignore[attr-defined]  # each line of a test has one
+    reader = link._line._framing  # type: ignore[attr-defined]  # each line of a test has one
     yield from _above("bytes of a message", len(reader._buffer), frame + HEADER)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from fibaction._asyncio_task import asyncio_loop
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.frames import FrameReader
-from fibaction_transports.tcp import _asyncio
+from fibaction_transports._streams import _asyncio
 from tests.simulation.streams import SimulatedStream
 
 

@@ -6,14 +6,18 @@ from __future__ import annotations
 
 import logging
 from collections.abc import AsyncGenerator, Generator
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, contextmanager, suppress
 
 import anyio
 from anyio.abc import SocketAttribute, SocketStream
+from wsproto.events import BytesMessage
 
 from fibaction._notify import Notifier
+from fibaction.exceptions import ConnectionLost
 from fibaction.wire.codec import FromServer, decode_from_server
-from fibaction.wire.frames import FrameReader, header
+from fibaction.wire.frames import FrameReader, Framing
+from fibaction_transports.web._handshake import ClientHandshake
+from fibaction_transports.web._websocket_frames import WebSocketFraming
 
 
 class Hearing(logging.Handler):
@@ -62,24 +66,37 @@ def hearing(name: str = "fibaction.wire") -> Generator[Hearing, None, None]:
 
 
 class Raw:
-    """A peer that says whatever the test wants."""
+    """A peer that says whatever the test wants, over TCP or WebSocket."""
 
-    def __init__(self, stream: SocketStream) -> None:
+    def __init__(self, stream: SocketStream, framing: Framing) -> None:
         self.name = f"127.0.0.1:{stream.extra(SocketAttribute.local_port)}"
         """As the server's log calls it."""
         self.stream = stream
-        self._reader = FrameReader()
+        self._framing = framing
         self._messages: list[FromServer] = []
 
+    async def shake_hands(self) -> None:
+        """Do what comes before the first frame, if anything does."""
+        with anyio.fail_after(5):
+            while self._framing.has_answer:
+                await self.stream.send(self._framing.encode([]))
+                self._framing.feed(await self.stream.receive())
+
     async def say(self, *frames: bytes) -> None:
-        await self.stream.send(b"".join(header(len(frame)) + frame for frame in frames))
+        await self.stream.send(self._framing.encode(frames))
+
+    async def send(self, data: bytes) -> None:
+        """Send bytes where frames are expected: over WebSocket in a message that goes on."""
+        if isinstance(self._framing, WebSocketFraming):
+            event = BytesMessage(data=data, message_finished=False)
+            data = self._framing._socket.send(event)
+        await self.stream.send(data)
 
     async def hear(self) -> FromServer:
         """The next message."""
         with anyio.fail_after(5):
             while not self._messages:
-                data = await self.stream.receive()
-                self._messages += map(decode_from_server, self._reader.feed(data))
+                await self._receive()
             return self._messages.pop(0)
 
     async def hear_all(self) -> list[FromServer]:
@@ -87,16 +104,30 @@ class Raw:
         with anyio.fail_after(5):
             try:
                 while True:
-                    data = await self.stream.receive()
-                    self._messages += map(decode_from_server, self._reader.feed(data))
+                    await self._receive()
             except (anyio.EndOfStream, anyio.BrokenResourceError):
                 return self._messages
+            except ConnectionLost:  # WebSocket's close, which the server expects to be answered
+                with suppress(anyio.BrokenResourceError):
+                    await self.stream.send(self._framing.goodbye())
+                return self._messages
+
+    async def _receive(self) -> None:
+        data = await self.stream.receive()
+        self._messages += map(decode_from_server, self._framing.feed(data))
+        self._framing.check()
 
 
 @asynccontextmanager
 async def raw(url: str) -> AsyncGenerator[Raw, None]:
     async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
-        yield Raw(stream)
+        framing: Framing = FrameReader()
+        if url.startswith("ws:"):
+            handshake = ClientHandshake(url.removeprefix("ws://"), "/")
+            framing = WebSocketFraming("the server", FrameReader(), handshake)
+        peer = Raw(stream, framing)
+        await peer.shake_hands()
+        yield peer
 
 
 def port_of(url: str) -> int:

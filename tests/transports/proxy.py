@@ -104,10 +104,10 @@ class Line:
 
 @asynccontextmanager
 async def line_to(url: str) -> AsyncGenerator[Line, None]:
-    """A line to a server at a TCP URL on this machine."""
-    port = int(url.rpartition(":")[2])
+    """A line to a server at a port of this machine."""
+    scheme, port = url.partition("://")[0], int(url.rpartition(":")[2])
     async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
-        line = Line(f"tcp://127.0.0.1:{listener.extra(SocketAttribute.local_port)}")
+        line = Line(f"{scheme}://127.0.0.1:{listener.extra(SocketAttribute.local_port)}")
 
         async def serve(client: SocketStream) -> None:
             await line.serve(client, port)

@@ -30,7 +30,6 @@ from fibaction.wire.frames import FIRST_FRAME, header
 from fibaction.wire.link import Link
 from fibaction.wire.messages import VERSION, Goodbye, Hello, Ping, SendGoal, Welcome, Why
 from fibaction.wire.settings import Limits
-from fibaction_transports.tcp import TcpTransport
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing, Raw, hearing, port_of, raw
 
@@ -78,13 +77,27 @@ class Scene:
         assert (record.levelno, record.exc_info) == (level, None)
 
 
+USED = {"scheme": "tcp"}
+"""The transport of this test."""
+
+
+@pytest.fixture(autouse=True, params=["tcp", "ws"])
+def scheme(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.setitem(USED, "scheme", request.param)
+    return request.param
+
+
+def address() -> str:
+    return f"{USED['scheme']}://127.0.0.1:0"
+
+
 @asynccontextmanager
 async def scene(
     server: ActionServer[Goal, Feedback, Result] | None = None, **settings: Any
 ) -> AsyncGenerator[Scene, None]:
     server = server or ActionServer(FIBONACCI, fibonacci)
     with hearing() as heard:
-        async with serve(server, TcpTransport(port=0, **settings)) as (url,):
+        async with serve(server, address(), **settings) as (url,):
             async with connect(url, FIBONACCI) as client:
                 yield Scene(url, heard, client)
 
@@ -109,7 +122,7 @@ def too_long(length: int, looks_like: str = "") -> str:
 )
 async def test_a_length_beyond_the_limit_is_not_waited_for(data: bytes, problem: str) -> None:
     async with scene() as here, raw(here.url) as peer:
-        await peer.stream.send(data)
+        await peer.send(data)
         await here.ends(peer, problem)
 
 
@@ -117,7 +130,7 @@ async def test_a_length_beyond_the_limit_after_the_hello_is_not_waited_for() -> 
     async with scene() as here, raw(here.url) as peer:
         await peer.say(HELLO)
         most = Limits().frame
-        await peer.stream.send(struct.pack(">I", most + 1))
+        await peer.send(struct.pack(">I", most + 1))
         limit = f"frame of {most + 1} bytes exceeds the limit of {most} bytes"
         await here.ends(peer, limit)
 
@@ -186,7 +199,7 @@ async def test_a_truncated_frame_is_told_from_a_connection_that_was_closed() -> 
             (b"", "its side"),
         ):
             async with raw(here.url) as peer:
-                await peer.stream.send(framed(HELLO) + data)
+                await peer.send(framed(HELLO) + data)
                 await peer.hear()
                 await peer.stream.send_eof()
                 await peer.hear_all()
@@ -197,7 +210,7 @@ async def test_a_truncated_frame_is_told_from_a_connection_that_was_closed() -> 
 @pytest.mark.parametrize("data", [b"", b"\x00", framed(HELLO)[:-1]], ids=["none", "one", "most"])
 async def test_a_peer_that_does_not_finish_its_hello_is_not_waited_for(data: bytes) -> None:
     async with scene(limits=Limits(handshake=0.05)) as here, raw(here.url) as peer:
-        await peer.stream.send(data)
+        await peer.send(data)
         await here.ends(peer, "it has not said hello within 0.05 s", Why.LIMIT)
 
 

@@ -34,7 +34,6 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction_transports.tcp import TcpTransport
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import hearing
 from tests.transports.proxy import Line, line_to
@@ -47,11 +46,25 @@ Items = AsyncGenerator[Feedback | Result, None]
 HEARTBEAT = 0.05
 
 
+USED = {"scheme": "tcp"}
+"""The transport of this test."""
+
+
+@pytest.fixture(autouse=True, params=["tcp", "ws"])
+def scheme(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.setitem(USED, "scheme", request.param)
+    return request.param
+
+
+def address() -> str:
+    return f"{USED['scheme']}://127.0.0.1:0"
+
+
 @asynccontextmanager
 async def bad_line(
     server: ActionServer[Goal, Feedback, Result], **settings: Any
 ) -> AsyncGenerator[Line, None]:
-    async with serve(server, TcpTransport(port=0, **settings)) as (url,), line_to(url) as line:
+    async with serve(server, address(), **settings) as (url,), line_to(url) as line:
         yield line
 
 
@@ -361,7 +374,7 @@ async def test_a_slow_reader_of_one_goal_delays_no_other_on_its_connection() -> 
         yield Result([])
 
     server = ActionServer(FIBONACCI, executor, feedback_window=8, stall_timeout=math.inf)
-    async with serve(server, "tcp://127.0.0.1:0") as (url,):
+    async with serve(server, address()) as (url,):
         async with connect(url, FIBONACCI, window=16) as client:
             with anyio.fail_after(15):
                 slow = await client.send_goal(Goal(1000))
@@ -458,7 +471,7 @@ async def peer(*arguments: str) -> AsyncGenerator[tuple[Process, str], None]:
 
 @pytest.mark.promise("LOSS-6")
 async def test_a_server_that_is_killed_and_started_again_no_longer_knows_its_goals() -> None:
-    async with peer("serve", "tcp://127.0.0.1:0") as (process, url):
+    async with peer("serve", address()) as (process, url):
         async with connect(url, FIBONACCI) as client:
             with anyio.fail_after(5):
                 goal = await client.send_goal(Goal(1))
@@ -485,7 +498,7 @@ async def test_a_server_that_is_killed_and_started_again_no_longer_knows_its_goa
 
 @pytest.mark.promise("GOAL-4", "LOSS-1", "LOSS-2")
 async def test_a_server_that_is_killed_for_good_ends_all_calls() -> None:
-    async with peer("serve", "tcp://127.0.0.1:0") as (process, url):
+    async with peer("serve", address()) as (process, url):
         async with (
             connect(url, FIBONACCI, reconnect=False) as client,
             connect(url, FIBONACCI, reconnect_timeout=0.1) as hopeful,
@@ -505,8 +518,7 @@ async def test_a_server_that_is_killed_for_good_ends_all_calls() -> None:
 async def test_the_goal_of_a_client_that_is_killed_is_canceled_after_the_grace() -> None:
     executor = Counting(stop=1)
     server = ActionServer(FIBONACCI, executor)
-    transport = TcpTransport(port=0, orphans="cancel", grace=0.2)
-    async with serve(server, transport) as (url,):
+    async with serve(server, address(), orphans="cancel", grace=0.2) as (url,):
         async with peer("send", url, "2") as (process, goal):
             goal_id = GoalID.parse(goal)
             process.kill()
@@ -524,7 +536,7 @@ async def test_the_goal_of_a_client_that_is_killed_can_be_kept() -> None:
     executor = Counting(stop=1)
     server = ActionServer(FIBONACCI, executor, feedback_window=1)
     with hearing() as heard:
-        async with serve(server, TcpTransport(port=0, grace=0.05)) as (url,):
+        async with serve(server, address(), grace=0.05) as (url,):
             async with peer("send", url, "100") as (process, goal):
                 goal_id = GoalID.parse(goal)
                 process.kill()

@@ -10,6 +10,7 @@ from anyio.abc import ByteStream
 
 from fibaction._notify import Notifier
 from fibaction.exceptions import ConnectionLost, ProtocolError
+from fibaction.wire import channel as channel_module
 from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames, StreamChannel
 from fibaction.wire.frames import HEADER, FrameReader, header
 from tests.virtual_time import in_virtual_time
@@ -483,3 +484,101 @@ async def test_a_foreign_line_need_not_know_of_progress() -> None:
             raise NotImplementedError
 
     assert Still().progress == 0
+
+
+class Polite(FrameReader):
+    """A form with a question, an answer and a goodbye of its own."""
+
+    def __init__(self, *, ends_stream: bool = False) -> None:
+        super().__init__()
+        self.ends_stream = ends_stream
+        self.is_closed = False
+
+    def feed(self, data: bytes) -> list[bytes]:
+        self.has_answer = data == b"?"
+        return []
+
+    def encode(self, frames: Sequence[bytes]) -> bytes:
+        self.has_answer = False
+        return b"!" + super().encode(frames)
+
+    def goodbye(self) -> bytes:
+        return b"bye"
+
+    def discard(self, data: bytes) -> None:
+        self.is_closed = data == b"bye"
+
+
+async def test_an_answer_of_the_form_is_sent_without_a_frame() -> None:
+    stream = FakeStream(b"?")
+    channel = StreamChannel(stream, "the peer", Polite())
+    with pytest.raises(ConnectionLost):
+        while True:
+            assert await channel.receive() == []
+            assert channel.has_answer
+            await channel.send([])
+    assert stream.sent == [b"!"]
+
+
+async def test_a_channel_that_runs_sends_the_answer_by_itself() -> None:
+    answered = anyio.Event()
+
+    class Waiting(FakeStream):
+        async def receive(self, max_bytes: int = 65536) -> bytes:
+            if not self.pieces:
+                await answered.wait()
+            return await super().receive(max_bytes)
+
+        async def send(self, item: bytes) -> None:
+            await super().send(item)
+            answered.set()
+
+    stream = Waiting(b"?")
+    channel = StreamChannel(stream, "the peer", Polite())
+    with anyio.fail_after(5), pytest.raises(ConnectionLost):
+        await channel.run(lambda frames: [], list)
+    assert stream.sent == [b"!"]
+
+
+@pytest.mark.parametrize(
+    "pieces", [(b"more", b"bye"), (b"more",)], ids=["which answers", "which does not"]
+)
+async def test_the_goodbye_of_the_form_is_said_and_the_peer_may_answer(
+    pieces: tuple[bytes, ...],
+) -> None:
+    stream = FakeStream(*pieces)
+    await StreamChannel(stream, "the peer", Polite()).aclose()
+    assert (stream.sent, stream.closed, list(stream.pieces)) == ([b"bye"], True, [])
+
+
+async def test_a_form_may_end_the_stream_with_its_goodbye() -> None:
+    ends: list[list[bytes]] = []
+
+    class Ending(FakeStream):
+        async def send_eof(self) -> None:
+            ends.append(self.sent[:])
+
+    class Tls(FakeStream):
+        async def send_eof(self) -> None:
+            raise NotImplementedError
+
+    for kind in (Ending, Tls):
+        stream = kind()
+        await StreamChannel(stream, "the peer", Polite(ends_stream=True)).aclose()
+        assert stream.closed
+    assert ends == [[b"bye"]]
+
+
+async def test_a_peer_that_does_not_answer_the_goodbye_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Silent(FakeStream):
+        async def receive(self, max_bytes: int = 65536) -> bytes:
+            await anyio.sleep_forever()
+            raise AssertionError
+
+    monkeypatch.setattr(channel_module, "LEAVE", 0.01)
+    stream = Silent()
+    with anyio.fail_after(5):
+        await StreamChannel(stream, "the peer", Polite()).aclose()
+    assert stream.closed

@@ -1,4 +1,4 @@
-"""`fibaction_transports.tcp._anyio`: connections as anyio has them."""
+"""`fibaction_transports._streams._anyio`: connections as anyio has them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from anyio.abc import SocketAttribute
 from fibaction.exceptions import ConnectionLost
 from fibaction.wire.channel import Line
 from fibaction.wire.frames import FrameReader
-from fibaction_transports.tcp._anyio import accept, peer_of
+from fibaction_transports._streams._anyio import accept, peer_of
 from tests.transports.tcp.servers import Named
 
 pytestmark = pytest.mark.anyio

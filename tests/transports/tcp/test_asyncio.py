@@ -21,8 +21,8 @@ from fibaction._slices import SLICE
 from fibaction.exceptions import ConnectionLost, ProtocolError
 from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.frames import FrameReader, framed
-from fibaction_transports.tcp import _asyncio, _line_turns
-from fibaction_transports.tcp._asyncio import (
+from fibaction_transports._streams import _asyncio, _line_turns
+from fibaction_transports._streams._asyncio import (
     BATCH,
     ProtocolLine,
     accept,

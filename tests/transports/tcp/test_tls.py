@@ -1,4 +1,4 @@
-"""`fibaction_transports.tcp._tls`: who is let in, and who is talked to."""
+"""`fibaction_transports._streams._tls`: who is let in, and who is talked to."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ from fibaction import (
 )
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import Limits
-from fibaction_transports.tcp import TcpTransport, TlsFiles, _tls
-from fibaction_transports.tcp._tls import TlsChannel, TlsListener
+from fibaction_transports._streams import _tls
+from fibaction_transports._streams._tls import TlsChannel, TlsListener
+from fibaction_transports.tcp import TcpTransport, TlsFiles
 from tests.certificates import pems
 from tests.transports.hearing import Hearing, port_of, raw
 from tests.transports.tcp.servers import Named, new_server, tls_server, works

@@ -38,13 +38,8 @@ from fibaction import (
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.messages import Hello
 from fibaction.wire.settings import Limits
-from fibaction_transports.tcp import (
-    TcpTransport,
-    TlsFiles,
-    UnixTransport,
-    _asyncio,
-    _stream_transport,
-)
+from fibaction_transports._streams import _asyncio, _stream_transport
+from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport
 from tests.certificates import pems
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.hearing import Hearing, port_of

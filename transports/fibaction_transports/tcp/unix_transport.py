@@ -16,8 +16,8 @@ from fibaction.exceptions import TransportError
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import WireKeywords
-from fibaction_transports.tcp import _asyncio
-from fibaction_transports.tcp._stream_transport import StreamTransport
+from fibaction_transports._streams import _asyncio
+from fibaction_transports._streams._stream_transport import StreamTransport
 
 
 class UnixTransport(StreamTransport):

@@ -9,12 +9,12 @@ from typing import Any
 from anyio.abc import AnyByteStream, ByteStream, Listener, SocketAttribute, TaskGroup
 
 from fibaction.wire.channel import Line, StreamChannel
-from fibaction.wire.frames import FrameReader
+from fibaction.wire.frames import Framing
 
 
 async def accept(
     listener: Listener[Any],
-    new_reader: Callable[[], FrameReader],
+    new_framing: Callable[[], Framing],
     serve: Callable[[Line], Coroutine[Any, Any, None]],
     tasks: TaskGroup,
 ) -> None:
@@ -25,7 +25,7 @@ async def accept(
     """
 
     async def begin(stream: ByteStream) -> None:
-        await serve(StreamChannel(stream, peer_of(stream), new_reader()))
+        await serve(StreamChannel(stream, peer_of(stream), new_framing()))
 
     await listener.serve(begin, tasks)
 

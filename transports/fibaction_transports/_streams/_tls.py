@@ -18,7 +18,7 @@ from fibaction.wire.channel import StreamChannel
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import framed
 from fibaction.wire.messages import Goodbye, Why
-from fibaction_transports.tcp._anyio import peer_of
+from fibaction_transports._streams._anyio import peer_of
 
 LAST_WORDS = 1.0
 """Seconds that a peer has to read why it was rejected."""
@@ -65,6 +65,8 @@ class TlsListener(TLSListener):
     """
 
     most: int = 1000
+    speaks_tls: bytes = SPEAKS_TLS
+    """The answer to a client that does not begin with TLS."""
 
     async def serve(
         self, handler: Callable[[TLSStream], Any], task_group: TaskGroup | None = None
@@ -88,7 +90,7 @@ class TlsListener(TLSListener):
                             standard_compatible=self.standard_compatible,
                         )
                 except BaseException as exc:
-                    await self.handle_handshake_error(exc, stream)
+                    await self.handle_handshake_error(exc, stream, self.speaks_tls)
                 finally:
                     shaking.pop(scope, None)
             if scope.cancelled_caught:
@@ -102,14 +104,16 @@ class TlsListener(TLSListener):
         await self.listener.serve(begin, task_group)
 
     @staticmethod
-    async def handle_handshake_error(exc: BaseException, stream: AnyByteStream) -> None:
+    async def handle_handshake_error(
+        exc: BaseException, stream: AnyByteStream, speaks_tls: bytes = SPEAKS_TLS
+    ) -> None:
         try:
             if not isinstance(exc, Exception):
                 raise exc  # the server is to stop, and nothing is wrong with the client
             logger.warning("%s: no TLS: %s", peer_of(stream), _why(exc))
             if isinstance(exc, ssl.SSLError) and isinstance(stream, ByteStream):
                 # A peer that does not begin with TLS may be a client with `tcp://` for `tls://`.
-                await _say_last(stream, SPEAKS_TLS if is_other_than_tls(exc) else b"")
+                await _say_last(stream, speaks_tls if is_other_than_tls(exc) else b"")
         finally:
             await anyio.aclose_forcefully(stream)
 
@@ -174,10 +178,10 @@ def rejection(server: str, exc: ssl.SSLError) -> str:
     return f"{server} rejected our certificate: {said.replace('_', ' ').lower()}"
 
 
-def no_tls(server: str, exc: ssl.SSLError) -> str:
-    """Return why a client has not shaken hands with a server."""
+def no_tls(server: str, exc: ssl.SSLError, plain: str) -> str:
+    """Return why a client has not shaken hands with a server; `plain` is the scheme without TLS."""
     if is_other_than_tls(exc):
-        return f"{server} does not speak TLS: check the port, or use tcp://"
+        return f"{server} does not speak TLS: check the port, or use {plain}://"
     return rejection(server, exc) or f"cannot set up TLS with {server}: {tls_reason(exc)}"
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from fibaction._slices import SLICE
 
 if TYPE_CHECKING:
-    from fibaction_transports.tcp._asyncio import ProtocolLine
+    from fibaction_transports._streams._asyncio import ProtocolLine
 
 NEWS = 0.001
 """Seconds of a turn of the event loop in which lines handle as much news as a slice takes."""

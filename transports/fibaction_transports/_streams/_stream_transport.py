@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ssl
 from abc import abstractmethod
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, ClassVar
 
 import anyio
 from anyio.abc import Listener
@@ -22,10 +22,11 @@ from fibaction.exceptions import (
     ServerNotFound,
 )
 from fibaction.wire.channel import Line
+from fibaction.wire.frames import Framing
 from fibaction.wire.transport import WireTransport
 from fibaction.wire.wire_server import WireServer
-from fibaction_transports.tcp import _anyio, _asyncio
-from fibaction_transports.tcp._tls import TlsListener, no_tls
+from fibaction_transports._streams import _anyio, _asyncio
+from fibaction_transports._streams._tls import TlsListener, no_tls
 
 ACCEPT_PAUSE = 0.1
 """Seconds without new connections after one could not be accepted: a lack of files passes."""
@@ -36,6 +37,9 @@ logger = clean_logger("fibaction.wire")
 class StreamTransport(WireTransport):
     """A transport over streams of bytes."""
 
+    plain_scheme: ClassVar[str] = "tcp"
+    """Scheme of the URLs without TLS, for errors."""
+
     @abstractmethod
     async def _connect(self) -> Line:
         """Connect, and raise the errors of sockets as they are."""
@@ -44,6 +48,10 @@ class StreamTransport(WireTransport):
     async def _listen(self) -> tuple[Listener[Any], str]:
         """Begin to listen; return the URL as well."""
 
+    def _new_framing(self, server: WireServer) -> Callable[[], Framing]:
+        """Return what makes the form of the frames of a new line."""
+        return server.new_reader
+
     def _unlisten(self) -> None:
         """Remove what new clients find the server by, before the listener is closed."""
 
@@ -51,7 +59,7 @@ class StreamTransport(WireTransport):
         try:
             return await self._connect()
         except ssl.SSLError as exc:
-            raise AuthenticationFailed(no_tls(self.url, exc)) from exc
+            raise AuthenticationFailed(no_tls(self.url, exc, self.plain_scheme)) from exc
         except OSError as exc:
             raise ServerNotFound(
                 f"no server listens at {self.url} ({exc.strerror or exc}): start the server, or"
@@ -83,7 +91,7 @@ class StreamTransport(WireTransport):
         accept = _asyncio.accept if plain else _anyio.accept
         while True:
             try:
-                await accept(listener, server.new_reader, server.serve, server.tasks)
+                await accept(listener, self._new_framing(server), server.serve, server.tasks)
             except Exception as exc:
                 # For example too many open files. The connections that are open must not suffer.
                 logger.error("%s cannot accept connections: %s", self.url, exc, exc_info=exc)

@@ -26,9 +26,9 @@ from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._slices import SLICE
 from fibaction.exceptions import ConnectionLost
-from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames
-from fibaction.wire.frames import FrameReader, framed
-from fibaction_transports.tcp._line_turns import LineTurns
+from fibaction.wire.channel import CHUNK, LEAVE, Line, NextFrames, OnFrames
+from fibaction.wire.frames import Framing
+from fibaction_transports._streams._line_turns import LineTurns
 
 BATCH = 16
 """Connections that are accepted in one turn of the event loop: each costs the next turns more."""
@@ -49,13 +49,13 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
 
     def __init__(
         self,
-        reader: FrameReader,
+        framing: Framing,
         buffer: memoryview,
         peer: str = "",
         turns: LineTurns | None = None,
     ) -> None:
         self.peer = peer
-        self._reader = reader
+        self._framing = framing
         self._buffer = buffer
         self._turns = turns or LineTurns()
         self._transport: asyncio.Transport
@@ -70,6 +70,7 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         self._is_due = False
         self._is_fetching = False
         self._is_full = False
+        self._is_leaving = self._is_at_end = False
         self._changed = Notifier()
 
     @property
@@ -103,7 +104,7 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         raise self._error
 
     async def send(self, frames: Sequence[bytes]) -> None:
-        data = framed(frames)
+        data = self._framing.encode(frames)
         self._written += len(data)
         self._transport.write(data)
         while self._is_full and not self._transport.is_closing():
@@ -112,9 +113,30 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
             raise ConnectionLost(f"the connection to {self.peer} broke")
 
     async def aclose(self) -> None:
-        self._reader.close()
-        self._transport.abort()
+        try:
+            if not (self._is_at_end or self._transport.is_closing()):
+                await self._take_leave()
+        finally:  # asyncio can cancel the task itself, which no scope shields
+            self._framing.close()
+            self._transport.abort()
         await anyio.lowlevel.cancel_shielded_checkpoint()  # in which the socket is closed
+
+    async def _take_leave(self) -> None:
+        """Say goodbye, as the framing does it, and wait for the answer of the peer."""
+        framing = self._framing
+        last = framing.goodbye()
+        if framing.is_closed and not last:
+            return
+        framing.close()
+        self._is_leaving = True
+        self._transport.write(last)
+        if framing.ends_stream:
+            self._transport.write_eof()
+        framing.discard(self._early)
+        self._transport.resume_reading()
+        with anyio.move_on_after(LEAVE, shield=True):
+            while not (self._is_at_end or (framing.is_closed and not self._is_full)):
+                await self._changed.wait()
 
     def _write(self) -> None:
         self._is_due = False
@@ -124,9 +146,9 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
                 self._is_fetching = True
                 frames = self._next_frames()
                 self._is_fetching = False
-                if not frames:
+                if not (frames or self._framing.has_answer):
                     break
-                data = framed(frames)
+                data = self._framing.encode(frames)
                 self._written += len(data)
                 self._transport.write(data)
                 size += len(data)
@@ -141,11 +163,15 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         assert self._on_frames is not None
         began = perf_counter()
         try:
-            frames = self._rest if data is None else self._reader.feed(data)
+            frames = self._rest if data is None else self._framing.feed(data)
             if data is not None and self._turns.is_used_up:
                 self._rest = self._on_frames(frames[:1]) + frames[1:]
             else:
                 self._rest = self._on_frames(frames)
+            if self._framing.has_answer:
+                self.wake_writer()
+            if not self._rest:
+                self._framing.check()
         except Exception as exc:
             self._end(exc)
         else:
@@ -190,18 +216,23 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
 
     def buffer_updated(self, nbytes: int) -> None:
         data = bytes(self._buffer[:nbytes])
-        if self._on_frames is None:
+        if self._is_leaving:
+            self._framing.discard(data)
+            self._changed.notify()
+        elif self._on_frames is None:
             self._early += data
             self._transport.pause_reading()
         elif self._error is None:
             self._handle(data)
 
     def eof_received(self) -> bool:
-        how = "in the middle of a message" if self._reader.is_within_frame else "its side"
+        self._is_at_end = True
+        how = "in the middle of a message" if self._framing.is_within_frame else "its side"
         self._end(ConnectionLost(f"{self.peer} closed {how}"))
         return True  # `aclose` closes it
 
     def connection_lost(self, exc: Exception | None) -> None:
+        self._is_at_end = True
         error = ConnectionLost(f"the connection to {self.peer} broke")
         error.__cause__ = exc
         self._end(error)
@@ -211,11 +242,12 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
 
     def resume_writing(self) -> None:
         self._is_full = False
+        self._is_leaving = self._is_at_end = False
         self._changed.notify()
         self.wake_writer()
 
 
-async def dial_tcp(host: str, port: int, reader: FrameReader, where: str) -> ProtocolLine:
+async def dial_tcp(host: str, port: int, framing: Framing, where: str) -> ProtocolLine:
     """Connect to a server.
 
     Raises:
@@ -229,26 +261,26 @@ async def dial_tcp(host: str, port: int, reader: FrameReader, where: str) -> Pro
     if isinstance(loop, asyncio.BaseEventLoop) and loop.get_task_factory() is None:
         settings["happy_eyeballs_delay"] = NEXT_ADDRESS
     made = await loop.create_connection(
-        lambda: ProtocolLine(reader, _buffer(), where), host, port, **settings
+        lambda: ProtocolLine(framing, _buffer(), where), host, port, **settings
     )
     return made[1]
 
 
-async def dial_unix(path: os.PathLike[str], reader: FrameReader, where: str) -> ProtocolLine:
+async def dial_unix(path: os.PathLike[str], framing: Framing, where: str) -> ProtocolLine:
     """Connect to a server.
 
     Raises:
         OSError: The server does not answer.
     """
     made = await asyncio_loop().create_unix_connection(
-        lambda: ProtocolLine(reader, _buffer(), where), os.fspath(path)
+        lambda: ProtocolLine(framing, _buffer(), where), os.fspath(path)
     )
     return made[1]
 
 
 async def accept(
     listener: Listener[Any],
-    new_reader: Callable[[], FrameReader],
+    new_framing: Callable[[], Framing],
     serve: Callable[[Line], Coroutine[Any, Any, None]],
     tasks: TaskGroup,
 ) -> None:
@@ -269,7 +301,7 @@ async def accept(
                 # asyncio sets it only where the socket names its protocol, which this one does not.
                 accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             made = await loop.connect_accepted_socket(
-                lambda: ProtocolLine(new_reader(), buffer, turns=turns), accepted
+                lambda: ProtocolLine(new_framing(), buffer, turns=turns), accepted
             )
         except BaseException as exc:
             accepted.close()

@@ -1,0 +1,69 @@
+"""A fuzz target: the bytes of a hostile peer of WebSocket, before and after the handshake.
+
+    python -m tests.fuzz.websocket -max_total_time=600
+
+The input arrives in pieces, of a size that its own first byte gives. Whatever it is, the framing
+returns frames or raises an `ActionError`, and can always say goodbye. Needs atheris, which
+`make fuzz` installs.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from contextlib import suppress
+from importlib.util import find_spec
+from typing import Any
+
+from fibaction.exceptions import ActionError
+from fibaction.wire.codec import encode
+from fibaction.wire.frames import FrameReader
+from fibaction.wire.messages import Goodbye, Ping
+from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake
+from fibaction_transports.web._http_rules import rules
+from fibaction_transports.web._websocket_frames import WebSocketFraming
+from tests.transports.web.upgrade import upgrade
+
+LIMIT = 2**16
+PING = encode(Ping())
+RULES = rules("127.0.0.1", "/", hosts=(), origins=(), has_tls=False)
+
+
+def framings() -> list[WebSocketFraming]:
+    """A server before and after its handshake, and a client before."""
+    known = WebSocketFraming("the fuzzer", FrameReader(LIMIT), ServerHandshake(RULES))
+    known.feed(upgrade())
+    return [
+        known,
+        WebSocketFraming("the fuzzer", FrameReader(LIMIT), ServerHandshake(RULES)),
+        WebSocketFraming("the fuzzer", FrameReader(LIMIT), ClientHandshake("127.0.0.1", "/")),
+    ]
+
+
+def one_input(data: bytes) -> None:
+    size, data = (data[0] or 1) if data else 1, data[1:]
+    for framing in framings():
+        with suppress(ActionError):
+            for start in range(0, len(data), size):
+                framing.feed(data[start : start + size])
+                framing.encode([PING])
+            framing.check()
+        framing.encode([encode(Goodbye("it is wrong"))])
+        framing.goodbye()
+        framing.discard(data)
+        framing.close()
+
+
+def main() -> Any:
+    if find_spec("atheris") is None:
+        sys.exit("atheris is not installed: `make fuzz` installs it")
+    import atheris
+
+    logging.disable()
+    atheris.instrument_all()
+    atheris.Setup(sys.argv, one_input)
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()

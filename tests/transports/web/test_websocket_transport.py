@@ -1,0 +1,303 @@
+"""`fibaction_transports.web.websocket_transport`: over real sockets."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from time import perf_counter
+from typing import Any
+
+import anyio
+import pytest
+from anyio.abc import SocketAttribute
+
+from fibaction import (
+    AuthenticationFailed,
+    ConnectionLost,
+    InvalidURL,
+    LimitReached,
+    Limits,
+    ProtocolError,
+    TransportError,
+    connect,
+    serve,
+)
+from fibaction.wire import channel
+from fibaction.wire.codec import encode
+from fibaction.wire.messages import VERSION, Hello
+from fibaction_transports._streams import _asyncio
+from fibaction_transports.web import TlsFiles, WebSocketTransport
+from fibaction_transports.web._handshake import http_answer
+from tests.certificates import pems
+from tests.fibonacci import FIBONACCI
+from tests.transports.hearing import Hearing, port_of, raw
+from tests.transports.tcp.servers import new_server, works
+from tests.transports.web.upgrade import UPGRADE, upgrade
+
+pytestmark = pytest.mark.anyio
+
+WS = "ws://127.0.0.1:0"
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+def wss() -> str:
+    return f"wss://127.0.0.1:0?cert={pems().cert}"
+
+
+async def answer_to(url: str, *pieces: bytes) -> bytes:
+    """Everything that a server says until it closes."""
+    said = b""
+    async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
+        for piece in pieces:
+            await stream.send(piece)
+        with anyio.fail_after(5):
+            try:
+                while True:
+                    said += await stream.receive()
+            except anyio.EndOfStream:
+                return said
+
+
+# Addresses
+
+
+@pytest.mark.parametrize(
+    ("url", "shown", "host"),
+    [
+        ("ws://", "ws://127.0.0.1:80", "127.0.0.1"),
+        ("ws://robot:8080/", "ws://robot:8080", "robot:8080"),
+        ("wss://robot/arm%20one", "wss://robot:443/arm%20one", "robot"),
+        ("ws://[::1]:443", "ws://[::1]:443", "[::1]:443"),
+    ],
+)
+def test_a_url_has_a_host_a_port_and_a_path(url: str, shown: str, host: str) -> None:
+    made = WebSocketTransport.from_url(url)
+    assert made.url == shown
+    assert f"\r\nHost: {host}\r\n".encode() in made._client_framing().encode([])
+
+
+def test_a_url_has_names_and_pages_with_commas() -> None:
+    made = WebSocketTransport.from_url("ws://robot?hosts=a,b&origins=https://c&insecure=true")
+    assert (made._hosts, made._origins, made._insecure) == (("a", "b"), ("https://c",), True)
+    assert WebSocketTransport.from_url("wss://robot?cert=x")._tls == TlsFiles(cert="x")
+
+
+@pytest.mark.parametrize(
+    ("url", "problem"),
+    [
+        ("ws://user@robot", "it has a user, and the URL of a server is like ws://host:port"),
+        ("ws://robot:x", "invalid port: "),
+        ("ws://robot?ca=x", "has no setting 'ca'"),
+    ],
+)
+def test_what_is_wrong_in_a_url_is_told(url: str, problem: str) -> None:
+    with pytest.raises(InvalidURL, match=problem):
+        WebSocketTransport.from_url(url)
+
+
+def test_a_path_begins_with_a_slash() -> None:
+    with pytest.raises(ValueError, match="path begins with /, unlike 'arm'"):
+        WebSocketTransport(path="arm")
+
+
+async def test_an_address_of_the_network_needs_tls() -> None:
+    with pytest.raises(
+        TransportError, match=r"use wss://, or, if the network is your own, \?insec"
+    ):
+        async with serve(new_server(), "ws://0.0.0.0:0"):
+            pass
+    async with serve(new_server(), "ws://0.0.0.0:0?insecure=true") as (url,):
+        assert await works(url.replace("0.0.0.0", "127.0.0.1"))
+
+
+# In good order
+
+
+async def test_goals_run_over_it_with_and_without_tls_and_at_a_path(
+    monkeypatch: pytest.MonkeyPatch, heard: Hearing
+) -> None:
+    monkeypatch.setenv("SSL_CERT_FILE", pems().ca)
+    for where in (WS, wss(), "ws://localhost:0/arm"):
+        async with serve(new_server(), where) as (url,):
+            assert await works(url)
+            assert await works(url)
+    assert heard.warnings == []
+
+
+@pytest.mark.parametrize("where", ["ws", "wss"])
+async def test_both_ends_close_without_a_wait_whichever_is_first(
+    where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (channel, _asyncio):
+        monkeypatch.setattr(module, "LEAVE", 60)
+    monkeypatch.setenv("SSL_CERT_FILE", pems().ca)
+    stop, urls = anyio.Event(), list[str]()
+    is_up = anyio.Event()
+
+    async def serving() -> None:
+        async with serve(new_server(), WS if where == "ws" else wss()) as (url,):
+            urls.append(url)
+            is_up.set()
+            await stop.wait()
+
+    with anyio.fail_after(20):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(serving)
+            await is_up.wait()
+            async with connect(urls[0], FIBONACCI) as client:
+                await client.wait_for_server()
+            async with connect(urls[0], FIBONACCI, reconnect=False) as client:
+                await client.wait_for_server()
+                stop.set()
+                with pytest.raises(ConnectionLost):
+                    while True:
+                        await client.wait_for_server()
+
+
+async def test_a_peer_that_does_not_close_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for module in (channel, _asyncio):
+        monkeypatch.setattr(module, "LEAVE", 0.05)
+    begun = perf_counter()
+    async with serve(new_server(), WS) as (url,), raw(url) as peer:
+        await peer.say(encode(Hello(VERSION, 60)))
+        await peer.hear()
+        await peer.say(encode(Hello(VERSION, 60)))
+        with anyio.fail_after(5):
+            with pytest.raises((anyio.EndOfStream, anyio.BrokenResourceError)):
+                while True:
+                    await peer.stream.receive()
+    assert perf_counter() - begun < 5
+
+
+async def test_a_ping_is_answered_while_nothing_else_is_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with serve(new_server(), WS) as (url,):
+        async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
+            await stream.send(upgrade() + b"\x89\x82\0\0\0\0hi")
+            said = b""
+            with anyio.fail_after(5):
+                while not said.endswith(b"\x8a\x02hi"):
+                    said += await stream.receive()
+
+
+async def test_a_page_that_is_closed_leaves_one_line_in_the_log(heard: Hearing) -> None:
+    async with serve(new_server(), WS) as (url,):
+        async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
+            await stream.send(upgrade())
+            assert (await stream.receive()).startswith(b"HTTP/1.1 101 ")
+            await stream.send(b"\x88\x82\0\0\0\0\x03\xe9")
+            assert await stream.receive() == b"\x88\x02\x03\xe9"
+        record = await heard.until("the client closed: 1001")
+        assert record.levelno == logging.INFO
+
+
+# Bad input
+
+
+@asynccontextmanager
+async def scene(heard: Hearing, **settings: Any) -> AsyncGenerator[str, None]:
+    """A server, and a client that must not notice anything."""
+    async with serve(new_server(), WS, **settings) as (url,):
+        async with connect(url, FIBONACCI) as client:
+            yield url
+            with anyio.fail_after(5):
+                await client.wait_for_server()
+    assert len(heard.warnings) == 1
+
+
+@pytest.mark.parametrize(("data", "status", "reason"), UPGRADE.values(), ids=UPGRADE)
+async def test_a_wrong_request_gets_its_status_and_leaves_one_line_in_the_log(
+    data: bytes, status: int, reason: str, heard: Hearing
+) -> None:
+    async with scene(heard) as url:
+        said = await answer_to(url, data)
+        assert said.startswith(b"HTTP/1.1 %d " % status)
+        await heard.until(f"HTTP {status}: ")
+
+
+@pytest.mark.parametrize("data", [b"", b"G", upgrade()[:-1], upgrade()], ids=len)
+async def test_a_request_that_trickles_is_not_waited_for(data: bytes, heard: Hearing) -> None:
+    async with scene(heard, limits=Limits(handshake=0.2)) as url:
+        said = await answer_to(url, data[:1], data[1:])
+        if data != upgrade():
+            assert said.startswith(b"HTTP/1.1 503 ")
+        assert b"it has not said hello within 0.2 s" in said
+        await heard.until("it has not said hello")
+
+
+async def test_pages_of_others_may_be_let_in(heard: Hearing) -> None:
+    settings = "origins=https://console.example&hosts=robot.example"
+    async with serve(new_server(), f"{WS}?{settings}") as (url,):
+        request = upgrade({b"Origin": b"https://console.example", b"Host": b"robot.example"})
+        async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
+            await stream.send(request)
+            assert (await stream.receive()).startswith(b"HTTP/1.1 101 ")
+
+
+async def test_a_full_server_says_so(heard: Hearing) -> None:
+    async with serve(new_server(), WS, limits=Limits(connections=1)) as (url,):
+        async with connect(url, FIBONACCI) as client:
+            await client.wait_for_server()
+            with pytest.raises(LimitReached, match="HTTP 503: the server is full: it has 1 conn"):
+                async with connect(url, FIBONACCI, reconnect=False):
+                    pass
+    assert len(heard.warnings) == 1
+
+
+async def test_a_large_message_in_small_pieces_is_counted(heard: Hearing) -> None:
+    limits = Limits(frame=2**20, total_memory=2**17)
+    async with serve(new_server(), WS, limits=limits) as (url,), raw(url) as peer:
+        await peer.say(encode(Hello(VERSION, 60)))
+        await peer.send((2**20).to_bytes(4, "big"))
+        for _ in range(3):
+            await peer.send(bytes(2**16))
+        await heard.until("the server is busy: it has no room for a large message")
+        assert await works(url)
+
+
+# Others at the other end
+
+
+async def test_the_wrong_scheme_is_told_to_both_ends(heard: Hearing) -> None:
+    settings: dict[str, Any] = {"reconnect": False}
+    for where, scheme, problem in (
+        (WS, "tcp", "this looks like HTTP: check the port"),
+        ("tcp://127.0.0.1:0", "ws", "it does not speak HTTP: check the port and the scheme"),
+        (wss(), "ws", "HTTP 400: this server speaks TLS: use wss://"),
+        (WS, "wss", "does not speak TLS: check the port, or use ws://"),
+    ):
+        async with serve(new_server(), where) as (url,):
+            with pytest.raises((ProtocolError, AuthenticationFailed), match=problem):
+                async with connect(f"{scheme}://127.0.0.1:{port_of(url)}", FIBONACCI, **settings):
+                    pass
+
+
+async def test_a_server_of_http_is_told_from_one_that_is_away(heard: Hearing) -> None:
+    answers = {
+        http_answer(404, "nothing here"): (ProtocolError, "HTTP 404: nothing here"),
+        http_answer(403, "not you"): (AuthenticationFailed, "HTTP 403: not you"),
+        http_answer(502, "later"): (ConnectionLost, "HTTP 502: later"),
+    }
+    for answer, (error, text) in answers.items():
+        async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:
+            port = listener.extra(SocketAttribute.local_port)
+
+            async def say(stream: Any, answer: bytes = answer) -> None:
+                async with stream:
+                    await stream.receive()
+                    await stream.send(answer)
+
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(listener.serve, say)
+                with pytest.raises(error, match=text):
+                    async with connect(f"ws://127.0.0.1:{port}", FIBONACCI, reconnect=False):
+                        pass
+                tasks.cancel_scope.cancel()

@@ -1,0 +1,4 @@
+"""Lines over streams of bytes: sockets on asyncio and on anyio, TLS, and hosts to listen at.
+
+Private: `tcp` and `web` have it in common.
+"""

@@ -1,0 +1,96 @@
+"""Which HTTP requests a server lets in: the path, the host, and the page that asks.
+
+A browser lets every page open a WebSocket to every address, also to one of this machine, and says
+by `Origin` which page it was. So a page may only use the server that it came from, or one that
+names it in `origins`. A page of another host may still point its own name at this machine after it
+was loaded ("DNS rebinding"): then `Origin` and `Host` agree, but the name is foreign. So `Host`
+must be an address, a name of this machine, or one of `hosts`. With TLS the certificate keeps such
+names away, and `Host` is not checked.
+
+Clients that are not browsers send no `Origin`.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Mapping
+from dataclasses import dataclass
+from ipaddress import ip_address
+from urllib.parse import urlsplit
+
+EVERY = "*"
+"""In `origins` or `hosts`: all of them."""
+
+
+class Refused(Exception):
+    """A request that a server does not let in: the HTTP status, and the reason."""
+
+    def __init__(self, status: int, reason: str, *headers: tuple[str, str]) -> None:
+        super().__init__(reason)
+        self.status = status
+        self.headers = headers
+        """Headers that belong to the answer with this status."""
+
+
+@dataclass(frozen=True)
+class HttpRules:
+    """The rules of one server."""
+
+    path: str
+    """The only path that it serves."""
+    hosts: frozenset[str]
+    """Names under which it is reached, without ports."""
+    origins: frozenset[str]
+    """Other pages that may use it, for example `https://robot.example`."""
+
+    def check(self, target: str, headers: Mapping[str, str]) -> None:
+        """Check the target and the headers of a request, whose names are in lower case.
+
+        Raises:
+            Refused: One of them is not permitted.
+        """
+        path = target.partition("?")[0]
+        if path != self.path:
+            raise Refused(404, f"there is nothing at {path}: the server is at {self.path}")
+        host = headers.get("host", "")
+        if not self._serves(host):
+            raise Refused(
+                421, f"the server is not known as {host!r}: name it in its setting hosts="
+            )
+        origin = headers.get("origin")
+        if origin is not None and not self._admits(origin, host):
+            raise Refused(
+                403, f"pages of {origin!r} may not use the server: name them in its origins="
+            )
+
+    def _serves(self, host: str) -> bool:
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:
+            return False
+        return EVERY in self.hosts or name in self.hosts or _is_address(name)
+
+    def _admits(self, origin: str, host: str) -> bool:
+        if EVERY in self.origins or origin.lower() in self.origins:
+            return True
+        # TLS may end at a proxy, so the scheme of the page may be either.
+        return origin.lower() in (f"http://{host.lower()}", f"https://{host.lower()}")
+
+
+def rules(
+    host: str, path: str, *, hosts: tuple[str, ...], origins: tuple[str, ...], has_tls: bool
+) -> HttpRules:
+    """Return the rules of a server that listens at a host."""
+    here = socket.gethostname().lower()
+    names = {"localhost", host.lower(), here, f"{here}.local", *(one.lower() for one in hosts)}
+    if has_tls:
+        names.add(EVERY)
+    return HttpRules(path, frozenset(names), frozenset(one.lower() for one in origins))
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,116 @@
+"""`ws://host:port/path` and `wss://host:port/path`."""
+
+from __future__ import annotations
+
+import ssl
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar, Unpack
+from urllib.parse import SplitResult, quote, unquote
+
+from fibaction.wire.frames import FrameReader, Framing
+from fibaction.wire.settings import WireKeywords
+from fibaction.wire.tls_files import TlsFiles
+from fibaction.wire.transport import boolean, without_user
+from fibaction.wire.wire_server import WireServer
+from fibaction_transports._streams._host_transport import HostTransport, port_in
+from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake, http_answer
+from fibaction_transports.web._http_rules import rules
+from fibaction_transports.web._websocket_frames import WebSocketFraming
+
+HOST = "127.0.0.1"
+"""The default host: this machine only."""
+PORT, TLS_PORT = 80, 443
+"""The ports of HTTP, which are those of WebSocket."""
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name for name in text.split(",") if name)
+
+
+class WebSocketTransport(HostTransport):
+    """WebSocket, with or without TLS."""
+
+    own_settings = ("tls", "insecure", "hosts", "origins")
+    own_url_settings: ClassVar = {"insecure": boolean, "hosts": _names, "origins": _names}
+    plain_scheme = "ws"
+    tls_schemes = ("wss",)
+    speaks_tls = http_answer(400, "this server speaks TLS: use wss://")
+
+    def __init__(
+        self,
+        host: str = HOST,
+        port: int | None = None,
+        path: str = "/",
+        *,
+        tls: TlsFiles | ssl.SSLContext | None = None,
+        insecure: bool = False,
+        hosts: Iterable[str] = (),
+        origins: Iterable[str] = (),
+        **settings: Unpack[WireKeywords],
+    ) -> None:
+        """Take an address, and the settings of every transport over the wire protocol.
+
+        A URL has `insecure`, `hosts` and `origins`, with commas between their items, and the text,
+        number and boolean settings behind its `?`. With `wss://` it has the paths `ca`, `cert` and
+        `key` as well.
+
+        Args:
+            host: The host to connect to, or to listen at.
+            port: The port: 80, or 443 with TLS, if it is None; a server at port 0 gets a free one,
+                which its URL shows.
+            path: The path of the server; it begins with `/`.
+            tls: The files to make TLS from, or a context for the half that is used.
+            insecure: Permit a server without TLS at an address that other machines can reach.
+            hosts: Names of the server, beside its addresses and the names of its machine; `*`
+                permits all.
+            origins: Pages that may use the server, for example `https://robot.example`, beside
+                those that come from its own address; `*` permits all.
+            settings: See the table of settings.
+
+        Raises:
+            TypeError: There is no such setting.
+            ValueError: A number is out of range, `orphans` is another word, the path does not
+                begin with `/`, or a token is not valid text.
+        """
+        self._own_port = PORT if tls is None else TLS_PORT
+        super().__init__(
+            host,
+            self._own_port if port is None else port,
+            tls=tls,
+            insecure=insecure,
+            **settings,
+        )
+        if not path.startswith("/"):
+            raise ValueError(f"path begins with /, unlike {path!r}")
+        self._path = quote(path, safe="/:@!$&'()*+,;=~-._")
+        self._hosts = tuple(hosts)
+        self._origins = tuple(origins)
+
+    @classmethod
+    def address_of(cls, parts: SplitResult) -> dict[str, Any]:
+        """Return the host, the port and the path in a URL."""
+        own = TLS_PORT if parts.scheme in cls.tls_schemes else PORT
+        host = without_user(parts) or HOST
+        return {"host": host, "port": port_in(parts, own), "path": unquote(parts.path) or "/"}
+
+    def _url(self, port: int) -> str:
+        return f"{self._scheme}://{self._netloc(port)}{self._path if self._path != '/' else ''}"
+
+    def _client_framing(self) -> Framing:
+        host = self._netloc(self._port).removesuffix(f":{self._own_port}")
+        handshake = ClientHandshake(host, self._path)
+        return WebSocketFraming(self.url, FrameReader(self.client_settings.max_frame), handshake)
+
+    def _new_framing(self, server: WireServer) -> Callable[[], Framing]:
+        admitted = rules(
+            self._host,
+            self._path,
+            hosts=self._hosts,
+            origins=self._origins,
+            has_tls=self._tls is not None,
+        )
+
+        def new_framing() -> Framing:
+            return WebSocketFraming("the client", server.new_reader(), ServerHandshake(admitted))
+
+        return new_framing
