@@ -115,11 +115,12 @@ def connect(
         AuthenticationFailed: The server rejects this client.
     """
     transport = transport_for(where, **settings)
-    _check_is_action(action)
+    check_is_action(action)
     return _connected(transport) if action is None else _connected_client(transport, action)
 
 
-def _check_is_action(action: object) -> None:
+def check_is_action(action: object) -> None:
+    """Raise TypeError for a second argument of `connect` that is not an action."""
     if not isinstance(action, Action | None):
         raise TypeError(
             f"connect() takes an address and, optionally, an Action; {action!r} is not an Action"

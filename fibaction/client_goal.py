@@ -27,6 +27,7 @@ the stream, which is another one after a retry.
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Coroutine, Generator
+from contextvars import ContextVar
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
@@ -44,6 +45,14 @@ from fibaction.states import GoalStatus
 T = TypeVar("T")
 
 logger = clean_logger("fibaction.client")
+
+CALLER: ContextVar[int] = ContextVar("CALLER", default=0)
+"""The thread on whose behalf a task of `fibaction.blocking` runs; 0 for a task of its own."""
+
+
+def _caller() -> int:
+    """Return the task that reads or waits, or the thread that waits for this task."""
+    return CALLER.get() or anyio.get_current_task().id
 
 
 class FeedbackReader(Generic[FeedbackT]):
@@ -65,7 +74,7 @@ class FeedbackReader(Generic[FeedbackT]):
         self._holding = True
 
     def __aiter__(self) -> FeedbackReader[FeedbackT]:
-        self._reader = anyio.get_current_task().id
+        self._reader = _caller()
         return self
 
     async def __anext__(self) -> FeedbackT:
@@ -135,7 +144,7 @@ class FeedbackReader(Generic[FeedbackT]):
 
         Does nothing if another task reads. Called by a task that is about to wait for the result.
         """
-        if self._reader is None or self._reader == anyio.get_current_task().id:
+        if self._reader is None or self._reader == _caller():
             self._holding = False
             self.stream.hold(False)
 
@@ -309,6 +318,10 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
             del self._blocks[self]
             if not self._goal.status.is_terminal:
                 await self.leave()
+
+    def detach(self) -> None:
+        """Let the goal go on by itself: the end of no block cancels it any more."""
+        self._blocks.pop(self, None)
 
     async def leave(self) -> None:
         """Cancel the goal if it has not ended, wait for the answer, and log if the goal runs on."""
