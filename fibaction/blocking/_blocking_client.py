@@ -68,14 +68,14 @@ class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
         return BlockingGoal(self._loop, *self._loop.run(send))
 
     def attach(
-        self, goal_id: GoalID, *, after: int | None = None
+        self, goal_id: GoalID, *, after: int | None = None, attempt: int = 1
     ) -> BlockingGoal[FeedbackT, ResultT]:
         """Follow a goal that any client sent, which the end of no block cancels.
 
         Raises:
             ActionError, TypeError: As for `ActionClient.attach`.
         """
-        goal = self._loop.run(lambda: self._client.attach(goal_id, after=after))
+        goal = self._loop.run(lambda: self._client.attach(goal_id, after=after, attempt=attempt))
         return BlockingGoal(self._loop, goal, None)
 
     def cancel_goals(

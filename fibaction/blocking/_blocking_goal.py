@@ -40,6 +40,16 @@ class BlockingFeedback(Generic[FeedbackT]):
         raise StopIteration
 
     @property
+    def number(self) -> int:
+        """The number of the feedback that was read last, from 1: see `FeedbackReader.number`."""
+        return self._reader.number
+
+    @property
+    def attempt(self) -> int:
+        """The attempt at the goal that `number` belongs to, from 1."""
+        return self._reader.attempt
+
+    @property
     def dropped(self) -> int:
         """The number of feedback messages that were not delivered."""
         return self._reader.dropped
@@ -78,6 +88,10 @@ class BlockingGoal(Generic[FeedbackT, ResultT]):
             self.close()
         else:
             self._loop.run(lambda: sending.__aexit__(None, None, None))
+
+    def __iter__(self) -> BlockingFeedback[FeedbackT]:
+        """Iterate over the feedback: `for feedback in goal`."""
+        return iter(self.feedback)
 
     @property
     def goal_id(self) -> GoalID:
