@@ -119,10 +119,10 @@ test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the test
 # The versions in pyproject.toml that `make test` does not use.
 PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'),3.11 3.12 3.13)
 # Property tests need few examples to find differences between versions of Python and of libraries,
-# and coverage is measured in .venv only.
+# and coverage is measured in .venv only. The trials of fleets are of brokers and of processes.
 test_elsewhere = FIBACTION_EXAMPLES=20 $(no_other_ros) $(1)/bin/python -m pytest -q -n auto --dist worksteal \
     -o cache_dir=$(1)/.pytest_cache $(ELSEWHERE)
-ELSEWHERE := tests --ignore=tests/test_own_coverage.py
+ELSEWHERE := tests --ignore=tests/test_own_coverage.py --ignore=tests/fleet
 
 test-pythons:  ## Run the tests with each other version of Python that is installed
 	@for version in $(PYTHONS); do \
