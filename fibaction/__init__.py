@@ -7,7 +7,7 @@ result; a client may cancel at any time. This package exports all names that pro
 an action from an `.action` file of ROS 2, and `fibaction.abc` is for authors of transports.
 """
 
-from fibaction._api import ClientConnection, connect, serve
+from fibaction._api import ClientConnection, Connecting, connect, serve
 from fibaction.abc import Endpoint, Transport
 from fibaction.action import Action, ActionInfo
 from fibaction.client import ActionClient
@@ -64,6 +64,7 @@ __all__ = [
     "CancelRejected",
     "ClientConnection",
     "ClientGoal",
+    "Connecting",
     "ConnectionLost",
     "Endpoint",
     "Events",

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Iterable, Sequence
+from collections.abc import AsyncGenerator, Generator, Iterable, Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, NoReturn, TypedDict, TypeVar, Unpack, cast, overload
 
 import anyio
 from anyio import create_task_group
 
+from fibaction._kept_connection import KeptConnection, keep_open
 from fibaction.abc import Connection, Endpoint, Startable, Transport
 from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.client import ActionClient
+from fibaction.client_goal import Blocks, leave_blocks
 from fibaction.goals import ActionPeers
 from fibaction.urls import transport_for, without_settings
 from fibaction.wire.settings import ClientKeywords, ServerKeywords
@@ -49,15 +52,13 @@ class ClientConnection(Connection):
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
-        self._clients: list[ActionClient[Any, Any, Any]] = []
+        self._blocks: Blocks = connection.blocks if isinstance(connection, KeptConnection) else {}
 
     def client(
         self, action: Action[GoalT, FeedbackT, ResultT]
     ) -> ActionClient[GoalT, FeedbackT, ResultT]:
         """Return a client of one action over this connection."""
-        client = ActionClient(self.endpoint(action), action)
-        self._clients.append(client)
-        return client
+        return ActionClient(self.endpoint(action), action, self._blocks)
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
         """Return the endpoint of an action, for example to serve it at another address."""
@@ -74,19 +75,76 @@ class ClientConnection(Connection):
         """
         # Shielded: the goals must also be canceled if the block itself was canceled.
         with anyio.CancelScope(shield=True):
-            async with create_task_group() as tasks:
-                for client in self._clients:
-                    tasks.start_soon(client.leave)
+            await leave_blocks(self._blocks)
+
+    async def aclose(self) -> None:
+        """Close a connection that `await connect(...)` has opened, from any task.
+
+        Goals of `call`, and of blocks of `send_goal`, that have not ended are canceled first.
+        Closing twice does nothing.
+
+        Raises:
+            RuntimeError: The connection was opened by `async with connect(...)`.
+        """
+        if not isinstance(self._connection, KeptConnection):
+            raise RuntimeError(
+                "the block of `async with connect(...)` closes this connection: aclose() is for"
+                " `connection = await connect(...)`"
+            )
+        await self._connection.aclose()
 
     async def peers(self, action: str) -> ActionPeers:
         """Return the servers and the clients of an action: see `Connection.peers`."""
         return await self._connection.peers(action)
 
 
+ConnectedT = TypeVar("ConnectedT", covariant=True)
+
+
+class Connecting(AbstractAsyncContextManager[ConnectedT, None]):
+    """A connection to be opened, by `async with` or `await`: see `connect`."""
+
+    def __init__(self, transport: Transport, action: Action[Any, Any, Any] | None) -> None:
+        self._transport = transport
+        self._action = action
+        self._block: AbstractAsyncContextManager[ClientConnection]
+
+    def __await__(self) -> Generator[Any, Any, ConnectedT]:
+        return self._kept().__await__()
+
+    async def __aenter__(self) -> ConnectedT:
+        self._block = _connected(self._transport)
+        return self._client_of(await self._block.__aenter__())
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await self._block.__aexit__(exc_type, exc, traceback)
+
+    async def _kept(self) -> ConnectedT:
+        return self._client_of(ClientConnection(await keep_open(self._transport)))
+
+    def _client_of(self, connection: ClientConnection) -> ConnectedT:
+        value = connection if self._action is None else connection.client(self._action)
+        return cast("ConnectedT", value)
+
+    # For type checkers, each name would be an attribute.
+    if not TYPE_CHECKING:  # pragma: no branch  # it is always true at run time
+
+        def __getattr__(self, name: str) -> NoReturn:
+            raise AttributeError(
+                f"connect() has no attribute {name!r}, because it has not connected: write"
+                f" `async with connect(...) as client`, or `client = await connect(...)`"
+            )
+
+
 @overload
 def connect(
     where: str | Transport, **settings: Unpack[ConnectKeywords]
-) -> AbstractAsyncContextManager[ClientConnection]: ...
+) -> Connecting[ClientConnection]: ...
 
 
 @overload
@@ -94,18 +152,23 @@ def connect(
     where: str | Transport,
     action: Action[GoalT, FeedbackT, ResultT],
     **settings: Unpack[ConnectKeywords],
-) -> AbstractAsyncContextManager[ActionClient[GoalT, FeedbackT, ResultT]]: ...
+) -> Connecting[ActionClient[GoalT, FeedbackT, ResultT]]: ...
 
 
 def connect(
     where: str | Transport,
     action: Action[Any, Any, Any] | None = None,
     **settings: Unpack[ConnectKeywords],
-) -> AbstractAsyncContextManager[Any]:
-    """Connect to a URL, or by a transport, for as long as the block lasts.
+) -> Connecting[Any]:
+    """Connect to a URL, or by a transport.
 
-    With an action, the block gets an `ActionClient`, without one a `ClientConnection`. `settings`
-    are those of the transport's constructor, for example `reconnect=False`.
+        async with connect("tcp://127.0.0.1:7400", ACTION) as client:
+            ...
+
+    The connection is open for as long as the block lasts. Where a block is in the way, as in a
+    notebook, write `client = await connect(...)`, and later, in any task, `await client.aclose()`.
+    With an action, the value is an `ActionClient`, without one a `ClientConnection`. `settings` are
+    those of the transport's constructor, for example `reconnect=False`.
 
     Raises:
         TransportError: The URL cannot be used; the text says why.
@@ -115,11 +178,12 @@ def connect(
         AuthenticationFailed: The server rejects this client.
     """
     transport = transport_for(where, **settings)
-    _check_is_action(action)
-    return _connected(transport) if action is None else _connected_client(transport, action)
+    check_is_action(action)
+    return Connecting(transport, action)
 
 
-def _check_is_action(action: object) -> None:
+def check_is_action(action: object) -> None:
+    """Raise TypeError for a second argument of `connect` that is not an action."""
     if not isinstance(action, Action | None):
         raise TypeError(
             f"connect() takes an address and, optionally, an Action; {action!r} is not an Action"
@@ -134,14 +198,6 @@ async def _connected(transport: Transport) -> AsyncGenerator[ClientConnection, N
             yield connection
         finally:
             await connection.leave()
-
-
-@asynccontextmanager
-async def _connected_client(
-    transport: Transport, action: Action[GoalT, FeedbackT, ResultT]
-) -> AsyncGenerator[ActionClient[GoalT, FeedbackT, ResultT], None]:
-    async with _connected(transport) as connection:
-        yield connection.client(action)
 
 
 @asynccontextmanager

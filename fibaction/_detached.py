@@ -65,7 +65,7 @@ class DetachedGroup:
         """True if a task has ended in the middle of code that it never resumes: the RuntimeErrors
         about that are dropped."""
         self._error: BaseException | None = None
-        _start_outside(self._run, name)
+        start_outside(self._run, name)
         owner.start_soon(self._wait, name=name)
 
     def close(self) -> None:
@@ -108,7 +108,7 @@ def _single(group: BaseExceptionGroup[BaseException] | None) -> BaseException | 
     return group.exceptions[0] if group is not None and len(group.exceptions) == 1 else group
 
 
-def _start_outside(function: Callable[[], Awaitable[None]], name: str) -> None:
+def start_outside(function: Callable[[], Awaitable[None]], name: str) -> None:
     """Run an async function in a task that no task waits for. It must not raise."""
     if asyncio_task() is not None:
         import asyncio  # noqa: TID251  # anyio has no tasks outside of its groups

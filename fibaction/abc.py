@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Coroutine
 from contextlib import AbstractAsyncContextManager
 from types import TracebackType
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from fibaction._notify import Notifier
 from fibaction.action import Action, ActionInfo
@@ -332,6 +332,9 @@ class Transport(ABC):
     To be found by URL, a package declares its class in the entry-point group
     `fibaction.transports`, with the URL's scheme as the name.
     """
+
+    shares_event_loop: ClassVar[bool] = False
+    """True if clients must be on the event loop of their server."""
 
     @classmethod
     @abstractmethod

@@ -22,10 +22,11 @@ import anyio
 from anyio import get_cancelled_exc_class
 
 from fibaction._attempts import Attempts, cancel_left, check_timeout
+from fibaction._kept_connection import KeptEndpoint
 from fibaction._own_thread import OwnThread
 from fibaction.abc import Endpoint
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
-from fibaction.client_goal import ClientGoal, SendingGoal
+from fibaction.client_goal import Blocks, ClientGoal, SendingGoal, leave_blocks
 from fibaction.events import Events, events_of
 from fibaction.exceptions import ServerNotFound
 from fibaction.goals import CancelAnswer, GoalID, GoalInfo
@@ -39,12 +40,18 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
     as for `ClientGoal`.
     """
 
-    def __init__(self, endpoint: Endpoint, action: Action[GoalT, FeedbackT, ResultT]) -> None:
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        action: Action[GoalT, FeedbackT, ResultT],
+        blocks: Blocks | None = None,
+    ) -> None:
+        """Make a client; `blocks` are the open blocks of its connection, if it has one."""
         self.endpoint = endpoint
         """The endpoint that the goals are sent to."""
         self.action = action
         self._thread = OwnThread()
-        self._blocks: dict[SendingGoal[FeedbackT, ResultT], None] = {}
+        self._blocks: Blocks = {} if blocks is None else blocks
 
     def send_goal(
         self, goal: GoalT, *, goal_id: GoalID | None = None, timeout: float | None = None
@@ -126,22 +133,25 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             return await sent.result()
 
     async def attach(
-        self, goal_id: GoalID, *, after: int | None = None
+        self, goal_id: GoalID, *, after: int | None = None, attempt: int = 1
     ) -> ClientGoal[FeedbackT, ResultT]:
         """Follow a goal that any client sent: its feedback from now on, and its result.
 
-        With `after`, the feedback begins behind that number, as far back as the server remembers.
+        With `after`, the feedback begins behind that number, as far back as the server remembers:
+        `goal.feedback.number` is the number of the feedback that was read last. `attempt` is the
+        attempt that the number is of, `goal.feedback.attempt`; if the server has run the goal again
+        since, the feedback begins with the first of the new attempt.
 
         Raises:
             UnknownGoal: The server has no such goal.
             ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
             TransportError: As for `ClientGoal.cancel`.
-            TypeError: `goal_id` is not a `GoalID`, or `after` is not a whole number.
+            TypeError: `goal_id` is not a `GoalID`, or a number is not a whole one.
         """
         _check_is_id(goal_id)
         after = None if after is None else index(after)
         self._thread.check()
-        stream = await self.endpoint.feedback(goal_id, after=after)
+        stream = await self.endpoint.feedback(goal_id, after=after, attempt=index(attempt))
         return ClientGoal(self.endpoint, self.action, stream)
 
     async def cancel_goals(
@@ -214,11 +224,23 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
 
         The end of the block of `connect` calls this, before it closes the connection.
         """
-        blocks = tuple(self._blocks)
-        self._blocks.clear()
-        async with anyio.create_task_group() as tasks:
-            for block in blocks:
-                tasks.start_soon(block.leave)
+        await leave_blocks(self._blocks)
+
+    async def aclose(self) -> None:
+        """Close the connection that `await connect(...)` has opened, from any task.
+
+        Goals of `call`, and of blocks of `send_goal`, that have not ended are canceled first.
+        Closing twice does nothing.
+
+        Raises:
+            RuntimeError: This client was not made by `await connect(...)`.
+        """
+        if not isinstance(self.endpoint, KeptEndpoint):
+            raise RuntimeError(
+                "this client need not be closed: the block of `async with connect(...)` closes its"
+                " connection, and aclose() is for `client = await connect(...)`"
+            )
+        await self.endpoint.connection.aclose()
 
     def _attempts(
         self, goal_id: GoalID, timeout: float | None, retry: Retry | None

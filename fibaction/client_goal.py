@@ -27,8 +27,9 @@ the stream, which is another one after a retry.
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Coroutine, Generator
+from contextvars import ContextVar
 from types import TracebackType
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeAlias, TypeVar
 
 import anyio
 
@@ -45,6 +46,14 @@ T = TypeVar("T")
 
 logger = clean_logger("fibaction.client")
 
+CALLER: ContextVar[int] = ContextVar("CALLER", default=0)
+"""The thread on whose behalf a task of `fibaction.blocking` runs; 0 for a task of its own."""
+
+
+def _caller() -> int:
+    """Return the task that reads or waits, or the thread that waits for this task."""
+    return CALLER.get() or anyio.get_current_task().id
+
 
 class FeedbackReader(Generic[FeedbackT]):
     """The feedback of one goal, for `async for`; the iteration ends when the goal does."""
@@ -55,8 +64,10 @@ class FeedbackReader(Generic[FeedbackT]):
         codec: Codec[FeedbackT],
         thread: OwnThread,
         attempts: Attempts | None = None,
+        endpoint: Endpoint | None = None,
     ) -> None:
         self.stream = stream
+        self._endpoint = endpoint  # of a connection that is not to be collected before its reader
         self._thread = thread
         self._codec = codec
         self._attempts = attempts
@@ -65,7 +76,7 @@ class FeedbackReader(Generic[FeedbackT]):
         self._holding = True
 
     def __aiter__(self) -> FeedbackReader[FeedbackT]:
-        self._reader = anyio.get_current_task().id
+        self._reader = _caller()
         return self
 
     async def __anext__(self) -> FeedbackT:
@@ -126,6 +137,20 @@ class FeedbackReader(Generic[FeedbackT]):
                 self.stream.hold(False)
 
     @property
+    def number(self) -> int:
+        """The number of the feedback that was read last, from 1; 0 before the first.
+
+        It is what `ActionClient.attach` takes as `after`, to go on behind this feedback. A message
+        that was not delivered has a number, too. Each attempt at the goal has numbers of its own.
+        """
+        return self.stream.cursor
+
+    @property
+    def attempt(self) -> int:
+        """The attempt at the goal that `number` belongs to, from 1."""
+        return self.stream.attempt
+
+    @property
     def dropped(self) -> int:
         """The number of feedback messages that were not delivered."""
         return self._dropped + self.stream.dropped
@@ -135,7 +160,7 @@ class FeedbackReader(Generic[FeedbackT]):
 
         Does nothing if another task reads. Called by a task that is about to wait for the result.
         """
-        if self._reader is None or self._reader == anyio.get_current_task().id:
+        if self._reader is None or self._reader == _caller():
             self._holding = False
             self.stream.hold(False)
 
@@ -166,7 +191,7 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
         attempts: Attempts | None = None,
     ) -> None:
         self._thread = OwnThread()
-        self.feedback = FeedbackReader(stream, action.feedback, self._thread, attempts)
+        self.feedback = FeedbackReader(stream, action.feedback, self._thread, attempts, endpoint)
         """The feedback, for `async for`. While it is not read, the server keeps the newest."""
         self._endpoint = endpoint
         self._codec = action.result
@@ -205,6 +230,10 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
         The rest of an attempt that ended with its server is not known, and not counted.
         """
         return self.feedback.dropped
+
+    def __aiter__(self) -> FeedbackReader[FeedbackT]:
+        """Iterate over the feedback: `async for feedback in goal`."""
+        return self.feedback.__aiter__()
 
     async def outcome(self) -> Outcome[ResultT]:
         """Wait for the end of the goal, and return its outcome.
@@ -274,7 +303,7 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
         endpoint: Endpoint,
         goal_id: GoalID,
         sending: Coroutine[Any, Any, ClientGoal[FeedbackT, ResultT]],
-        blocks: dict[SendingGoal[FeedbackT, ResultT], None],
+        blocks: Blocks,
         attempts: Attempts | None = None,
     ) -> None:
         """Prepare to send a goal; `blocks` are the open blocks of its client."""
@@ -287,6 +316,16 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
 
     def __await__(self) -> Generator[Any, Any, ClientGoal[FeedbackT, ResultT]]:
         return self._sending.__await__()
+
+    # For type checkers, each name would be an attribute.
+    if not TYPE_CHECKING:  # pragma: no branch  # it is always true at run time
+
+        def __getattr__(self, name: str) -> NoReturn:
+            raise AttributeError(
+                f"the goal has no attribute {name!r}, because it was not sent: write"
+                f" `goal = await client.send_goal(...)`, or"
+                f" `async with client.send_goal(...) as goal`"
+            )
 
     async def __aenter__(self) -> ClientGoal[FeedbackT, ResultT]:
         self._blocks[self] = None
@@ -310,6 +349,10 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
             if not self._goal.status.is_terminal:
                 await self.leave()
 
+    def detach(self) -> None:
+        """Let the goal go on by itself: the end of no block cancels it any more."""
+        self._blocks.pop(self, None)
+
     async def leave(self) -> None:
         """Cancel the goal if it has not ended, wait for the answer, and log if the goal runs on."""
         goal_id = self._goal_id
@@ -322,3 +365,16 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
             await self._attempts.give_up()
         else:
             await cancel_left(self._endpoint, goal_id)
+
+
+Blocks: TypeAlias = dict[SendingGoal[Any, Any], None]
+"""The open blocks of goals of a client or of a connection, in their order."""
+
+
+async def leave_blocks(blocks: Blocks) -> None:
+    """Cancel the goals of open blocks, side by side, and close the blocks."""
+    left = tuple(blocks)
+    blocks.clear()
+    async with anyio.create_task_group() as tasks:
+        for block in left:
+            tasks.start_soon(block.leave)

@@ -42,6 +42,28 @@ async def test_with_an_action_it_gives_a_client_and_without_one_a_connection() -
             assert connection.endpoint(FIBONACCI).info == FIBONACCI.info
 
 
+async def test_without_a_block_a_client_or_a_connection_is_awaited_and_closed() -> None:
+    async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://connection"):
+        client = await connect("inproc://connection", FIBONACCI)
+        assert await client.call(Goal(1)) == Result([0, 1])
+        connection = await connect("inproc://connection")
+        assert await connection.client(FIBONACCI).call(Goal(1)) == Result([0, 1])
+        await client.aclose()
+        await connection.aclose()
+
+
+async def test_a_connection_that_its_block_closes_is_not_closed_by_hand() -> None:
+    async with connect("inproc://connection") as connection:
+        with pytest.raises(RuntimeError, match="the block of `async with connect"):
+            await connection.aclose()
+
+
+async def test_a_forgotten_await_is_told_with_what_to_write() -> None:
+    forgotten: Any = connect("inproc://connection", FIBONACCI)
+    with pytest.raises(AttributeError, match="has no attribute 'call', because it has not conn"):
+        forgotten.call(Goal(1))
+
+
 async def test_the_servers_and_the_clients_of_an_action_are_those_that_the_transport_knows() -> (
     None
 ):

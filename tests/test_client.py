@@ -33,6 +33,8 @@ from fibaction import (
     Retry,
     ServerNotFound,
     UnknownGoal,
+    connect,
+    serve,
 )
 from fibaction._notify import Notifier
 from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate, StatusStream
@@ -589,3 +591,55 @@ async def test_a_client_in_another_thread_is_told_which_one_is_its_own() -> None
 
 async def _awaited(sending: Awaitable[object]) -> object:
     return await sending
+
+
+async def test_the_number_of_the_last_feedback_is_where_another_reader_goes_on() -> None:
+    hold = anyio.Event()
+    steps = Feedback([1]), Feedback([2]), Feedback([3]), hold, Result([4])
+    async with ScriptedServer(FIBONACCI, steps) as server:
+        client = client_of(server)
+        goal = await client.send_goal(Goal(1))
+        assert (goal.feedback.number, goal.feedback.attempt) == (0, 1)
+        async for feedback in goal:
+            if feedback == Feedback([2]):
+                break
+        assert goal.feedback.number == 2
+        later = await client.attach(goal.goal_id, after=goal.feedback.number, attempt=1)
+        hold.set()
+        assert [(later.feedback.number, feedback) async for feedback in later] == [
+            (3, Feedback([3]))
+        ]
+
+
+async def test_a_goal_goes_on_after_its_block_if_it_was_detached() -> None:
+    hold = anyio.Event()
+    async with ScriptedServer(FIBONACCI, [hold, Result([4])]) as server:
+        sending = client_of(server).send_goal(Goal(1))
+        async with sending as goal:
+            sending.detach()
+        hold.set()
+        assert await goal.result() == Result([4])
+
+
+async def test_a_goal_that_was_not_awaited_is_told_with_what_to_write() -> None:
+    async with ScriptedServer(FIBONACCI, [Result([4])]) as server:
+        forgotten: Any = client_of(server).send_goal(Goal(1))
+        with pytest.raises(AttributeError) as caught:
+            forgotten.feedback  # noqa: B018
+        assert str(caught.value) == (
+            "the goal has no attribute 'feedback', because it was not sent: write"
+            " `goal = await client.send_goal(...)`, or `async with client.send_goal(...) as goal`"
+        )
+        assert await (await forgotten).result() == Result([4])
+
+
+async def test_only_a_client_that_was_awaited_is_closed() -> None:
+    async with ScriptedServer(FIBONACCI, [Result([4])]) as server:
+        with pytest.raises(RuntimeError, match="this client need not be closed"):
+            await client_of(server).aclose()
+        async with serve(server, "inproc://kept"):
+            client = await connect("inproc://kept", FIBONACCI)
+            assert await client.call(Goal(1)) == Result([4])
+            await client.aclose()
+            with pytest.raises(ConnectionLost):
+                await client.call(Goal(1))

@@ -27,6 +27,7 @@ import fibaction
 import fibaction._notify
 import fibaction.abc
 import fibaction.action_files
+import fibaction.blocking
 import fibaction.json_payload
 import fibaction.monitor
 import fibaction.testing
@@ -380,6 +381,7 @@ def resolve(dotted: str) -> object:
     [
         (fibaction, "connect"),
         (fibaction.action_files, "load_action"),
+        (fibaction.blocking, "BlockingGoal"),
         (fibaction.json_payload, "JsonCodec"),
         (fibaction.monitor, "Monitor"),
         (fibaction.abc, "GoalStream"),

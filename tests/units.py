@@ -12,6 +12,7 @@ UNITS = {
     "fibaction/_action_error.py": ["tests/test_exceptions.py"],
     "fibaction/client_goal.py": ["tests/test_client.py", "tests/test_attempts.py"],
     "fibaction/streams.py": ["tests/test_abc.py"],
+    "fibaction/blocking": ["tests/test_blocking.py"],
     "fibaction/cli": ["tests/cli"],
     "transports/fibaction_transports/_command.py": ["tests/cli"],
     "fibaction/server": ["tests/server", "tests/test_durable.py"],

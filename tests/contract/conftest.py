@@ -66,7 +66,7 @@ class Reach:
     @asynccontextmanager
     async def connection(self, *servers: Endpoint) -> AsyncGenerator[ClientConnection, None]:
         """Serve, and give a connection."""
-        async with self._serve(*servers) as url, connect(url) as connection:
+        async with self.url(*servers) as url, connect(url) as connection:
             yield connection
 
     @asynccontextmanager
@@ -76,7 +76,7 @@ class Reach:
         """Serve, and give two clients, each with a connection of its own."""
         action = server.action
         async with (
-            self._serve(server) as url,
+            self.url(server) as url,
             connect(url, action) as one,
             connect(url, action) as other,
         ):
@@ -88,12 +88,13 @@ class Reach:
     ) -> AsyncGenerator[list[ActionClient[GoalT, FeedbackT, ResultT]], None]:
         """Serve with a token for each name, and give a client with each of the tokens."""
         tokens = {f"token of {name}": name for name in names}
-        async with self._serve(server, tokens=tokens) as url, AsyncExitStack() as stack:
+        async with self.url(server, tokens=tokens) as url, AsyncExitStack() as stack:
             opening = [connect(url, server.action, token=token) for token in tokens]
             yield [await stack.enter_async_context(client) for client in opening]
 
     @asynccontextmanager
-    async def _serve(self, *servers: Endpoint, **settings: Any) -> AsyncGenerator[str, None]:
+    async def url(self, *servers: Endpoint, **settings: Any) -> AsyncGenerator[str, None]:
+        """Serve, and give the URL. At the end, nothing may be left running."""
         before = running()
         with anyio.fail_after(PATIENCE):
             async with self._way(servers, self.address(), **settings) as url:

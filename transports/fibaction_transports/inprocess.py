@@ -54,6 +54,8 @@ class InProcessTransport(Transport):
     this object, or that URL.
     """
 
+    shares_event_loop = True
+
     def __init__(self, name: str | None = None) -> None:
         url = f"inproc://{name or uuid.uuid4().hex}"
         if not _URL.fullmatch(url):

@@ -1,0 +1,16 @@
+"""Clients for programs without an event loop: `with`, `for`, and plain calls.
+
+    from fibaction.blocking import connect
+
+    with connect("tcp://127.0.0.1:7400", ACTION) as client:
+        print(client.call(3, on_feedback=print))
+
+A connection has an event loop of its own, in a thread that ends with the block. Ctrl-C cancels the
+goals of the block.
+"""
+
+from fibaction.blocking._blocking_client import BlockingClient, BlockingConnection
+from fibaction.blocking._blocking_goal import BlockingFeedback, BlockingGoal
+from fibaction.blocking._open_block import connect
+
+__all__ = ["BlockingClient", "BlockingConnection", "BlockingFeedback", "BlockingGoal", "connect"]

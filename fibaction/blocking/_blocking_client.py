@@ -1,0 +1,143 @@
+"""`BlockingConnection` and `BlockingClient`: a connection and its clients, for plain calls."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any, Generic
+
+from fibaction._api import ClientConnection
+from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
+from fibaction.blocking._blocking_goal import BlockingGoal
+from fibaction.blocking._loop_thread import LoopThread
+from fibaction.client import ActionClient
+from fibaction.client_goal import ClientGoal, SendingGoal
+from fibaction.goals import ActionPeers, CancelAnswer, GoalID, GoalInfo
+from fibaction.retry import Retry
+
+
+class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
+    """A client of one action, whose methods wait. Several threads may use it at once."""
+
+    def __init__(self, loop: LoopThread, client: ActionClient[GoalT, FeedbackT, ResultT]) -> None:
+        self._loop = loop
+        self._client = client
+        self.action = client.action
+
+    def call(
+        self,
+        goal: GoalT,
+        *,
+        on_feedback: Callable[[FeedbackT], object] | None = None,
+        timeout: float | None = None,
+        retry: Retry | None = None,
+    ) -> ResultT:
+        """Send a goal, and return its result.
+
+        `on_feedback` is called with each feedback, in this thread. Its exception cancels the goal,
+        and so does Ctrl-C. `timeout` and `retry` are those of `ActionClient.call`.
+
+        Raises:
+            ActionError, TypeError, ValueError: As for `ActionClient.call`.
+        """
+        client = self._client
+        if on_feedback is None:
+            return self._loop.run(lambda: client.call(goal, timeout=timeout, retry=retry))
+
+        async def call(hand_over: Callable[[FeedbackT], Awaitable[None]]) -> ResultT:
+            return await client.call(goal, on_feedback=hand_over, timeout=timeout, retry=retry)
+
+        return self._loop.run_with_callback(call, on_feedback)
+
+    def send_goal(
+        self, goal: GoalT, *, goal_id: GoalID | None = None, timeout: float | None = None
+    ) -> BlockingGoal[FeedbackT, ResultT]:
+        """Send a goal, and return it as soon as the server has accepted it.
+
+        `with client.send_goal(...) as goal` cancels the goal at the end of the block, if it has not
+        ended. Without a block, the end of the block of `connect` cancels it. Both do not after
+        `goal.detach()`. `goal_id` and `timeout` are those of `ActionClient.send_goal`.
+
+        Raises:
+            ActionError, TypeError, ValueError: As for `ActionClient.send_goal`.
+        """
+
+        async def send() -> tuple[ClientGoal[FeedbackT, ResultT], SendingGoal[FeedbackT, ResultT]]:
+            sending = self._client.send_goal(goal, goal_id=goal_id, timeout=timeout)
+            return await sending.__aenter__(), sending
+
+        return BlockingGoal(self._loop, *self._loop.run(send))
+
+    def attach(
+        self, goal_id: GoalID, *, after: int | None = None, attempt: int = 1
+    ) -> BlockingGoal[FeedbackT, ResultT]:
+        """Follow a goal that any client sent, which the end of no block cancels.
+
+        Raises:
+            ActionError, TypeError: As for `ActionClient.attach`.
+        """
+        goal = self._loop.run(lambda: self._client.attach(goal_id, after=after, attempt=attempt))
+        return BlockingGoal(self._loop, goal, None)
+
+    def cancel_goals(
+        self, goal_id: GoalID | None = None, *, before: int | None = None
+    ) -> CancelAnswer:
+        """Ask the server to cancel goals of any clients: see `ActionClient.cancel_goals`.
+
+        Raises:
+            ActionError, TypeError: As for `ActionClient.cancel_goals`.
+        """
+        return self._loop.run(lambda: self._client.cancel_goals(goal_id, before=before))
+
+    def goals(self) -> list[GoalInfo]:
+        """Return every goal that the server knows: those that have ended, then the active ones.
+
+        Raises:
+            ActionError: As for `ActionClient.goals`.
+        """
+        return self._loop.run(self._client.goals)
+
+    def wait_for_server(self, timeout: float | None = None) -> None:
+        """Wait until the action is served.
+
+        Raises:
+            ServerNotFound: It was not served within `timeout` seconds (None: no limit).
+            TransportError: The connection ended for good, or the server does not answer.
+        """
+        self._loop.run(lambda: self._client.wait_for_server(timeout))
+
+    def __repr__(self) -> str:
+        return f"<BlockingClient of {self.action!r}>"
+
+
+class BlockingConnection:
+    """An open connection, whose methods wait: the source of clients of all its actions."""
+
+    def __init__(self, loop: LoopThread, connection: ClientConnection) -> None:
+        self._loop = loop
+        self._connection = connection
+
+    def client(
+        self, action: Action[GoalT, FeedbackT, ResultT]
+    ) -> BlockingClient[GoalT, FeedbackT, ResultT]:
+        """Return a client of one action over this connection."""
+
+        async def client() -> ActionClient[GoalT, FeedbackT, ResultT]:
+            return self._connection.client(action)
+
+        return BlockingClient(self._loop, self._loop.run(client))
+
+    def actions(self) -> list[ActionInfo]:
+        """Return the actions that can be reached now: see `Connection.actions`."""
+        return self._loop.run(self._connection.actions)
+
+    def peers(self, action: str) -> ActionPeers:
+        """Return the servers and the clients of an action: see `Connection.peers`."""
+        return self._loop.run(lambda: self._connection.peers(action))
+
+
+def client_or_connection(
+    loop: LoopThread, connection: ClientConnection, action: Action[Any, Any, Any] | None
+) -> BlockingConnection | BlockingClient[Any, Any, Any]:
+    """Return the connection itself, or a client of the action if there is one."""
+    opened = BlockingConnection(loop, connection)
+    return opened if action is None else opened.client(action)

@@ -1,0 +1,57 @@
+"""The cells of docs/howto/notebook.md, run as a notebook runs them, without Jupyter."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import io
+import sys
+from collections.abc import AsyncGenerator
+from contextlib import redirect_stdout
+from itertools import pairwise
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import Action, ActionServer, GoalHandle, serve
+from tests.pages import Block, blocks_of
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "howto" / "notebook.md"
+ADDRESS = "tcp://127.0.0.1:7400"
+DRIVE = Action("drive", goal=int, feedback=int, result=str)
+
+
+async def drive(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
+    for meters in range(1, goal.request + 1):
+        yield meters
+    yield f"drove {goal.request} m"
+
+
+async def run_cell(code: str, names: dict[str, Any]) -> None:
+    made = eval(compile(code, "cell", "exec", flags=ast.PyCF_ALLOW_TOP_LEVEL_AWAIT), names)
+    if inspect.iscoroutine(made):
+        await made
+
+
+@pytest.mark.asyncio
+async def test_each_cell_runs_in_a_task_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot: Any = ModuleType("my_robot")
+    robot.DRIVE = DRIVE
+    monkeypatch.setitem(sys.modules, "my_robot", robot)
+    names: dict[str, Any] = {}
+    async with serve(ActionServer(DRIVE, drive), "tcp://127.0.0.1:0") as (url,):
+        blocks = blocks_of(PAGE.read_text(encoding="utf-8"))
+        for block, following in pairwise([*blocks, Block("", "", 0, "")]):
+            if block.language != "python":
+                continue
+            output = io.StringIO()
+            with redirect_stdout(output):
+                async with anyio.create_task_group() as tasks:
+                    tasks.start_soon(run_cell, block.code.replace(ADDRESS, url), names)
+            expected = following.code if following.language == "text" else ""
+            # Not `splitlines`, which splits at the carriage returns, too.
+            printed = output.getvalue().split("\n")[:-1]
+            assert [line.rpartition("\r")[2] for line in printed] == expected.splitlines()
