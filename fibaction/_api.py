@@ -114,14 +114,17 @@ class Connecting(AbstractAsyncContextManager[ConnectedT, None]):
     def __init__(self, transport: Transport, action: Action[Any, Any, Any] | None) -> None:
         self._transport = transport
         self._action = action
-        self._block: AbstractAsyncContextManager[ClientConnection]
+        self._block: AsyncExitStack
 
     def __await__(self) -> Generator[Any, Any, ConnectedT]:
         return self._kept().__await__()
 
     async def __aenter__(self) -> ConnectedT:
-        self._block = _connected(self._transport)
-        return self._client_of(await self._block.__aenter__())
+        async with AsyncExitStack() as stack:
+            connection = await stack.enter_async_context(_connected(self._transport))
+            client = self._client_of(connection)  # not every connection can have every action
+            self._block = stack.pop_all()
+        return client
 
     async def __aexit__(
         self,
@@ -132,7 +135,12 @@ class Connecting(AbstractAsyncContextManager[ConnectedT, None]):
         await self._block.__aexit__(exc_type, exc, traceback)
 
     async def _kept(self) -> ConnectedT:
-        return self._client_of(ClientConnection(await keep_open(self._transport)))
+        connection = await keep_open(self._transport)
+        try:
+            return self._client_of(ClientConnection(connection))
+        except BaseException:
+            await connection.aclose()
+            raise
 
     def _client_of(self, connection: ClientConnection) -> ConnectedT:
         value = connection if self._action is None else connection.client(self._action)

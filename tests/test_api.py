@@ -11,6 +11,7 @@ import pytest
 
 from fibaction import (
     Action,
+    ActionInfo,
     ActionPeers,
     ActionServer,
     ClientConnection,
@@ -83,6 +84,43 @@ async def test_the_servers_and_the_clients_of_an_action_are_those_that_the_trans
         assert await connection.peers("fibonacci") == ActionPeers(("who serves fibonacci",))
     async with connect(InProcessTransport()) as connection:
         assert await connection.peers("fibonacci") == ActionPeers()
+
+
+class Refusing(InProcessTransport):
+    """A transport whose connections have no action."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open = 0
+
+    @asynccontextmanager
+    async def connect(self) -> AsyncGenerator[Connection, None]:
+        class Without(Connection):
+            def endpoint(self, action: Any) -> Any:
+                raise TransportError("its types do not fit")
+
+            async def actions(self) -> list[ActionInfo]:
+                return []
+
+        self.open += 1
+        try:
+            yield Without()
+        finally:
+            self.open -= 1
+
+
+@pytest.mark.parametrize("is_block", [True, False])
+async def test_a_connection_that_cannot_have_the_action_is_closed(*, is_block: bool) -> None:
+    transport = Refusing()
+
+    with pytest.raises(TransportError, match="do not fit"):
+        if is_block:
+            async with connect(transport, FIBONACCI):
+                raise AssertionError("it is connected")
+        else:
+            await connect(transport, FIBONACCI)
+
+    assert transport.open == 0
 
 
 async def test_a_transport_does_as_well_as_a_url() -> None:

@@ -219,8 +219,10 @@ class Steps(Generator[Any, Any, T], Generic[T]):
 
     def give_up(self) -> None:
         """Never resume the coroutine again; the next step ends the wait for it."""
-        _keep_for_ever(self._coroutine)
         scopes = self._scopes
+        if scopes.is_abandoned:
+            return  # its last cancellation arrives after its time was over
+        _keep_for_ever(self._coroutine)
         scopes.steps = None
         scopes.is_spent = scopes.is_abandoned = True
         scopes.rest.shield = True  # or tasks that the coroutine has started were canceled for ever

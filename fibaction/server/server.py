@@ -52,6 +52,8 @@ from fibaction.server.shutdown import Shutdown
 from fibaction.server.status_broadcast import StatusCursor
 
 SERVER_STOPPED = "server stopped"
+STORE_PATIENCE = 5.0
+"""Seconds that a server which stops waits for its store, at least: a disk may be busy."""
 
 logger = clean_logger("fibaction.server")
 
@@ -401,9 +403,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             logger.info("action server %r has stopped", self.action.name)
 
     async def _settle(self) -> None:
-        """Wait until all that was written is kept, as long as a clean-up may take."""
+        """Wait until all that was written is kept, for some seconds at most."""
         if self._keeper is not None:
-            with anyio.move_on_after(self._shutdown_timeout, shield=True):
+            patience = max(self._shutdown_timeout, STORE_PATIENCE)
+            with anyio.move_on_after(patience, shield=True):
                 await self._keeper.settled()
 
     # The endpoint

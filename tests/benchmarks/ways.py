@@ -42,7 +42,6 @@ WAYS = {
     "tcp": Way("fibaction, tcp", BETWEEN, "fibaction"),
     "tls": Way("fibaction, tls", BETWEEN, "tls"),
     "unix": Way("fibaction, unix", BETWEEN, "unix"),
-    "ws": Way("fibaction, ws", BETWEEN, "ws"),
     "grpc": Way("grpc.aio", BETWEEN, "grpc", is_ours=False),
     "nats": Way("NATS", BETWEEN, "nats", is_ours=False),
     "sockets": Way("bare anyio sockets", BETWEEN, "sockets", is_ours=False),

@@ -27,9 +27,10 @@ CUT_SHORT = r"Failed to publish log message to rosout: publisher's context is in
 """rcl's error for a line of the log that is written while rclpy's own handler of signals shuts ROS
 down. No check before the line can prevent it."""
 KILLED = r"goal \w+ of action '\w+' did not stop in time \(5 s\), and is killed\n"
+INTERRUPTED_RUN = r"\[WARN\] \[\w+\]: stopped: goal \w+ ABORTED: KeyboardInterrupt\n"
 TORN = r"\S+: RuntimeWarning: coroutine '\S+' was never awaited\n(  .*\n|RuntimeWarning: .*\n)+"
-"""On trio, Ctrl-C raises KeyboardInterrupt wherever the program is: also where a goal has ended and
-no task knows it yet, or a coroutine has been made and not yet started
+"""On trio, Ctrl-C raises KeyboardInterrupt wherever the program is: also in an executor, where a
+goal has ended and no task knows it yet, or a coroutine has been made and not yet started
 (https://trio.readthedocs.io/en/stable/reference-lowlevel.html)."""
 DEATHS = re.compile("terminate called|core dumped|Fatal|Segmentation")
 """Words of C++ and Python in a crash."""
@@ -46,7 +47,7 @@ async def ends(process: Peer, number: signal.Signals, code: int, backend: str = 
     assert await process.ended(END) == code, process.complaints()
     excused = f"{ABORTED}|{CUT_SHORT}"
     if (backend, number) == ("trio", SIGINT):
-        excused = f"{excused}|{KILLED}|{TORN}"
+        excused = f"{excused}|{KILLED}|{INTERRUPTED_RUN}|{TORN}"
     rest = re.sub(excused, "", process.complaints())
     assert rest == "", rest
 

@@ -18,6 +18,7 @@ import pytest
 
 from fibaction.server._interruption import EXECUTOR_SLICE, MOST_KILLS, CancelOnce, Steps
 from fibaction.server._task_pool import GRACE, MOST_IDLE, TaskPool
+from fibaction.server._turns import Turns
 from tests.processes import PATIENCE
 from tests.refusing import REFUSING, SHUTDOWN_TIMEOUT
 
@@ -327,6 +328,17 @@ async def test_the_owner_ends_without_a_job_that_does_not_end(
     assert seen[-1] == "given up"
     assert len(seen) == (1 if is_waiting else MOST_KILLS + 1)
     assert all_scopes[0].is_abandoned
+
+
+async def test_a_job_is_given_up_once() -> None:
+    given_up: list[str] = []
+    scopes = CancelOnce(lambda: None, Turns())
+    steps = Steps(anyio.sleep_forever(), scopes, copy_context(), lambda: given_up.append("it"))
+
+    steps.give_up()
+    steps.give_up()
+
+    assert given_up == ["it"]
 
 
 async def test_a_job_without_steps_is_left_behind_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
