@@ -14,6 +14,7 @@ from fibaction import (
     ProtocolError,
 )
 from fibaction_transports.nats import worker_connections
+from fibaction_transports.nats.broker import Record
 from fibaction_transports.nats.fleet_records import goal_entry
 from tests.transports.nats.fake_fleet import (
     ENDED,
@@ -222,3 +223,38 @@ async def test_connections_that_are_not_used_are_closed(fleet: FakeFleet) -> Non
         await anyio.sleep(3 * worker_connections.IDLE)
         assert fleet.lines.dialed == ["a", "a"]
         await goal.cancel()
+
+
+async def test_a_goal_whose_record_is_being_read_ends_when_the_client_leaves(
+    fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        goal = await client_of(connection).send_goal(-3)
+        get, gate = fleet.broker.get, anyio.Event()
+
+        async def slow(stream: str, subject: str) -> Record | None:
+            await gate.wait()
+            return await get(stream, subject)
+
+        monkeypatch.setattr(fleet.broker, "get", slow)
+        a.die()
+        a.own(goal.goal_id, **ENDED)
+        await settled()
+        await connection.leave()
+        gate.set()
+        await settled()
+        with pytest.raises(ConnectionLost):
+            await goal.outcome()
+
+
+async def test_without_reconnect_the_next_goal_has_a_new_line(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server()) as a,
+        fleet.connect(reconnect=False) as connection,
+    ):
+        client = client_of(connection)
+        assert await client.call(3) == "3"
+        a.flicker()
+        await settled()
+        assert await client.call(3) == "3"
+        assert fleet.lines.dialed == ["a", "a"]

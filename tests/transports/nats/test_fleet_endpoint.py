@@ -483,3 +483,51 @@ async def test_a_server_is_waited_for_until_a_worker_serves_the_action(fleet: Fa
                 assert not waiting.is_done
                 async with fleet.worker("b").serve(server()):
                     await waiting.answer()
+
+
+# Gateways and owners that leave in the middle
+
+
+async def test_a_gateway_that_leaves_during_a_cancel_of_all_goals_is_an_error(
+    fleet: FakeFleet,
+) -> None:
+    async with (
+        fleet.worker("a").serve(server()),
+        fleet.worker("g", is_kept=False).serve(server()) as g,
+        fleet.connect() as connection,
+    ):
+        client = client_of(connection)
+        assert (await client.cancel_goals()).return_code is CancelCode.NONE
+        g.hang_up()  # no record tells which goals it has
+        with pytest.raises(ConnectionLost, match="worker 'g' is not there"):
+            await client.cancel_goals()
+
+
+async def test_a_goal_that_a_gateway_may_have_is_not_sent_to_another_worker(
+    fleet: FakeFleet,
+) -> None:
+    mute = _Mute(server())
+    async with (
+        fleet.worker("g", is_kept=False).serve(mute) as g,
+        fleet.connect() as connection,
+    ):
+        async with Running(lambda: client_of(connection).call(3)) as calling:
+            await mute.asked.wait()
+            async with fleet.worker("a").serve(server()) as a:
+                g.hang_up()
+                with pytest.raises(ConnectionLost, match="worker 'g' is not there"):
+                    await calling.answer()
+                assert not a.asked
+
+
+async def test_a_goal_that_has_ended_is_told_by_its_record_when_its_owner_is_gone(
+    fleet: FakeFleet,
+) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        a.own(GOAL_ID, **ENDED)
+        a.hang_up()  # its lease goes on for a while
+        async with Running(lambda: connection.endpoint(COUNT).get_result(GOAL_ID)) as asking:
+            await anyio.sleep(3)
+            assert not asking.is_done
+            a.end_lease()
+            assert (await asking.answer()).status is GoalStatus.SUCCEEDED

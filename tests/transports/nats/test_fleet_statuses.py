@@ -81,8 +81,9 @@ async def test_goals_are_told_as_they_are_and_then_as_they_change(fleet: FakeFle
             assert await next_of(statuses, 3) == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
             fleet.broker.store(SUBJECT, b"")
             assert await next_of(statuses, 1) == ["UNKNOWN"]
-            fleet.broker.store(SUBJECT, b"")
-            fleet.broker.store(SUBJECT, b"?")
+            for data in (b"", b"?"):
+                fleet.broker.store(SUBJECT, data)
+                await settled()
             a.own(GOAL_ID)
             assert await next_of(statuses, 2) == ["ACCEPTED", "EXECUTING"]
 
@@ -220,3 +221,36 @@ async def test_leaving_ends_the_statuses(fleet: FakeFleet) -> None:
             statuses = await client_of(connection).endpoint.status()
         with pytest.raises(ConnectionLost, match="was closed here"):
             await statuses.receive()
+
+
+async def test_the_last_follower_that_leaves_ends_those_of_gateways(fleet: FakeFleet) -> None:
+    async with fleet.worker("g", is_kept=False).serve(server()), fleet.connect() as connection:
+        client = client_of(connection)
+        for known in (0, 1):
+            with await client.endpoint.status() as statuses:
+                assert statuses.known == known
+                await client.call(3)
+                told = ["SUCCEEDED"] * known
+                assert await next_of(statuses, 3 + known) == [
+                    *told,
+                    "ACCEPTED",
+                    "EXECUTING",
+                    "SUCCEEDED",
+                ]
+            await settled()
+
+
+async def test_a_place_of_a_goal_that_has_begun_by_its_record_is_left_out(
+    fleet: FakeFleet,
+) -> None:
+    schedule = Schedule(concurrency=1, queue=5)
+    async with (
+        fleet.worker("a").serve(server(schedule=schedule)) as a,
+        fleet.connect() as connection,
+    ):
+        client = client_of(connection)
+        goals = [await client.send_goal(-1) for _ in range(3)]
+        a.own(goals[1].goal_id, stamp=goals[1].stamp)
+        await settled()
+        places = {info.goal_id: info.place for info in await client.goals()}
+        assert [places[goal.goal_id] for goal in goals] == [0, 0, 2]

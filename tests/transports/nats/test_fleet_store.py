@@ -17,10 +17,11 @@ from fibaction.exceptions import StoreError
 from fibaction.goal_store import GoalTaken, RecordTooLarge, StoredGoal, Then
 from fibaction.goals import Sender
 from fibaction_transports.nats.broker import BrokerAway, Record
+from fibaction_transports.nats.fleet_journal import FleetJournal
 from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import GoalEntry, encode, goal_entry
-from fibaction_transports.nats.fleet_store import FleetJournal, FleetStore
-from fibaction_transports.nats.lease import Membership
+from fibaction_transports.nats.fleet_store import FleetStore
+from fibaction_transports.nats.lease import FIRST_PAUSE, Membership
 from tests.memory_broker import MemoryBroker, MemoryBrokers, Write
 from tests.virtual_time import in_virtual_time
 
@@ -559,3 +560,79 @@ async def test_goals_are_valid_as_long_as_the_lease() -> None:
         robot.journal.set_room(3, 2)
         assert (robot.journal.running, robot.journal.waiting) == (3, 2)
         assert changes == [1]
+
+
+# Goals that are lost in the middle of a write
+
+
+async def test_a_write_within_an_answer_is_answered_after_it() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+
+        def then(error: StoreError | None) -> None:
+            robot.write("end", ended(goal(9)), "within")  # of a goal that it does not have
+            robot.then("first")(error)
+
+        robot.journal.accept(goal(), then)
+        await robot.answered(2)
+        assert [name for name, _ in robot.answers] == ["first", "within"]
+        assert robot.errors == [None, GoalTaken]
+
+
+async def test_a_later_write_that_did_not_arrive_is_written_again() -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        robot.write("accept", goal())
+        await robot.answered(1)
+        robot.broker.is_away = True
+        robot.write("end", ended(goal()))
+        await sleep(2.5)
+        robot.broker.is_away = False
+        await robot.answered(2)
+        assert robot.errors == [None, None]
+        assert len(writes(shared)) == 2
+
+
+async def test_a_frozen_worker_clears_no_doubt() -> None:
+    async with MemoryBrokers() as shared:
+        robot = Member(shared, "robot")
+        await robot.membership.join()
+        async with (
+            Background() as robot.store.tasks,
+            robot.store.open(
+                "count", max_results=9, claim=robot.claimed.append, lose=robot.lost.append
+            ) as robot.journal,
+        ):
+            shared.loses_answer = lambda write: ".goal." in write.subject
+            await sleep(LEASE / 2)
+            robot.write("accept", goal())
+            await robot.answered(1)
+            assert robot.errors == [GoalTaken]
+            assert robot.lost == [goal().goal_id]
+            assert len(writes(shared)) == 1
+
+
+@pytest.mark.parametrize("when", ["while its record is read", "before it is written again"])
+async def test_a_goal_in_doubt_can_be_lost(monkeypatch: pytest.MonkeyPatch, when: str) -> None:
+    async with MemoryBrokers() as shared, member(shared) as robot:
+        get = robot.broker.get
+
+        async def lose_soon() -> None:
+            await sleep(FIRST_PAUSE / 2)
+            robot.journal.lose(goal().goal_id)
+
+        async def lose(stream: str, subject: str) -> Record | None:
+            if ".goal." not in subject:
+                return await get(stream, subject)
+            if when == "before it is written again":
+                robot.store.tasks.start_soon(lose_soon)
+                return None
+            robot.journal.lose(goal().goal_id)
+            return await get(stream, subject)
+
+        monkeypatch.setattr(robot.broker, "get", lose)
+        shared.loses_answer = lambda write: ".goal." in write.subject
+        robot.write("accept", goal())
+        await robot.answered(1)
+        await sleep(1)
+        assert robot.errors == [GoalTaken]
+        assert robot.lost == [goal().goal_id]
+        assert len(writes(shared)) == 1

@@ -77,6 +77,32 @@ async def test_a_name_that_is_cleared_up_after_is_not_a_worker(fleet: FakeFleet)
         assert (gone, workers.infos()) == (["a"], [])
 
 
+async def test_a_worker_is_gone_once_more_when_the_claim_to_clear_up_after_it_ends(
+    fleet: FakeFleet,
+) -> None:
+    subject = NAMES.worker("a")
+    claim, done = encode(LeaseEntry("a", b"", cleared_by="b")), encode(LeaseEntry("a", b""))
+    async with fleet.worker("a").serve(server()) as a, workers_of(fleet) as (workers, gone):
+        for data in (claim, claim, b""):
+            fleet.broker.store(subject, data)
+            await settled()
+        assert gone == ["a", "a"], "its lease has ended, and then the claim"
+        for data in (claim, done, b"", claim):
+            fleet.broker.store(subject, data)
+            await settled()
+        a.renew()
+        await settled()
+        assert gone == ["a", "a"], "all is done, or another worker has the name"
+        a.end_lease()
+        fleet.broker.store(subject, claim)
+        await settled()
+        del fleet.broker.records[subject]
+        fleet.broker.restart_watches()
+        await settled()
+        assert gone == ["a"] * 4
+        assert not workers.living()
+
+
 async def test_leases_that_ended_while_the_watch_was_interrupted_are_noticed(
     fleet: FakeFleet,
 ) -> None:

@@ -6,6 +6,7 @@ import logging
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from functools import partial
+from typing import Any
 
 import pytest
 from anyio import create_task_group, current_time, fail_after, sleep
@@ -370,3 +371,45 @@ async def test_leaving_without_brokers_takes_no_longer_than_a_lease() -> None:
         with fail_after(LEASE + 0.1):
             async with create_task_group() as tasks:
                 tasks.start_soon(partial(member.leave, is_clean=True))
+
+
+# Time that passes in between
+
+
+async def test_a_worker_that_is_fenced_while_it_reads_its_lease_joins_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        async with joined(broker) as member:
+            first, get = member.incarnation, broker.get
+
+            async def fence(stream: str, subject: str) -> Record | None:
+                if not member.fences:
+                    member._fence("on purpose")
+                return await get(stream, subject)
+
+            monkeypatch.setattr(broker, "get", fence)
+            shared.loses_answer = lambda _: len(shared.writes) == 2
+            await sleep(3 * LEASE)
+            assert len(member.fences) == len(member.joins) == 1
+            assert member.incarnation not in (b"", first)
+
+
+async def test_a_lease_that_has_ended_when_its_answer_comes_is_stored_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared:
+        member = Member(shared.member())
+        put, freezes = member._put, [LEASE]
+
+        async def frozen(*arguments: Any) -> Any:
+            stored = await put(*arguments)
+            await sleep(freezes.pop() if freezes else 0)
+            return stored
+
+        monkeypatch.setattr(member, "_put", frozen)
+        await member.join()
+        assert puts(shared) == 2
+        assert current_time() < member.valid_until
+        assert not member.fences

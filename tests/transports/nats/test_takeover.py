@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any
 
 import pytest
 from anyio import fail_after, sleep
@@ -16,9 +17,10 @@ from fibaction._tasks import Background
 from fibaction.goal_store import StoredGoal
 from fibaction.goals import Sender
 from fibaction_transports.nats.broker import BrokerAway, Record
+from fibaction_transports.nats.fleet_journal import FleetJournal
 from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import GoalEntry, encode, goal_entry, lease_entry
-from fibaction_transports.nats.fleet_store import FleetJournal, FleetStore
+from fibaction_transports.nats.fleet_store import FleetStore
 from fibaction_transports.nats.fleet_workers import FleetWorkers
 from fibaction_transports.nats.lease import Membership
 from fibaction_transports.nats.takeover import SCAN_INTERVAL, Takeover
@@ -188,7 +190,119 @@ async def test_clearing_up_is_tried_again_while_the_brokers_do_not_answer() -> N
         assert await b.claims(1) == [goal(worker="a")]
 
 
+async def test_another_survivor_clears_up_if_the_first_one_is_lost_too() -> None:
+    async with MemoryBrokers() as shared, member(shared, "b") as b, member(shared, "c") as c:
+        lost = Membership(shared.member("a"), NAMES, "a", LEASE)
+        await lost.join()
+        survivors = {"b": b, "c": c}
+        claims: list[str] = []
+
+        def cut(write: Write) -> bool:
+            by = lease_entry(write.data).cleared_by if write.subject == NAMES.worker("a") else ""
+            if by:
+                claims.append(by)
+                survivors[by].broker.is_away = len(claims) == 1
+            return False
+
+        shared.loses_answer = cut
+        await sleep(3 * LEASE)
+        assert sorted(claims) == ["b", "c"]
+        await sleep(3 * LEASE)
+        assert len(claims) == 2, "it is done"
+
+
+async def test_clearing_up_that_was_interrupted_is_done_when_its_claim_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared, member(shared, "b") as b:
+        lost = Membership(shared.member("a"), NAMES, "a", LEASE)
+        await lost.join()
+        other = NAMES.goal("other", goal().goal_id)
+        shared.put(other, encode(GoalEntry(goal(worker="a"), lost.incarnation, b"")), 0, 9e9)
+        watch, cuts = b.broker.watch, [1]
+
+        def away(stream: str, subject: str) -> Any:
+            if subject == NAMES.all_goals() and cuts:
+                cuts.pop()
+                raise BrokerAway("on purpose")
+            return watch(stream, subject)
+
+        monkeypatch.setattr(b.broker, "watch", away)
+        await sleep(LEASE + 3)
+        assert not cuts
+        assert not shared.notes
+        await sleep(LEASE)
+        assert [note.subject for note in shared.notes] == [NAMES.left("other")]
+
+
+async def test_clearing_up_that_takes_longer_than_a_lease_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared, member(shared, "b") as b:
+        lost = Membership(shared.member("a"), NAMES, "a", LEASE)
+        await lost.join()
+        watch, scans = b.broker.watch, []
+
+        @asynccontextmanager
+        async def slow(stream: str, subject: str) -> AsyncGenerator[Any, None]:
+            if subject == NAMES.all_goals():
+                scans.append(subject)
+                await sleep(2.5 * LEASE)
+            async with watch(stream, subject) as found:
+                yield found
+
+        monkeypatch.setattr(b.broker, "watch", slow)
+        await sleep(30 * LEASE)
+        assert 1 < len(scans) <= 4
+
+
+async def test_the_claim_of_a_name_that_is_used_again_is_not_touched(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared, member(shared, "b") as b:
+        lost = Membership(shared.member("a"), NAMES, "a", LEASE)
+        await lost.join()
+        watch = b.broker.watch
+        records: list[Record | None] = []
+
+        @asynccontextmanager
+        async def other(stream: str, subject: str) -> AsyncGenerator[Any, None]:
+            if subject == NAMES.all_goals():
+                claim = shared.newest(NAMES.worker("a"))
+                assert claim is not None
+                shared.put(claim.subject, b"of a later version", claim.sequence, 9e9)
+                records.append(shared.newest(claim.subject))
+            async with watch(stream, subject) as found:
+                yield found
+
+        monkeypatch.setattr(b.broker, "watch", other)
+        await sleep(2 * LEASE)
+        assert records == [shared.newest(NAMES.worker("a"))]
+
+
 # Scans
+
+
+async def test_a_scan_is_tried_again_while_the_brokers_do_not_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared, member(shared, "b") as b:
+        await sleep(1)
+        watch, cuts = b.broker.watch, [1, 2]
+
+        def away(stream: str, subject: str) -> Any:
+            if cuts:
+                cuts.pop()
+                raise BrokerAway("on purpose")
+            return watch(stream, subject)
+
+        monkeypatch.setattr(b.broker, "watch", away)
+        keep(shared, goal(worker="gone"), b"gone")
+        first = Membership(shared.member("a"), NAMES, "a", LEASE)
+        await first.join()
+        await first.leave(is_clean=True)  # a reason to scan
+        await b.claims(1, within=4)
+        assert not cuts
 
 
 async def test_a_worker_finds_goals_without_an_owner_when_it_starts() -> None:

@@ -11,6 +11,7 @@ from anyio import create_task_group, fail_after, sleep, sleep_forever
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, Schedule
 from fibaction.exceptions import GoalRejected, TransportError
+from fibaction_transports.nats.broker import BrokerAway
 from fibaction_transports.nats.fleet_connection import open_fleet
 from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import (
@@ -208,3 +209,24 @@ async def test_a_worker_listens_again_when_the_brokers_are_back() -> None:
             await sleep(LEASE)
             with fail_after(10):
                 assert await caller.call(1) == 1
+
+
+async def test_listening_is_tried_again_when_the_brokers_did_not_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        subscribe, cuts = broker.subscribe, [1]
+
+        async def away(subject: str, *rest: Any) -> Any:
+            if subject == NAMES.offer("count") and cuts:
+                cuts.pop()
+                raise BrokerAway("on purpose")
+            return await subscribe(subject, *rest)
+
+        monkeypatch.setattr(broker, "subscribe", away)
+        async with serving(broker, ActionServer(COUNT, count)):
+            assert not cuts
+            await sleep(1)
+            answer = await shared.member().request(NAMES.offer("count"), encode(Question(1)), 5)
+            assert offer(answer).worker == "robot"

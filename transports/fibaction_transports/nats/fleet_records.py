@@ -49,7 +49,8 @@ class LeaseEntry(msgspec.Struct, array_like=True):
 
     worker: str
     incarnation: bytes
-    """Empty while a lost worker of this name is cleared up after: then `cleared_by` does that."""
+    """Empty while a lost worker of this name is cleared up after: then `cleared_by` does that.
+    Also empty if nothing is left to clear up: then `cleared_by` is empty as well."""
     since: int = 0
     """Time at which the worker joined: nanoseconds since 1970."""
     lease: float = 0.0

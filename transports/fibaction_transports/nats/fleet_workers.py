@@ -39,6 +39,8 @@ class FleetWorkers:
         """Seconds that the brokers have for a first list."""
         self._leases: dict[str, LeaseEntry] = {}  # by the last token of the subject
         self._known: dict[str, LeaseEntry] = {}  # by the name of the worker; living ones only
+        # The claims to clear up after lost workers, by the last token of the subject.
+        self._claims: dict[str, LeaseEntry] = {}
         self._is_watching = False
         self._is_listed = False
         self._is_closed = False
@@ -46,7 +48,8 @@ class FleetWorkers:
         """The notifier of workers that come or go, and of actions that they begin or end to serve.
         """
         self.on_gone: Callable[[LeaseEntry], None] = lambda lease: None
-        """The callback for a worker whose lease has ended, or whose name another one has now."""
+        """The callback for a worker whose lease has ended, or whose name another one has now; also
+        when the claim to clear up after it has ended, as that survivor may be lost, too."""
 
     async def ready(self) -> None:
         """Wait until the leases are known.
@@ -164,7 +167,7 @@ class FleetWorkers:
 
     async def _look_again(self) -> None:
         """Forget the workers whose lease has ended while the watch was interrupted."""
-        for token, lease in tuple(self._leases.items()):
+        for token, lease in (*self._leases.items(), *self._claims.items()):
             subject = self._names.worker(lease.worker)
             record = await self._broker.get(self._names.workers, subject)
             if record is None or not record.data:
@@ -177,8 +180,12 @@ class FleetWorkers:
             lease = lease_entry(record.data) if record.data else None
         except ProtocolError as exc:
             logger.warning("%s: %s", record.subject, exc)
+        if record.data:
+            self._claims.pop(token, None)
         if lease is None or not lease.incarnation:
             self._forget(token)
+            if lease is not None and lease.cleared_by:
+                self._claims[token] = lease
             return
         before = self._leases.get(token)
         if before is not None and before.incarnation != lease.incarnation:
@@ -193,3 +200,6 @@ class FleetWorkers:
             self._known.pop(lease.worker, None)
             self.on_gone(lease)
             self.news.notify()
+        claim = self._claims.pop(token, None)
+        if claim is not None:
+            self.on_gone(claim)

@@ -87,10 +87,9 @@ class Places:
         waiting.append(ticket)
         try:
             await ticket.done.wait()
-        except BaseException:
-            if ticket in waiting:
+        finally:
+            if not ticket.done.is_set():
                 waiting.remove(ticket)
-            raise
         if ticket.error is not None:
             raise copy_of(ticket.error)
         return ticket.worker

@@ -5,9 +5,12 @@ Theory of operation
 
 A worker whose lease has ended is cleared up after by one of the others: whoever puts a `LeaseEntry`
 without an incarnation over the marker. It reads the records of all goals, and adds a note to `left`
-for each active one whose owner is gone. So does each worker now and then for the actions that it
-serves, and when it has joined: a worker may have been lost while nobody watched, or have had a
-write under way when it was cleared up after.
+for each active one whose owner is gone. That claim ends like a lease, and then another one clears
+up: the first one may be lost, too. Whoever has read all records says that it is done, over the
+newest claim.
+
+Each worker also scans now and then for the actions that it serves, and when it has joined: a worker
+may have been lost while nobody watched, or have had a write under way when it was cleared up after.
 
 A note says only that there may be something to do; the record says what. Each worker takes the
 notes of `left` for its actions, whether it has room or not, and those of `want` while it can run
@@ -39,6 +42,7 @@ from fibaction_transports.nats.broker import (
     PutFailure,
     Record,
 )
+from fibaction_transports.nats.fleet_journal import FleetJournal
 from fibaction_transports.nats.fleet_names import FleetNames, action_of, last_token
 from fibaction_transports.nats.fleet_records import (
     GoalEntry,
@@ -47,7 +51,7 @@ from fibaction_transports.nats.fleet_records import (
     goal_entry,
     lease_entry,
 )
-from fibaction_transports.nats.fleet_store import FleetJournal, FleetStore
+from fibaction_transports.nats.fleet_store import FleetStore
 from fibaction_transports.nats.fleet_workers import FleetWorkers
 from fibaction_transports.nats.lease import LEFT_TTL, LONGEST_PAUSE, Membership
 
@@ -120,13 +124,20 @@ class Takeover:
                 if isinstance(stored, int):
                     logger.warning("worker %r is gone; its goals are taken over", worker)
                     await self._scan(self._names.all_goals(), again=True)
-                    await self._put(subject, LeaseEntry(worker, b""), stored)
+                    await self._finish(worker, subject)
                     return
                 if stored.kind is PutFailure.REFUSED:
                     return
             except BrokerAway:
                 pass
             await sleep(LONGEST_PAUSE)
+
+    async def _finish(self, worker: str, subject: str) -> None:
+        """Say that a lost worker is cleared up after, so that the end of a claim has no effect."""
+        record = await self._broker.get(self._names.workers, subject)
+        if record is None or not record.data or _is_claim(record):
+            expected = record.sequence if record else 0
+            await self._put(subject, LeaseEntry(worker, b""), expected)
 
     async def _put(self, subject: str, entry: LeaseEntry, expected: int) -> int | PutError:
         answers: list[int | PutError] = []
@@ -319,6 +330,13 @@ def _entry(record: Record) -> GoalEntry | None:
         logger.warning("%s: %s", record.subject, exc)
         return None
     return entry if entry.goal.status.is_active else None
+
+
+def _is_claim(record: Record) -> bool:
+    try:
+        return bool(lease_entry(record.data).cleared_by)
+    except ProtocolError:
+        return False
 
 
 def _waits(entry: GoalEntry) -> bool:

