@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from fibaction.goal_store import StoredGoal, Then
-from fibaction_transports.nats.fleet_store import FleetJournal
+from fibaction_transports.nats.fleet_journal import FleetJournal
 from fibaction_transports.nats.lease import Membership, Term
 from fibaction_transports.nats.takeover import Takeover
 from tests.fleet_simulation import __main__ as program

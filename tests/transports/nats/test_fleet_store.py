@@ -17,9 +17,10 @@ from fibaction.exceptions import StoreError
 from fibaction.goal_store import GoalTaken, RecordTooLarge, StoredGoal, Then
 from fibaction.goals import Sender
 from fibaction_transports.nats.broker import BrokerAway, Record
+from fibaction_transports.nats.fleet_journal import FleetJournal
 from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import GoalEntry, encode, goal_entry
-from fibaction_transports.nats.fleet_store import FleetJournal, FleetStore
+from fibaction_transports.nats.fleet_store import FleetStore
 from fibaction_transports.nats.lease import Membership
 from tests.memory_broker import MemoryBroker, MemoryBrokers, Write
 from tests.virtual_time import in_virtual_time

@@ -16,9 +16,10 @@ from fibaction._tasks import Background
 from fibaction.goal_store import StoredGoal
 from fibaction.goals import Sender
 from fibaction_transports.nats.broker import BrokerAway, Record
+from fibaction_transports.nats.fleet_journal import FleetJournal
 from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import GoalEntry, encode, goal_entry, lease_entry
-from fibaction_transports.nats.fleet_store import FleetJournal, FleetStore
+from fibaction_transports.nats.fleet_store import FleetStore
 from fibaction_transports.nats.fleet_workers import FleetWorkers
 from fibaction_transports.nats.lease import Membership
 from fibaction_transports.nats.takeover import SCAN_INTERVAL, Takeover

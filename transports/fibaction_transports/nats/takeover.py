@@ -39,6 +39,7 @@ from fibaction_transports.nats.broker import (
     PutFailure,
     Record,
 )
+from fibaction_transports.nats.fleet_journal import FleetJournal
 from fibaction_transports.nats.fleet_names import FleetNames, action_of, last_token
 from fibaction_transports.nats.fleet_records import (
     GoalEntry,
@@ -47,7 +48,7 @@ from fibaction_transports.nats.fleet_records import (
     goal_entry,
     lease_entry,
 )
-from fibaction_transports.nats.fleet_store import FleetJournal, FleetStore
+from fibaction_transports.nats.fleet_store import FleetStore
 from fibaction_transports.nats.fleet_workers import FleetWorkers
 from fibaction_transports.nats.lease import LEFT_TTL, LONGEST_PAUSE, Membership
 
