@@ -652,26 +652,3 @@ async def test_a_lost_goal_is_interrupted_at_once_when_a_frozen_server_goes_on()
         with pytest.raises(ConnectionLost, match=TAKEN):
             await goal.result()
     assert steps == []
-
-
-async def test_an_executor_that_is_about_to_go_on_takes_no_step_when_its_goal_is_lost() -> None:
-    store, steps = MemoryStore(), list[int]()
-    at = current_time() + 5
-
-    async def step(goal: GoalHandle[int]) -> Painting:
-        await anyio.sleep_until(at)
-        steps.append(1)
-        yield ""
-
-    async def take() -> None:
-        await anyio.sleep_until(at)
-        store.take("paint", ID)  # the executor's wait is over, and its next step is due
-
-    store.valid_until = lambda: at
-    async with server_with(store, step) as server, anyio.create_task_group() as tasks:
-        tasks.start_soon(take)
-        await anyio.sleep(1)
-        goal = await server.send_goal(ID, PAINT.goal.encode(1))
-        await anyio.sleep(5)
-        goal.close()
-    assert steps == []
