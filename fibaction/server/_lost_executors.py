@@ -71,13 +71,17 @@ class LostExecutors:
         while True:
             while not self._due:
                 await self._news.wait()
-            at, execution = self._due[0]
-            if not execution.has_ended:
-                await sleep_until(at)
-            self._due.popleft()
-            if not execution.has_ended:
-                warn_of_kill(execution.goal.goal_id, self._action, self._kill_after)
-                self._kill(execution)
+            await self._kill_first()
+
+    async def _kill_first(self) -> None:
+        # Its own function, as `run` would reference the last executor until the next one is lost.
+        at, execution = self._due[0]
+        if not execution.has_ended:
+            await sleep_until(at)
+        self._due.popleft()
+        if not execution.has_ended:
+            warn_of_kill(execution.goal.goal_id, self._action, self._kill_after)
+            self._kill(execution)
 
     def kill_all(self) -> None:
         """Kill all of them for good: the server stops."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import AsyncGenerator
 from contextlib import suppress
 from typing import Any, TypeAlias
+from weakref import ref
 
 import anyio
 import pytest
@@ -310,6 +312,44 @@ async def test_a_stop_waits_for_the_executors_of_lost_goals_and_kills_them() -> 
         await server.stop()
         assert current_time() - begin < 7
     assert executor.ended == []
+
+
+async def test_a_stop_kills_the_executor_of_a_goal_that_is_lost_while_the_server_stops() -> None:
+    store, executor = MemoryStore(), CleanUp(30)
+    async with server_with(store, executor, shutdown_timeout=5) as server:
+        goal = await client_of(server).send_goal(1000)
+        await anyio.sleep(1)
+        begin = current_time()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(server.stop)
+            await anyio.sleep(1)
+            store.take("paint", goal.goal_id)
+        assert current_time() - begin < 5.5
+    assert executor.ended == []
+
+
+async def test_nothing_is_held_of_a_lost_goal_whose_executor_has_ended() -> None:
+    store = MemoryStore()
+    gone: list[ref[object]] = []
+
+    class Pot:
+        """The paint of a goal."""
+
+    async def wait(goal: GoalHandle[int]) -> Painting:
+        pot = Pot()
+        gone.append(ref(pot))
+        await anyio.sleep(goal.request)
+        yield ""
+
+    async with server_with(store, wait) as server:
+        goal = await client_of(server).send_goal(1000)
+        await anyio.sleep(1)
+        store.take("paint", goal.goal_id)
+        del goal
+        await anyio.sleep(60)
+        gc.collect()
+        assert server._runs._registry.budget.used == 0
+        assert [pot() for pot in gone] == [None]
 
 
 # Taken over

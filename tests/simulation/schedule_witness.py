@@ -10,7 +10,8 @@ from fibaction.goals import Sender
 from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.executor import Execution
 from fibaction.server.goal_record import Ending
-from fibaction.server.runs import Run, Runs
+from fibaction.server.run import Run
+from fibaction.server.runs import Runs
 from fibaction.server.scheduler import Busy
 from tests.simulation.facts import Life, Truth
 from tests.simulation.invariants import Record

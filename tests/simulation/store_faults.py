@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from fibaction.exceptions import GoalKept
 from fibaction.goal_store import StoredGoal
 from fibaction.goals import GoalID, Outcome
 from fibaction.server.admission import Admission
@@ -14,7 +15,8 @@ from fibaction.server.goal_keeper import GoalKeeper
 from fibaction.server.goal_record import GoalRecord
 from fibaction.server.recovery import Recovery
 from fibaction.server.registry import GoalRegistry
-from fibaction.server.runs import Run, Runs
+from fibaction.server.run import Run
+from fibaction.server.runs import GOAL_IS_KEPT, Runs
 from fibaction.states import GoalStatus
 from tests.simulation.faults import mistake
 
@@ -275,6 +277,6 @@ def a_goal_that_is_kept_is_not_released(_real: Any) -> Any:
     """Leave goals that are kept at a planned restart as running."""
 
     def _release(self: AnyRuns, keeper: GoalKeeper, run: AnyRun) -> None:
-        self._let_go(run, "kept")
+        self._let_go(run, GoalKept(GOAL_IS_KEPT))
 
     return _release
