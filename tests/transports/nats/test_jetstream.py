@@ -8,7 +8,8 @@ import pytest
 from fibaction_transports.nats.broker import PutFailure, Record
 from fibaction_transports.nats.fleet_settings import FleetSettings
 from fibaction_transports.nats.jetstream import outcome
-from fibaction_transports.nats.nats_client import NatsClient, RawMessage
+from fibaction_transports.nats.nats_answers import RawMessage
+from fibaction_transports.nats.nats_client import NatsClient
 from fibaction_transports.nats.record_watch import RecordWatch, delivery
 
 

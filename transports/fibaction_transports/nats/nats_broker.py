@@ -29,7 +29,8 @@ from fibaction_transports.nats.broker import (
 )
 from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.nats_client import ACK_TIMEOUT, NOBODY, NatsClient, RawMessage
+from fibaction_transports.nats.nats_answers import ACK_TIMEOUT, NOBODY, RawMessage
+from fibaction_transports.nats.nats_client import NatsClient
 from fibaction_transports.nats.note_queue import NoteQueue
 from fibaction_transports.nats.record_watch import watch_records
 

@@ -24,7 +24,7 @@ import asyncio  # noqa: TID251  # nats-py is for asyncio only
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import anyio
 import nats.errors
@@ -36,41 +36,25 @@ from fibaction._notify import Notifier
 from fibaction.exceptions import TransportError
 from fibaction_transports.nats.broker import BrokerAway, NobodyListens, Subscription
 from fibaction_transports.nats.fleet_settings import FleetSettings
+from fibaction_transports.nats.nats_answers import (
+    ACK_TIMEOUT,
+    NOBODY,
+    OnAnswer,
+    OnRaw,
+    PendingAnswers,
+    RawMessage,
+    raw_message,
+)
 from fibaction_transports.nats.nats_dial import PING, Dialer, cut, is_alive, tasks_of
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.05, 1.0
 """Seconds between attempts to connect."""
-ACK_TIMEOUT = 2.0
-"""Seconds within which a broker answers to a write."""
 CLOSE_TIMEOUT = 1.0
 """Seconds that closing waits for the last messages to be taken."""
 MAX_QUEUED = 2**24
 """Bytes of messages that wait for a connection; more are lost."""
 
 logger = clean_logger("fibaction.nats")
-
-
-class RawMessage(NamedTuple):
-    """A message with its headers."""
-
-    subject: str
-    data: bytes
-    reply: str
-    headers: Mapping[str, str]
-
-    @property
-    def status(self) -> str:
-        """The status that the broker gives by itself, for example 503; mostly empty."""
-        return self.headers.get("Status", "")
-
-
-OnRaw: TypeAlias = Callable[[RawMessage], None]
-OnAnswer: TypeAlias = Callable[[RawMessage | None], None]
-"""Takes an answer; None if there was none in time."""
-
-_NO_HEADERS: Mapping[str, str] = {}
-NOBODY = "503"
-"""The status of an answer to a message that nobody gets."""
 
 
 class _Command(NamedTuple):
@@ -103,8 +87,7 @@ class _Subscribed(Subscription):
 
     async def deliver(self, msg: Any) -> None:
         if not self.is_closed:
-            headers = msg.headers or _NO_HEADERS
-            self.on_message(RawMessage(msg.subject, msg.data, msg.reply, headers))
+            self.on_message(raw_message(msg))
 
 
 class NatsClient:
@@ -118,11 +101,7 @@ class NatsClient:
         self._queued = 0  # bytes
         self._is_written = Notifier()  # something is to be written
         self._subscribed: dict[_Subscribed, None] = {}
-        self._inbox = f"_INBOX.{NUID().next().decode()}"
-        self._numbers = 0
-        self._acks: dict[str, tuple[float, OnAnswer]] = {}
-        self._has_acks = Notifier()
-        self._answers: dict[str, asyncio.Future[RawMessage]] = {}
+        self._pending = PendingAnswers(self.new_inbox())
         self._is_hurt = Notifier()  # the connection may be lost
         self._dialer = Dialer(settings, self._is_hurt.notify)
         self.info: Mapping[str, Any] = {}
@@ -154,10 +133,9 @@ class NatsClient:
         self, subject: str, data: bytes, headers: dict[str, str] | None, then: OnAnswer
     ) -> None:
         """Send a message, and call `then` with the answer, or with None after `ACK_TIMEOUT`."""
-        number = self._number()
-        self._acks[number] = asyncio.get_running_loop().time() + ACK_TIMEOUT, then
-        self._has_acks.notify()
-        self._send(_Command(subject, data, f"{self._inbox}.{number}", headers, number))
+        number = self._pending.number()
+        self._pending.call_back(number, then)
+        self._send(_Command(subject, data, self._pending.subject(number), headers, number))
 
     async def request(self, subject: str, data: bytes, timeout: float) -> RawMessage:
         """Send a message, and return the first answer.
@@ -166,8 +144,8 @@ class NatsClient:
             NobodyListens: Nobody gets it.
             BrokerAway: There was no answer within `timeout` seconds.
         """
-        number = self._number()
-        command = _Command(subject, data, f"{self._inbox}.{number}", None, number)
+        number = self._pending.number()
+        command = _Command(subject, data, self._pending.subject(number), None, number)
         message = await self._answer_to(command, timeout)
         if message.status == NOBODY:
             raise NobodyListens(f"nobody gets {subject}")
@@ -181,12 +159,12 @@ class NatsClient:
         Raises:
             BrokerAway: There is no connection.
         """
-        number = self._number()
-        await self._answer_to(_Command(f"{self._inbox}.{number}", b"", "", None, number), timeout)
+        number = self._pending.number()
+        command = _Command(self._pending.subject(number), b"", "", None, number)
+        await self._answer_to(command, timeout)
 
     async def _answer_to(self, command: _Command, timeout: float) -> RawMessage:
-        answer: asyncio.Future[RawMessage] = asyncio.get_running_loop().create_future()
-        self._answers[command.number] = answer
+        answer = self._pending.expect(command.number)
         self._send(command)
         try:
             with anyio.fail_after(timeout):
@@ -194,7 +172,7 @@ class NatsClient:
         except TimeoutError:
             raise BrokerAway(f"no answer within {timeout:g} s from {self.url}") from None
         finally:
-            del self._answers[command.number]
+            self._pending.forget(command.number)
 
     async def subscribe(self, subject: str, on_message: OnRaw, queue: str = "") -> Subscription:
         """Get the messages of a subject, from when this returns on.
@@ -225,10 +203,6 @@ class NatsClient:
         """Return a subject for messages to this client that are not answers."""
         return f"_INBOX.{NUID().next().decode()}"
 
-    def _number(self) -> str:
-        self._numbers += 1
-        return str(self._numbers)
-
     def _send(self, command: _Command | _Subscribed) -> None:
         if isinstance(command, _Command):
             if self._queued > MAX_QUEUED and not (command.number or self.is_connected):
@@ -237,17 +211,6 @@ class NatsClient:
         self._commands.append(command)
         if len(self._commands) == 1:
             self._is_written.notify()
-
-    async def _on_answer(self, msg: Any) -> None:
-        number = msg.subject.rpartition(".")[2]
-        message = RawMessage(msg.subject, msg.data, msg.reply, msg.headers or _NO_HEADERS)
-        ack = self._acks.pop(number, None)
-        if ack is not None:
-            ack[1](message)
-        else:
-            answer = self._answers.get(number)
-            if answer is not None and not answer.done():
-                answer.set_result(message)
 
     # Tasks
 
@@ -265,7 +228,7 @@ class NatsClient:
                     continue
                 self._queued -= len(command.data)
                 number = command.number
-                if not number or number in self._acks or number in self._answers:
+                if not number or number in self._pending:
                     await client.publish(
                         command.subject, command.data, command.reply, headers=command.headers
                     )
@@ -284,15 +247,7 @@ class NatsClient:
 
     async def expire(self) -> None:
         """Tell each write that has no answer in time, for ever."""
-        loop = asyncio.get_running_loop()
-        while True:
-            while not self._acks:
-                await self._has_acks.wait()
-            number, (deadline, then) = next(iter(self._acks.items()))
-            if deadline > loop.time():
-                await anyio.sleep(deadline - loop.time())
-            elif self._acks.pop(number, None) is not None:
-                then(None)
+        await self._pending.expire()
 
     async def keep_connected(self) -> None:
         """Connect again each time the connection is lost, for ever."""
@@ -313,11 +268,7 @@ class NatsClient:
     def _give_up_answers(self) -> None:
         """Fail all requests that were sent: their answers went to the lost connection."""
         unsent = {one.number for one in self._commands if isinstance(one, _Command)}
-        for number in [number for number in self._acks if number not in unsent]:
-            self._acks.pop(number)[1](None)
-        for number, answer in self._answers.items():
-            if number not in unsent and not answer.done():
-                answer.set_exception(BrokerAway(f"the connection to {self.url} was lost"))
+        self._pending.give_up(unsent, f"the connection to {self.url} was lost")
 
     async def _connect_again(self) -> None:
         pause = FIRST_PAUSE
@@ -355,7 +306,7 @@ class NatsClient:
     async def _connect_to(self, server: str) -> None:
         client: Any = await self._dialer.dial(server)
         try:
-            await client.subscribe(f"{self._inbox}.*", cb=self._on_answer)
+            await client.subscribe(f"{self._pending.inbox}.*", cb=self._pending.on_answer)
             for one in tuple(self._subscribed):
                 one.part = None
                 await self._apply(client, one)

@@ -18,7 +18,8 @@ from fibaction._notify import Notifier
 from fibaction_transports.nats import jetstream
 from fibaction_transports.nats.broker import BrokerAway, NobodyListens, Note
 from fibaction_transports.nats.fleet_names import stream_of_note
-from fibaction_transports.nats.nats_client import NatsClient, RawMessage
+from fibaction_transports.nats.nats_answers import RawMessage
+from fibaction_transports.nats.nats_client import NatsClient
 
 ACK_WAIT = 5
 """Seconds after which a note that is not done comes again."""

@@ -24,7 +24,8 @@ import msgspec
 from fibaction._notify import Notifier
 from fibaction_transports.nats import jetstream
 from fibaction_transports.nats.broker import BrokerAway, NobodyListens, Record, Subscription, Watch
-from fibaction_transports.nats.nats_client import NatsClient, RawMessage
+from fibaction_transports.nats.nats_answers import RawMessage
+from fibaction_transports.nats.nats_client import NatsClient
 
 HEARTBEAT = 2
 """Seconds between heartbeats of a consumer that has nothing to deliver."""
