@@ -71,14 +71,14 @@ class NatsServer:
             self.wait()
         return self
 
-    def wait(self) -> None:
-        """Wait until it takes connections."""
+    def wait(self, brokers: int = 1) -> None:
+        """Wait until it takes connections, and knows as many brokers of its cluster."""
         assert self._process is not None
         ends = time.monotonic() + STARTING
         while time.monotonic() < ends and self._process.poll() is None:
             if self.port < 0:
                 self._read_port()
-            if self.port > 0 and _answers(self.port):
+            if self.port > 0 and _brokers_known(self.port) >= brokers:
                 return
             time.sleep(0.01)  # noqa: TID251  # it says nothing when it is ready
         raise AssertionError(f"nats-server did not start: {self.log}")
@@ -116,13 +116,16 @@ class NatsServer:
             os.kill(self._process.pid, number)
 
 
-def _answers(port: int) -> bool:
-    """Return whether a broker says its INFO at a port."""
+def _brokers_known(port: int) -> int:
+    """Return how many brokers the one at a port tells its clients of; 0 if none answers."""
     try:
         with socket.create_connection(("127.0.0.1", port), timeout=1) as stream:
-            return stream.recv(4) == b"INFO"
+            line = stream.makefile("rb").readline()
     except OSError:
-        return False
+        return 0
+    if not line.startswith(b"INFO"):
+        return 0
+    return max(1, len(json.loads(line.removeprefix(b"INFO")).get("connect_urls", [])))
 
 
 @contextmanager
@@ -154,7 +157,7 @@ def nats_cluster(count: int = 3) -> Generator[list[NatsServer], None, None]:
             stack.callback(servers[-1].kill)
             servers[-1].start(wait=False)
         for server in servers:
-            server.wait()
+            server.wait(count)
         yield servers
 
 

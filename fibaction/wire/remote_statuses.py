@@ -53,6 +53,7 @@ class StatusSource(Protocol):
     @property
     def dropped(self) -> int:
         """The changes that were left out before they came here."""
+        ...
 
     def leave(self, statuses: RemoteStatuses) -> None:
         """Remove a follower."""

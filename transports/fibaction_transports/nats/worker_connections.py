@@ -45,6 +45,7 @@ class Lines(Protocol):
             ServerNotFound: The worker is not there.
             TransportError: It has not answered.
         """
+        ...
 
 
 class _Opened:
