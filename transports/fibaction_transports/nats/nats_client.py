@@ -33,7 +33,7 @@ from nats.nuid import NUID
 
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
-from fibaction.exceptions import TransportError
+from fibaction.exceptions import ServerNotFound, TransportError
 from fibaction_transports.nats.broker import BrokerAway, NobodyListens, Subscription
 from fibaction_transports.nats.fleet_settings import FleetSettings
 from fibaction_transports.nats.nats_answers import (
@@ -276,7 +276,7 @@ class NatsClient:
             for server in tuple(self._servers):
                 try:
                     await self._connect_to(server)
-                except (TransportError, nats.errors.Error, OSError) as exc:
+                except TransportError as exc:
                     logger.debug("%s: %s", server, exc)
                 else:
                     return
@@ -310,6 +310,9 @@ class NatsClient:
             for one in tuple(self._subscribed):
                 one.part = None
                 await self._apply(client, one)
+        except nats.errors.Error as exc:
+            await cut(client)
+            raise ServerNotFound(f"the broker {server} has closed the connection") from exc
         except BaseException:
             await cut(client)
             raise

@@ -85,9 +85,6 @@ class Dialer:
             logger.debug("%s: %s", server, error)
             self._on_hurt()
 
-        async def on_closed() -> None:
-            self._on_hurt()
-
         login: dict[str, Any] = {}
         if settings.user or settings.password:
             login["user"] = partial(self._secret, client, settings.user)
@@ -100,7 +97,6 @@ class Dialer:
         await client.connect(
             [f"nats://{server}"],
             error_cb=on_error,
-            closed_cb=on_closed,
             name="fibaction",
             allow_reconnect=False,
             connect_timeout=DIAL_TIMEOUT,
