@@ -100,7 +100,8 @@ class PendingAnswers:
             number, (deadline, then) = next(iter(self._acks.items()))
             if deadline > loop.time():
                 await anyio.sleep(deadline - loop.time())
-            elif self._acks.pop(number, None) is not None:
+            else:
+                del self._acks[number]
                 then(None)
 
     def give_up(self, unsent: Collection[str], reason: str) -> None:
