@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import anyio
-import nats.errors
 import pytest
 from anyio.abc import SocketAttribute, SocketStream
 from nats.aio.client import Client
@@ -156,36 +155,6 @@ async def test_a_broker_that_says_nothing_is_given_up() -> None:
             error = await error_of(settings_for(address))
     assert isinstance(error, ServerNotFound)
     assert "did not answer in 2 s" in str(error)
-
-
-async def test_a_broker_that_closes_after_the_login_is_not_found(
-    shared_broker: NatsServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def closed(*_: object, **__: object) -> None:
-        raise nats.errors.ConnectionClosedError
-
-    monkeypatch.setattr("nats.aio.client.Client.subscribe", closed)
-    error = await error_of(settings_for(shared_broker.address))
-    assert isinstance(error, ServerNotFound)
-    assert str(error) == f"the broker {shared_broker.address} has closed the connection"
-
-
-async def test_connecting_that_is_canceled_leaves_no_task(
-    shared_broker: NatsServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    connecting = anyio.Event()
-
-    async def stuck(*_: object, **__: object) -> None:
-        connecting.set()
-        await anyio.sleep_forever()
-
-    monkeypatch.setattr("nats.aio.client.Client.subscribe", stuck)
-    before = len(anyio.get_running_tasks())
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(error_of, settings_for(shared_broker.address))
-        await connecting.wait()
-        tasks.cancel_scope.cancel()
-    assert len(anyio.get_running_tasks()) == before
 
 
 async def test_a_connection_that_never_began_is_cut_at_once() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -122,9 +121,9 @@ async def test_a_late_answer_is_nobodys() -> None:
     pending = PendingAnswers("inbox")
     answer = pending.expect("1")
     answer.cancel()
-    await pending.on_answer(SimpleNamespace(subject="inbox.1", data=b"", reply="", headers=None))
+    pending.on_answer(RawMessage("inbox.1", b"", "", {}))
     pending.forget("1")
-    await pending.on_answer(SimpleNamespace(subject="inbox.1", data=b"", reply="", headers=None))
+    pending.on_answer(RawMessage("inbox.1", b"", "", {}))
     assert "1" not in pending
 
 
