@@ -149,6 +149,17 @@ async def renewals(writer: Writer, settings: FleetSettings, running: Servers) ->
     return write, telling, reading
 
 
+async def replicated(writer: Writer, running: Servers) -> None:
+    await writer.renew(0)
+    clock = Clock(running)
+    await writer.renew(100)
+    spent, count = clock.spent(), ROUNDS * LEASES
+    print(
+        f"renewals with three brokers: {count / spent.passed:.0f}/s; {spent.broker / count * 1e6:.0f}"
+        f" us each at all brokers"
+    )
+
+
 async def scan(writer: Writer, settings: FleetSettings, running: Servers) -> None:
     for number in range(GOALS):
         goal_id = GoalID(number.to_bytes(16, "big"))
@@ -178,7 +189,12 @@ async def measure() -> None:
             writer = Writer(broker)
             write, telling, reading = await renewals(writer, settings, running)
             await scan(writer, settings, running)
-    print(f"with a lease of {LEASE:g} s:")
+    with servers(3) as running:
+        settings = FleetSettings("limits", tuple(running.hosts.split(",")))
+        async with open_broker(settings) as broker:
+            await broker.create_streams(NAMES)
+            await replicated(Writer(broker), running)
+    print(f"with one broker and a lease of {LEASE:g} s:")
     for count in (100, 1000, 10_000):
         rate = count * RENEWALS / LEASE
         print(
