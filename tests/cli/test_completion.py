@@ -9,7 +9,7 @@ from click.shell_completion import BashComplete
 from fibaction import ActionInfo
 from fibaction.cli import completion
 from fibaction.cli.app import cli
-from tests.cli.conftest import Run
+from tests.cli.conftest import Run, detached
 
 
 def complete(fibaction: Run, words: str, url: str) -> list[str]:
@@ -89,8 +89,52 @@ def test_names_are_completed_as_they_are_begun(
     assert offered(["info"], "w") == ["wait", "words"]
     assert offered(["info"], "/w") == ["/wait", "/words"]
     assert offered(["find"], "arm/action/W") == ["arm/action/Wait"]
-    assert offered(["send_goal", "arm/pick"], "") == ["arm/action/Pick"]
-    assert offered(["send_goal", "many"], "") == []
+    assert offered(["send_goal", "arm/pick"], "arm") == ["arm/action/Pick"]
+    assert offered(["send_goal", "many"], "x") == []
+
+
+def test_a_goal_to_fill_in_is_offered_quoted_as_the_shell_needs_it(
+    monkeypatch: pytest.MonkeyPatch, tcp: str
+) -> None:
+    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
+
+    def offered(*words: str) -> list[str]:
+        return [item.value for item in shell.get_completions(["-u", tcp, *words], "")]
+
+    monkeypatch.setenv("_FIBACTION_COMPLETE", "bash_complete")
+    assert offered("send_goal", "many") == ["""'{"count": 50000}'"""]
+    assert offered("send_goal", "/wait", "arm/action/Wait") == [
+        """'{"seconds": 3600.0, "steps": 1}'"""
+    ]
+    assert offered("send_goal", "words") == []  # its default would be changed by a shell
+    for name in ("zsh", "fish"):
+        monkeypatch.setenv("_FIBACTION_COMPLETE", f"{name}_complete")
+        assert offered("send_goal", "many") == ['{"count": 50000}']
+
+
+def test_ids_of_goals_are_offered_where_one_is_needed(here: Run, tcp: str, nobody: str) -> None:
+    running = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
+    over = detached(here, tcp, "fibonacci", "order: 1")
+    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
+
+    def offered(words: list[str], incomplete: str, url: str = tcp) -> list[str]:
+        return [item.value for item in shell.get_completions(["-u", url, *words], incomplete)]
+
+    assert {running, over} <= set(offered(["attach"], ""))
+    assert offered(["attach"], over[:20].upper()) == [over]
+    assert {running, "wait", "arm/pick"} <= set(offered(["cancel"], ""))
+    assert over not in offered(["cancel"], "")  # it has ended
+    assert running in offered(["cancel", "wait"], "")
+    assert offered(["cancel", "fibonacci"], "") == []
+    assert offered(["cancel", "nothing"], "") == offered(["attach"], "", nobody) == []
+    here("cancel", running, url=tcp)
+
+
+def test_a_server_that_does_not_list_its_goals_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch, tcp: str
+) -> None:
+    monkeypatch.setattr(completion, "TIMEOUT", 0)
+    assert completion.goal_ids(tcp, None, active=False) == []
 
 
 HOSTILE = [
