@@ -144,8 +144,7 @@ def test_a_list_of_types_is_reported_like_alternatives() -> None:
         (
             {"required": [f"a{number}" for number in range(MAX_NAMED + 1)]},
             {},
-            f"goal: {', '.join(f'a{number}' for number in range(MAX_NAMED))} and others"
-            " are missing",
+            "goal: " + ", ".join(f"a{one}" for one in range(MAX_NAMED)) + " and others are missing",
         ),
         (
             {"properties": {"pose": {"required": ["x", "y"]}}},

@@ -28,6 +28,8 @@ VERBS = {
     "info": ("info", "info_command", "Show the servers and the clients of an action."),
     "type": ("type", "type_command", "Print the type of an action."),
     "find": ("find", "find_command", "List the actions of a type."),
+    "wait": ("wait", "wait_command", "Wait until an action is served."),
+    "ping": ("round_trip", "ping_command", "Measure the round trip to a server."),
     "send_goal": ("send_goal", "send_goal_command", "Send a goal, and follow it."),
     "goals": ("list_goals", "goals_command", "List goals and their statuses."),
     "cancel": ("cancel", "cancel_command", "Cancel goals of any client."),
