@@ -49,7 +49,7 @@ class _ActionName(click.ParamType[str]):
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
         slash = incomplete.startswith("/")
-        names = [shown(info.name) if slash else info.name for info in reachable(url_of(ctx))]
+        names = [shown(info.name) if slash else info.name for info in _actions(ctx)]
         return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
@@ -90,7 +90,7 @@ class _GoalIDOf(_ActionName):
     ) -> list[CompletionItem]:
         words: tuple[str, ...] = (ctx.params.get(param.name or "") or ()) if self._actions else ()
         names = super().shell_complete(ctx, param, incomplete)
-        ids = goal_ids(url_of(ctx), words[0] if words else None, active=self._actions)
+        ids = _goal_ids(ctx, words[0] if words else None, active=self._actions)
         found = [CompletionItem(one) for one in ids if one.startswith(incomplete.lower())]
         return [*names, *found] if self._actions and not words else found
 
@@ -102,10 +102,18 @@ GOAL_ID = _GoalIDOf(actions=False)
 ACTION_OR_GOAL_ID = _GoalIDOf(actions=True)
 
 
+def _actions(ctx: click.Context) -> list[ActionInfo]:
+    """Return the actions that can be completed; none if the server is not known."""
+    try:
+        return reachable(url_of(ctx))
+    except Failure:
+        return []
+
+
 def _named(ctx: click.Context) -> list[ActionInfo]:
     """Return the action that is named before the incomplete word; all if none is."""
     named = ctx.params.get("name")
-    infos = reachable(url_of(ctx))
+    infos = _actions(ctx)
     return [info for info in infos if named is None or shown(info.name) == shown(named)]
 
 
@@ -114,13 +122,13 @@ def _quoted(goal: str) -> str:
     return f"'{goal}'" if os.environ.get("_FIBACTION_COMPLETE", "bash").startswith("bash") else goal
 
 
-def goal_ids(url: str, name: str | None, *, active: bool) -> list[str]:
-    """Return the IDs of goals at a URL, the newest first; with `active`, of those only.
+def _goal_ids(ctx: click.Context, name: str | None, *, active: bool) -> list[str]:
+    """Return the IDs of goals, the newest first; with `active`, of those only.
 
     There are none if the server cannot be asked.
     """
     try:
-        rows = anyio.run(goals_at, url, name)
+        rows = anyio.run(goals_at, url_of(ctx), name)
     except (ActionError, Failure):
         return []
     return [row.goal_id for row in reversed(rows) if row.info.status.is_active or not active][:MOST]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import anyio
 import pytest
 from click.shell_completion import BashComplete
@@ -134,7 +136,26 @@ def test_a_server_that_does_not_list_its_goals_is_not_waited_for(
     monkeypatch: pytest.MonkeyPatch, tcp: str
 ) -> None:
     monkeypatch.setattr(completion, "TIMEOUT", 0)
-    assert completion.goal_ids(tcp, None, active=False) == []
+    assert anyio.run(completion.goals_at, tcp, None) == []
+
+
+def test_names_of_addresses_are_completed_and_used(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tcp: str
+) -> None:
+    monkeypatch.setenv("FIBACTION_CONFIG", str(tmp_path / "config.toml"))
+    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
+
+    def offered(words: list[str], incomplete: str) -> list[str]:
+        return [item.value for item in shell.get_completions(words, incomplete)]
+
+    assert offered(["-c"], "") == offered(["-c", "robot1", "info"], "") == []
+    (tmp_path / "config.toml").write_text(f'[addresses]\nrobot1 = "{tcp}"\narm = "tcp://x"\n')
+    assert offered(["-c"], "") == ["arm", "robot1"]
+    assert offered(["-c"], "r") == ["robot1"]
+    assert offered(["-c", "robot1", "info"], "w") == ["wait", "words"]
+    assert offered(["-c", "robot2", "attach"], "") == []
+    (tmp_path / "config.toml").write_text("nonsense")
+    assert offered(["-c"], "") == []
 
 
 HOSTILE = [
