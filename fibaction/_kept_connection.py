@@ -24,7 +24,7 @@ from fibaction._own_thread import OwnThread
 from fibaction.abc import Connection, Endpoint, ForwardingEndpoint, Transport
 from fibaction.action import Action, ActionInfo
 from fibaction.client_goal import Blocks, leave_blocks
-from fibaction.goals import ActionPeers
+from fibaction.goals import ActionPeers, WorkerInfo
 
 
 class _Host:
@@ -96,6 +96,9 @@ class KeptConnection(Connection):
 
     async def peers(self, action: str) -> ActionPeers:
         return await self._host.connection.peers(action)
+
+    async def workers(self) -> list[WorkerInfo]:
+        return await self._host.connection.workers()
 
     async def aclose(self) -> None:
         """Cancel the goals of blocks, close the connection, and wait until it is closed."""

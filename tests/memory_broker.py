@@ -259,6 +259,8 @@ class MemoryBroker(Broker):
         self.name = name
         self.subscriptions: list[MemorySubscription] = []
         self._watches: list[MemoryWatch] = []
+        self.watch_delay = 0.0
+        """Seconds until the watches are told of a new record."""
         self._is_away = False
         self._inboxes = itertools.count()
         self._sent_until = -math.inf
@@ -289,7 +291,10 @@ class MemoryBroker(Broker):
         """Tell the watches of a new record."""
         for watch in self._watches:
             if not self._is_away and matches(watch.subject, record.subject):
-                watch.add(record)
+                if self.watch_delay:
+                    self.shared.at(current_time() + self.watch_delay, partial(watch.add, record))
+                else:
+                    watch.add(record)
 
     def _send(self, act: Callable[[], None]) -> None:
         """Do something at the brokers, in the order of the calls."""

@@ -37,6 +37,7 @@ from fibaction import (
 from fibaction.blocking import BlockingClient, BlockingConnection, connect
 from fibaction.blocking._interrupts import Interrupts
 from fibaction.blocking._loop_thread import LoopThread
+from tests.one_worker import WORKER, OneWorker
 
 COUNT = Action("count", goal=int, feedback=int, result=str)
 Client = BlockingClient[int, int, str]
@@ -182,6 +183,11 @@ def test_without_an_action_it_gives_a_connection(served: Served) -> None:
         client.wait_for_server(10)
         assert client.action is COUNT
         assert client.call(1) == "counted to 1"
+
+
+def test_a_connection_knows_the_workers_of_a_fleet() -> None:
+    with connect(OneWorker()) as connection:
+        assert connection.workers() == [WORKER]
 
 
 def test_several_threads_use_one_client(client: Client) -> None:

@@ -20,7 +20,7 @@ from fibaction import (
     blocking,
 )
 from tests.certificates import pems
-from tests.contract.conftest import WAYS, Reach
+from tests.contract.conftest import WAYS, Reach, skip_without_nats
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
@@ -38,6 +38,8 @@ def anyio_backend(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(params=IN_ANOTHER_THREAD)
 def reach(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Reach:
+    if request.param == "nats":
+        skip_without_nats(request)
     monkeypatch.setenv("SSL_CERT_FILE", pems().ca)
     return WAYS[request.param]
 

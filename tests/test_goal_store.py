@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+
 import pytest
 
+from fibaction import SqliteStore
 from fibaction.states import GoalStatus
 from tests.stores.made import a_goal
 
@@ -23,3 +27,12 @@ def test_an_active_goal_that_has_begun_is_executing_for_clients(
     goal = a_goal(1)
     goal.status, goal.attempt = status, attempt
     assert goal.told_status is told
+
+
+@pytest.mark.asyncio
+async def test_the_goals_of_a_store_without_leases_belong_to_their_server_for_ever(
+    tmp_path: Path,
+) -> None:
+    store = SqliteStore(tmp_path / "goals.db")
+    async with store.open("paint", max_results=9, claim=print, lose=print) as journal:
+        assert journal.valid_until == math.inf

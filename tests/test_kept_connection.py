@@ -26,6 +26,7 @@ from fibaction import (
 )
 from fibaction.abc import Connection
 from fibaction_transports.inprocess import InProcessTransport
+from tests.one_worker import WORKER, OneWorker
 
 pytestmark = pytest.mark.anyio
 
@@ -80,6 +81,12 @@ async def test_without_an_action_it_is_a_connection(url: str) -> None:
     assert await connection.actions() == [COUNT.info]
     assert (await connection.peers("count")).servers == (url,)
     assert await connection.client(COUNT).call(1) == "counted to 1"
+    await connection.aclose()
+
+
+async def test_it_knows_the_workers_of_a_fleet() -> None:
+    connection = await connect(OneWorker())
+    assert await connection.workers() == [WORKER]
     await connection.aclose()
 
 

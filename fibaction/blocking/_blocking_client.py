@@ -11,7 +11,7 @@ from fibaction.blocking._blocking_goal import BlockingGoal
 from fibaction.blocking._loop_thread import LoopThread
 from fibaction.client import ActionClient
 from fibaction.client_goal import ClientGoal, SendingGoal
-from fibaction.goals import ActionPeers, CancelAnswer, GoalID, GoalInfo
+from fibaction.goals import ActionPeers, CancelAnswer, GoalID, GoalInfo, WorkerInfo
 from fibaction.retry import Retry
 
 
@@ -133,6 +133,10 @@ class BlockingConnection:
     def peers(self, action: str) -> ActionPeers:
         """Return the servers and the clients of an action: see `Connection.peers`."""
         return self._loop.run(lambda: self._connection.peers(action))
+
+    def workers(self) -> list[WorkerInfo]:
+        """Return the workers of the fleet: see `Connection.workers`."""
+        return self._loop.run(self._connection.workers)
 
 
 def client_or_connection(

@@ -90,6 +90,8 @@ class RemoteGoal(Call, GoalStream):
         self.on_lost: Callable[[RemoteGoal, ActionError], None] | None = None
         """Takes the goal, once it is answered, if its connection or server cannot go on with it;
         None lets it end with the error."""
+        self.on_ended: Callable[[], None] | None = None
+        """Called when the server has told the end, unless the goal was lost before."""
         self.lost_at: float | None = None
         """Time at which it was lost, as noted by `on_lost`; None again when a server goes on with
         it."""
@@ -213,6 +215,8 @@ class RemoteGoal(Call, GoalStream):
             outcome = Outcome(message.status, message.result, shortened(message.reason))
             self._end(outcome, message.place)
             self._post(Received(self.id))
+            if self.on_ended is not None:
+                self.on_ended()
         elif kind is Failed or kind is Rejected:
             self.lose(error_of(message, self.goal_id))
         else:
@@ -224,6 +228,7 @@ class RemoteGoal(Call, GoalStream):
         is_lost = isinstance(error, ConnectionLost | ServerNotFound | UnknownGoal)
         if is_lost and self._is_answered and self.on_lost is not None:
             self._is_released = True
+            self.on_ended = None
             self.on_lost(self, error)
         elif self._is_answered and isinstance(error, UnknownGoal):
             # The server was started anew, or the result has expired meanwhile.

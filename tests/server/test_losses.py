@@ -621,6 +621,28 @@ async def test_an_executor_that_shields_itself_goes_on_when_the_lease_is_over() 
         assert await client_of(server).call(1) == "done"
 
 
+@pytest.mark.parametrize("is_canceled", [False, True])
+async def test_a_shield_is_left_in_peace_until_it_ends(is_canceled: bool) -> None:
+    store, lease, done = MemoryStore(), current_time() + 1, anyio.Event()
+    begun = anyio.Event()
+
+    async def finish(goal: GoalHandle[int]) -> Painting:
+        with anyio.CancelScope(shield=True):
+            begun.set()
+            await done.wait()
+        yield "done"
+
+    store.valid_until = lambda: lease
+    async with server_with(store, finish) as server:
+        goal = await client_of(server).send_goal(1)
+        await begun.wait()
+        if is_canceled:
+            await goal.cancel()
+        await anyio.sleep(3)
+        done.set()
+        assert await goal.result() == "done"
+
+
 async def test_an_executor_that_does_not_end_when_the_lease_is_over_is_killed() -> None:
     store, executor = MemoryStore(), CleanUp(50)
     lease = current_time() + 1

@@ -535,6 +535,19 @@ def test_two_cancels_of_one_goal_are_decided_each_by_itself() -> None:
     assert other.answer().return_code is CancelCode.REJECTED
 
 
+def test_a_goal_that_another_server_takes_while_it_is_canceled_is_left_out() -> None:
+    registry = GoalRegistry()
+    three_goals(registry)
+    of_all, of_one = registry.cancel(None, None, now=0.0), registry.cancel(A, None, now=0.0)
+    taken = next(goal for goal in of_all.candidates if goal.goal_id == A)
+    all_accept(of_all)
+    assert of_one.accept(taken)
+    for cancellation in (of_all, of_one):
+        cancellation.forget(taken)
+    assert [info.goal_id for info in of_all.answer().goals_canceling] == [B, C]
+    assert of_one.answer() == CancelAnswer(CancelCode.UNKNOWN_GOAL_ID)
+
+
 # Knowing and forgetting
 
 

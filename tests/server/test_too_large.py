@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from typing import Any
 
+import anyio
 import pytest
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, Schedule
@@ -71,6 +72,50 @@ async def test_a_checkpoint_is_an_error_at_the_await_and_the_goal_goes_on(
         client = ActionClient(server, ECHO)
         assert await client.call("checkpoint 200") == "it has more than 100 bytes"
         assert await client.call("checkpoint 20") == "check"
+
+
+async def test_a_checkpoint_that_is_too_large_leaves_a_later_one_in_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    write, late, written = MemoryJournal._write, list[Callable[[], None]](), list[Any]()
+    are_written = anyio.Event()
+
+    def slow(self: MemoryJournal, what: str, goal: StoredGoal, then: Then) -> None:
+        if len(goal.checkpoint or b"") > LIMIT:
+            late.append(lambda: then(RecordTooLarge("no")))
+        elif what == "checkpoint":
+            late.append(lambda: write(self, what, goal, then))
+        else:
+            written.append((what, goal.checkpoint))
+            write(self, what, goal, then)
+
+    async def twice(goal: GoalHandle[str]) -> AsyncGenerator[int | str, None]:
+        async def large() -> None:
+            with pytest.raises(RecordTooLarge):
+                await goal.checkpoint("x" * 200)
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(large)
+            await anyio.wait_all_tasks_blocked()
+            tasks.start_soon(goal.checkpoint, "later")
+            await anyio.wait_all_tasks_blocked()
+            for answer in late:  # they come in the order of the writes
+                answer()
+            are_written.set()
+        with anyio.CancelScope(shield=True):
+            await anyio.sleep(1)
+        yield ""
+
+    monkeypatch.setattr(MemoryJournal, "_write", slow)
+    store = MemoryStore()
+    async with ActionServer(ECHO, twice, store=store) as server:
+        goal = await ActionClient(server, ECHO).send_goal("x")
+        with anyio.fail_after(9):
+            await are_written.wait()
+        await goal.cancel()
+        await goal.outcome()
+    assert ECHO.checkpoint is not None
+    assert ("cancel", ECHO.checkpoint.encode("later")) in written
 
 
 async def test_a_result_ends_the_goal_as_aborted_with_the_reason(store: MemoryStore) -> None:

@@ -148,6 +148,25 @@ async def test_a_goal_goes_on_elsewhere_behind_its_last_feedback() -> None:
         assert (goal.dropped, client.other.calls.is_empty) == (0, True)
 
 
+async def test_the_end_is_noted_for_its_first_server_only() -> None:
+    async with two_servers() as (client, one, other):
+        ended: list[str] = []
+        goal = await client.send(one)
+        goal.on_ended = lambda: ended.append("one")
+        client.one.end(GONE)
+        client.other.calls.adopt(goal)
+        await other.say(following(await other.hear(Follow)))
+        await other.say(Ended(goal.id, SUCCEEDED, b"result", "", 0))
+        assert await outcome_of(goal) == ENDED
+        assert not ended
+    async with two_servers() as (client, one, _):
+        goal = await client.send(one)
+        goal.on_ended = lambda: ended.append("one")
+        await one.say(Ended(goal.id, SUCCEEDED, b"result", "", 0))
+        assert await outcome_of(goal) == ENDED
+        assert ended == ["one"]
+
+
 @pytest.mark.parametrize(
     ("why", "error"),
     [

@@ -12,6 +12,7 @@ from typing import Any
 import anyio
 import pytest
 from anyio.abc import SocketAttribute, SocketStream
+from nats.aio.client import Client
 
 from fibaction import AuthenticationFailed, ServerNotFound, TransportError
 from fibaction.wire.tls_files import TlsFiles
@@ -19,6 +20,7 @@ from fibaction_transports.nats.broker import BrokerAway, NobodyListens, PutError
 from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import FleetSettings
 from fibaction_transports.nats.nats_broker import open_broker
+from fibaction_transports.nats.nats_dial import cut
 from tests.certificates import pems
 from tests.nats_server import NatsServer, nats_server
 from tests.transports.hearing import Hearing
@@ -153,6 +155,10 @@ async def test_a_broker_that_says_nothing_is_given_up() -> None:
             error = await error_of(settings_for(address))
     assert isinstance(error, ServerNotFound)
     assert "did not answer in 2 s" in str(error)
+
+
+async def test_a_connection_that_never_began_is_cut_at_once() -> None:
+    await cut(Client())
 
 
 async def test_a_host_that_does_not_exist_is_not_found() -> None:

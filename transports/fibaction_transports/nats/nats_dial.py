@@ -1,4 +1,4 @@
-"""Connecting to one broker by nats-py, and closing the connection."""
+"""Connecting to one broker by nats-py, which has its connection taken away after the login."""
 
 from __future__ import annotations
 
@@ -13,17 +13,16 @@ import anyio
 import nats.errors
 from nats.aio.client import Client
 
+from fibaction._asyncio_task import asyncio_loop
 from fibaction._log import clean_logger
 from fibaction.exceptions import AuthenticationFailed, ServerNotFound, TransportError
 from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports.nats.fleet_settings import FleetSettings
+from fibaction_transports.nats.nats_answers import RawMessage
+from fibaction_transports.nats.nats_socket import CUT_TIMEOUT, BrokerSocket
 
 DIAL_TIMEOUT = 2
 """Seconds that one broker has to let this client in."""
-PING = 2
-"""Seconds between pings; a broker that misses two of them counts as lost."""
-CUT_TIMEOUT = 1.0
-"""Seconds that the tasks of a closed connection have to end."""
 NO_TLS = "the broker has no TLS: use nats:// if the network is your own"
 
 logger = clean_logger("fibaction.nats")
@@ -32,10 +31,16 @@ logger = clean_logger("fibaction.nats")
 class Dialer:
     """Connects to brokers with the login and the TLS of the settings."""
 
-    def __init__(self, settings: FleetSettings, on_hurt: Callable[[], None]) -> None:
-        """Call `on_hurt` when something is wrong with a connection, which may be lost."""
+    def __init__(
+        self,
+        settings: FleetSettings,
+        deliver: Callable[[int, RawMessage], None],
+        on_change: Callable[[], None],
+    ) -> None:
+        """Give these functions to each `BrokerSocket`."""
         self._settings = settings
-        self._on_hurt = on_hurt
+        self._deliver = deliver
+        self._on_change = on_change
         self._tls: ssl.SSLContext | None = None
 
     def read_files(self) -> None:
@@ -54,15 +59,16 @@ class Dialer:
                 ) from exc
         self._tls = tls.client() if isinstance(tls, TlsFiles) else tls
 
-    async def dial(self, server: str) -> Client:
+    async def dial(self, server: str) -> BrokerSocket:
         """Connect to a broker.
 
         Raises:
             ServerNotFound: It does not answer.
             AuthenticationFailed: It does not let this client in.
         """
+        asyncio_loop()  # in whose name messages are handled, later on
         errors: list[Exception] = []
-        client = Client()
+        client: Any = Client()
         task = asyncio.ensure_future(self._handshake(client, server, errors))
         try:
             await asyncio.wait({task}, timeout=DIAL_TIMEOUT)
@@ -70,10 +76,22 @@ class Dialer:
                 raise ServerNotFound(f"the broker {server} did not answer in {DIAL_TIMEOUT} s")
             if error := task.exception():
                 raise _translated(server, [error, *errors]) from error
+            return await self._take_over(client, server)
         except BaseException:
             await cut(client, task)
             raise
-        return client
+
+    async def _take_over(self, client: Any, server: str) -> BrokerSocket:
+        """Take the connection from nats-py, with what it has read, and end its tasks."""
+        reader, transport = client._transport._io_reader, client._transport._io_writer.transport
+        if transport.is_closing() or reader.at_eof():
+            raise ServerNotFound(f"the broker {server} has closed the connection")
+        socket = BrokerSocket(
+            transport, client._server_info, self._deliver, self._on_change, client
+        )
+        socket.begin(bytes(client._ps.buf + reader._buffer))
+        await _end(tasks_of(client))
+        return socket
 
     async def _handshake(self, client: Client, server: str, errors: list[Exception]) -> None:
         """Connect and log in."""
@@ -83,10 +101,6 @@ class Dialer:
             errors.append(error)
             del errors[4:]
             logger.debug("%s: %s", server, error)
-            self._on_hurt()
-
-        async def on_closed() -> None:
-            self._on_hurt()
 
         login: dict[str, Any] = {}
         if settings.user or settings.password:
@@ -100,14 +114,11 @@ class Dialer:
         await client.connect(
             [f"nats://{server}"],
             error_cb=on_error,
-            closed_cb=on_closed,
             name="fibaction",
             allow_reconnect=False,
             connect_timeout=DIAL_TIMEOUT,
             reconnect_time_wait=0,
             max_reconnect_attempts=1,
-            ping_interval=PING,
-            max_outstanding_pings=2,
             tls=self._tls,
             **login,
         )
@@ -122,35 +133,31 @@ class Dialer:
         return secret
 
 
-def is_alive(client: Any) -> bool:
-    """Return whether a connection is not lost, as far as nats-py knows."""
-    return not (client.is_closed or client._reading_task.done())
-
-
 def tasks_of(client: Any) -> list[asyncio.Task[Any]]:
     """Return the tasks of nats-py, of which it has no list."""
     tasks = [client._reading_task, client._ping_interval_task, client._flusher_task]
-    tasks += [one._wait_for_msgs_task for one in client._subs.values()]
     return [task for task in tasks if task is not None]
 
 
 async def cut(client: Any, *tasks: asyncio.Task[Any]) -> None:
-    """Close a connection at once, and end its tasks."""
-    if client is None:
-        return
-    ending = [*tasks, *tasks_of(client)]
-    for task in ending:
-        task.cancel()
+    """Close a connection of nats-py at once, and end its tasks."""
     stream = getattr(client._transport, "_io_writer", None)
     if stream is not None:
         stream.transport.abort()
+    await _end([*tasks, *tasks_of(client)])
+
+
+async def _end(tasks: list[asyncio.Task[Any]]) -> None:
+    """Cancel tasks, and wait until they have ended."""
+    for task in tasks:
+        task.cancel()
     with anyio.CancelScope(shield=True):
-        if ending:
-            await asyncio.wait(ending, timeout=CUT_TIMEOUT)
-        await anyio.lowlevel.checkpoint()  # in which the socket is closed
-    for task in ending:
+        if tasks:
+            await asyncio.wait(tasks, timeout=CUT_TIMEOUT)
+        await anyio.lowlevel.checkpoint()  # in which a socket is closed
+    for task in tasks:
         if task.done() and not task.cancelled():
-            task.exception()
+            task.exception()  # asked for, so that asyncio does not log it
 
 
 def _translated(server: str, errors: list[BaseException | Exception]) -> TransportError:

@@ -1,0 +1,70 @@
+"""`ScriptedClient`: a connection to brokers whose answers a test gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from fibaction._notify import Notifier
+from fibaction_transports.nats.broker import NobodyListens, Subscription
+from fibaction_transports.nats.nats_answers import OnRaw, RawMessage
+
+NOBODY = None
+"""The answer of nobody."""
+
+
+def failed(number: int, code: int = 400) -> dict[str, Any]:
+    """An answer with an error of JetStream."""
+    return {"error": {"code": code, "err_code": number, "description": "no"}}
+
+
+class _Subscribed(Subscription):
+    def close(self) -> None:
+        """See `Subscription.close`."""
+
+
+class ScriptedClient:
+    """The part of `NatsClient` that JetStream needs; each answer is used once, but for the last."""
+
+    url = "nats://broker"
+    is_connected = True
+
+    def __init__(self, **answers: Any) -> None:
+        """Answer to each request whose subject has this part of the API in it (`_` for the dot)."""
+        self.answers = {name.replace("_", "."): list(found) for name, found in answers.items()}
+        self.asked: list[tuple[str, Any]] = []
+        """The requests, and the messages that were published."""
+        self.info: dict[str, Any] = {}
+        self.connections = 1
+        self.to_notify: set[Notifier] = set()
+        self.on_message: OnRaw = lambda _message: None
+        self.on_publish: Callable[[str], None] = lambda _subject: None
+
+    def new_inbox(self) -> str:
+        return "_INBOX.one"
+
+    async def subscribe(self, subject: str, on_message: OnRaw, queue: str = "") -> Subscription:
+        self.on_message = on_message
+        return _Subscribed()
+
+    def publish(self, subject: str, data: bytes, reply: str = "") -> None:
+        self.asked.append((subject, data))
+        self.on_publish(subject)
+
+    async def request(self, subject: str, data: bytes, timeout: float) -> RawMessage:
+        self.asked.append((subject, msgspec.json.decode(data) if data else None))
+        found = next(found for name, found in self.answers.items() if name in subject)
+        answer = found.pop(0) if len(found) > 1 else found[0]
+        if isinstance(answer, Exception):
+            raise answer
+        if answer is NOBODY:
+            raise NobodyListens(subject)
+        if isinstance(answer, RawMessage):
+            return answer
+        return RawMessage("", msgspec.json.encode(answer), "", {})
+
+    def bodies(self, name: str) -> list[Any]:
+        """The bodies of the requests of one part of the API."""
+        return [body for subject, body in self.asked if name in subject]
