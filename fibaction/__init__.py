@@ -7,7 +7,7 @@ result; a client may cancel at any time. This package exports all names that pro
 an action from an `.action` file of ROS 2, and `fibaction.abc` is for authors of transports.
 """
 
-from fibaction._api import ClientConnection, Connecting, connect, serve
+from fibaction._api import ClientConnection, Connecting, Serving, connect, serve
 from fibaction.abc import Endpoint, Transport
 from fibaction.action import Action, ActionInfo
 from fibaction.client import ActionClient
@@ -97,6 +97,7 @@ __all__ = [
     "SendingGoal",
     "ServerFailed",
     "ServerNotFound",
+    "Serving",
     "SqliteStore",
     "StoreError",
     "Transport",

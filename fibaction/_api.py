@@ -215,12 +215,38 @@ async def _connected(transport: Transport) -> AsyncGenerator[ClientConnection, N
             await connection.leave()
 
 
-@asynccontextmanager
-async def serve(
+class Serving(AbstractAsyncContextManager[tuple[str, ...], None]):
+    """Servers at their addresses, to be run by `async with`: see `serve`."""
+
+    def __init__(self, block: AbstractAsyncContextManager[tuple[str, ...]]) -> None:
+        self._block = block
+
+    async def __aenter__(self) -> tuple[str, ...]:
+        return await self._block.__aenter__()
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await self._block.__aexit__(exc_type, exc, traceback)
+
+    # For type checkers, it could be awaited.
+    if not TYPE_CHECKING:  # pragma: no branch  # it is always true at run time
+
+        def __await__(self) -> NoReturn:
+            raise TypeError(
+                "serve() is not awaited, because it serves for as long as a block lasts: write"
+                " `async with serve(...):`, and `await anyio.sleep_forever()` in the block"
+            )
+
+
+def serve(
     endpoints: Endpoint | Iterable[Endpoint],
     *where: str | Transport,
     **settings: Unpack[ServeKeywords],
-) -> AsyncGenerator[tuple[str, ...], None]:
+) -> Serving:
     """Serve one endpoint or several, at one address or several, for as long as the block lasts.
 
     An address is a URL or a transport. `settings` are those of the constructors of the URLs'
@@ -234,6 +260,15 @@ async def serve(
             address, or the address is missing.
         RuntimeError: A server has been stopped; each runs once.
     """
+    return Serving(_served(endpoints, where, settings))
+
+
+@asynccontextmanager
+async def _served(
+    endpoints: Endpoint | Iterable[Endpoint],
+    where: tuple[str | Transport, ...],
+    settings: ServeKeywords,
+) -> AsyncGenerator[tuple[str, ...], None]:
     chosen = _chosen(endpoints)
     if not where:
         raise TypeError(

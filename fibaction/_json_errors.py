@@ -72,10 +72,12 @@ def sentences(mismatch: Mismatch, name: str) -> Iterator[str]:
                 _nearest(unknown, known)
                 for unknown in islice(_names_beside(mismatch.value, known), MAX_NAMED)
             }
-            missing = (one for one in mismatch.expected if one not in mismatch.value)
-            for required in islice(missing, MAX_NAMED):
-                if required not in meant:
-                    yield f"{field}.{excerpt(required, MAX_NAME)} is missing"
+            missing = (one for one in mismatch.expected if one not in (*mismatch.value, *meant))
+            named = [excerpt(one, MAX_NAME) for one in islice(missing, MAX_NAMED + 1)]
+            if len(named) == 1:
+                yield f"{field}.{named[0]} is missing"
+            elif named:
+                yield f"{field}: {_all_of(named)} are missing"
         case "type" | "enum" | "const":
             yield f"{field} must be {_expected(mismatch)}, not {value}"
         case "format":
@@ -177,6 +179,13 @@ def _field(name: str, path: Path) -> str:
         f"[{part}]" if isinstance(part, int) else f".{excerpt(part, MAX_NAME)}" for part in path
     )
     return excerpt(name + "".join(parts), MAX_PATH)
+
+
+def _all_of(texts: list[str]) -> str:
+    if len(texts) > MAX_NAMED:
+        return f"{', '.join(texts[:MAX_NAMED])} and others"
+    *others, last = texts
+    return f"{', '.join(others)} and {last}"
 
 
 def _either(texts: Iterable[str]) -> str:

@@ -5,16 +5,13 @@ Payloads are msgpack, decoded strictly. This module does not depend on goals, se
 
 from __future__ import annotations
 
-import datetime
-import decimal
 import re
-import uuid
-from collections.abc import Iterator
-from typing import Any, Generic, TypeGuard, TypeVar, cast, get_origin
+from collections.abc import Callable
+from typing import Any, Generic, TypeGuard, TypeVar, cast
 
 import msgspec
-from msgspec import inspect
 
+from fibaction._encodings import encoding_of
 from fibaction._text import excerpt
 from fibaction.exceptions import ProtocolError, TransportError, text_of
 
@@ -33,13 +30,11 @@ TransportError."""
 _NAME = re.compile(r"(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
 
-_encode = msgspec.msgpack.Encoder().encode
-
 
 class Codec(Generic[T]):
     """The encoding of one message type of an action, from values to bytes and back."""
 
-    __slots__ = ("_decoder", "_sent", "classes", "type")
+    __slots__ = ("_decode", "_encode", "_encoding", "_sent", "classes", "type")
 
     def __init__(self, message_type: type[T], sent: str = "") -> None:
         """Make a codec.
@@ -48,15 +43,15 @@ class Codec(Generic[T]):
         `feedback of action 'dock'`; it is empty for messages of clients.
 
         Raises:
-            TypeError: msgspec cannot encode and decode such a type.
+            TypeError: Such a type cannot be encoded and decoded.
         """
         self.type = message_type
         """The message type, unchanged."""
         self._sent = sent
-        self._decoder = msgspec.msgpack.Decoder(message_type)
-        info = inspect.type_info(message_type)
-        _check_can_be_encoded(info, set())
-        self.classes = tuple(_runtime_classes(info))
+        self._encoding = encoding_of(message_type)
+        self._encode: Callable[[T], bytes] = self._encoding.encode
+        self._decode: Callable[[bytes], T] = self._encoding.decode
+        self.classes = self._encoding.classes
         """The classes that a value of this type is an instance of; `object` for any."""
 
     def holds(self, value: object) -> TypeGuard[T]:
@@ -72,16 +67,16 @@ class Codec(Generic[T]):
             ValueError: It contains text that is not valid Unicode.
             RecursionError: It contains itself.
         """
-        return _encode(value)
+        return self._encode(value)
 
     def decode(self, payload: bytes) -> T:
-        """Turn bytes into a value, with no conversion from one type to another.
+        """Turn bytes into a value; only pydantic models convert from one type to another.
 
         Raises:
             ProtocolError: They are not a value of this type; the text names the field.
         """
         try:
-            return self._decoder.decode(payload)
+            return self._decode(payload)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError) as exc:
             # msgspec raises TypeError for a set of unhashable values.
             text = excerpt(str(exc))
@@ -99,12 +94,9 @@ class Codec(Generic[T]):
     def schema(self) -> dict[str, Any]:
         """Return the type's JSON Schema.
 
-        It is empty, which allows any value, if msgspec cannot make a schema of the type.
+        It is empty, which allows any value, if there is none for the type.
         """
-        try:
-            return msgspec.json.schema(self.type)
-        except TypeError:
-            return {}
+        return self._encoding.schema()
 
 
 class ActionInfo(msgspec.Struct, frozen=True):
@@ -122,7 +114,8 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
     """A name, and the types of the goal, the feedback and the result.
 
     A type is any that msgspec can encode and decode strictly: a `msgspec.Struct`, a dataclass, an
-    attrs class, a `TypedDict`, a builtin. The types of feedback and result must differ at run time,
+    attrs class, a `TypedDict`, a builtin. It may also be a pydantic model, or have models in it,
+    which validate by their own rules. The types of feedback and result must differ at run time,
     because an executor yields both.
     """
 
@@ -147,7 +140,7 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
 
         Raises:
             ValueError: The name or the type name breaks that rule.
-            TypeError: One of them is not text, msgspec cannot handle a type, or feedback and result
+            TypeError: One of them is not text, a type cannot be encoded, or feedback and result
                 cannot be told apart.
         """
         self.name = _checked(_NAME, name, "an action's name is like `arm/pick_up`")
@@ -156,10 +149,13 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
             _checked(
                 _TYPE_NAME, type_name, "a type name is like `example_interfaces/action/Fibonacci`"
             )
-        self.goal: Codec[GoalT] = Codec(goal)
-        self.feedback: Codec[FeedbackT] = Codec(feedback, f"feedback of action {name!r}")
-        self.result: Codec[ResultT] = Codec(result, f"the result of action {name!r}")
-        self.checkpoint: Codec[Any] | None = None if checkpoint is None else Codec(checkpoint)
+        of_it = f"of action {name!r}"
+        self.goal: Codec[GoalT] = _codec(goal, f"the goal {of_it}")
+        self.feedback: Codec[FeedbackT] = _codec(feedback, f"feedback {of_it}", from_server=True)
+        self.result: Codec[ResultT] = _codec(result, f"the result {of_it}", from_server=True)
+        self.checkpoint: Codec[Any] | None = None
+        if checkpoint is not None:
+            self.checkpoint = _codec(checkpoint, f"the checkpoint {of_it}")
         self._info: ActionInfo | None = None
         for one in self.feedback.classes:
             for other in self.result.classes:
@@ -211,6 +207,18 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
         return f"<Action {self.name!r}>"
 
 
+def _codec(message_type: type[T], message: str, *, from_server: bool = False) -> Codec[T]:
+    """Return the codec of a message of an action.
+
+    Raises:
+        TypeError: Its type cannot be encoded; the text names the message.
+    """
+    try:
+        return Codec(message_type, message if from_server else "")
+    except TypeError as exc:
+        raise TypeError(f"{message}: {exc}") from exc
+
+
 def _interface(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
     """Return the types of a ROS 2 action, made by the package that declares the entry point."""
     from importlib.metadata import entry_points  # slow to import, and needed here only
@@ -240,70 +248,3 @@ def _checked(rule: re.Pattern[str], text: object, meaning: str) -> str:
     if not rule.fullmatch(text):
         raise ValueError(f"{meaning}, not {text!r}")
     return text
-
-
-_CLASSES: dict[type[inspect.Type], tuple[type, ...]] = {
-    inspect.NoneType: (type(None),),
-    inspect.BoolType: (bool,),
-    inspect.IntType: (int,),
-    inspect.FloatType: (float, int),  # as for type checkers, an int will do for a float
-    inspect.StrType: (str,),
-    inspect.BytesType: (bytes,),
-    inspect.ByteArrayType: (bytearray,),
-    inspect.MemoryViewType: (memoryview,),
-    inspect.ListType: (list,),
-    inspect.TupleType: (tuple,),
-    inspect.VarTupleType: (tuple,),
-    inspect.SetType: (set,),
-    inspect.FrozenSetType: (frozenset,),
-    inspect.DictType: (dict,),
-    inspect.TypedDictType: (dict,),
-    inspect.DateTimeType: (datetime.datetime,),
-    inspect.DateType: (datetime.date,),
-    inspect.TimeType: (datetime.time,),
-    inspect.TimeDeltaType: (datetime.timedelta,),
-    inspect.UUIDType: (uuid.UUID,),
-    inspect.DecimalType: (decimal.Decimal,),
-    inspect.RawType: (msgspec.Raw,),
-    inspect.ExtType: (msgspec.msgpack.Ext,),
-}
-
-
-def _check_can_be_encoded(info: object, seen: set[int]) -> None:
-    """Check that no class, however deeply nested, is one that msgspec would give to a hook.
-
-    Raises:
-        TypeError: A class is.
-    """
-    if id(info) in seen:  # a type may contain itself
-        return
-    seen.add(id(info))
-    if isinstance(info, inspect.CustomType) and info.cls is not object:
-        raise TypeError(
-            f"{info.cls.__qualname__} cannot be encoded: make it a msgspec.Struct, a dataclass, an"
-            f" attrs class or a TypedDict"
-        )
-    if isinstance(info, inspect.Field):
-        _check_can_be_encoded(info.type, seen)
-    elif isinstance(info, inspect.Type):
-        for name in info.__struct_fields__:
-            value: object = getattr(info, name)
-            parts = cast("tuple[object, ...]", value if isinstance(value, tuple) else (value,))
-            for part in parts:
-                _check_can_be_encoded(part, seen)
-
-
-def _runtime_classes(info: inspect.Type) -> Iterator[type]:
-    """Yield the classes of the values of a type; `object` for a type that allows any value."""
-    if isinstance(info, inspect.Metadata):
-        yield from _runtime_classes(info.type)
-    elif isinstance(info, inspect.UnionType):
-        for part in info.types:
-            yield from _runtime_classes(part)
-    elif isinstance(info, inspect.LiteralType):
-        yield from {type(value) for value in info.values}
-    elif type(info) in _CLASSES:
-        yield from _CLASSES[type(info)]
-    else:
-        cls = getattr(info, "cls", object)
-        yield get_origin(cls) or cls  # a generic class comes with its arguments

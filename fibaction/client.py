@@ -268,6 +268,9 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             raise
         return ClientGoal(self.endpoint, self.action, stream)
 
+    # Python warns with this name if a goal is never awaited, and so never sent.
+    _send.__qualname__ = "ActionClient.send_goal"
+
     def __repr__(self) -> str:
         return f"<ActionClient of {self.action!r}>"
 

@@ -36,7 +36,7 @@ from fibaction._api import ClientConnection
 from fibaction.action import ActionInfo
 from fibaction.events import GoalFeedback
 from fibaction.exceptions import ActionError
-from fibaction.goals import NO_GOAL, CancelAnswer, GoalID, GoalInfo
+from fibaction.goals import NO_GOAL, CancelAnswer, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
 
 __all__ = [
@@ -161,6 +161,18 @@ class Monitor(ActionListener):
         client = self._actions[key.action].client
         assert client is not None  # an action is found before its first goal
         return await client.cancel_goals(key.goal_id)
+
+    async def outcome(self, key: GoalKey) -> Outcome[Any]:
+        """Wait for the end of a goal of a snapshot, and return its outcome.
+
+        Raises:
+            ActionError: The server cannot be asked, or the result cannot be read.
+        """
+        client = self._actions[key.action].client
+        assert client is not None  # an action is found before its first goal
+        raw = await client.endpoint.get_result(key.goal_id)
+        result = None if raw.result is None else client.action.result.decode(raw.result)
+        return Outcome(raw.status, result, raw.reason)
 
     def snapshot(self, most_goals: int | None = None) -> Snapshot:
         """Return the state now, with at most so many goals.

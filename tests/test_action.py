@@ -571,10 +571,50 @@ def test_a_class_that_cannot_be_encoded_is_rejected_when_the_action_is_made(
     with pytest.raises(TypeError) as caught:
         Action("a", goal=message_type, feedback=int, result=str)
     assert str(caught.value) == (
-        "Stranger cannot be encoded: make it a msgspec.Struct, a dataclass, an attrs class or a"
-        " TypedDict"
+        "the goal of action 'a': Stranger cannot be encoded: use a msgspec.Struct, a dataclass, an"
+        " attrs class, a pydantic model, a TypedDict or a builtin"
     )
     Action("a", goal=Recursive, feedback=int, result=str)
+
+
+@dataclasses.dataclass
+class Unfounded:
+    there: Nowhere  # type: ignore[name-defined]  # noqa: F821  # the action tells so
+
+
+@pytest.mark.parametrize(
+    ("message_type", "text"),
+    [
+        (DataPose(1), "DataPose(x=1) is a value, and not a type"),
+        ("Goal", "'Goal' is a value, and not a type"),
+        (
+            Unfounded,
+            "Unfounded has a field of a type that is not defined: name 'Nowhere' is not defined",
+        ),
+        (
+            list[int] | tuple[int, ...],
+            (
+                "Type unions may not contain more than one array-like (list, set, tuple) type -"
+                " type `list[int] | tuple[int, ...]` is not supported"
+            ),
+        ),
+        (typing.NoReturn, "Type 'typing.NoReturn' is not supported"),
+    ],
+    ids=shown,
+)
+def test_a_type_that_cannot_be_is_told_with_the_message_that_it_is_of(
+    message_type: Any, text: str
+) -> None:
+    for kind, message in (
+        ("goal", "the goal"),
+        ("feedback", "feedback"),
+        ("result", "the result"),
+        ("checkpoint", "the checkpoint"),
+    ):
+        types: Any = {"goal": int, "feedback": int, "result": str, kind: message_type}
+        with pytest.raises(TypeError) as caught:
+            Action("a", **types)
+        assert str(caught.value) == f"{message} of action 'a': {text}"
 
 
 def test_a_description_says_no_more_than_the_name_unless_told() -> None:

@@ -65,6 +65,14 @@ async def test_a_forgotten_await_is_told_with_what_to_write() -> None:
         forgotten.call(Goal(1))
 
 
+async def test_a_server_that_is_awaited_is_told_with_what_to_write() -> None:
+    serving: Any = serve(ActionServer(FIBONACCI, fibonacci), "inproc://connection")
+    with pytest.raises(TypeError, match=r"write `async with serve\(\.\.\.\):`"):
+        await serving
+    async with serving as urls:  # which does no harm
+        assert urls == ("inproc://connection",)
+
+
 async def test_the_servers_and_the_clients_of_an_action_are_those_that_the_transport_knows() -> (
     None
 ):

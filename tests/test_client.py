@@ -244,7 +244,7 @@ async def test_a_rejected_goal_raises_from_both_ways_of_sending_it() -> None:
 
 async def test_a_goal_that_is_not_awaited_is_warned_about() -> None:
     async with ScriptedServer(FIBONACCI, [Result([])]) as server:
-        with pytest.warns(RuntimeWarning, match="was never awaited"):
+        with pytest.warns(RuntimeWarning, match=r"ActionClient.send_goal. was never awaited"):
             client_of(server).send_goal(Goal(1))
         assert server.received == []
 

@@ -139,6 +139,18 @@ def test_a_list_of_types_is_reported_like_alternatives() -> None:
         ({"multipleOf": 2}, 3, "goal: 3 is not a multiple of 2"),
         ({"prefixItems": [{}], "items": False}, [1, 2], "goal: [1,2] has more than 1 items"),
         ({"required": ["a"]}, {}, "goal.a is missing"),
+        ({"required": ["a", "b"]}, {}, "goal: a and b are missing"),
+        ({"required": list("abcdefgh")}, {}, "goal: a, b, c, d, e, f, g and h are missing"),
+        (
+            {"required": [f"a{number}" for number in range(MAX_NAMED + 1)]},
+            {},
+            "goal: " + ", ".join(f"a{one}" for one in range(MAX_NAMED)) + " and others are missing",
+        ),
+        (
+            {"properties": {"pose": {"required": ["x", "y"]}}},
+            {"pose": {}},
+            "goal.pose: x and y are missing",
+        ),
         ({"additionalProperties": False}, {"a": 1}, 'goal has no field "a"; it has no fields'),
     ],
 )

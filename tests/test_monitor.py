@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 import fibaction._action_listener
-from fibaction import ActionInfo, CancelCode, ConnectionLost, GoalID, GoalInfo, GoalStatus
+from fibaction import ActionInfo, CancelCode, ConnectionLost, GoalID, GoalInfo, GoalStatus, Outcome
 from fibaction import monitor as monitor_module
 from fibaction.events import GoalFeedback
 from fibaction.monitor import ActionSnapshot, AnyClient, GoalKey, GoalSnapshot, Monitor
@@ -250,10 +250,25 @@ async def test_it_follows_real_servers_and_forgets_what_they_have_forgotten() ->
         monitor.heard.clear()
         await monitor.heard.until(lambda all: all.count("refreshed") > 1)
         answer = await monitor.cancel(KEY)
+
+        with anyio.fail_after(5):
+            outcome = await monitor.outcome(KEY)
         tasks.cancel_scope.cancel()
 
     assert answer.return_code is CancelCode.NONE
+    assert outcome.status is GoalStatus.CANCELED
     assert the_goal(monitor).key == KEY
+
+
+@pytest.mark.asyncio
+async def test_the_outcome_of_a_goal_has_its_result(monitor: Monitor) -> None:
+    server = counter("one", ["done"])
+    async with server:
+        client = Served(server).connection.client(server.action)
+        monitor.on_action_found(ONE, client)
+        monitor.on_event("one", info(4))
+        await (await client.send_goal(1, goal_id=ID)).outcome()
+        assert await monitor.outcome(KEY) == Outcome(GoalStatus.SUCCEEDED, "done")
 
 
 @pytest.mark.asyncio

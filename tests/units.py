@@ -10,6 +10,7 @@ SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/trans
 ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
 UNITS = {
     "fibaction/_action_error.py": ["tests/test_exceptions.py"],
+    "fibaction/_encodings.py": ["tests/test_action.py", "tests/test_pydantic_codec.py"],
     "fibaction/client_goal.py": ["tests/test_client.py", "tests/test_attempts.py"],
     "fibaction/streams.py": ["tests/test_abc.py"],
     "fibaction/blocking": ["tests/test_blocking.py"],

@@ -16,6 +16,7 @@ from typing import Any
 
 import click
 
+from fibaction.cli.addresses import ADDRESS
 from fibaction.cli.ctrl_c import exit_at_once
 from fibaction.cli.escape import clean
 from fibaction.cli.exit_codes import ExitCode, debugging, report_errors
@@ -28,6 +29,8 @@ VERBS = {
     "info": ("info", "info_command", "Show the servers and the clients of an action."),
     "type": ("type", "type_command", "Print the type of an action."),
     "find": ("find", "find_command", "List the actions of a type."),
+    "wait": ("wait", "wait_command", "Wait until an action is served."),
+    "ping": ("round_trip", "ping_command", "Measure the round trip to a server."),
     "send_goal": ("send_goal", "send_goal_command", "Send a goal, and follow it."),
     "goals": ("list_goals", "goals_command", "List goals and their statuses."),
     "cancel": ("cancel", "cancel_command", "Cancel goals of any client."),
@@ -99,9 +102,21 @@ FIBACTION_DEBUG=1 shows the traceback of an error.""",
     show_envvar=True,
     help="URL of the server: tcp://, unix://, nats://, ros2:// and others.",
 )
+@click.option(
+    "-c",
+    "--connection",
+    "address",
+    metavar="NAME",
+    type=ADDRESS,
+    help="Name of a server in your configuration file, instead of its URL.",
+)
 @click.version_option(package_name="fibaction", message="fibaction %(version)s")
-def cli(url: str) -> None:
+@click.pass_context
+def cli(context: click.Context, url: str, address: str | None) -> None:
     """ROS 2 actions from the shell, with or without ROS."""
+    source = context.get_parameter_source("url")
+    if address is not None and source is click.core.ParameterSource.COMMANDLINE:
+        raise click.UsageError("the server is given twice: by --connection and by --url")
 
 
 def main() -> None:

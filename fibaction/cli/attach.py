@@ -7,7 +7,7 @@ from functools import partial
 import click
 
 from fibaction._api import connect
-from fibaction.cli.completion import ACTION
+from fibaction.cli.completion import ACTION, GOAL_ID
 from fibaction.cli.exit_codes import ExitCode, run
 from fibaction.cli.goal_lookup import ActionClients, find_goal, goal_digits
 from fibaction.cli.options import full_option, json_option, url_option
@@ -25,7 +25,7 @@ Examples:
   fibaction attach 5fda41e0
   fibaction attach 5fda41e0 fibonacci --json""",
 )
-@click.argument("goal_id")
+@click.argument("goal_id", type=GOAL_ID)
 @click.argument("name", type=ACTION, required=False)
 @full_option
 @json_option

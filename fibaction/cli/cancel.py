@@ -9,7 +9,7 @@ import click
 
 from fibaction._api import connect
 from fibaction.cli.action_names import shown
-from fibaction.cli.completion import ACTION
+from fibaction.cli.completion import ACTION_OR_GOAL_ID
 from fibaction.cli.escape import excerpt
 from fibaction.cli.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.goal_lookup import MOST_AT_ONCE, ActionClients, find_goal, goal_digits, goals_of
@@ -53,7 +53,7 @@ Examples:
 
 Exit code 1: a goal was not canceled, since the server rejected that or the goal had ended.""",
 )
-@click.argument("words", nargs=-1, metavar="[NAME] [GOAL_ID]", type=ACTION)
+@click.argument("words", nargs=-1, metavar="[NAME] [GOAL_ID]", type=ACTION_OR_GOAL_ID)
 @click.option("--all", "everything", is_flag=True, help="Cancel all goals.")
 @click.option(
     "--before",

@@ -11,7 +11,7 @@ import msgspec
 
 from fibaction.cli.action_names import shown
 from fibaction.cli.escape import excerpt
-from fibaction.goals import GoalInfo
+from fibaction.goals import GoalInfo, Outcome
 from fibaction.monitor import newest_active_first
 from fibaction.states import GoalStatus
 
@@ -23,6 +23,10 @@ SHORT = 8
 """Digits of a goal's ID where there is no room for all 32; more if so many do not tell the goals
 apart."""
 GAP = "  "
+LEAST_END = 14
+"""Least room for the reason or the result of a goal; with less they are left out."""
+LONGEST_END = 100
+"""Characters of a reason or a result where the width is not limited."""
 
 STYLES = {
     GoalStatus.ACCEPTED: "cyan",
@@ -40,6 +44,10 @@ class GoalRow(msgspec.Struct, frozen=True):
 
     action: str
     info: GoalInfo
+    outcome: Outcome[Any] | None = None
+    """The outcome of a goal that has ended; None if it is not known."""
+    end: str = ""
+    """The reason or the result on one line."""
 
     @property
     def goal_id(self) -> str:
@@ -71,7 +79,8 @@ class GoalRow(msgspec.Struct, frozen=True):
 
     def json(self) -> dict[str, Any]:
         """Return the row for a program."""
-        info = self.info
+        info, outcome = self.info, self.outcome
+        end = {} if outcome is None else {"reason": outcome.reason, "result": outcome.result}
         return {
             "action": self.action,
             "goal_id": self.goal_id,
@@ -82,6 +91,7 @@ class GoalRow(msgspec.Struct, frozen=True):
             "place": info.place,
             "queue_length": info.queue_length,
             "attempt": info.attempt,
+            **end,
         }
 
 
@@ -114,7 +124,18 @@ def in_columns(
     spare = None if width is None else width - _width(table)
     if spare is not None and spare < 0:
         table = _narrowed(table, -spare, actions=actions)
-    return aligned(table)
+    return _with_ends(aligned(table), [row.end for row in rows], width)
+
+
+def _with_ends(lines: list[str], ends: list[str], width: int | None) -> list[str]:
+    """Return the lines with the ends of the goals behind them, as far as there is room."""
+    longest = max(map(len, lines))
+    room = LONGEST_END if width is None else width - longest - len(GAP)
+    if not any(ends) or room < LEAST_END:
+        return lines
+    cut = (end if len(end) <= room else f"{end[: room - 1]}…" for end in ends)
+    table = zip(lines, ["REASON, RESULT"[:room], *cut], strict=True)
+    return [f"{line.ljust(longest)}{GAP}{end}".rstrip() for line, end in table]
 
 
 def aligned(table: Sequence[Sequence[str]]) -> list[str]:

@@ -1,4 +1,4 @@
-"""`fibaction info`: show the servers and the clients of an action, as `ros2 action info` does."""
+"""`fibaction info`: show an action as `ros2 action info` does, and a template of its goal."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from fibaction.cli.action_names import no_action, shown
 from fibaction.cli.completion import ACTION
 from fibaction.cli.escape import excerpt
 from fibaction.cli.exit_codes import ExitCode, run
+from fibaction.cli.goal_template import GoalTemplate
 from fibaction.cli.list import count_option, types_option, with_type
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.output import say, say_json
@@ -23,8 +24,8 @@ from fibaction.exceptions import ServerNotFound
 @json_option
 @url_option
 def info_command(name: str, show_types: bool, count: bool, as_json: bool, url: str) -> None:
-    """Show the servers and the clients of the action NAME. With --json, also the JSON Schemas of
-    its goal, feedback and result.
+    """Show the servers and the clients of the action NAME, and its goal as a template to fill in.
+    With --json, also the JSON Schemas of its goal, feedback and result.
     """
     run(print_info, url, name, show_types=show_types, count=count, as_json=as_json)
 
@@ -46,7 +47,12 @@ async def print_info(url: str, name: str, *, show_types: bool, count: bool, as_j
     if not (found or peers.servers or peers.clients):
         raise no_action(name, actions)
     if as_json:
-        schemas = {"goal": info.goal, "feedback": info.feedback, "result": info.result}
+        schemas = {
+            "goal": info.goal,
+            "feedback": info.feedback,
+            "result": info.result,
+            "template": GoalTemplate(info.goal).goal,
+        }
         names = {"clients": peers.clients, "servers": peers.servers}
         say_json({"name": info.name, "type": info.type_name, **names, **({} if count else schemas)})
         return ExitCode.SUCCEEDED
@@ -55,4 +61,8 @@ async def print_info(url: str, name: str, *, show_types: bool, count: bool, as_j
         say(f"Action {role}: {len(peer_names)}")
         for one in () if count else peer_names:
             say(f"    {with_type(one, info.type_name if show_types else '')}")
+    if info.goal and not count:
+        say("Goal:")
+        for line in GoalTemplate(info.goal).lines():
+            say(f"    {line}")
     return ExitCode.SUCCEEDED

@@ -17,6 +17,7 @@ from fibaction.cli.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.goal_lookup import ActionClients, goals_of
 from fibaction.cli.goal_table import GoalRow, in_color, in_columns, picture
 from fibaction.cli.options import json_option, url_option
+from fibaction.cli.outcomes import with_outcomes
 from fibaction.cli.output import console, note, on_terminal, say, say_json
 from fibaction.cli.signals import until_interrupted
 from fibaction.cli.stored_goals import rows_of_store
@@ -72,7 +73,8 @@ async def list_goals(url: str, name: str | None, *, watch: bool, as_json: bool) 
     """Print the goals, once or until Ctrl-C."""
     async with connect(url) as connection:
         if not watch:
-            rows = await goals_of(await ActionClients(connection, name).now())
+            clients = await ActionClients(connection, name).now()
+            rows = await with_outcomes(clients, await goals_of(clients))
             _print_once(rows, name, as_json=as_json)
         elif as_json or not on_terminal():
             printer = EventPrinter(as_json)

@@ -16,8 +16,19 @@ URL = "tcp://127.0.0.1:7400"
 
 
 def url_of(context: click.Context) -> str:
-    """Return the URL that counts for a verb: its own --url, or the one before the verb."""
-    return context.params.get("url") or context.find_root().params.get("url") or URL
+    """Return the URL that counts for a verb: its own --url, or what is said before the verb.
+
+    Raises:
+        Failure: The named address is not known.
+    """
+    if own := context.params.get("url"):
+        return str(own)
+    before = context.find_root().params
+    if name := before.get("address"):
+        from fibaction.cli.addresses import address_of  # its imports would slow down --help
+
+        return address_of(name)
+    return before.get("url") or URL
 
 
 def reject_inproc(*urls: str) -> None:

@@ -79,6 +79,7 @@ class TopScreen(App[None]):
         self._where = where
         self._keys: list[GoalKey] = []
         self._followed: GoalSnapshot | None = None
+        self._ends: dict[GoalKey, str] = {}  # of the goal that is followed, or was before
         self._settling = SETTLING
 
     def compose(self) -> ComposeResult:
@@ -200,11 +201,32 @@ class TopScreen(App[None]):
             panel.border_title = Text(  # a `str` would be read as markup
                 f"{excerpt(shown(goal.action))} {row.goal_id} {status}"
             )
-            self.query_one("#feedback", Static).update(
-                goal.latest.yaml
-                if goal.latest
-                else "No feedback has come while this screen was open."
-            )
+            latest = "No feedback has come while this screen was open."
+            if goal.latest:
+                latest = goal.latest.yaml
+            end = self._end_of(goal)
+            self.query_one("#feedback", Static).update(f"{end}\n\n{latest}" if end else latest)
+
+    def _end_of(self, goal: GoalSnapshot) -> str:
+        """Return the reason and the result of a goal; empty until they have come."""
+        if not goal.info.status.is_active and goal.key not in self._ends:
+            self._ends = {goal.key: ""}
+            self.run_worker(self._ask_end(goal.key))
+        return self._ends.get(goal.key, "")
+
+    async def _ask_end(self, key: GoalKey) -> None:
+        try:
+            outcome = await self._monitor.outcome(key)
+        except ActionError as exc:
+            end = f"The result cannot be had: {excerpt(message_of(exc))}"
+        else:
+            reason = [f"Reason: {excerpt(outcome.reason)}"] if outcome.reason else []
+            result = []
+            if outcome.result is not None:
+                result = [f"Result:\n{as_yaml(outcome.result, indent=2)}"]
+            end = "\n".join([*reason, *result]) or "There is no result."
+        self._ends[key] = end
+        self.draw()
 
     # Keys
 

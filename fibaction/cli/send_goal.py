@@ -19,7 +19,7 @@ from fibaction._tasks import Background
 from fibaction.abc import Endpoint, GoalStream
 from fibaction.action import Action, ActionInfo
 from fibaction.cli.action_names import find_action, shown
-from fibaction.cli.completion import ACTION, TYPE
+from fibaction.cli.completion import ACTION, TYPE_OR_GOAL
 from fibaction.cli.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.goal_input import read_goal
 from fibaction.cli.goal_table import ordinal
@@ -62,7 +62,7 @@ Examples:
 Ctrl-C cancels the goal and waits for its end; a second Ctrl-C leaves at once.""",
 )
 @click.argument("name", type=ACTION)
-@click.argument("rest", nargs=-1, metavar="[TYPE] [GOAL]", type=TYPE)
+@click.argument("rest", nargs=-1, metavar="[TYPE] [GOAL]", type=TYPE_OR_GOAL)
 @click.option("-f", "--feedback", is_flag=True, help="Print the feedback as it comes.")
 @click.option("--stdin", "from_stdin", is_flag=True, help="Read the goal from stdin.")
 @click.option("--goal-file", type=click.Path(path_type=Path), help="Read the goal from a file.")

@@ -30,7 +30,7 @@ statuses, on clients or on other goals.
 from __future__ import annotations
 
 import sys
-from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Coroutine
 from contextvars import Context, copy_context
 from functools import partial
 from time import perf_counter
@@ -57,8 +57,9 @@ T = TypeVar("T")
 logger = clean_logger("fibaction.server")
 
 
-Executor: TypeAlias = Callable[[GoalHandle[GoalT]], AsyncGenerator[FeedbackT | ResultT, None]]
-"""An async generator function: it takes a goal, yields feedback, and yields the result last."""
+Executor: TypeAlias = Callable[[GoalHandle[GoalT]], AsyncIterator[FeedbackT | ResultT]]
+"""An async generator function: it takes a goal, yields feedback, and yields the result last. Its
+return type is written as `AsyncIterator[Feedback | Result]`, or as an `AsyncGenerator`."""
 
 
 Fence: TypeAlias = Callable[["Execution[Any, Any, Any]"], bool]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, Generic
+from typing import TYPE_CHECKING, Any, Generic, NoReturn
 
 from fibaction._notify import Notifier
 from fibaction.action import GoalT
@@ -169,6 +169,25 @@ class GoalHandle(Generic[GoalT]):
         if self._succession is None:
             raise RuntimeError(f"goal {self.goal_id} has no successor: the server has no schedule")
         return self._succession.take_over(self.goal_id)
+
+    # For type checkers, each name would be an attribute.
+    if not TYPE_CHECKING:  # pragma: no branch  # it is always true at run time
+
+        def __getattr__(self, name: str) -> NoReturn:
+            raise AttributeError(f"a GoalHandle has no attribute {name!r}{self._hint(name)}")
+
+    def _hint(self, name: str) -> str:
+        """Return how to write what was probably meant by an attribute; empty if it is not known."""
+        if name in GoalHandle.__slots__ or name[:2] == "__":
+            return ""  # it was not set, or Python itself looks for it
+        request: object = self.request
+        if hasattr(request, name):
+            meant = f"goal.request.{name}"
+        elif isinstance(request, dict) and name in request:
+            meant = f"goal.request[{name!r}]"
+        else:
+            return ""
+        return f": what the client sent is goal.request, so write {meant}"
 
     def __repr__(self) -> str:
         return f"<GoalHandle {self.goal_id} {self.status.name}>"

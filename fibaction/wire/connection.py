@@ -46,7 +46,7 @@ from fibaction.goals import ActionPeers
 from fibaction.wire.channel import Line
 from fibaction.wire.codec import FromServer, decode_from_server, encode
 from fibaction.wire.errors import error_of_goodbye
-from fibaction.wire.link import Link, naming
+from fibaction.wire.link import FIRST_PING, Link, naming
 from fibaction.wire.messages import (
     VERSION,
     Actions,
@@ -158,6 +158,7 @@ class RemoteConnection(Connection):
         settings = self._settings
         try:
             link = self._link = Link(line, settings.heartbeat)
+            link.first_ping = FIRST_PING
             hello = Hello(
                 VERSION, settings.heartbeat, settings.token, self._session, settings.max_frame
             )

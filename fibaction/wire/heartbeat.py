@@ -29,7 +29,8 @@ class Heartbeat:
         """Seconds between the heartbeats of this side."""
         self.peer_interval = interval
         """Seconds between the heartbeats of the peer; its first message tells them."""
-        self._is_agreed = False
+        self.is_agreed = False
+        """True if the peer has told its heartbeat, in its first message."""
         self._peer = peer
         self._silent = self._stuck = self._unsaid = 0.0
 
@@ -37,14 +38,14 @@ class Heartbeat:
         """Note the heartbeat of the peer, and the longest one that it accepts of this side."""
         self.peer_interval = peer_interval
         self.interval = min(self.interval, longest)
-        self._is_agreed = True
+        self.is_agreed = True
 
     @property
     def step(self) -> float:
         """Seconds between two calls of `tick`."""
         step = min(self.interval, self.peer_interval) / 2
         # The first message of the peer may ask for shorter ones, and no step is cut short.
-        return step if self._is_agreed else min(step, FIRST_STEP)
+        return step if self.is_agreed else min(step, FIRST_STEP)
 
     def tick(self, step: float, *, has_heard: bool, has_said: bool, is_stuck: bool) -> bool:
         """Count a step of so many seconds; return whether a heartbeat is to be sent now.

@@ -55,6 +55,9 @@ HIGH_WATER = 2**20
 OVERFULL = 2
 """Limit for messages queued without back-pressure, as a multiple of the high-water mark."""
 PING = encode(Ping())
+FIRST_PING = encode([Ping.__struct_config__.tag, "\r\n\r\n"])
+"""A `Ping` with a blank line in it, which peers ignore. A client sends it while it has no answer: a
+web server waits for such a line, and then answers, by which it is known."""
 
 
 class Link:
@@ -70,6 +73,8 @@ class Link:
         """Count large frames in a memory, if one is given, while they are written."""
         self.peer = line.peer
         self.heartbeat = Heartbeat(line.peer, heartbeat)
+        self.first_ping = PING
+        """The heartbeat that is sent before the first message of the peer."""
         self._line = line
         self._high_water = high_water
         self._queue: deque[tuple[bytes, bool]] = deque()  # frames, and whether they were posted
@@ -233,7 +238,7 @@ class Link:
             if heartbeat.tick(
                 step, has_heard=self._has_heard, has_said=self._has_said, is_stuck=is_stuck
             ):
-                self.post(PING)
+                self.post(PING if heartbeat.is_agreed else self.first_ping)
             self._has_said = self._has_heard = False
             progress = self._progress
 

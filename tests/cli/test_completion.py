@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import anyio
 import pytest
 from click.shell_completion import BashComplete
@@ -9,7 +11,7 @@ from click.shell_completion import BashComplete
 from fibaction import ActionInfo
 from fibaction.cli import completion
 from fibaction.cli.app import cli
-from tests.cli.conftest import Run
+from tests.cli.conftest import Run, detached
 
 
 def complete(fibaction: Run, words: str, url: str) -> list[str]:
@@ -89,8 +91,71 @@ def test_names_are_completed_as_they_are_begun(
     assert offered(["info"], "w") == ["wait", "words"]
     assert offered(["info"], "/w") == ["/wait", "/words"]
     assert offered(["find"], "arm/action/W") == ["arm/action/Wait"]
-    assert offered(["send_goal", "arm/pick"], "") == ["arm/action/Pick"]
-    assert offered(["send_goal", "many"], "") == []
+    assert offered(["send_goal", "arm/pick"], "arm") == ["arm/action/Pick"]
+    assert offered(["send_goal", "many"], "x") == []
+
+
+def test_a_goal_to_fill_in_is_offered_quoted_as_the_shell_needs_it(
+    monkeypatch: pytest.MonkeyPatch, tcp: str
+) -> None:
+    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
+
+    def offered(*words: str) -> list[str]:
+        return [item.value for item in shell.get_completions(["-u", tcp, *words], "")]
+
+    monkeypatch.setenv("_FIBACTION_COMPLETE", "bash_complete")
+    assert offered("send_goal", "many") == ["""'{"count": 50000}'"""]
+    assert offered("send_goal", "/wait", "arm/action/Wait") == [
+        """'{"seconds": 3600.0, "steps": 1}'"""
+    ]
+    assert offered("send_goal", "words") == []  # its default would be changed by a shell
+    for name in ("zsh", "fish"):
+        monkeypatch.setenv("_FIBACTION_COMPLETE", f"{name}_complete")
+        assert offered("send_goal", "many") == ['{"count": 50000}']
+
+
+def test_ids_of_goals_are_offered_where_one_is_needed(here: Run, tcp: str, nobody: str) -> None:
+    running = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
+    over = detached(here, tcp, "fibonacci", "order: 1")
+    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
+
+    def offered(words: list[str], incomplete: str, url: str = tcp) -> list[str]:
+        return [item.value for item in shell.get_completions(["-u", url, *words], incomplete)]
+
+    assert {running, over} <= set(offered(["attach"], ""))
+    assert offered(["attach"], over[:20].upper()) == [over]
+    assert {running, "wait", "arm/pick"} <= set(offered(["cancel"], ""))
+    assert over not in offered(["cancel"], "")  # it has ended
+    assert running in offered(["cancel", "wait"], "")
+    assert offered(["cancel", "fibonacci"], "") == []
+    assert offered(["cancel", "nothing"], "") == offered(["attach"], "", nobody) == []
+    here("cancel", running, url=tcp)
+
+
+def test_a_server_that_does_not_list_its_goals_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch, tcp: str
+) -> None:
+    monkeypatch.setattr(completion, "TIMEOUT", 0)
+    assert anyio.run(completion.goals_at, tcp, None) == []
+
+
+def test_names_of_addresses_are_completed_and_used(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tcp: str
+) -> None:
+    monkeypatch.setenv("FIBACTION_CONFIG", str(tmp_path / "config.toml"))
+    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
+
+    def offered(words: list[str], incomplete: str) -> list[str]:
+        return [item.value for item in shell.get_completions(words, incomplete)]
+
+    assert offered(["-c"], "") == offered(["-c", "robot1", "info"], "") == []
+    (tmp_path / "config.toml").write_text(f'[addresses]\nrobot1 = "{tcp}"\narm = "tcp://x"\n')
+    assert offered(["-c"], "") == ["arm", "robot1"]
+    assert offered(["-c"], "r") == ["robot1"]
+    assert offered(["-c", "robot1", "info"], "w") == ["wait", "words"]
+    assert offered(["-c", "robot2", "attach"], "") == []
+    (tmp_path / "config.toml").write_text("nonsense")
+    assert offered(["-c"], "") == []
 
 
 HOSTILE = [

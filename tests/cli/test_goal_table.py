@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from fibaction import GoalID, GoalInfo, GoalStatus
+from fibaction import GoalID, GoalInfo, GoalStatus, Outcome
 from fibaction.cli.goal_table import (
     GoalRow,
     duration,
@@ -81,6 +81,21 @@ def test_with_little_room_ids_are_cut_then_clients_then_actions() -> None:
     assert narrow[1] == "aaaaaaaa  EXECUTING  1.0 s         0  somebody"
 
 
+def test_a_reason_or_a_result_is_shown_as_far_as_there_is_room() -> None:
+    aborted = row(C, status=6)
+    rows = [row(client="me"), GoalRow("arm/pick", aborted.info, end="the arm is stuck " * 9)]
+    whole = in_columns(rows, actions=True, now=2.0)
+    assert whole[0].endswith("FEEDBACK  CLIENT  REASON, RESULT")
+    assert whole[1].endswith("  me")
+    assert "  -       the arm is stuck the arm" in whole[2]
+    assert whole[2].endswith("…")
+
+    lines = in_columns(rows, actions=True, width=100, now=2.0)
+    assert max(map(len, lines)) == 100
+    assert lines[2].endswith("  the arm is stuck t…")
+    assert "RESULT" not in in_columns(rows, actions=True, width=70, now=2.0)[0]
+
+
 def test_ids_are_cut_where_they_still_differ() -> None:
     assert unambiguous([]) == unambiguous([str(A)]) == unambiguous([str(A), str(C)]) == 8
     assert unambiguous([str(A), str(C), str(B)]) == 9
@@ -103,6 +118,8 @@ def test_a_row_for_programs_has_all_of_it() -> None:
         "queue_length": 0,
         "attempt": 1,
     }
+    ended = GoalRow("a", WAITING, Outcome(GoalStatus.ABORTED, {"n": 1}, "stuck")).json()
+    assert (ended["reason"], ended["result"]) == ("stuck", {"n": 1})
     assert GoalRow("a", WAITING).json()["place"] == 2
     assert GoalRow("a", WAITING).json()["queue_length"] == 5
 

@@ -33,6 +33,10 @@ def test_a_misspelt_action_suggests_the_near_one(here: Run, tcp: str) -> None:
 
 def test_info_as_json_has_the_schemas(invoke: Invoke, tcp: str) -> None:
     assert '"goal":{"$ref"' in invoke("info", "wait", "--json", url=tcp).output
+    assert (
+        '"template":{"seconds":3600.0,"steps":1}'
+        in invoke("info", "wait", "--json", url=tcp).output
+    )
     assert '"goal"' not in invoke("info", "wait", "--json", "-c", url=tcp).output
     assert invoke("info", "-t", "wait", url=tcp).output.startswith("Action: /wait\n")
 
@@ -65,6 +69,9 @@ async def test_info_names_the_clients_and_the_servers(
         "    127.0.0.1:5\\x1b [arm/action/Wait]",
         "Action servers: 1",
         "    /robot [arm/action/Wait]",
+        "Goal:",
+        "    seconds: 3600.0  # a number, optional",
+        "    steps: 1  # a whole number, optional",
     ]
 
 

@@ -35,12 +35,14 @@ def test_goals_lists_those_of_all_actions_or_of_one(here: Run, url: str) -> None
     fibonacci = here("goals", "/fibonacci", url=url)
 
     assert everything.code == fibonacci.code == 0
-    assert everything.lines[0].split() == ["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "CLIENT"]
+    heads = ["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "CLIENT", "REASON,", "RESULT"]
+    assert everything.lines[0].split() == heads
     (line,) = (line for line in everything.lines if line.startswith(running))
     assert line.split()[1:3] == ["/wait", "EXECUTING"]
-    assert fibonacci.lines[0].split() == ["ID", "STATUS", "AGE", "FEEDBACK", "CLIENT"]
+    assert fibonacci.lines[0].split() == [heads[0], *heads[2:]]
     (line,) = (line for line in fibonacci.lines if line.startswith(over))
     assert line.split()[1] == "SUCCEEDED"
+    assert line.endswith("  sequence: [0, 1, 1, 2, 3, 5]")
     assert running not in fibonacci.out
 
 
@@ -51,7 +53,9 @@ def test_goals_as_json_has_all_that_is_known(here: Run, url: str) -> None:
 
     assert goal.pop("stamp") > 1_700_000_000 * 10**9
     assert goal.pop("client")
+    assert goal.pop("result")["goal"]["object_name"] == "cup"
     assert goal == {
+        "reason": "",
         "action": "arm/pick",
         "goal_id": goal_id,
         "status": "SUCCEEDED",

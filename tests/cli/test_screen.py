@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from typing import Any
 
 import anyio
 import pytest
 from textual.pilot import Pilot
 from textual.widgets import DataTable
 
-from fibaction import ActionInfo, CancelAnswer, ConnectionLost, GoalID, GoalInfo
+from fibaction import ActionInfo, CancelAnswer, ConnectionLost, GoalID, GoalInfo, Outcome
 from fibaction.cli import screen
 from fibaction.cli.escape import clean
 from fibaction.cli.screen import FeedbackText, TopScreen
@@ -255,3 +256,38 @@ async def test_some_of_many_actions_are_shown(monkeypatch: pytest.MonkeyPatch) -
     async with shown(monitor) as pilot:
         assert pilot.app.query_one("#actions", DataTable).row_count == 2
         find(pilot, "/arm/pick")  # it has active goals
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("answer", "texts"),
+    [
+        (Outcome(GoalStatus.ABORTED, {"meters": 2}, "stuck"), ["Reason: stuck", "  meters: 2"]),
+        (Outcome(GoalStatus.SUCCEEDED, 0), ["Result:", "  0"]),
+        (Outcome(GoalStatus.CANCELED), ["There is no result."]),
+        (ConnectionLost("the line is dead"), ["The result cannot be had: the line is dead"]),
+    ],
+)
+async def test_a_goal_that_has_ended_is_shown_with_its_reason_and_result(
+    answer: Outcome[Any] | ConnectionLost, texts: list[str]
+) -> None:
+    class Answering(Monitor):
+        asked = 0
+
+        async def outcome(self, key: GoalKey) -> Outcome[Any]:
+            self.asked += 1
+            if isinstance(answer, ConnectionLost):
+                raise answer
+            return answer
+
+    monitor = Answering(summarize=FeedbackText.of)
+    monitor.on_actions([ActionInfo("arm/pick")], "")
+    monitor.on_event("arm/pick", GoalInfo(FIRST, 2, GoalStatus.ABORTED))
+    async with shown(monitor) as pilot:
+        await pilot.press("f")
+        with anyio.fail_after(PATIENCE):
+            while not any(texts[0] in line for line in lines(pilot)):
+                await pilot.pause()
+        assert all(find(pilot, text) for text in texts)
+        assert find(pilot, "No feedback has come")
+        assert monitor.asked == 1

@@ -7,13 +7,14 @@ import math
 import signal
 import socket
 import subprocess
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
 import anyio
 import pytest
+from pydantic import BaseModel, Field
 
 from fibaction import (
     ActionServer,
@@ -31,6 +32,7 @@ from fibaction import (
 from fibaction.action import Action
 from fibaction.cli import send_goal
 from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.cli.info import print_info
 from fibaction.cli.send_goal import SendOptions, send
 from fibaction.cli.signals import SAME_SIGNAL
 from fibaction.testing import ScriptedServer
@@ -692,3 +694,35 @@ def test_a_goal_for_an_action_without_schemas_is_sent_as_it_is() -> None:
     assert send_goal.goal_for(info, "", "{a: 1}") == {"a": 1}
     with pytest.raises(Failure):
         send_goal.goal_for(WAIT.info, "a/action/B", "")
+
+
+# Types of other libraries
+
+
+class Drive(BaseModel):
+    meters: float = Field(gt=0, le=100)
+    photo: bytes = b""
+
+
+class Arrived(BaseModel):
+    photo: bytes
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("where", ["inproc://models", "tcp://127.0.0.1:0"])
+async def test_an_action_of_pydantic_models_is_sent_like_any_other(
+    where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def drive(goal: GoalHandle[Drive]) -> AsyncIterator[int | Arrived]:
+        yield 1
+        yield Arrived(photo=goal.request.photo)
+
+    action = Action("drive", goal=Drive, feedback=int, result=Arrived)
+    async with serve(ActionServer(action, drive), where) as (url,):
+        await print_info(url, "drive", show_types=False, count=False, as_json=False)
+        assert "    meters: 0.0  # a number, at most 100, more than 0" in capsys.readouterr().out
+        options = SendOptions(as_json=True)
+        assert await send(url, "drive", "", "{meters: 3, photo: /w==}", options) == 0
+        assert '"result":{"photo":"/w=="}' in capsys.readouterr().out
+        with pytest.raises(Failure, match=r"goal\.meters: 1000 is greater than the maximum of 100"):
+            await send(url, "drive", "", "meters: 1000", options)

@@ -377,3 +377,35 @@ async def test_steps_that_are_dropped_half_way_close_their_coroutine() -> None:
     assert running.send(None) == "waiting"
     running.close()
     assert closed == [True]
+
+
+# The first mistakes
+
+
+@pytest.mark.parametrize(
+    ("request_", "name", "hint"),
+    [
+        (Goal(3), "order", ": what the client sent is goal.request, so write goal.request.order"),
+        (
+            {"order": 3},
+            "order",
+            ": what the client sent is goal.request, so write goal.request['order']",
+        ),
+        (Goal(3), "ordr", ""),
+        ({"order": 3}, "ordr", ""),
+        (Goal(3), "__len__", ""),
+    ],
+)
+def test_a_field_of_the_goal_is_looked_for_in_the_request(
+    request_: Any, name: str, hint: str
+) -> None:
+    record = GoalRecord(GoalID.random(), b"", 1, UNKNOWN_SENDER)
+    handle: GoalHandle[Any] = GoalHandle(record, request_, Checkpoints("fibonacci", None))
+    with pytest.raises(AttributeError) as caught:
+        getattr(handle, name)
+    assert str(caught.value) == f"a GoalHandle has no attribute {name!r}{hint}"
+
+
+def test_a_handle_that_is_not_complete_has_no_request_to_look_into() -> None:
+    with pytest.raises(AttributeError, match=r"^a GoalHandle has no attribute 'request'$"):
+        _ = GoalHandle.__new__(GoalHandle).status

@@ -358,7 +358,7 @@ async def test_an_executor_that_does_not_end_when_killed_is_abandoned_and_its_go
 
     goal_id = GoalID.random()
     with anyio.fail_after(5):
-        async with ActionServer(FIBONACCI, refuses, shutdown_timeout=0.01) as server:  # type: ignore[arg-type]  # an iterator is all that its executor needs to say
+        async with ActionServer(FIBONACCI, refuses, shutdown_timeout=0.01) as server:
             stream = await server.send_goal(goal_id, packed(1))
             assert await stream.receive() is not None
 

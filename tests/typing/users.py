@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, AsyncIterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, assert_type
 
 import msgspec
+from pydantic import BaseModel
 
 from fibaction import (
     Action,
@@ -51,10 +52,46 @@ async def fibonacci(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result,
     assert_type(goal.request, Goal)
     assert_type(goal.goal_id, GoalID)
     assert_type(goal.sender, Sender)
+    goal.order  # type: ignore[attr-defined]  # pyright: ignore[reportAttributeAccessIssue]  # noqa: B018  # must be refused
     assert_type(goal.status, GoalStatus)
     assert_type(goal.cancel_requested, bool)
     yield Feedback([0, 1])
     yield Result([0, 1])
+
+
+async def as_iterator(goal: GoalHandle[Goal]) -> AsyncIterator[Feedback | Result]:
+    yield Feedback([0, 1])
+    yield Result([0, 1])
+
+
+async def iterates_over_something_else(goal: GoalHandle[Goal]) -> AsyncIterator[int]:
+    yield 1
+
+
+class Robot:
+    async def drive(self, goal: GoalHandle[Goal]) -> AsyncIterator[Feedback | Result]:
+        yield Result([0, 1])
+
+
+class Model(BaseModel):
+    order: int
+
+
+class Progress(BaseModel):
+    done: float
+
+
+MODELS = Action("models", goal=Model, feedback=Progress, result=Result)
+assert_type(MODELS, Action[Model, Progress, Result])
+
+
+async def of_models(goal: GoalHandle[Model]) -> AsyncIterator[Progress | Result]:
+    assert_type(goal.request.order, int)
+    yield Progress(done=1)
+    yield Result([goal.request.order])
+
+
+assert_type(ActionServer(MODELS, of_models), ActionServer[Model, Progress, Result])
 
 
 def on_goal(goal: Goal) -> None: ...
@@ -93,6 +130,8 @@ async def yields_something_else(goal: GoalHandle[Goal]) -> AsyncGenerator[int, N
 server = ActionServer(FIBONACCI, fibonacci, on_goal=on_goal, on_cancel=on_cancel)
 assert_type(server, ActionServer[Goal, Feedback, Result])
 for accepted in (
+    ActionServer(FIBONACCI, as_iterator),
+    ActionServer(FIBONACCI, Robot().drive),
     ActionServer(FIBONACCI, fibonacci, on_goal=with_sender),
     ActionServer(FIBONACCI, fibonacci, on_goal=decides_later),
     ActionServer(FIBONACCI, fibonacci, on_goal=Policy()),
@@ -106,6 +145,7 @@ for accepted in (
 ActionServer(FIBONACCI, fibonacci, on_goal=of_three)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused
 ActionServer(FIBONACCI, fibonacci, on_goal=of_another_action)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused
 ActionServer(FIBONACCI, yields_something_else)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused
+ActionServer(FIBONACCI, iterates_over_something_else)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused
 ActionServer(FIBONACCI, fibonacci, feedback="some")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]  # must be refused
 
 
@@ -114,6 +154,8 @@ async def main() -> None:
         assert_type(entered, ActionServer[Goal, Feedback, Result])
     async with serve(server, "inproc://a", "inproc://b") as urls:
         assert_type(urls, tuple[str, ...])
+
+    await serve(server, "inproc://a")  # type: ignore[misc]  # pyright: ignore[reportGeneralTypeIssues]  # must be refused
 
     async with connect("inproc://a") as connection:
         assert_type(connection, ClientConnection)
@@ -126,6 +168,8 @@ async def main() -> None:
             assert_type(goal, ClientGoal[Feedback, Result])
             async for feedback in goal.feedback:
                 assert_type(feedback, Feedback)
+            async for one in goal:
+                assert_type(one, Feedback)
             assert_type(await goal.result(), Result)
             assert_type(await goal.outcome(), Outcome[Result])
             assert_type(await goal.cancel(), CancelAnswer)
@@ -137,6 +181,7 @@ async def main() -> None:
 
 
 async def tests() -> None:
+    await run_executor(FIBONACCI, as_iterator, Goal(3))
     trial = await run_executor(FIBONACCI, fibonacci, Goal(3), cancel_after=1)
     assert_type(trial, Trial[Feedback, Result])
     assert_type(trial.feedback, list[Feedback])

@@ -195,6 +195,25 @@ async def test_a_client_sends_something_as_often_as_its_server_wants() -> None:
         assert all(after - at < 2.1 for at, after in pairwise(pings))
 
 
+@in_virtual_time()
+async def test_a_client_sends_a_blank_line_to_what_does_not_answer_as_a_server_would() -> None:
+    network = Network()
+    async with reached(network, ClientSettings(heartbeat=1.0)) as (_, server):
+        server.channel.cut()
+        server, _ = await network.reached()
+        await anyio.sleep(2)
+        sent = [frame for _, frames in server.channel.writes for frame in frames]
+        assert any(b"\r\n\r\n" in frame for frame in sent)
+        assert await server.hear_all() == []  # it is a `Ping` like any other
+        await server.say(Welcome(VERSION, 1.0))
+        await anyio.sleep(1)
+        before = len(server.channel.writes)
+        await anyio.sleep(2)
+        later = [frame for _, frames in server.channel.writes[before:] for frame in frames]
+        assert later
+        assert set(later) == {encode(Ping())}
+
+
 async def test_a_heartbeat_is_never_longer_than_the_own_one() -> None:
     link = Link(memory.pair()[0], 1.0)
     link.heartbeat.agree(2.0, 10.0)

@@ -578,11 +578,16 @@ async def test_what_is_too_large_is_one_goals_error_and_the_connection_lives(
         assert len(lines) == 1  # there was one connection, to the end
 
 
+@pytest.mark.parametrize("waits_for", [b"", b"\r\n\r\n"], ids=["at once", "for a blank line"])
 @pytest.mark.parametrize("reconnect", [True, False])
-async def test_a_client_at_the_port_of_a_web_server_is_told_so(reconnect: bool) -> None:
+async def test_a_client_at_the_port_of_a_web_server_is_told_so(
+    reconnect: bool, waits_for: bytes
+) -> None:
     async def answer(stream: ByteStream) -> None:
         async with stream:
-            await stream.receive()
+            received = await stream.receive()
+            while waits_for not in received:
+                received += await stream.receive()
             await stream.send(b"HTTP/1.1 400 Bad Request\r\n\r\n")
 
     async with await anyio.create_tcp_listener(local_host="127.0.0.1") as listener:

@@ -1,0 +1,140 @@
+"""Templates of goals: a value for each field, and what is known of it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+import pytest
+from pydantic import BaseModel, Field
+
+from fibaction.cli import goal_template
+from fibaction.cli.goal_input import read_goal
+from fibaction.cli.goal_template import GoalTemplate
+from tests.cli.robot import Pick
+from tests.fibonacci import Goal
+
+
+class Tree(msgspec.Struct):
+    left: Tree
+
+
+class Model(BaseModel):
+    meters: float = Field(gt=0, le=100, description="how far\nand more")
+    kind: Literal["a"] = "a"
+    photo: bytes
+    level: Annotated[int, Field(ge=2)]
+
+
+def test_each_field_has_its_default_or_an_empty_value_and_what_is_known_of_it() -> None:
+    template = GoalTemplate(msgspec.json.schema(Pick))
+    assert list(template.lines()) == [
+        "object_name: ''  # text",
+        "pose:  # optional",
+        "  x: 0.0",
+        "  y: 0.0",
+        "  frame: map",
+        "speed: 0.5  # a number, at most 1, more than 0, optional",
+        "retries: 3  # a whole number, at least 0, at most 255, optional",
+        'mode: careful  # one of "careful", "fast", optional',
+        "tool: null  # optional",
+        "waypoints: []  # a list, optional",
+        "photo: ''  # bytes in base64, optional",
+        "start: null  # text, optional",
+        "tags: {}  # optional",
+        "dry_run: false  # optional",
+    ]
+
+
+def test_the_template_is_a_goal_that_may_be_sent() -> None:
+    for schema in (msgspec.json.schema(Pick), msgspec.json.schema(Goal), Model.model_json_schema()):
+        template = GoalTemplate(schema)
+        assert read_goal("\n".join(template.lines()), {}) == template.goal
+    assert read_goal(GoalTemplate(msgspec.json.schema(Pick)).for_shell(), msgspec.json.schema(Pick))
+
+
+def test_a_description_and_the_least_value_are_told() -> None:
+    assert list(GoalTemplate(Model.model_json_schema()).lines()) == [
+        "meters: 0.0  # a number, at most 100, more than 0: how far",
+        "kind: a  # text, optional",
+        "photo: ''  # text",
+        "level: 2  # a whole number, at least 2",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("schema", "goal"),
+    [
+        ({}, {}),
+        ({"type": "integer"}, 0),
+        ({"type": ["boolean", "null"]}, False),
+        ({"type": []}, None),
+        ({"type": "array", "prefixItems": [{"type": "integer"}, {"type": "string"}]}, [0, ""]),
+        ({"type": "string", "format": "date"}, "2026-01-31"),
+        ({"type": "string", "format": "unheard-of"}, ""),
+        ({"anyOf": [{"type": "null"}, {"type": "integer", "minimum": 3}]}, 3),
+        ({"oneOf": [{"type": "null"}]}, None),
+        ({"const": 7}, 7),
+        ({"$ref": "#/$defs/A", "$defs": {"A": {"enum": ["on", "off"]}}}, "on"),
+        ({"$ref": "#/$defs/A", "$defs": {"A": {"default": 5}}}, 5),
+        ({"properties": {"a": True, "b": {"default": [1]}}}, {"a": {}, "b": [1]}),
+        ({"$ref": "http://evil/schema"}, {}),
+        ({"properties": 7}, {}),
+    ],
+)
+def test_a_schema_of_any_form_has_a_template(schema: Any, goal: object) -> None:
+    template = GoalTemplate(schema)
+    assert template.goal == goal
+    assert list(template.lines())
+
+
+def test_a_field_with_a_format_or_without_a_schema_is_told_as_it_is() -> None:
+    schema = {"properties": {"at": {"type": "string", "format": "date-time"}, "any": True}}
+    assert list(GoalTemplate(schema).lines()) == [
+        "at: '2026-01-31T12:00:00Z'  # date-time, optional",
+        "any: {}",
+    ]
+
+
+def test_a_type_that_contains_itself_has_no_end_and_so_no_template() -> None:
+    template = GoalTemplate(msgspec.json.schema(Tree))
+    assert template.goal == {}
+    assert template.for_shell() == "{}"
+
+
+def test_the_work_for_a_hostile_schema_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    part: dict[str, Any] = {"type": "integer"}
+    for _ in range(20):
+        part = {"anyOf": [part]}
+    assert GoalTemplate(part).goal == {}
+    monkeypatch.setattr(goal_template, "MAX_PARTS", 3)
+    wide: dict[str, Any] = {"properties": {f"a{number}": {} for number in range(3)}}
+    assert GoalTemplate(wide).goal == {}
+
+
+@pytest.mark.parametrize(
+    "default",
+    [
+        "it's",
+        "`x`",
+        "$HOME",
+        "a\nb",
+        "*",
+        "ü",
+        "\\",
+        "!!",
+        "x" * 1000,
+        b"x",
+        msgspec.msgpack.Ext(1, b""),
+    ],
+)
+def test_what_a_shell_could_change_is_not_completed(default: object) -> None:
+    assert GoalTemplate({"properties": {"a": {"default": default}}}).for_shell() == ""
+    assert GoalTemplate({"properties": {"it's": {"default": 1}}}).for_shell() == ""
+
+
+def test_a_default_of_many_levels_is_not_completed() -> None:
+    nested: Any = []
+    for _ in range(100_000):
+        nested = [nested]
+    assert GoalTemplate({"properties": {"a": {"default": nested}}}).for_shell() == ""
