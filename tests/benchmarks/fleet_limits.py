@@ -155,8 +155,8 @@ async def replicated(writer: Writer, running: Servers) -> None:
     await writer.renew(100)
     spent, count = clock.spent(), ROUNDS * LEASES
     print(
-        f"renewals with three brokers: {count / spent.passed:.0f}/s; {spent.broker / count * 1e6:.0f}"
-        f" us each at all brokers"
+        f"renewals with three brokers: {count / spent.passed:.0f}/s;"
+        f" {spent.broker / count * 1e6:.0f} us each at all brokers"
     )
 
 
