@@ -97,7 +97,9 @@ def _has_pydantic(kind: Any, seen: set[int]) -> bool:
     seen.add(id(kind))
     if isinstance(kind, type) and hasattr(kind, "__pydantic_serializer__"):
         return True
-    parts = [get_origin(kind), getattr(kind, "__supertype__", None), *get_args(kind)]
+    # A `NewType` and a type alias name another type.
+    named = [getattr(kind, name, None) for name in ("__supertype__", "__value__")]
+    parts = [get_origin(kind), *named, *get_args(kind)]
     if isinstance(kind, type):
         with suppress(NameError, TypeError):  # the check of the type tells what is wrong
             parts += get_type_hints(kind, include_extras=True).values()

@@ -98,6 +98,8 @@ def _classes_of(kind: Any) -> Iterator[type]:
         yield origin
     elif hasattr(kind, "__supertype__"):  # a `NewType`
         yield from _classes_of(kind.__supertype__)
+    elif hasattr(kind, "__value__"):  # a type alias
+        yield from _classes_of(kind.__value__)
     elif kind is Any or not isinstance(kind, type):
         yield object
     elif hasattr(kind, "__total__"):

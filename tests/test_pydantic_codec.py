@@ -17,7 +17,7 @@ import msgspec
 import pydantic
 import pytest
 from pydantic import BaseModel, ConfigDict, Field, HttpUrl
-from typing_extensions import TypedDict
+from typing_extensions import TypeAliasType, TypedDict
 
 from fibaction import Action, ActionServer, GoalHandle, GoalRejected, connect, serve
 from fibaction.action import Codec
@@ -141,6 +141,7 @@ class Tree:
 
 
 DogLike = NewType("DogLike", Dog)
+Pet = TypeAliasType("Pet", Cat | Dog)
 
 
 VALUES: list[tuple[Any, Any, tuple[type, ...]]] = [
@@ -160,6 +161,7 @@ VALUES: list[tuple[Any, Any, tuple[type, ...]]] = [
     (Dog | Literal["none"], "none", (Dog, str)),
     (Annotated[Cat | Dog, Field(discriminator="kind")], Cat(), (Cat, Dog)),
     (DogLike, DogLike(Dog(age=1)), (Dog,)),
+    (Pet, Cat(), (Cat, Dog)),
     (Dog | Any, 1, (Dog, object)),
 ]
 NAMES = [str(message_type) for message_type, _, _ in VALUES]
