@@ -24,10 +24,13 @@ from fibaction import (
     serve,
 )
 from fibaction.abc import Connection, ForwardingEndpoint, GoalStream
+from fibaction.goal_store import GoalStore
 from fibaction.goals import UNKNOWN_SENDER, Sender
 from fibaction_transports.inprocess import InProcessTransport
 from tests.executors import Items
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.memory_store import MemoryStore
+from tests.one_worker import WORKER, OneWorker
 
 pytestmark = pytest.mark.asyncio
 
@@ -41,6 +44,42 @@ async def test_with_an_action_it_gives_a_client_and_without_one_a_connection() -
             assert await connection.client(FIBONACCI).call(Goal(1)) == Result([0, 1])
             assert await connection.actions() == [FIBONACCI.info]
             assert connection.endpoint(FIBONACCI).info == FIBONACCI.info
+
+
+class Keeping(InProcessTransport):
+    """A transport that keeps the goals of its servers."""
+
+    @asynccontextmanager
+    async def goal_store(self) -> AsyncGenerator[GoalStore, None]:
+        yield MemoryStore()
+
+
+async def test_a_transport_keeps_the_goals_of_its_servers() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    other = Action("other", goal=Goal, feedback=Feedback, result=Result)
+    gateway = ForwardingEndpoint(ActionServer(other, fibonacci))
+    transport = Keeping("keeping")
+    async with serve([server, gateway], transport), connect(transport, FIBONACCI) as client:
+        goal = await client.send_goal(Goal(1))
+        await goal.result()
+        assert isinstance(server.store, MemoryStore)
+        assert ("fibonacci", goal.goal_id) in server.store.goals
+
+
+async def test_a_transport_that_keeps_goals_takes_new_servers_without_a_store_only() -> None:
+    kept = ActionServer(FIBONACCI, fibonacci, store=MemoryStore())
+    with pytest.raises(TransportError, match="has a store, and this address keeps the goals"):
+        async with serve(kept, Keeping("keeping")):
+            pass
+    async with ActionServer(FIBONACCI, fibonacci) as started:
+        with pytest.raises(TransportError, match="was started before, and this address keeps"):
+            async with serve(started, Keeping("keeping")):
+                pass
+
+
+async def test_a_connection_knows_the_workers_of_a_fleet() -> None:
+    async with connect(OneWorker()) as connection:
+        assert await connection.workers() == [WORKER]
 
 
 async def test_without_a_block_a_client_or_a_connection_is_awaited_and_closed() -> None:
