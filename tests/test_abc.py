@@ -34,6 +34,7 @@ from fibaction.goals import (
     Sender,
 )
 from fibaction.states import GoalStatus
+from fibaction_transports.inprocess import InProcessTransport
 from tests.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
 KNOWN = GoalID(bytes(range(16)))
@@ -337,6 +338,13 @@ class Nowhere(Connection):
 @pytest.mark.asyncio
 async def test_a_connection_need_not_know_its_peers() -> None:
     assert await Nowhere().peers("fibonacci") == ActionPeers((), ())
+
+
+@pytest.mark.asyncio
+async def test_a_transport_need_not_be_a_fleet() -> None:
+    assert await Nowhere().workers() == []
+    async with InProcessTransport().goal_store() as store:
+        assert store is None
 
 
 def test_a_stream_is_closed_at_the_end_of_its_block_and_lets_errors_pass() -> None:

@@ -1,12 +1,13 @@
 """The task of asyncio that runs the caller."""
 
 import asyncio  # noqa: TID251  # it is what the test is about
+import sys
 
 import anyio
 import anyio.to_thread
 import pytest
 
-from fibaction._asyncio_task import asyncio_task
+from fibaction._asyncio_task import asyncio_loop, asyncio_task
 
 
 @pytest.mark.asyncio
@@ -32,3 +33,13 @@ async def test_whether_it_is_asyncio_is_known_everywhere() -> None:
     await done.wait()
     assert found == {"nowhere": False, "asyncio": True, "trio": False, "a guest": False}
     assert asyncio_task() is asyncio.current_task()
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("has_sniffio", [True, False])
+async def test_the_loop_is_that_of_the_caller(
+    has_sniffio: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not has_sniffio:
+        monkeypatch.setitem(sys.modules, "sniffio", None)
+    assert asyncio_loop() is asyncio.get_running_loop()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import signal
@@ -103,6 +104,7 @@ def test_it_says_where_it_is_and_what_troubles_it(
         'trap "exit 0" TERM\n'
         "echo '[1] 2026/01/01 [INF] Listening for client connections on 127.0.0.1:4222' >&2\n"
         "echo '[1] 2026/01/01 [INF] Server is ready' >&2\n"
+        "echo '[1] 2026/01/01 [INF] Cluster name is tests' >&2\n"
         "echo '[1] 2026/01/01 [WRN] the disk is slow' >&2\n"
         "kill -TERM $PPID\nwhile :; do sleep 0.1; done"
     )
@@ -146,6 +148,33 @@ def test_one_that_ends_by_itself_is_one_sentence(
 
     assert done.exit_code == ExitCode.ABORTED
     assert done.output.startswith(f"Error: the broker has ended: {reason}")
+
+
+def test_one_that_cannot_be_followed_is_killed(
+    invoke: Invoke, program: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(text: str) -> str:
+        raise RuntimeError(text)
+
+    monkeypatch.setattr(run_broker, "_explained", fails)
+    program('echo "[1] [ERR] $$" >&2\nexec sleep 60')
+    with pytest.raises(RuntimeError) as caught:
+        invoke("broker")
+
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(str(caught.value)), 0)
+
+
+def test_a_folder_of_another_broker_is_one_sentence(invoke: Invoke, program: Any) -> None:
+    program("exit 1")
+    folder = Path("data")
+    folder.mkdir()
+    with run_broker.locked(folder):
+        done = invoke("broker", "--data", "data")
+
+    assert done.exit_code == ExitCode.USAGE
+    text = f"Error: another broker uses {folder.absolute()}: give --data DIR\n"
+    assert done.output == text
 
 
 @pytest.mark.parametrize("version", ["2.9.10", "2.10.29"])
