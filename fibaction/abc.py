@@ -18,6 +18,7 @@ from contextlib import AbstractAsyncContextManager, nullcontext
 from types import TracebackType
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
+from fibaction._meta import Meta
 from fibaction._notify import Notifier
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import UnknownGoal
@@ -41,6 +42,7 @@ __all__ = [
     "ForwardingEndpoint",
     "GoalStream",
     "GoalUpdate",
+    "Meta",
     "Notifier",
     "Startable",
     "StatusStream",
@@ -65,6 +67,7 @@ class Endpoint(ABC):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
+        meta: Meta | None = None,
     ) -> GoalStream:
         """Send a goal, and follow it from its beginning.
 
@@ -75,14 +78,16 @@ class Endpoint(ABC):
         identifies its clients itself. `timeout` is the number of seconds, more than 0, after which
         the client gives the goal up; None if it does not. The executor gets it as
         `GoalHandle.deadline`, and the server does not enforce it. A goal that is sent again keeps
-        its first deadline.
+        its first deadline. `meta` is a small text map that goes with the goal, for traces: see
+        `fibaction.otel`. It has at most 8 keys and 4096 bytes. Watchers of the server get it;
+        ROS 2 does not carry it.
 
         Raises:
             GoalRejected: The server did not accept it; `reason` says why.
             ServerNotFound: This action is not served.
             ConnectionLost: The connection ended before the answer; the goal may have been accepted.
             AuthenticationFailed: This client lacks the permission.
-            InvalidMessage: The goal is too large to be sent; nothing was sent.
+            InvalidMessage: The goal or its `meta` is too large to be sent; nothing was sent.
             ProtocolError: The server sent an invalid message, which ended the connection.
             ServerFailed: The server has a bug.
         """
@@ -95,6 +100,7 @@ class Endpoint(ABC):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
+        meta: Meta | None = None,
     ) -> GoalStream | Coroutine[Any, Any, GoalStream]:
         """Send a goal as `send_goal` does, without waiting if the goal can be decided at once.
 
@@ -106,7 +112,9 @@ class Endpoint(ABC):
         Raises:
             ActionError: As for `send_goal`, if the goal is decided at once.
         """
-        return self.send_goal(goal_id, goal, feedback=feedback, sender=sender, timeout=timeout)
+        return self.send_goal(
+            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout, meta=meta
+        )
 
     @abstractmethod
     async def feedback(
@@ -225,9 +233,9 @@ class ForwardingEndpoint(Endpoint):
         async with serve(Audited(ActionServer(ACTION, executor)), "tcp://127.0.0.1:7400"):
             ...
 
-    Every call is forwarded to `inner`, with the sender and the timeout of the goal. `offer_goal`
-    calls `send_goal`, so that one method sees every goal. It starts and stops `inner`, and runs
-    while `inner` runs; around an endpoint that is not `Startable` it counts as running.
+    Every call is forwarded to `inner`, with the sender, the timeout and the meta of the goal.
+    `offer_goal` calls `send_goal`, so that one method sees every goal. It starts and stops `inner`,
+    and runs while `inner` runs; around an endpoint that is not `Startable` it counts as running.
     """
 
     def __init__(self, inner: Endpoint) -> None:
@@ -246,9 +254,10 @@ class ForwardingEndpoint(Endpoint):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
+        meta: Meta | None = None,
     ) -> GoalStream:
         return await self.inner.send_goal(
-            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout
+            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout, meta=meta
         )
 
     async def feedback(

@@ -64,6 +64,12 @@ class GoalFeedback(msgspec.Struct, Generic[FeedbackT], frozen=True):
 class Events(Generic[FeedbackT]):
     """The events of all goals, for `async for`, which ends when the server stops or the block of
     the events is left.
+
+    For example:
+
+        async with client.events() as events:
+            async for event in events:
+                print(event)
     """
 
     def __init__(

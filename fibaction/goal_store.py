@@ -72,6 +72,8 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
     worker: str = ""
     """The name of the worker that has the goal; empty if the store has one server for each action.
     """
+    meta: dict[str, str] | None = None
+    """The small text map that came with the goal; None if it is empty, and after the end."""
 
     @property
     def told_status(self) -> GoalStatus:

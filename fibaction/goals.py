@@ -26,6 +26,11 @@ class GoalID(bytes):
     """The 16 bytes that name one goal for ever, made by the client.
 
     All zeros is reserved: in a cancel it means "any goal" (`action_msgs/srv/CancelGoal`).
+
+    For example:
+
+        goal_id = GoalID.random()
+        assert GoalID.parse(str(goal_id)) == goal_id
     """
 
     __slots__ = ()
@@ -74,6 +79,12 @@ class Sender(msgspec.Struct, frozen=True):
 
     As text, `str(sender)`, it is for people to read, for example `robot7 at 127.0.0.1:51234`, or
     empty if nothing is known.
+
+    For example:
+
+        def on_goal(goal: Drive, sender: Sender) -> None:
+            if sender.name != "dispatcher":
+                raise GoalRejected("only the dispatcher drives")
     """
 
     name: str = ""
@@ -138,7 +149,13 @@ class GoalInfo(msgspec.Struct, frozen=True, gc=False):
 
 
 class Outcome(msgspec.Struct, Generic[T], frozen=True):
-    """The end of a goal. The result is bytes between endpoints, the action's type for users."""
+    """The end of a goal. The result is bytes between endpoints, the action's type for users.
+
+    For example:
+
+        outcome = await goal.outcome()
+        print(outcome.status.name, outcome.result, outcome.reason)
+    """
 
     status: GoalStatus
     """SUCCEEDED, CANCELED or ABORTED; UNKNOWN if the server knows no such goal."""

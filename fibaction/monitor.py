@@ -18,7 +18,7 @@ runs `follow_actions`.
 from __future__ import annotations
 
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -33,10 +33,11 @@ from fibaction._action_listener import (
     follow_actions,
 )
 from fibaction._api import ClientConnection
+from fibaction._monitor_records import ActionRecord, GoalRecord
 from fibaction.action import ActionInfo
 from fibaction.events import GoalFeedback
 from fibaction.exceptions import ActionError
-from fibaction.goals import NO_GOAL, CancelAnswer, GoalID, GoalInfo, Outcome
+from fibaction.goals import CancelAnswer, GoalID, GoalInfo, Outcome
 from fibaction.states import GoalStatus
 
 __all__ = [
@@ -54,11 +55,6 @@ __all__ = [
 
 MOST_GOALS = 10_000
 """Goals that a monitor keeps; each costs time at every snapshot."""
-SPAN = 5.0
-"""Seconds over which a rate is measured: a shorter span flickers, a longer one is late."""
-
-
-_NOT_WAITING = GoalInfo(NO_GOAL, 0, GoalStatus.UNKNOWN)
 
 
 class GoalKey(NamedTuple):
@@ -105,7 +101,9 @@ class Snapshot(msgspec.Struct, frozen=True):
     """The reason why the server cannot be reached; empty if it can."""
     actions: list[ActionSnapshot]
     goals: list[GoalSnapshot]
-    """Goals in the order of `newest_active_first`."""
+    """Goals that were asked for; without a wish, all in the order of `newest_active_first`."""
+    matching: int
+    """Number of goals that match, those beyond `most_goals` included."""
 
 
 def newest_active_first(info: GoalInfo) -> tuple[int, int]:
@@ -138,8 +136,8 @@ class Monitor(ActionListener):
         self._summarize = summarize
         self._clock = clock
         self._away = ""
-        self._actions: dict[str, _ActionState] = {}
-        self._goals: dict[GoalKey, _GoalState] = {}
+        self._actions: dict[str, ActionRecord] = {}
+        self._goals: dict[GoalKey, GoalRecord] = {}
 
     async def run(self, connection: ClientConnection) -> None:
         """Follow all actions of a connection, until canceled.
@@ -158,9 +156,7 @@ class Monitor(ActionListener):
         Raises:
             ServerNotFound, ConnectionLost: The server cannot be asked.
         """
-        client = self._actions[key.action].client
-        assert client is not None  # an action is found before its first goal
-        return await client.cancel_goals(key.goal_id)
+        return await self._client(key).cancel_goals(key.goal_id)
 
     async def outcome(self, key: GoalKey) -> Outcome[Any]:
         """Wait for the end of a goal of a snapshot, and return its outcome.
@@ -168,46 +164,79 @@ class Monitor(ActionListener):
         Raises:
             ActionError: The server cannot be asked, or the result cannot be read.
         """
-        client = self._actions[key.action].client
-        assert client is not None  # an action is found before its first goal
+        client = self._client(key)
         raw = await client.endpoint.get_result(key.goal_id)
         result = None if raw.result is None else client.action.result.decode(raw.result)
         return Outcome(raw.status, result, raw.reason)
 
-    def snapshot(self, most_goals: int | None = None) -> Snapshot:
-        """Return the state now, with at most so many goals.
+    async def request(self, key: GoalKey) -> Any:
+        """Return the goal itself, as it was sent; None if its server does not tell it.
 
-        Rates are measured between calls: call it a few times a second. Feedback that came for
-        goals beyond `most_goals` is forgotten.
+        Servers tell it while the goal is active. ROS 2 does not.
+
+        Raises:
+            ActionError: The server cannot be asked, or the goal cannot be read.
+        """
+        client = self._client(key)
+        stream = await client.endpoint.feedback(key.goal_id)
+        stream.close()
+        return None if stream.goal is None else client.action.goal.decode(stream.goal)
+
+    def snapshot(
+        self,
+        most_goals: int | None = None,
+        *,
+        matches: Callable[[GoalSnapshot], bool] = lambda goal: True,
+        order: Callable[[GoalSnapshot], Any] = lambda goal: newest_active_first(goal.info),
+    ) -> Snapshot:
+        """Return the state now, with the goals that match, at most so many, in an order.
+
+        `order` returns a key to sort by. Neither function may look at `latest`: it is made for the
+        goals that are returned, and feedback that came for others is forgotten. Rates are measured
+        between calls: call it a few times a second.
         """
         now = self._clock()
         active, ended = Counter[str](), Counter[str]()
         for key, goal in self._goals.items():
-            goal.sample(now)
+            goal.rate.sample(now)
             (active if goal.info.status.is_active else ended)[key.action] += 1
         for action in self._actions.values():
             action.rate.sample(now)
-        first = sorted(self._goals.items(), key=lambda item: newest_active_first(item[1].info))
-        for index, (_, goal) in enumerate(first):
-            goal.summarize(self._summarize if most_goals is None or index < most_goals else None)
+        found = sorted(filter(matches, map(self._goal, self._goals)), key=order)
         return Snapshot(
             self._away,
             [
                 ActionSnapshot(one.info, one.away, active[name], ended[name], one.rate.per_second)
                 for name, one in self._actions.items()
             ],
-            [goal.snapshot(key.action) for key, goal in first[:most_goals]],
+            self._summarized([goal.key for goal in found[:most_goals]]),
+            len(found),
         )
+
+    def _summarized(self, keys: list[GoalKey]) -> list[GoalSnapshot]:
+        for key in keys:
+            self._goals[key].summarize(self._summarize)
+        for record in self._goals.values():
+            record.summarize(None)
+        return [self._goal(key) for key in keys]
 
     def goal(self, key: GoalKey) -> GoalSnapshot | None:
         """Return one goal as the last snapshot found it; None if its server has forgotten it."""
-        goal = self._goals.get(key)
-        return None if goal is None else goal.snapshot(key.action)
+        return self._goal(key) if key in self._goals else None
+
+    def _goal(self, key: GoalKey) -> GoalSnapshot:
+        record = self._goals[key]
+        return GoalSnapshot(key.action, record.info, record.rate.per_second, record.latest)
+
+    def _client(self, key: GoalKey) -> AnyClient:
+        client = self._actions[key.action].client
+        assert client is not None  # an action is found before its first goal
+        return client
 
     # As a listener
 
     def on_action_found(self, info: ActionInfo, client: AnyClient) -> None:
-        state = self._actions.setdefault(info.name, _ActionState(info))
+        state = self._actions.setdefault(info.name, ActionRecord(info))
         state.client, state.away = client, ""
 
     def on_event(self, action: str, event: GoalInfo | GoalFeedback[Any]) -> None:
@@ -219,7 +248,7 @@ class Monitor(ActionListener):
         elif event.status is GoalStatus.UNKNOWN:
             self._goals.pop(key, None)
         elif goal is None:
-            self._goals[key] = _GoalState(event)
+            self._goals[key] = GoalRecord(event)
             if len(self._goals) > MOST_GOALS:
                 del self._goals[next(iter(self._goals))]
         else:
@@ -232,7 +261,7 @@ class Monitor(ActionListener):
     def on_actions(self, actions: list[ActionInfo] | None, reason: str) -> None:
         self._away = "" if actions is not None else reason
         for info in actions or ():
-            self._actions.setdefault(info.name, _ActionState(info)).info = info
+            self._actions.setdefault(info.name, ActionRecord(info)).info = info
 
     async def _refresh(self) -> None:
         # Events do not tell feedback counts and places, nor that a restarted server has lost its
@@ -254,88 +283,3 @@ class Monitor(ActionListener):
             self.on_event(action, info)
         for key in before - {GoalKey(action, info.goal_id) for info in infos}:
             self._goals.pop(key, None)
-
-
-class _Rate:
-    """A count of events, and how often they happen."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._samples: deque[tuple[float, int]] = deque()
-
-    def sample(self, now: float) -> None:
-        """Record the count at this time."""
-        self._samples.append((now, self.count))
-        while len(self._samples) > 2 and self._samples[1][0] <= now - SPAN:
-            self._samples.popleft()
-
-    @property
-    def per_second(self) -> float:
-        """The rate over the last `SPAN` seconds; 0 before the second sample."""
-        if len(self._samples) < 2:
-            return 0.0
-        (began, before), (ended, after) = self._samples[0], self._samples[-1]
-        return (after - before) / (ended - began) if ended > began else 0.0
-
-
-class _ActionState:
-    def __init__(self, info: ActionInfo) -> None:
-        self.info = info
-        self.client: AnyClient | None = None
-        self.away = ""
-        self.rate = _Rate()
-
-
-class _GoalState:
-    def __init__(self, info: GoalInfo) -> None:
-        self.info = info
-        self._rate = _Rate()
-        self._number = 0
-        self._new: GoalFeedback[Any] | None = None
-        self._summary: Any = None
-
-    def merge(self, info: GoalInfo) -> None:
-        """Take what is newer there: answers and events may cross on the way."""
-        status = max(self.info.status, info.status)
-        waiting = info if info.place else self.info  # events tell no places
-        if status is not GoalStatus.ACCEPTED:
-            waiting = _NOT_WAITING
-        attempt = max(self.info.attempt, info.attempt)
-        counts = (one.feedback_count for one in (self.info, info) if one.attempt == attempt)
-        self.info = msgspec.structs.replace(
-            info,
-            status=status,
-            attempt=attempt,
-            feedback_count=max(counts),
-            client=info.client or self.info.client,
-            place=waiting.place,
-            queue_length=waiting.queue_length,
-        )
-
-    def add_feedback(self, event: GoalFeedback[Any]) -> int:
-        """Take feedback. Return how many messages there were since the one before."""
-        # If the first one seen here is not number 1, its number says nothing about the rate. The
-        # numbers begin anew with each attempt.
-        more = event.number - self._number if 0 < self._number < event.number else 1
-        self._number, self._new = event.number, event
-        self._rate.count += more
-        count, attempt = event.number, event.attempt
-        self.merge(msgspec.structs.replace(self.info, feedback_count=count, attempt=attempt))
-        return more
-
-    def sample(self, now: float) -> None:
-        """Bring the rate up to date."""
-        self._rate.sample(now)
-
-    def summarize(self, summarize: Callable[[Any], Any] | None) -> None:
-        """Make the summary of the latest feedback; with None, forget the feedback.
-
-        It may be large, and a server may have many goals.
-        """
-        if self._new is not None:
-            if summarize is not None:
-                self._summary = summarize(self._new.feedback)
-            self._new = None
-
-    def snapshot(self, action: str) -> GoalSnapshot:
-        return GoalSnapshot(action, self.info, self._rate.per_second, self._summary)

@@ -107,6 +107,13 @@ class GoalStream(_Closing):
         return self.attempt
 
     @property
+    def goal(self) -> bytes | None:
+        """The payload of the goal itself; None if it is not known. Servers forget it at the end of
+        the goal, and ROS 2 does not tell it to observers.
+        """
+        return None
+
+    @property
     @abstractmethod
     def dropped(self) -> int:
         """The number of feedback messages that this stream has missed, in all attempts that it has
@@ -185,6 +192,14 @@ class GoalStream(_Closing):
         Has an effect only for the client that sent the goal, and only if the server's policy is
         `feedback="every"`.
         """
+
+    def hold_briefly(self) -> None:
+        """Let the executor wait for this stream for moments only.
+
+        So bursts arrive whole at a client that reads, and one that reads slowly misses feedback and
+        holds nothing up. A stream that cannot limit the time does not make the executor wait.
+        """
+        self.hold(False)
 
     @abstractmethod
     def fail(self, error: ActionError) -> None:

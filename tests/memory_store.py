@@ -372,6 +372,7 @@ def _changed(known: StoredGoal, what: str, goal: StoredGoal) -> StoredGoal:
         known,
         goal=b"",
         checkpoint=None,
+        meta=None,
         is_running=False,
         status=goal.status,
         result=goal.result,

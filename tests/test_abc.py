@@ -17,6 +17,7 @@ from fibaction.abc import (
     ForwardingEndpoint,
     GoalStream,
     GoalUpdate,
+    Meta,
     Startable,
     StatusStream,
     Transport,
@@ -98,6 +99,7 @@ class OneGoal(Endpoint):
     def __init__(self, stream: OneEnd) -> None:
         self.stream = stream
         self.sent: list[tuple[GoalID, bytes, bool]] = []
+        self.more: tuple[Sender, float | None, Meta | None] | None = None
 
     @property
     def info(self) -> ActionInfo:
@@ -111,8 +113,10 @@ class OneGoal(Endpoint):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
+        meta: Meta | None = None,
     ) -> GoalStream:
         self.sent.append((goal_id, goal, feedback))
+        self.more = (sender, timeout, meta)
         return self.stream
 
     async def feedback(
@@ -458,6 +462,19 @@ async def test_a_forwarding_endpoint_passes_every_call_on() -> None:
 
 
 @pytest.mark.asyncio
+async def test_a_forwarding_endpoint_passes_on_all_that_goes_with_a_goal() -> None:
+    inner, ann, meta = OneGoal(OneEnd()), Sender("ann"), {"traceparent": "00-1"}
+    wrapper = ForwardingEndpoint(inner)
+    await wrapper.send_goal(KNOWN, b"1", sender=ann, timeout=5, meta=meta)
+    assert inner.more == (ann, 5, meta)
+    offered = wrapper.offer_goal(KNOWN, b"2", feedback=False, timeout=6, meta=meta)
+    assert not isinstance(offered, GoalStream)
+    await offered
+    assert inner.more == (UNKNOWN_SENDER, 6, meta)
+    assert inner.sent == [(KNOWN, b"1", True), (KNOWN, b"2", False)]
+
+
+@pytest.mark.asyncio
 async def test_around_an_endpoint_without_a_life_of_its_own_there_is_nothing_to_start() -> None:
     wrapper = ForwardingEndpoint(OneGoal(OneEnd()))
     assert wrapper.is_running
@@ -469,3 +486,22 @@ async def test_around_an_endpoint_without_a_life_of_its_own_there_is_nothing_to_
 
 def test_a_stream_of_a_server_without_a_store_is_of_the_first_attempt() -> None:
     assert (OneEnd().attempt, OneEnd().newest_attempt) == (1, 1)
+
+
+def test_a_stream_does_not_know_the_goal_itself_unless_it_says_so() -> None:
+    assert OneEnd().goal is None
+
+
+class Held(OneEnd):
+    """A stream that remembers whether the executor is to wait for it."""
+
+    wanted = True
+
+    def hold(self, wanted: bool) -> None:
+        self.wanted = wanted
+
+
+def test_a_stream_that_cannot_limit_the_time_does_not_make_the_executor_wait() -> None:
+    stream = Held()
+    stream.hold_briefly()
+    assert not stream.wanted

@@ -153,7 +153,7 @@ class Machine:
         """Run a server, which is killed at the end, and give a client."""
         self.store = CutStore(SqliteStore(self.path))
         server = ActionServer(PAINT, executor, store=self.store, **settings)
-        with anyio.fail_after(10):
+        with anyio.fail_after(30):
             try:
                 async with serve(server, self.url):
                     async with connect(self.url, PAINT) as client:

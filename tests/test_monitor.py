@@ -11,6 +11,7 @@ import pytest
 import fibaction._action_listener
 from fibaction import ActionInfo, CancelCode, ConnectionLost, GoalID, GoalInfo, GoalStatus, Outcome
 from fibaction import monitor as monitor_module
+from fibaction._monitor_records import Rate
 from fibaction.events import GoalFeedback
 from fibaction.monitor import ActionSnapshot, AnyClient, GoalKey, GoalSnapshot, Monitor
 from tests.cli.served import Heard, Served, counter
@@ -169,7 +170,7 @@ def test_the_feedback_of_another_attempt_is_counted_anew(monitor: Monitor) -> No
 
 
 def test_a_rate_is_that_of_the_last_seconds() -> None:
-    rate = monitor_module._Rate()
+    rate = Rate()
     assert rate.per_second == 0
     rate.sample(0)
     rate.sample(0)
@@ -293,3 +294,27 @@ async def test_a_server_that_cannot_be_asked_keeps_its_goals(
         tasks.cancel_scope.cancel()
 
     assert the_goal(monitor).key == KEY
+
+
+def test_goals_that_match_come_in_the_order_that_was_asked_for(monitor: Monitor) -> None:
+    for number in range(4):
+        monitor.on_event("one", info(2, goal_id=GoalID(bytes([number] * 16)), stamp=number))
+
+    found = monitor.snapshot(
+        2, matches=lambda goal: goal.info.stamp != 1, order=lambda goal: goal.info.stamp
+    )
+    assert [goal.info.stamp for goal in found.goals] == [0, 2]
+    assert found.matching == 3
+
+
+@pytest.mark.asyncio
+async def test_the_goal_itself_is_told_while_it_is_active(monitor: Monitor) -> None:
+    server = counter("one", ["done"], [anyio.Event()])
+    client = Served(server).connection.client(server.action)
+    monitor.on_action_found(ONE, client)
+    async with server:
+        await (await client.send_goal(7, goal_id=OTHER)).outcome()
+        await client.send_goal(8, goal_id=ID)
+
+        assert await monitor.request(GoalKey("one", ID)) == 8
+        assert await monitor.request(GoalKey("one", OTHER)) is None

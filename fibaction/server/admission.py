@@ -25,13 +25,14 @@ A server that drains rejects new goals as busy, so that clients of several serve
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Coroutine
-from contextvars import copy_context
+from collections.abc import Awaitable, Callable, Coroutine
+from contextvars import Context, copy_context
 from typing import Any, Generic, NamedTuple
 
 from anyio import current_time
 
 from fibaction._log import clean_logger
+from fibaction._meta import NO_META
 from fibaction._notify import Notifier
 from fibaction._text import excerpt, shortened
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
@@ -44,6 +45,7 @@ from fibaction.exceptions import (
 from fibaction.goal_store import RecordTooLarge
 from fibaction.goals import GoalID, Sender
 from fibaction.server._sender_argument import GoalFunction, with_sender
+from fibaction.server._watcher_group import WatcherGroup
 from fibaction.server.callbacks import SERVER_STOPPING, Callbacks
 from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.feedback_cursor import FeedbackCursor
@@ -55,6 +57,7 @@ from fibaction.server.runs import Runs
 from fibaction.server.scheduler import Act, Busy
 
 DRAINING = "busy: the server drains"
+WITHDRAWN = "the call was canceled before the decision"
 
 logger = clean_logger("fibaction.server")
 
@@ -67,6 +70,7 @@ class Offer(NamedTuple):
     feedback: bool
     sender: Sender
     deadline: float
+    meta: dict[str, str] | None
 
 
 class _AcceptanceInWriting:
@@ -111,6 +115,8 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._logs = logs
         self._dispatcher = dispatcher
         self._keeper: GoalKeeper | None = None
+        self.watchers: WatcherGroup | None = None
+        """The watchers of the server; None if it has none."""
         self._on_goal = None if on_goal is None else with_sender("on_goal", on_goal)
         self._callbacks = callbacks
         self._decisions: dict[GoalID, Notifier] = {}
@@ -149,24 +155,45 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             return self._offer_again(offer)
         if verdict is Verdict.REPEAT:
             return self._logs.follow_again(goal_id, feedback=offer.feedback, sender=offer.sender)
+        context = None if self.watchers is None else self._watched(self.watchers, offer)
         self._check_room(goal_id)
         try:
             request = self._decode(offer.goal)
             if self._on_goal is not None:
-                asked = (request, offer.sender)
-                asking = self._callbacks.ask(
-                    "on_goal", self._on_goal, asked, GoalRejected, about=goal_id
-                )
+                asking = self._ask(self._on_goal, offer, request, context)
                 if asking is not None:
-                    return self._accept_later(offer, request, asking)
-            return self._accept(offer, request)
+                    return self._accept_later(offer, request, asking, context)
+            return self._accept(offer, request, context)
         except GoalRejected as exc:
             raise self._reject(goal_id, exc.reason) from None
         except Busy as exc:
             raise self._reject_for_now(goal_id, str(exc)) from None
         except BaseException:
-            self._withdraw(goal_id)
+            self._withdraw_offer(goal_id)
             raise
+
+    def _watched(self, watchers: WatcherGroup, offer: Offer) -> Context:
+        """Tell the offer to the watchers, and return the context for the goal's executor."""
+        context = copy_context()
+        context.run(
+            watchers.offered, offer.goal_id, offer.goal, offer.sender, offer.meta or NO_META
+        )
+        return context
+
+    def _ask(
+        self,
+        on_goal: Callable[[GoalT, Sender], Awaitable[None] | None],
+        offer: Offer,
+        request: GoalT,
+        context: Context | None,
+    ) -> Coroutine[Any, Any, None] | None:
+        """Call `on_goal`: see `Callbacks.ask`."""
+        asked = (request, offer.sender)
+        if context is None:
+            return self._callbacks.ask("on_goal", on_goal, asked, GoalRejected, offer.goal_id)
+        return context.run(
+            self._callbacks.ask, "on_goal", on_goal, asked, GoalRejected, offer.goal_id
+        )
 
     def _check_room(self, goal_id: GoalID) -> None:
         """Reject a new goal if the server is at a limit, or drains."""
@@ -184,17 +211,21 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         return offered if isinstance(offered, FeedbackCursor) else await offered
 
     async def _accept_later(
-        self, offer: Offer, request: GoalT, asking: Awaitable[None]
+        self,
+        offer: Offer,
+        request: GoalT,
+        asking: Awaitable[None],
+        context: Context | None,
     ) -> FeedbackCursor:
         try:
             await asking
-            accepted = self._accept(offer, request)
+            accepted = self._accept(offer, request, context)
         except GoalRejected as exc:
             raise self._reject(offer.goal_id, exc.reason) from None
         except Busy as exc:
             raise self._reject_for_now(offer.goal_id, str(exc)) from None
         except BaseException:
-            self._withdraw(offer.goal_id)
+            self._withdraw_offer(offer.goal_id)
             raise
         return accepted if isinstance(accepted, FeedbackCursor) else await accepted
 
@@ -205,7 +236,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise GoalRejected(str(exc)) from exc
 
     def _accept(
-        self, offer: Offer, request: GoalT
+        self, offer: Offer, request: GoalT, context: Context | None
     ) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
         """Accept a goal, and return its stream; with a store, a coroutine that waits for it."""
         if self._is_closed:
@@ -221,10 +252,12 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             is_running = dispatcher is None or any(order.act is Act.START for order in orders)
             if dispatcher is not None:
                 dispatcher.hold(goal_id, orders)
-            return self._write_acceptance(self._keeper, offer, request, goal, is_running=is_running)
+            return self._write_acceptance(
+                self._keeper, offer, request, goal, context, is_running=is_running
+            )
         self._registry.accept(goal)
         self._tell_decision(goal_id)
-        log = self._runs.add(goal, request, begin=dispatcher is None)
+        log = self._runs.add(goal, request, offer.goal, begin=dispatcher is None, context=context)
         if dispatcher is not None:
             dispatcher.carry_out(orders)
         return log.follow(feedback=offer.feedback, own=True)
@@ -237,17 +270,18 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         offer: Offer,
         request: GoalT,
         goal: GoalRecord,
+        context: Context | None,
         *,
         is_running: bool,
     ) -> Coroutine[Any, Any, FeedbackCursor]:
         """Begin to write an acceptance, and return the wait for the stream of the goal."""
-        acceptance, context = _AcceptanceInWriting(goal), copy_context()
+        acceptance, context = _AcceptanceInWriting(goal), context or copy_context()
 
         def accept() -> None:
             del self._writing[goal.goal_id]
             self._registry.accept(goal)
             begin = self._dispatcher is None and not self._is_closed
-            log = self._runs.add(goal, request, begin=begin, context=context)
+            log = self._runs.add(goal, request, offer.goal, begin=begin, context=context)
             acceptance.stream = log.follow(feedback=offer.feedback, own=True)
             if acceptance.is_left:
                 acceptance.stream.close()
@@ -263,7 +297,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
 
         self._writing[goal.goal_id] = goal
         write = keeper.accept(
-            goal, offer.goal, is_running=is_running, then=accept, too_large=reject
+            goal, offer.goal, offer.meta, is_running=is_running, then=accept, too_large=reject
         )
         return self._await_acceptance(keeper, offer, write, acceptance)
 
@@ -296,6 +330,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         if self._writing.get(goal.goal_id) is goal:
             del self._writing[goal.goal_id]
             self._withdraw(goal.goal_id)
+            self._tell_rejection(goal.goal_id, GOAL_IS_TAKEN)
             if self._dispatcher is not None:
                 self._dispatcher.withdraw(goal.goal_id)
 
@@ -306,6 +341,7 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         self._tell_decision(goal_id)
         name = self._action.name
         logger.info("goal %s of action %r: rejected: %s", goal_id, name, excerpt(reason))
+        self._tell_rejection(goal_id, reason)
         return GoalRejected(reason, goal_id=goal_id)
 
     def _reject_for_now(self, goal_id: GoalID, busy: str) -> GoalRejected:
@@ -315,7 +351,16 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         """
         self._withdraw(goal_id)
         logger.info("goal %s of action %r: rejected: %s", goal_id, self._action.name, busy)
+        self._tell_rejection(goal_id, busy)
         return GoalRejected(busy, goal_id=goal_id)
+
+    def _tell_rejection(self, goal_id: GoalID, reason: str) -> None:
+        if self.watchers is not None:
+            self.watchers.rejected(goal_id, reason)
+
+    def _withdraw_offer(self, goal_id: GoalID) -> None:
+        self._withdraw(goal_id)
+        self._tell_rejection(goal_id, WITHDRAWN)
 
     def _withdraw(self, goal_id: GoalID) -> None:
         """Forget a goal whose decision was canceled; a retry is decided anew."""

@@ -40,6 +40,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 from anyio import get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
+from fibaction._current_goal import CurrentGoal, current_goal
 from fibaction._log import clean_logger
 from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import GoalAborted, GoalCanceled, text_of
@@ -72,6 +73,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
     __slots__ = (
         "_action",
         "_context",
+        "_current",
         "_executor",
         "_log",
         "_owner",
@@ -109,6 +111,8 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         self._result: bytes | None = None
         # The context variables of the call that sent the goal, as a task of its own would have.
         self._context = context or copy_context()
+        self._current = CurrentGoal(action.name, self.goal.goal_id)
+        self._context.run(current_goal.set, self._current)
         self.fence: Fence | None = None
         """The function that is asked before each step; None if the executor may always go on."""
         self.is_interrupted = False
@@ -163,6 +167,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         if self._result is not None:
             raise RuntimeError("take over a goal before the result of this one, not after it")
         self.handle, self.goal, self._log = handle, log.goal, log
+        self._current.goal_id = log.goal.goal_id
         self._owner = log.goal.sender.owner
 
     async def _run(self) -> Ending:

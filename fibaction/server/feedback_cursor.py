@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from fibaction._notify import Notifier
 from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.exceptions import ActionError, copy_of
+from fibaction.server.patience import Patience
 from fibaction.states import GoalStatus
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ class FeedbackCursor(GoalStream):
         "latest",
         "news",
         "own",
+        "patience",
         "reads",
         "stamp",
     )
@@ -55,6 +57,8 @@ class FeedbackCursor(GoalStream):
         self._may_hold = hold
         self.holding = hold
         """True if the executor waits for this cursor."""
+        self.patience: Patience | None = None
+        """The time for which it waits; None if that is the server's stall timeout."""
         self._wanted = True
         self._dropped = 0
         self._statuses_told = len(log.statuses)
@@ -67,6 +71,10 @@ class FeedbackCursor(GoalStream):
     @property
     def attempt(self) -> int:
         return self._log.goal.attempt
+
+    @property
+    def goal(self) -> bytes | None:
+        return self._log.payload
 
     @property
     def dropped(self) -> int:
@@ -96,13 +104,18 @@ class FeedbackCursor(GoalStream):
     def _skip_rest(self) -> None:
         """Count unread feedback as dropped, unless the stream was opened without feedback."""
         if self._follows:
-            self._dropped += self._log.count - self.cursor
+            self._drop(self._log.count - self.cursor)
             self.seek(self._log.count)
+
+    def _drop(self, count: int) -> None:
+        if count:
+            self._dropped += count
+            self._log.note_dropped(count)
 
     def _took(self, items: list[FeedbackItem]) -> None:
         last = items[-1].number
         before, self.cursor = self.cursor, last
-        self._dropped += last - before - len(items)
+        self._drop(last - before - len(items))
         if self.holding:
             self._log.note_move(before, last)
         elif self._stalled and last == self._log.count:
@@ -123,6 +136,9 @@ class FeedbackCursor(GoalStream):
     def hold(self, wanted: bool) -> None:
         self._wanted = wanted
         self._update()
+
+    def hold_briefly(self) -> None:
+        self.patience = Patience()
 
     def stall(self) -> None:
         """Stop making the executor wait, until all feedback has been read."""

@@ -75,6 +75,7 @@ class FeedbackLog:
         "_holders",
         "_items",
         "_others",
+        "_payload",
         "_prune_at",
         "_readers",
         "_room",
@@ -94,8 +95,10 @@ class FeedbackLog:
         window: int = 1,
         latest: bool = False,
         budget: ByteBudget = UNLIMITED,
+        payload: bytes | None = None,
     ) -> None:
         self.goal = goal
+        self._payload = payload
         self.outcome = goal.outcome
         """The goal's outcome, which is kept here if the server forgets the goal."""
         self.latest = latest
@@ -122,6 +125,15 @@ class FeedbackLog:
     def count(self) -> int:
         """The number of feedback messages so far, which is the number of the last one."""
         return self.goal.feedback_count
+
+    @property
+    def payload(self) -> bytes | None:
+        """The payload of the goal; None if it is not kept any longer."""
+        return self._payload
+
+    def forget_payload(self) -> None:
+        """Keep the payload of the goal no longer."""
+        self._payload = None
 
     @property
     def is_followed(self) -> bool:
@@ -170,6 +182,8 @@ class FeedbackLog:
 
     def __del__(self) -> None:
         # Adding them up here costs less than counting them at each feedback.
+        if self._payload is not None and self.outcome is not None:
+            self._budget.used -= len(self._payload)
         for item in self._items:
             self._budget.used -= len(item.payload)
 
@@ -179,10 +193,34 @@ class FeedbackLog:
         return FeedbackLog(GoalRecord(goal.goal_id, goal.digest, goal.stamp, goal.sender))
 
     async def wait_for_room(self, seconds: float) -> None:
-        """Wait until the log is no longer full, for at most that long.
+        """Wait until the log is no longer full, for at most that long, and as long as its cursors
+        have patience.
 
         A cursor that was not read by then stops making the executor wait, until it has caught up.
         """
+        slow = self._slow()
+        patient = [cursor.patience for cursor in slow if cursor.patience is not None]
+        began = anyio.current_time()
+        if await self._has_room_within(min([seconds, *(one.left() for one in patient)])):
+            for one in patient:
+                one.spend(anyio.current_time() - began)
+            return
+        waited = anyio.current_time() - began
+        for cursor in self._slow():
+            is_patient = cursor.patience is None or cursor.patience.spend(waited)
+            if waited >= seconds or not is_patient:
+                cursor.stall()
+                self._holders = without_member(self._holders, cursor)
+        self.make_room()
+        if self.is_full:
+            await self.wait_for_room(seconds - waited)
+
+    def _slow(self) -> list[FeedbackCursor]:
+        """Return the cursors for which the executor waits now, if the log is full."""
+        least = 1 if self._budget.is_over else self._window
+        return [cursor for cursor in self._holders if self.count - cursor.cursor >= least]
+
+    async def _has_room_within(self, seconds: float) -> bool:
         if self._room is None:
             self._room = Notifier()
         with anyio.move_on_after(seconds):
@@ -191,17 +229,14 @@ class FeedbackLog:
                 limit = math.inf if self.count - self._slowest >= self._window else BUDGET_STEP
                 with anyio.move_on_after(limit):
                     await self._room.wait()
-            return
-        least = 1 if self._budget.is_over else self._window
-        for cursor in tuple(self._holders):
-            if self.count - cursor.cursor >= least:
-                cursor.stall()
-                self._holders = without_member(self._holders, cursor)
-        self.make_room()
+            return True
+        return False
 
     def finish(self) -> None:
         """Notify all followers: the goal has its outcome. The log references none from now on."""
         self.outcome = self.goal.outcome
+        if self._payload is not None:  # until now it has counted among the bytes of active goals
+            self._budget.used += len(self._payload)
         for cursor in self._followers():
             cursor.news.notify()
 
@@ -298,6 +333,9 @@ class FeedbackLog:
                 self._room.notify()
         elif holders:  # else the goal has ended
             self._count(before, after)
+
+    def note_dropped(self, count: int) -> None:
+        """Note that a cursor has missed feedback. Only logs with watchers tell it."""
 
     def _count(self, before: float, after: float) -> None:
         """Count a holding cursor at its new position; infinity is that of one without effect."""

@@ -36,7 +36,15 @@ class Succession(ABC, Generic[GoalT]):
 
 
 class GoalHandle(Generic[GoalT]):
-    """One goal, as its executor sees it."""
+    """One goal, as its executor sees it.
+
+    For example:
+
+        async def drive(goal: GoalHandle[int]) -> AsyncIterator[int | str]:
+            for meters in range(goal.request):
+                yield meters
+            yield "arrived"
+    """
 
     __slots__ = ("_checkpoints", "_goal", "_succession", "request", "restored")
 

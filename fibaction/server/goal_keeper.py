@@ -135,6 +135,7 @@ class GoalKeeper:
         self,
         goal: GoalRecord,
         payload: bytes,
+        meta: dict[str, str] | None,
         *,
         is_running: bool,
         then: Kept,
@@ -153,6 +154,7 @@ class GoalKeeper:
             deadline,
             is_running=is_running,
             attempt=int(is_running),
+            meta=meta,
         )
         return self._write(self._journal.accept, goal, goal.stored, then, too_large)
 
@@ -192,7 +194,7 @@ class GoalKeeper:
             outcome.result,
             outcome.reason,
         )
-        stored.is_running, stored.goal, stored.checkpoint = False, b"", None
+        stored.is_running, stored.goal, stored.checkpoint, stored.meta = False, b"", None, None
         stored.feedback_count, stored.ended_at = goal.feedback_count, now
         if self._keep_for < LONGEST:
             stored.keep_until = now + int((self._keep_for + OUTCOME_GRACE) * SECOND)

@@ -6,7 +6,8 @@ Theory of operation
 A goal is followed from its `FeedbackLog`. An active goal has one. After the end of the goal, a log
 is kept by its followers (`_unread` has weak references), and, if the statuses are followed, for
 RECENT_TIME (`_recent`): such a follower learns of a goal by its status, and then asks for its
-feedback. Without a log, an ended goal is followed without its feedback.
+feedback. Without a log, an ended goal is followed without its feedback. The payload of a goal is in
+its log, too, for those who have not sent it.
 
 One task, `forget_expired`, frees what has expired. It sleeps until the next expiry, and while
 nothing can expire, until a goal ends.
@@ -26,6 +27,8 @@ from anyio.lowlevel import cancel_shielded_checkpoint
 from fibaction._notify import Notifier
 from fibaction.exceptions import ActionError, GoalKept, UnknownGoal, copy_of
 from fibaction.goals import GoalID, GoalInfo, Sender
+from fibaction.server._watched_log import WatchedLog
+from fibaction.server._watcher_group import WatcherGroup
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import GoalRecord
@@ -63,20 +66,31 @@ class GoalLogs:
         self._statuses = StatusBroadcast()
         self.are_told_elsewhere = False
         """True if the statuses may be followed without this server's knowledge."""
+        self.watchers: WatcherGroup | None = None
+        """The watchers of the server; None if it has none."""
         self.ended = Notifier()
         """The notifier of the ends of goals."""
 
     # The life of a log
 
-    def open(self, goal: GoalRecord) -> FeedbackLog:
+    def open(self, goal: GoalRecord, payload: bytes) -> FeedbackLog:
         """Return the log of a goal that was accepted just now."""
-        return FeedbackLog(goal, self._window, self._latest, self._registry.budget)
+        budget = self._registry.budget
+        if self.watchers is None:
+            return FeedbackLog(goal, self._window, self._latest, budget, payload)
+        self.watchers.accepted(goal.info, payload)
+        return WatchedLog(self.watchers, goal, self._window, self._latest, budget, payload)
 
     def tell_status(self, log: FeedbackLog) -> None:
         """Notify the followers of the goal, and of the statuses, of the goal's new status."""
         log.tell_status()
         if self._statuses.is_followed:
             log.goal.changed = self._statuses.publish(log.goal.info)
+        if self.watchers is not None and len(log.statuses) > 1:
+            if log.goal.outcome is None:
+                self.watchers.changed(log.goal.info)
+            else:
+                self.watchers.ended(log.goal.info, log.goal.outcome)
 
     def tell_found(self, goal: GoalRecord) -> None:
         """Notify the followers of the statuses of a goal that has ended elsewhere, and that expires
@@ -90,13 +104,19 @@ class GoalLogs:
         """End the streams of a goal that is kept, and that is to be asked for again later."""
         self.kept = error
         log.fail(error)
+        self._tell_left(log, error)
         self.ended.notify()
 
     def lose(self, log: FeedbackLog, error: ActionError) -> None:
         """End the streams of a goal that is elsewhere; to followers of statuses it is unknown."""
         log.fail(error)
         self._tell_unknown(log.goal.goal_id)
+        self._tell_left(log, error)
         self.ended.notify()
+
+    def _tell_left(self, log: FeedbackLog, error: ActionError) -> None:
+        if self.watchers is not None:
+            self.watchers.left(log.goal.info, str(error))
 
     def _tell_unknown(self, goal_id: GoalID) -> None:
         if self._statuses.is_followed:
@@ -107,6 +127,8 @@ class GoalLogs:
         are_followed = self._statuses.is_followed or self.are_told_elsewhere
         if are_followed:
             self._recent.append((now + RECENT_TIME, log))
+        else:
+            log.forget_payload()
         if are_followed or log.is_followed:
             self._unread[log.goal.goal_id] = log
 

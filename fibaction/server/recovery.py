@@ -33,12 +33,14 @@ import time
 from collections import deque
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from contextvars import Context, copy_context
 from typing import Generic, Literal, TypeAlias, cast
 
 from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction._log import clean_logger
+from fibaction._meta import NO_META
 from fibaction._notify import Notifier
 from fibaction._slices import Slices
 from fibaction._text import excerpt
@@ -46,6 +48,7 @@ from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.exceptions import GoalAborted, GoalKept, GoalRejected, ProtocolError
 from fibaction.goal_store import StoredGoal
 from fibaction.goals import GoalID
+from fibaction.server._watcher_group import WatcherGroup
 from fibaction.server.callbacks import awaited, failures_as
 from fibaction.server.dispatcher import Dispatcher
 from fibaction.server.goal_handle import GoalHandle
@@ -104,6 +107,8 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         self._done = Notifier()
         self._is_taking = False
         self._is_closed = False
+        self.watchers: WatcherGroup | None = None
+        """The watchers of the server; None if it has none."""
         self.on_take: Callable[[GoalID], None] = lambda _: None
         """The function that is called before an active goal is taken over."""
         self._tasks: TaskGroup
@@ -167,18 +172,28 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         if stored.deadline:
             deadline = now + (stored.deadline - wall) / SECOND
         goal = self._registry.restore(stored, deadline=deadline, until=now + LEAST_TIME)
+        context = None if self.watchers is None else self._watched(self.watchers, stored)
         try:
             request = self._action.goal.decode(stored.goal)
             restored = self._runs.checkpoints.restored(goal)
         except ProtocolError as exc:
             reason = f"the stored goal does not fit the action any more: {exc}"
-            self._runs.add(goal, cast("GoalT", None), begin=False)  # nothing gets to see it
+            nothing = cast("GoalT", None)  # no executor gets it
+            self._runs.add(goal, nothing, stored.goal, begin=False, context=context)
             is_canceling = goal.status is GoalStatus.CANCELING
             canceled = Ending(EndKind.CANCELED, reason=_cause_of(stored))
             self._end(goal, canceled if is_canceling else Ending(EndKind.FAILED, reason=reason))
             return
-        self._runs.add(goal, request, begin=False, restored=restored)
+        self._runs.add(goal, request, stored.goal, begin=False, context=context, restored=restored)
         await self._decide(goal, request)
+
+    def _watched(self, watchers: WatcherGroup, stored: StoredGoal) -> Context:
+        """Tell the goal to the watchers, and return the context for its executor."""
+        context = copy_context()
+        context.run(
+            watchers.taken_over, stored.goal_id, stored.goal, stored.sender, stored.meta or NO_META
+        )
+        return context
 
     async def _take_later(self, stored: StoredGoal) -> None:
         """Take a goal over that was sent here as well, when that is decided."""

@@ -139,6 +139,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self,
         goal: GoalRecord,
         request: GoalT,
+        payload: bytes,
         *,
         begin: bool,
         context: Context | None = None,
@@ -146,10 +147,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     ) -> FeedbackLog:
         """Add an accepted goal, and return its log. Unless it is to begin, it waits for `begin`.
 
-        Its executor runs with the context variables of `context`, or of the caller, and gets the
-        checkpoint `restored`.
+        Its executor gets the `request`, which the client has sent as the `payload`, and the
+        checkpoint `restored`; it runs with the context variables of `context`, or of the caller.
         """
-        log = self._logs.open(goal)
+        log = self._logs.open(goal, payload)
         handle = GoalHandle(goal, request, self.checkpoints, self.succession, restored)
         execution = Execution(
             self._action, self._executor, handle, log, self._stall_timeout, self._watch, context

@@ -9,7 +9,7 @@ and `Recovery` takes over what it has. The server does not depend on transports:
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Coroutine
+from collections.abc import Awaitable, Coroutine, Iterable
 from contextlib import AsyncExitStack
 from types import TracebackType
 from typing import Any, Generic, Literal, Self
@@ -18,6 +18,7 @@ import anyio
 from anyio import CancelScope, create_task_group, current_time
 
 from fibaction._log import clean_logger
+from fibaction._meta import Meta, checked_meta
 from fibaction._notify import Notifier
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint
@@ -33,6 +34,7 @@ from fibaction.server._argument_checks import (
 )
 from fibaction.server._sender_argument import GoalFunction
 from fibaction.server._watchdog import Watch
+from fibaction.server._watcher_group import WatcherGroup
 from fibaction.server.admission import Admission, Offer
 from fibaction.server.callbacks import Callback, Callbacks
 from fibaction.server.cancels import Cancels
@@ -50,6 +52,7 @@ from fibaction.server.runs import GOAL_IS_KEPT, Runs
 from fibaction.server.schedule import Schedule
 from fibaction.server.shutdown import Shutdown
 from fibaction.server.status_broadcast import StatusCursor
+from fibaction.watchers import Watcher
 
 SERVER_STOPPED = "server stopped"
 STORE_PATIENCE = 5.0
@@ -63,6 +66,11 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
 
     It can be entered once. User callbacks may be sync or async. An exception of a callback becomes
     an answer to the client and a line in the log, and the server goes on.
+
+    For example:
+
+        async with serve(ActionServer(DRIVE, drive), "tcp://127.0.0.1:7400"):
+            await anyio.sleep_forever()
     """
 
     def __init__(
@@ -87,6 +95,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         max_attempts: int = 3,
         at_stop: Literal["abort", "keep"] = "abort",
         watchdog: float = 1.0,
+        watchers: Iterable[Watcher] = (),
     ) -> None:
         """Set up a server; nothing runs yet.
 
@@ -132,11 +141,14 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             watchdog: Seconds that an executor may block the event loop before the log names its
                 goal and its line of code; 0 is never. The time at a debugger's breakpoint counts,
                 and so may the time for which the computer sleeps or is too busy.
+            watchers: Objects that see everything that happens to goals: metrics, recordings and
+                others.
 
         Raises:
             TypeError: The action is untyped, or the executor is not callable, is a coroutine
                 function, or is a generator function that is not async; `on_goal` takes neither
-                one argument nor two; or the schedule is not a `Schedule`.
+                one argument nor two; the schedule is not a `Schedule`; or a watcher is not a
+                `Watcher`.
             ValueError: A number is out of range; `feedback`, `recovery` or `at_stop` is not one of
                 its words; or goals are to be kept at a stop without a store.
         """
@@ -222,6 +234,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._keep_for, self._max_results = result_timeout, max_results
         self._at_stop = at_stop
         self._keeper: GoalKeeper | None = None
+        self._watchers: WatcherGroup | None = None
         self._stack: AsyncExitStack
         self._block: CancelScope
         self._shutdown_timeout = shutdown_timeout
@@ -231,6 +244,7 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._phase: Literal["new", "running", "stopping", "stopped"] = "new"
         if store is not None:
             self.keep_in(store)
+        self.watch_by(watchers)
 
     # Life
 
@@ -267,6 +281,23 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         self._room.keep_by(keeper)
         keeper.on_failure = self._give_up
 
+    def watch_by(self, watchers: Iterable[Watcher]) -> None:
+        """Add watchers to those that the server has, as with the argument `watchers`.
+
+        Raises:
+            RuntimeError: The server was started before.
+            TypeError: One of them is not a `Watcher`, or has an async method.
+        """
+        members = tuple(watchers)
+        if not members:
+            return
+        if not self.is_new:
+            raise RuntimeError(f"{self!r} was started before; give the watchers to another one")
+        earlier = () if self._watchers is None else self._watchers.members
+        self._watchers = WatcherGroup(self.action.name, (*earlier, *members))
+        self._logs.watchers = self._admission.watchers = self._watchers
+        self._recovery.watchers = self._watchers
+
     async def __aenter__(self) -> Self:
         """Start the server. With a store, take over its goals before anything else.
 
@@ -280,6 +311,9 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if self._at_stop == "keep" and self._keeper is None:
             raise ValueError(f"{self!r} has at_stop='keep', which needs a store")
         async with AsyncExitStack() as stack:
+            if self._watchers is not None:
+                stack.callback(self._watchers.closed, self.info)
+                self._watchers.opened(self.info)
             self._watch.open()
             stack.callback(self._watch.close)
             tasks = await stack.enter_async_context(Background())
@@ -430,9 +464,12 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
+        meta: Meta | None = None,
     ) -> FeedbackCursor:
         """See `Endpoint.send_goal`."""
-        offered = self.offer_goal(goal_id, goal, feedback=feedback, sender=sender, timeout=timeout)
+        offered = self.offer_goal(
+            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout, meta=meta
+        )
         return offered if isinstance(offered, FeedbackCursor) else await offered
 
     def offer_goal(
@@ -443,11 +480,13 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
+        meta: Meta | None = None,
     ) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
         """See `Endpoint.offer_goal`; only an async `on_goal` makes it return a coroutine."""
         self._check_running()
         deadline = math.inf if timeout is None else current_time() + timeout
-        return self._admission.offer(Offer(goal_id, goal, feedback, sender, deadline))
+        carried = checked_meta(meta)
+        return self._admission.offer(Offer(goal_id, goal, feedback, sender, deadline, carried))
 
     async def feedback(
         self,
@@ -470,7 +509,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     ) -> CancelAnswer:
         """See `Endpoint.cancel_goals`."""
         self._check_running()
-        return await self._cancels.cancel(goal_id, stamp)
+        answer = await self._cancels.cancel(goal_id, stamp)
+        if self._watchers is not None:
+            self._watchers.canceled(goal_id, answer)
+        return answer
 
     async def status(self) -> StatusCursor:
         """See `Endpoint.status`."""

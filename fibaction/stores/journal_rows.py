@@ -205,7 +205,7 @@ class ActionGoals:
         goal.result, goal.reason = end.result, end.reason
         goal.feedback_count = end.feedback_count
         goal.ended_at, goal.keep_until = end.ended_at, end.keep_until
-        goal.is_running, goal.goal, goal.checkpoint = False, b"", None
+        goal.is_running, goal.goal, goal.checkpoint, goal.meta = False, b"", None, None
         del self.active[goal.goal_id]
         self.ended[goal.goal_id] = goal
 

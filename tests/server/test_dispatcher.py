@@ -583,9 +583,11 @@ async def test_the_feedback_of_an_executor_that_goes_on_after_it_was_killed_is_d
         for _ in range(2):
             with suppress(anyio.get_cancelled_exc_class()):
                 await anyio.sleep_forever()
-        for number in range(2, 100):
-            yield Feedback([number])
-        killed.set()
+        try:
+            for number in range(2, 100):
+                yield Feedback([number])
+        finally:  # at the end of its slice of time it awaits, and is killed once more
+            killed.set()
         yield Result([])
 
     rules = Schedule(concurrency=1, when_full="preempt")

@@ -19,7 +19,9 @@ from fibaction.goals import UNKNOWN_SENDER, GoalID, Outcome
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_record import GoalRecord
+from fibaction.server.patience import MOST, SHARE
 from fibaction.states import GoalStatus
+from tests.virtual_time import in_virtual_time
 
 GOAL_ID = GoalID(bytes(range(16)))
 OUTCOME = Outcome(GoalStatus.SUCCEEDED, b"done")
@@ -1020,3 +1022,91 @@ def test_a_client_stalls_after_exactly_the_time_that_it_was_given() -> None:
     # In virtual time: it goes on as soon as all tasks wait.
     clock = trio.testing.MockClock(autojump_threshold=0)
     anyio.run(check, backend="trio", backend_options={"clock": clock})
+
+
+@pytest.mark.anyio
+@in_virtual_time()
+async def test_a_client_that_may_hold_briefly_stalls_after_half_a_second() -> None:
+    log = new_log(window=1)
+    stream = log.follow(own=True)
+    stream.hold_briefly()
+    append(log, 1)
+    start = anyio.current_time()
+    await log.wait_for_room(10.0)
+    assert anyio.current_time() - start == pytest.approx(MOST)
+    assert not stream.holding
+
+
+@pytest.mark.anyio
+@in_virtual_time()
+async def test_a_client_that_reads_slowly_takes_a_tenth_of_the_time_at_most() -> None:
+    log = new_log(window=1)
+    stream = log.follow(own=True)
+    stream.hold_briefly()
+    waited, start = 0.0, anyio.current_time()
+
+    async def read_slowly() -> None:
+        while True:
+            stream.take(1000)
+            await anyio.sleep(0.1)
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(read_slowly)
+        for number in range(1, 1000):
+            before = anyio.current_time()
+            if log.is_full:
+                await log.wait_for_room(10.0)
+            waited += anyio.current_time() - before
+            append(log, number)
+            await anyio.sleep(0.01)
+        tasks.cancel_scope.cancel()
+    assert waited <= MOST + SHARE * (anyio.current_time() - start)
+    assert waited > MOST, "it is waited for again after a while"
+
+
+@pytest.mark.anyio
+@in_virtual_time()
+async def test_a_client_that_may_hold_for_long_does_so_beside_one_that_may_not() -> None:
+    log = new_log(window=1)
+    short, long = log.follow(own=True), log.follow(own=True)
+    short.hold_briefly()
+    append(log, 1)
+    start = anyio.current_time()
+    await log.wait_for_room(10.0)
+    assert anyio.current_time() - start == pytest.approx(10.0)
+    assert (short.holding, long.holding) == (False, False)
+
+
+# The payload of the goal
+
+
+def test_the_payload_of_an_ended_goal_counts_until_its_log_is_gone() -> None:
+    budget = ByteBudget(1000)
+    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
+    log = FeedbackLog(goal, budget=budget, payload=bytes(100))
+    stream = log.follow()
+    assert (stream.goal, budget.used) == (bytes(100), 0)  # active goals are counted elsewhere
+    goal.outcome = OUTCOME
+    log.finish()
+    assert budget.used == 100
+    del log, stream
+    assert budget.used == 0
+
+
+def test_the_payload_of_an_active_goal_is_not_given_back_by_its_log() -> None:
+    budget = ByteBudget(1000)
+    log = FeedbackLog(
+        GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), budget=budget, payload=bytes(100)
+    )
+    del log
+    assert budget.used == 0
+
+
+def test_a_payload_that_is_not_kept_any_longer_is_not_told_or_counted() -> None:
+    budget = ByteBudget(1000)
+    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
+    log = FeedbackLog(goal, budget=budget, payload=bytes(100))
+    log.forget_payload()
+    goal.outcome = OUTCOME
+    log.finish()
+    assert (log.follow().goal, budget.used) == (None, 0)

@@ -119,6 +119,18 @@ async def test_a_goal_whose_sender_does_not_wait_is_accepted_all_the_same() -> N
         assert store.writes == 4
 
 
+async def test_the_meta_of_a_goal_is_kept_until_its_end() -> None:
+    store = MemoryStore()
+    meta = {"traceparent": "00-1"}
+    async with server_with(store) as server:
+        stream = await server.send_goal(ID, PAINT.goal.encode(1), meta=meta)
+        kept = store.goals["paint", ID].meta
+        await stream.outcome()
+
+    assert kept == meta
+    assert store.goals["paint", ID].meta is None
+
+
 async def test_a_goal_that_is_accepted_just_as_its_sender_leaves_is_not_held_by_it() -> None:
     scope = anyio.CancelScope()
     store = MemoryStore()

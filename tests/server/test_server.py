@@ -1128,6 +1128,22 @@ async def test_feedback_outlives_its_goal_for_a_moment_while_the_goals_are_watch
             assert [await feedback_of(one) for one in (watched, later)] == [0, 3]
 
 
+@in_virtual_time()
+async def test_the_goal_itself_outlives_its_end_for_a_moment_while_the_goals_are_watched() -> None:
+    async def goal_after_its_end() -> bytes | None:
+        goal_id = GoalID.random()
+        with await server.send_goal(goal_id, packed(4), feedback=False) as stream:
+            assert stream.goal == packed(4)
+            await stream.outcome()
+            with await server.feedback(goal_id) as follower:
+                return follower.goal
+
+    async with ActionServer(FIBONACCI, fibonacci) as server:
+        assert await goal_after_its_end() is None
+        with await server.status():
+            assert await goal_after_its_end() == packed(4)
+
+
 @pytest.mark.promise("FEEDBACK-4")
 @in_virtual_time()
 async def test_a_client_that_stalls_holds_the_executor_up_for_its_time_once() -> None:

@@ -66,7 +66,7 @@ def left_without_clients(server: WireServer, actions: ActionServer[Any, Any, Any
         "connections": server._sessions,
         "connections without a hello": server._unknown,
         "sessions": server._latest,
-        "large messages": server._frames._held,
+        "large messages": server.frames._held,
         "owners": server._owners._owned,
         "active goals": runs._runs,
         "goals of the registry": runs._registry._active,

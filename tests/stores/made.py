@@ -13,6 +13,7 @@ def a_goal(number: int = 1, **fields: Any) -> StoredGoal:
     """Return a goal whose ID and stamp are the number."""
     goal_id = GoalID(number.to_bytes(16, "big"))
     sender = Sender("robot", b"owner", "here")
+    fields = {"meta": {"traceparent": f"00-{number}"}, **fields}
     return StoredGoal(goal_id, number, sender, b"digest", b"goal", **fields)
 
 
@@ -27,5 +28,5 @@ def after_end(goal: StoredGoal, **fields: Any) -> StoredGoal:
 
 def as_kept(goal: StoredGoal) -> StoredGoal:
     """Return the goal that has ended without what was needed only to run it."""
-    goal.goal, goal.checkpoint = b"", None
+    goal.goal, goal.checkpoint, goal.meta = b"", None, None
     return goal

@@ -46,7 +46,9 @@ class Model:
         if what == "accept" and (goal is None or goal.status.is_terminal):
             self.stamp += 1
             goal_id = GoalID(number.to_bytes(16, "big"))
-            goal = goals[number] = StoredGoal(goal_id, self.stamp, Sender(), data, data)
+            meta = {"traceparent": data.hex()} if data else None
+            goal = StoredGoal(goal_id, self.stamp, Sender(), data, data, meta=meta)
+            goals[number] = goal
             if number in ends:
                 ends.remove(number)
             return WholeRecord(action, copy(goal))
@@ -248,7 +250,7 @@ def test_a_start_in_the_middle_is_damage() -> None:
         goals.read(3, encode_row(3, [StartRecord()]))
 
 
-def test_goals_of_an_older_file_are_read_which_have_no_worker() -> None:
+def test_goals_of_an_older_file_are_read_which_have_no_worker_and_no_meta() -> None:
     row = bytes.fromhex(
         "f33900cf9291009301a57061696e74dc0010c410000102030405060708090a0b0c0d0e0f"
         "0583a46e616d65a4616e6e61a56f776e6572c4056f776e6572a761646472657373a77463"
@@ -261,4 +263,4 @@ def test_goals_of_an_older_file_are_read_which_have_no_worker() -> None:
     assert goal.sender == Sender("anna", b"owner", "tcp://x")
     assert (goal.status, goal.is_running) == (GoalStatus.CANCELING, True)
     assert (goal.attempt, goal.lost, goal.checkpoint) == (2, 1, b"state")
-    assert goal.worker == ""
+    assert (goal.worker, goal.meta) == ("", None)

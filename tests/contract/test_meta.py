@@ -1,0 +1,51 @@
+"""The text that goes with a goal, for traces, from the client to the watchers of the server."""
+
+from __future__ import annotations
+
+import pytest
+
+from fibaction import ActionServer, GoalID, InvalidMessage, Sender, Watcher
+from fibaction.abc import Meta
+from tests.contract.conftest import Reach
+from tests.fibonacci import FIBONACCI, Goal, fibonacci
+
+pytestmark = pytest.mark.anyio
+
+GOAL = FIBONACCI.goal.encode(Goal(3))
+
+
+class Noting(Watcher):
+    """A watcher that notes the meta of each goal."""
+
+    def __init__(self) -> None:
+        self.metas: list[dict[str, str]] = []
+
+    def offered(
+        self, action: str, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta
+    ) -> None:
+        self.metas.append(dict(meta))
+
+
+@pytest.mark.promise("ACCEPT-16")
+async def test_the_meta_of_a_goal_reaches_the_watchers(reach: Reach) -> None:
+    noting = Noting()
+    meta = {"traceparent": "00-" + "0af7" * 8 + "-" + "b7ad" * 4 + "-01", "baggage": "käse=ja"}
+    async with reach(ActionServer(FIBONACCI, fibonacci, watchers=[noting])) as client:
+        for carried in (meta, None, {}):
+            stream = await client.endpoint.send_goal(GoalID.random(), GOAL, meta=carried)
+            await stream.outcome()
+        await client.call(Goal(1))
+
+    assert noting.metas == [meta, {}, {}, {}]
+
+
+@pytest.mark.promise("ACCEPT-16")
+async def test_a_meta_over_the_limits_is_an_error_and_nothing_is_sent(reach: Reach) -> None:
+    noting = Noting()
+    async with reach(ActionServer(FIBONACCI, fibonacci, watchers=[noting])) as client:
+        for meta in ({"a": "x" * 4096}, {str(number): "" for number in range(9)}):
+            with pytest.raises(InvalidMessage, match=r"^the goal's meta has .* the limit$"):
+                await client.endpoint.send_goal(GoalID.random(), GOAL, meta=meta)
+        await client.call(Goal(1))
+
+    assert noting.metas == [{}]
