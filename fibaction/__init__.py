@@ -49,8 +49,11 @@ from fibaction.retry import Retry
 from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
 from fibaction.states import GoalEvent, GoalStatus
 from fibaction.stores.sqlite_store import SqliteStore
+from fibaction.watchers import Watcher
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.settings import Limits
+
+__version__ = "0.1.0"
 
 __all__ = [
     "Action",
@@ -103,6 +106,7 @@ __all__ = [
     "Transport",
     "TransportError",
     "UnknownGoal",
+    "Watcher",
     "WorkerInfo",
     "connect",
     "serve",

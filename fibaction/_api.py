@@ -20,11 +20,13 @@ from fibaction.goal_store import GoalStore
 from fibaction.goals import ActionPeers, WorkerInfo
 from fibaction.server import ActionServer
 from fibaction.urls import transport_for, without_settings
+from fibaction.watchers import Watcher
 from fibaction.wire.settings import ClientKeywords, ServerKeywords
 
 if TYPE_CHECKING:
     from ssl import SSLContext
 
+    from fibaction.otel import Tracing
     from fibaction.wire.tls_files import TlsFiles
 
 
@@ -48,20 +50,29 @@ class ServeKeywords(ServerKeywords, _RosKeywords, total=False):
 
     tls: TlsFiles | SSLContext | None
     insecure: bool
+    hosts: Iterable[str]
+    origins: Iterable[str]
 
 
 class ClientConnection(Connection):
-    """An open connection, as `connect` returns it: the source of clients of all its actions."""
+    """An open connection, as `connect` returns it: the source of clients of all its actions.
 
-    def __init__(self, connection: Connection) -> None:
+    For example:
+
+        async with connect("tcp://127.0.0.1:7400") as connection:
+            drive, look = connection.client(DRIVE), connection.client(LOOK)
+    """
+
+    def __init__(self, connection: Connection, tracing: Tracing | None = None) -> None:
         self._connection = connection
+        self._tracing = tracing
         self._blocks: Blocks = connection.blocks if isinstance(connection, KeptConnection) else {}
 
     def client(
         self, action: Action[GoalT, FeedbackT, ResultT]
     ) -> ActionClient[GoalT, FeedbackT, ResultT]:
         """Return a client of one action over this connection."""
-        return ActionClient(self.endpoint(action), action, self._blocks)
+        return ActionClient(self.endpoint(action), action, self._blocks, tracing=self._tracing)
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
         """Return the endpoint of an action, for example to serve it at another address."""
@@ -111,9 +122,15 @@ ConnectedT = TypeVar("ConnectedT", covariant=True)
 class Connecting(AbstractAsyncContextManager[ConnectedT, None]):
     """A connection to be opened, by `async with` or `await`: see `connect`."""
 
-    def __init__(self, transport: Transport, action: Action[Any, Any, Any] | None) -> None:
+    def __init__(
+        self,
+        transport: Transport,
+        action: Action[Any, Any, Any] | None,
+        tracing: Tracing | None = None,
+    ) -> None:
         self._transport = transport
         self._action = action
+        self._tracing = tracing
         self._block: AsyncExitStack
 
     def __await__(self) -> Generator[Any, Any, ConnectedT]:
@@ -121,7 +138,7 @@ class Connecting(AbstractAsyncContextManager[ConnectedT, None]):
 
     async def __aenter__(self) -> ConnectedT:
         async with AsyncExitStack() as stack:
-            connection = await stack.enter_async_context(_connected(self._transport))
+            connection = await stack.enter_async_context(_connected(self._transport, self._tracing))
             client = self._client_of(connection)  # not every connection can have every action
             self._block = stack.pop_all()
         return client
@@ -137,7 +154,7 @@ class Connecting(AbstractAsyncContextManager[ConnectedT, None]):
     async def _kept(self) -> ConnectedT:
         connection = await keep_open(self._transport)
         try:
-            return self._client_of(ClientConnection(connection))
+            return self._client_of(ClientConnection(connection, self._tracing))
         except BaseException:
             await connection.aclose()
             raise
@@ -158,7 +175,7 @@ class Connecting(AbstractAsyncContextManager[ConnectedT, None]):
 
 @overload
 def connect(
-    where: str | Transport, **settings: Unpack[ConnectKeywords]
+    where: str | Transport, *, tracing: Tracing | None = None, **settings: Unpack[ConnectKeywords]
 ) -> Connecting[ClientConnection]: ...
 
 
@@ -166,6 +183,8 @@ def connect(
 def connect(
     where: str | Transport,
     action: Action[GoalT, FeedbackT, ResultT],
+    *,
+    tracing: Tracing | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> Connecting[ActionClient[GoalT, FeedbackT, ResultT]]: ...
 
@@ -173,6 +192,8 @@ def connect(
 def connect(
     where: str | Transport,
     action: Action[Any, Any, Any] | None = None,
+    *,
+    tracing: Tracing | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> Connecting[Any]:
     """Connect to a URL, or by a transport.
@@ -183,7 +204,8 @@ def connect(
     The connection is open for as long as the block lasts. Where a block is in the way, as in a
     notebook, write `client = await connect(...)`, and later, in any task, `await client.aclose()`.
     With an action, the value is an `ActionClient`, without one a `ClientConnection`. `settings` are
-    those of the transport's constructor, for example `reconnect=False`.
+    those of the transport's constructor, for example `reconnect=False`. `tracing` makes a span for
+    each goal that is sent: see `fibaction.otel`.
 
     Raises:
         TransportError: The URL cannot be used; the text says why.
@@ -194,7 +216,7 @@ def connect(
     """
     transport = transport_for(where, **settings)
     check_is_action(action)
-    return Connecting(transport, action)
+    return Connecting(transport, action, tracing)
 
 
 def check_is_action(action: object) -> None:
@@ -206,9 +228,11 @@ def check_is_action(action: object) -> None:
 
 
 @asynccontextmanager
-async def _connected(transport: Transport) -> AsyncGenerator[ClientConnection, None]:
+async def _connected(
+    transport: Transport, tracing: Tracing | None
+) -> AsyncGenerator[ClientConnection, None]:
     async with transport.connect() as opened:
-        connection = ClientConnection(opened)
+        connection = ClientConnection(opened, tracing)
         try:
             yield connection
         finally:
@@ -245,6 +269,7 @@ class Serving(AbstractAsyncContextManager[tuple[str, ...], None]):
 def serve(
     endpoints: Endpoint | Iterable[Endpoint],
     *where: str | Transport,
+    watchers: Iterable[Watcher] = (),
     **settings: Unpack[ServeKeywords],
 ) -> Serving:
     """Serve one endpoint or several, at one address or several, for as long as the block lasts.
@@ -252,21 +277,26 @@ def serve(
     An address is a URL or a transport. `settings` are those of the constructors of the URLs'
     transports, for example `tokens={...}`. The block gets the URLs under which clients find the
     endpoints. Servers that are not running are started, and stopped at the end, while their clients
-    can still be answered.
+    can still be answered. `watchers` are added to each of the servers.
+
+        async with serve(ActionServer(DRIVE, drive), "tcp://127.0.0.1:7400"):
+            await anyio.sleep_forever()
 
     Raises:
         TransportError: An address cannot be used.
         TypeError: A transport does not have such a setting, an argument is not a server or not an
-            address, or the address is missing.
+            address, the address is missing, or there are watchers and an endpoint is not an
+            `ActionServer`.
         RuntimeError: A server has been stopped; each runs once.
     """
-    return Serving(_served(endpoints, where, settings))
+    return Serving(_served(endpoints, where, tuple(watchers), settings))
 
 
 @asynccontextmanager
 async def _served(
     endpoints: Endpoint | Iterable[Endpoint],
     where: tuple[str | Transport, ...],
+    watchers: tuple[Watcher, ...],
     settings: ServeKeywords,
 ) -> AsyncGenerator[tuple[str, ...], None]:
     chosen = _chosen(endpoints)
@@ -277,6 +307,10 @@ async def _served(
             " it to an ActionClient"
         )
     transports = [transport_for(one, **settings) for one in where]
+    for one in chosen if watchers else ():
+        if not isinstance(one, ActionServer):
+            raise TypeError(f"only an ActionServer can have watchers, and {one!r} is not one")
+        one.watch_by(watchers)
     started: list[Startable] = []
     async with AsyncExitStack() as stack:
         for transport in transports:

@@ -31,7 +31,7 @@ from anyio import CancelScope, current_time, get_cancelled_exc_class
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._text import excerpt
-from fibaction.abc import Endpoint, GoalStream
+from fibaction.abc import Endpoint, GoalStream, Meta
 from fibaction.exceptions import ActionError, ConnectionLost, GoalTimeout, copy_of
 from fibaction.goals import GoalID
 from fibaction.retry import Retry
@@ -119,7 +119,7 @@ class Attempts:
 
     # Waits
 
-    async def send(self, goal: bytes, *, feedback: bool) -> GoalStream:
+    async def send(self, goal: bytes, *, feedback: bool, meta: Meta | None = None) -> GoalStream:
         """Send the goal until the server has accepted it, and return its stream.
 
         Raises:
@@ -127,7 +127,7 @@ class Attempts:
             ActionError: The error of the last attempt.
         """
         self._deadline = current_time() + self._timeout
-        return await self._reach(lambda: self._send(goal, feedback), None)
+        return await self._reach(lambda: self._send(goal, feedback, meta), None)
 
     async def wait(self, stream: GoalStream, wait: Callable[[GoalStream], Awaitable[T]]) -> T:
         """Wait for something of the stream.
@@ -184,12 +184,12 @@ class Attempts:
             finally:
                 del error  # its traceback references this frame
 
-    async def _send(self, goal: bytes, feedback: bool) -> GoalStream:
+    async def _send(self, goal: bytes, feedback: bool, meta: Meta | None) -> GoalStream:
         before, self._may_run = self._may_run, True
         timeout = None if self._deadline == math.inf else self._deadline - current_time()
         try:
             return await self._endpoint.send_goal(
-                self._goal_id, goal, feedback=feedback, timeout=timeout
+                self._goal_id, goal, feedback=feedback, timeout=timeout, meta=meta
             )
         except get_cancelled_exc_class():
             await self.give_up()

@@ -117,6 +117,10 @@ class Action(Generic[GoalT, FeedbackT, ResultT]):
     attrs class, a `TypedDict`, a builtin. It may also be a pydantic model, or have models in it,
     which validate by their own rules. The types of feedback and result must differ at run time,
     because an executor yields both.
+
+    For example:
+
+        DRIVE = Action("drive", goal=float, feedback=int, result=str)
     """
 
     def __init__(

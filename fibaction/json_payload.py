@@ -53,7 +53,8 @@ class PayloadError(ValueError):
 class JsonCodec:
     """A converter between JSON data and the payloads of one message type.
 
-    In JSON data, bytes are base64 text, and times and durations are ISO 8601 text.
+    In JSON data, bytes are base64 text, and times and durations are ISO 8601 text. Data that is to
+    be sent may have a list of numbers from 0 to 255 in place of base64 text.
     """
 
     def __init__(self, schema: Mapping[str, Any], name: str = "goal") -> None:
@@ -96,11 +97,19 @@ class JsonCodec:
         Raises:
             PayloadError: The payload is not msgpack, or JSON cannot express what it holds.
         """
+        return msgspec.json.decode(self.to_text(payload))
+
+    def to_text(self, payload: bytes) -> str:
+        """Return the message in a payload as JSON text on one line; see `to_json`.
+
+        Raises:
+            PayloadError: As `decode`.
+        """
         try:
             message = msgspec.msgpack.decode(payload)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError) as exc:
             raise PayloadError(f"the {self._name} is not a valid payload: {exc}") from exc
-        return msgspec.json.decode(to_json(message))
+        return to_json(message)
 
     def _message(self, data: Any) -> tuple[Any, bytes]:
         """Return the message as plain data, and encoded."""
@@ -150,7 +159,16 @@ def _completed(check: Check, value: Any, schema: Any) -> Any:
     schema = check.resolved(schema, value)
     if is_map(value):
         return _completed_fields(check, value, schema)
+    if schema.get("contentEncoding") == "base64":
+        return _bytes_of(value)
     return [_completed(check, *pair) for pair in _items(value, schema)]
+
+
+def _bytes_of(values: Collection[Any]) -> Any:
+    """Return a list of numbers as bytes; the list itself if it is not one."""
+    if all(type(value) is int and 0 <= value <= 0xFF for value in values):
+        return bytes(values)
+    return values
 
 
 def _completed_fields(

@@ -36,6 +36,10 @@ class Retry(msgspec.Struct, frozen=True, kw_only=True):
     A goal keeps its ID. Until its acceptance is known, the same goal is sent again; a server that
     knows it gives the first answer again. From then on the goal is only followed again: it is never
     sent a second time.
+
+    For example:
+
+        await client.call(3, timeout=60, retry=Retry(attempts=5, delay=0.5))
     """
 
     attempts: int = 3

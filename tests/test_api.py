@@ -18,12 +18,15 @@ from fibaction import (
     GoalAborted,
     GoalHandle,
     GoalID,
+    GoalInfo,
+    Outcome,
     ServerNotFound,
     TransportError,
+    Watcher,
     connect,
     serve,
 )
-from fibaction.abc import Connection, ForwardingEndpoint, GoalStream
+from fibaction.abc import Connection, ForwardingEndpoint, GoalStream, Meta
 from fibaction.goal_store import GoalStore
 from fibaction.goals import UNKNOWN_SENDER, Sender
 from fibaction_transports.inprocess import InProcessTransport
@@ -237,6 +240,30 @@ async def test_several_servers_at_several_addresses() -> None:
                     assert await connection.client(action).call(Goal(1)) == Result([0, 1])
 
 
+class Ends(Watcher):
+    """A watcher that counts the ends of goals."""
+
+    def __init__(self) -> None:
+        self.actions: list[str] = []
+
+    def ended(self, action: str, info: GoalInfo, outcome: Outcome[bytes]) -> None:
+        self.actions.append(action)
+
+
+async def test_watchers_are_added_to_each_server_and_to_servers_only() -> None:
+    ends = Ends()
+    servers = [ActionServer(FIBONACCI, fibonacci), ActionServer(OTHER, fibonacci)]
+    async with serve(servers, "inproc://a", watchers=[ends]), connect("inproc://a") as connection:
+        for action in (FIBONACCI, OTHER):
+            await connection.client(action).call(Goal(1))
+    assert ends.actions == ["fibonacci", "other"]
+
+    wrapped = ForwardingEndpoint(ActionServer(FIBONACCI, fibonacci))
+    with pytest.raises(TypeError, match="only an ActionServer can have watchers"):
+        async with serve(wrapped, "inproc://a", watchers=[ends]):
+            pytest.fail("it is served")
+
+
 async def test_a_server_that_runs_already_is_neither_started_nor_stopped() -> None:
     async with ActionServer(FIBONACCI, fibonacci) as server:
         for url in ("inproc://first", "inproc://second"):
@@ -360,10 +387,11 @@ class Audited(ForwardingEndpoint):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
+        meta: Meta | None = None,
     ) -> GoalStream:
         self.senders.append(sender)
         return await super().send_goal(
-            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout
+            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout, meta=meta
         )
 
 

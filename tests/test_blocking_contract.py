@@ -20,7 +20,7 @@ from fibaction import (
     blocking,
 )
 from tests.certificates import pems
-from tests.contract.conftest import WAYS, Reach, skip_without_nats
+from tests.contract.conftest import WAYS, Reach, skip_if_unable
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
@@ -38,8 +38,7 @@ def anyio_backend(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(params=IN_ANOTHER_THREAD)
 def reach(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Reach:
-    if request.param == "nats":
-        skip_without_nats(request)
+    skip_if_unable(request.param, request)
     monkeypatch.setenv("SSL_CERT_FILE", pems().ca)
     return WAYS[request.param]
 

@@ -37,10 +37,11 @@ from fibaction import (
     serve,
 )
 from fibaction._notify import Notifier
-from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate, StatusStream
+from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate, Meta, StatusStream
 from fibaction.goals import UNKNOWN_SENDER, Sender
 from fibaction.testing import ScriptedServer
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.spans import Spans
 
 pytestmark = pytest.mark.asyncio
 
@@ -108,6 +109,7 @@ class Broken(Endpoint):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
+        meta: Meta | None = None,
     ) -> GoalStream:
         if self.sending is not None:
             self.sending.set()
@@ -643,3 +645,17 @@ async def test_only_a_client_that_was_awaited_is_closed() -> None:
             await client.aclose()
             with pytest.raises(ConnectionLost):
                 await client.call(Goal(1))
+
+
+# Spans
+
+
+async def test_a_client_with_tracing_makes_a_span_for_each_goal() -> None:
+    spans = Spans()
+    async with ScriptedServer(FIBONACCI, [Result([1])], [GoalRejected("busy")]) as server:
+        client = ActionClient(server, FIBONACCI, tracing=spans.tracing)
+        assert await client.call(Goal(1)) == Result([1])
+        with pytest.raises(GoalRejected):
+            await client.call(Goal(2))
+
+    assert [span.status.status_code.name for span in spans.ended] == ["UNSET", "ERROR"]

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import re
 import subprocess
 import sys
 import types
@@ -9,6 +10,7 @@ import types
 import pytest
 
 import fibaction
+import fibaction.blocking
 from fibaction import exceptions
 
 PUBLIC = sorted(
@@ -68,6 +70,28 @@ def test_a_public_name_and_its_members_have_docstrings(name: str) -> None:
         if member_name[0] != "_" and function:
             # A method may have the docstring of the one that it overrides.
             assert inspect.getdoc(getattr(value, member_name)), f"{name}.{member_name}"
+
+
+WITH_EXAMPLES = [
+    *(fibaction.Action, fibaction.ActionServer, fibaction.Schedule, fibaction.GoalHandle),
+    *(fibaction.connect, fibaction.serve, fibaction.ClientConnection, fibaction.ActionClient),
+    *(fibaction.ClientGoal, fibaction.Events, fibaction.Retry, fibaction.GoalID),
+    *(fibaction.Outcome, fibaction.Sender, fibaction.SqliteStore, fibaction.Limits),
+    *(fibaction.blocking.connect, fibaction.blocking.BlockingClient),
+    fibaction.blocking.BlockingGoal,
+]
+"""The public names that programs use themselves, each with an example in its docstring."""
+
+
+@pytest.mark.parametrize("value", WITH_EXAMPLES, ids=lambda value: value.__qualname__)
+def test_what_programs_use_has_an_example_of_valid_python(value: object) -> None:
+    text = inspect.getdoc(value)
+    assert text is not None
+    examples = re.findall(r"\n\n((?:    .*\n|\n)+)", f"{text}\n")
+    assert examples
+    for example in examples:
+        indented = "".join(f"    {line}\n" for line in example.strip("\n").splitlines())
+        compile(f"async def example():\n{indented}", "docstring", "exec")
 
 
 def test_an_import_brings_no_parser_of_action_files_which_has_a_module_of_its_own() -> None:

@@ -75,6 +75,7 @@ def arrived(kind: Any, data: object) -> Any:
         (list[float], [1, 2.5, math.inf], [1, 2.5, math.inf]),
         (tuple[int, bytes], [1, "aGk="], (1, b"hi")),
         (dict[int, bytes], {1: "aGk="}, {1: b"hi"}),
+        (list[bytes], ["aGk=", [104, 105], [], b"hi"], [b"hi", b"hi", b"", b"hi"]),
         (list[Pose | None], [None, {"x": 1}], [None, Pose(x=1)]),
     ],
 )
@@ -108,6 +109,8 @@ def test_an_empty_schema_allows_any_data() -> None:
             {"object_name": "cup", "photo": "???"},
             'goal.photo must be bytes in base64, not "???"',
         ),
+        (list[bytes], [[True]], "goal[0] must be text, not [true]"),
+        (list[bytes], [[1, 256]], "goal[0] must be text, not [1,256]"),
         (Times, {"at": "soon"}, 'goal.at must be a date and time in ISO 8601, not "soon"'),
         (Pose, {"x": object()}, "the goal cannot be encoded: Encoding objects of type object"),
         (list[Any], ENDLESS, "the goal cannot be encoded: "),

@@ -16,7 +16,13 @@ from fibaction.retry import Retry
 
 
 class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):
-    """A client of one action, whose methods wait. Several threads may use it at once."""
+    """A client of one action, whose methods wait. Several threads may use it at once.
+
+    For example:
+
+        with connect("tcp://127.0.0.1:7400", DRIVE) as client:
+            print(client.call(3, on_feedback=print))
+    """
 
     def __init__(self, loop: LoopThread, client: ActionClient[GoalT, FeedbackT, ResultT]) -> None:
         self._loop = loop

@@ -59,6 +59,13 @@ class BlockingGoal(Generic[FeedbackT, ResultT]):
     """One accepted goal, as its client sees it; a block of it cancels the goal at the end.
 
     The methods are those of `ClientGoal`, and wait. Several threads may use one goal.
+
+    For example:
+
+        with client.send_goal(3) as goal:
+            for meters in goal.feedback:
+                print(meters)
+            print(goal.result())
     """
 
     def __init__(

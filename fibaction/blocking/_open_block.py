@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from types import TracebackType
-from typing import Any, NoReturn, Unpack, overload
+from typing import TYPE_CHECKING, Any, NoReturn, Unpack, overload
 
 import fibaction._api
 from fibaction._api import ConnectKeywords, check_is_action
@@ -20,10 +20,13 @@ from fibaction.blocking._loop_thread import LoopThread, check_is_no_loop
 from fibaction.exceptions import TransportError
 from fibaction.urls import transport_for
 
+if TYPE_CHECKING:
+    from fibaction.otel import Tracing
+
 
 @overload
 def connect(
-    where: str | Transport, **settings: Unpack[ConnectKeywords]
+    where: str | Transport, *, tracing: Tracing | None = None, **settings: Unpack[ConnectKeywords]
 ) -> AbstractContextManager[BlockingConnection]: ...
 
 
@@ -31,6 +34,8 @@ def connect(
 def connect(
     where: str | Transport,
     action: Action[GoalT, FeedbackT, ResultT],
+    *,
+    tracing: Tracing | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> AbstractContextManager[BlockingClient[GoalT, FeedbackT, ResultT]]: ...
 
@@ -38,6 +43,8 @@ def connect(
 def connect(
     where: str | Transport,
     action: Action[Any, Any, Any] | None = None,
+    *,
+    tracing: Tracing | None = None,
     **settings: Unpack[ConnectKeywords],
 ) -> AbstractContextManager[Any]:
     """Connect to a URL, or by a transport, for as long as the block lasts.
@@ -47,7 +54,7 @@ def connect(
 
     With an action, the block gets a `BlockingClient`, without one a `BlockingConnection`. The end
     of the block, also by Ctrl-C, cancels the goals that have not ended, and ends the thread.
-    `settings` are those of `fibaction.connect`.
+    `tracing` and `settings` are those of `fibaction.connect`.
 
     Raises:
         TransportError: The URL cannot be used; the text says why.
@@ -64,14 +71,20 @@ def connect(
             " loop: use an address such as tcp://127.0.0.1:7400"
         )
     check_is_action(action)
-    return _OpenBlock(transport, action)
+    return _OpenBlock(transport, action, tracing)
 
 
 class _OpenBlock:
     """The block of `connect`."""
 
-    def __init__(self, transport: Transport, action: Action[Any, Any, Any] | None) -> None:
+    def __init__(
+        self,
+        transport: Transport,
+        action: Action[Any, Any, Any] | None,
+        tracing: Tracing | None,
+    ) -> None:
         self._transport = transport
+        self._tracing = tracing
         self._action = action
         self._interrupts = Interrupts(
             enter=_OpenBlock.__enter__.__code__, leave=_OpenBlock.__exit__.__code__
@@ -84,7 +97,8 @@ class _OpenBlock:
             self._interrupts.install()
             with self._interrupts.held():
                 self._loop.start()
-                connection = self._loop.enter(fibaction._api.connect(self._transport))
+                connecting = fibaction._api.connect(self._transport, tracing=self._tracing)
+                connection = self._loop.enter(connecting)
             return client_or_connection(self._loop, connection, self._action)
         except BaseException:
             self._close()

@@ -80,6 +80,11 @@ class AccessPolicy:
         return blake2b(token.encode(), key=self._key).digest()
 
     @property
+    def asks_for_tokens(self) -> bool:
+        """True if only clients with a token are let in."""
+        return self._names is not None
+
+    @property
     def is_open(self) -> bool:
         """True if every client that was let in may do everything."""
         return self._authorize is None

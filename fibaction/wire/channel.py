@@ -15,6 +15,7 @@ from typing import TypeAlias
 
 import anyio
 from anyio.abc import ByteStream
+from anyio.lowlevel import checkpoint_if_cancelled
 
 from fibaction._notify import Notifier
 from fibaction.exceptions import ActionError, ConnectionLost
@@ -39,6 +40,8 @@ class Line(ABC):
 
     peer: str
     """The address of the peer, for errors and logs, for example `127.0.0.1:51234`."""
+    holds_briefly = False
+    """True if executors wait only for moments for this peer to read the feedback of its goals."""
 
     @property
     def progress(self) -> int:
@@ -138,6 +141,9 @@ class Channel(Line):
                         frames = on_frames(frames)
 
         async def write() -> None:
+            # Reading may have failed by now, and what is cut off here could not be followed by
+            # the last message.
+            await checkpoint_if_cancelled()
             while True:
                 if (frames := next_frames()) or self.has_answer:
                     await self.send(frames)

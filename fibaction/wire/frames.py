@@ -31,7 +31,7 @@ _pack, _unpack = _LENGTH.pack, _LENGTH.unpack_from
 
 
 _TLS = "TLS: use tls:// at both ends, or at neither"
-_HTTP = "HTTP: check the port"
+_HTTP = "HTTP: use http:// at both ends, or check the port"
 _OTHERS = {
     b"\x16\x03": _TLS,  # a client says hello
     b"\x15\x03": _TLS,  # a server does not understand its client

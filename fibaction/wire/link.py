@@ -92,6 +92,11 @@ class Link:
         self._scope = CancelScope()
 
     @property
+    def holds_briefly(self) -> bool:
+        """True if executors wait only for moments for this peer to read feedback."""
+        return self._line.holds_briefly
+
+    @property
     def is_open(self) -> bool:
         """True if messages can still be sent."""
         return self._error is None

@@ -94,6 +94,10 @@ class SendGoal(_Message, tag=17):
     """Feedback messages that the server may send before more credit; nil for the outcome only."""
     timeout: Timeout | None = None
     """Seconds from now after which the client gives the goal up; nil if it does not."""
+    meta: dict[str, str] | None = None
+    """Text that goes with the goal, for traces: at most 8 keys, and 4096 bytes of keys and values
+    together. The keys `traceparent`, `tracestate` and `baggage` are those of the W3C; `detached`
+    says that the client does not wait for the goal. Nil if there is none."""
 
 
 @final
@@ -229,6 +233,9 @@ class Following(_Message, tag=33):
     """Number of the feedback after which the stream begins; 0 if it begins with the first."""
     attempt: AttemptNumber = 1
     """Attempt at the goal, from 1, in which the feedback is numbered from now on."""
+    goal: bytes | None = None
+    """The goal's payload, for a client that did not send it: in the first answer to `Follow`, if
+    the goal is active and fits into a frame that the client accepts."""
 
 
 @final

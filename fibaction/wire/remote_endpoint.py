@@ -6,6 +6,7 @@ import math
 
 from anyio import current_time
 
+from fibaction._meta import Meta, checked_meta
 from fibaction._text import shortened
 from fibaction.abc import Endpoint
 from fibaction.action import ActionInfo
@@ -53,11 +54,18 @@ class RemoteEndpoint(Endpoint):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
+        meta: Meta | None = None,
     ) -> RemoteGoal:
+        carried = checked_meta(meta)
         return await self._calls.follow(
             goal_id,
             lambda call_id, credit: SendGoal(
-                call_id, self._info.name, goal_id, goal, credit if feedback else None
+                call_id,
+                self._info.name,
+                goal_id,
+                goal,
+                credit if feedback else None,
+                meta=carried,
             ),
             deadline=math.inf if timeout is None else current_time() + timeout,
         )

@@ -101,6 +101,7 @@ class RemoteGoal(Call, GoalStream):
         self._post = post
         self._deadline = deadline
         self._status = GoalStatus.UNKNOWN
+        self._goal = opening.goal if isinstance(opening, SendGoal) else None
         self._outcome: Outcome[bytes] | None = None
         self._attempt = 1
         self._newest = 1  # the attempt of the feedback that arrives
@@ -131,6 +132,10 @@ class RemoteGoal(Call, GoalStream):
     @property
     def dropped(self) -> int:
         return self._dropped + self.cursor - self._start - self._delivered
+
+    @property
+    def goal(self) -> bytes | None:
+        return self._goal
 
     @property
     def is_own(self) -> bool:
@@ -267,6 +272,8 @@ class RemoteGoal(Call, GoalStream):
             self.stamp, self.latest = message.stamp, message.latest
             self._attempt = self._newest = message.attempt
             self.cursor = self._start = self._last = message.place
+            if message.goal is not None:
+                self._goal = message.goal
 
     # Attempts
 

@@ -29,6 +29,7 @@ from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction._budget import ByteBudget
+from fibaction._meta import size_of
 from fibaction._notify import Notifier
 from fibaction._slices import SLICE
 from fibaction.abc import Endpoint, GoalStream
@@ -160,8 +161,9 @@ class SessionGoals:
 
         Raises:
             GoalRejected: Too many bytes are waiting.
+            InvalidMessage: Its meta is too large.
         """
-        size = len(message.goal)
+        size = len(message.goal) + size_of(message.meta)
         if self._undecided + size > self._limits.memory:
             raise GoalRejected(f"too many bytes at once: the limit is {self._limits.memory}")
         # A little of each connection always passes: one client must not use up what all have.
@@ -205,6 +207,7 @@ class SessionGoals:
             feedback=feedback,
             sender=self._client.sender,
             timeout=message.timeout,
+            meta=message.meta,
         )
         if isinstance(offered, GoalStream):
             return self._begin_sent(message, subscription, endpoint, offered)
@@ -236,8 +239,10 @@ class SessionGoals:
         own = stream.own and self._owners.own(subscription, stream, owner, message.goal)
         if not own:
             stream.hold(False)
-            if not self._client.is_trusted:
-                return self._observe(message, subscription, endpoint, stream)
+        elif self._link.holds_briefly:
+            stream.hold_briefly()
+        if not (own or self._client.is_trusted):
+            return self._observe(message, subscription, endpoint, stream)
         self._begin(subscription, endpoint, stream, own=own)
         return None
 

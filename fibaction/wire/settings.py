@@ -27,7 +27,12 @@ _SECONDS = ("handshake", "heartbeat")
 
 
 class Limits(msgspec.Struct, frozen=True):
-    """Limits of one server; a client that reaches one gets an error, and other clients do not."""
+    """Limits of one server; a client that reaches one gets an error, and other clients do not.
+
+    For example:
+
+        serve(server, "tls://0.0.0.0:7400", cert="a.pem", limits=Limits(connections=100))
+    """
 
     connections: int = 1000
     """Connections at the same time."""

@@ -119,6 +119,7 @@ class GoalSubscription(Subscription):
     __slots__ = (
         "_attempt",
         "_has_omitted",
+        "_is_follow",
         "_max_frame",
         "_opening",
         "_piece",
@@ -152,9 +153,10 @@ class GoalSubscription(Subscription):
         """True if the client was told the end, or an error in place of it."""
         self.is_wanted = True
         """True if the client has not said yet that it has the end, or does not wait for it."""
+        self._is_follow = isinstance(message, Follow)
         self._ready = ready
         self._max_frame = max_frame
-        self._opening = b""
+        self._opening: Following | None = None
         self._attempt = 1
         self._piece = PIECE
         self._place = 0
@@ -163,20 +165,29 @@ class GoalSubscription(Subscription):
     def begin(self, endpoint: Endpoint, stream: GoalStream, *, own: bool) -> None:
         """Begin to follow the goal by a stream."""
         self.endpoint, self.stream, self.own = endpoint, stream, own
-        # Encoded now, because the statuses of the stream begin with this one.
+        # Made now, because the statuses of the stream begin with this one. It is encoded when it is
+        # sent: the frames of many followers would each hold a copy of the goal.
         self._opening = self._following(stream, stream.cursor)
+        if self._is_follow and not own:
+            self._opening.goal = stream.goal
         if self.closed:
             self._close(stream)
         self._tell()
 
-    def _following(self, stream: GoalStream, place: int) -> bytes:
-        """Return the frame that tells the state of the goal, and the attempt that comes next."""
+    def _following(self, stream: GoalStream, place: int) -> Following:
+        """Return the message with the state of the goal, and the attempt that comes next."""
         self._attempt = stream.attempt
-        return encode(
-            Following(
-                self.request, stream.stamp, stream.status, stream.latest, place, stream.attempt
-            )
+        return Following(
+            self.request, stream.stamp, stream.status, stream.latest, place, stream.attempt
         )
+
+    def _opening_frame(self, opening: Following) -> bytes:
+        """Return the frame of the first message, without the goal if it is too large with it."""
+        frame = encode(opening)
+        if len(frame) > self._max_frame and opening.goal is not None:
+            opening.goal = None
+            frame = encode(opening)
+        return frame
 
     def add(self, count: int) -> None:
         super().add(count)
@@ -237,9 +248,9 @@ class GoalSubscription(Subscription):
         stream, request = self.stream, self.request
         assert stream is not None
         stream.news.on_next = self._tell
-        if self._opening:
-            opening, self._opening = self._opening, b""
-            return [opening]
+        if self._opening is not None:
+            opening, self._opening = self._opening, None
+            return [self._opening_frame(opening)]
         updates = stream.take(min(self.credit, self._piece))
         # The numbers of the feedback may begin anew, at a gateway whose server was started again.
         begins = self._begin_attempt(stream) if stream.attempt != self._attempt else []
@@ -266,7 +277,7 @@ class GoalSubscription(Subscription):
     def _begin_attempt(self, stream: GoalStream) -> list[bytes]:
         """Return the frame that begins another attempt of the stream, from its first feedback."""
         self._place = 0
-        return [self._following(stream, 0)]
+        return [encode(self._following(stream, 0))]
 
     def _goes_back(self, stream: GoalStream, number: int) -> bool:
         """Let the stream go on behind that number, if it can; return whether it does."""

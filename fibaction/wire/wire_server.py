@@ -10,6 +10,7 @@ import anyio
 from anyio.abc import TaskGroup
 
 from fibaction._budget import ByteBudget
+from fibaction._connection_counts import CONNECTIONS
 from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction._tasks import Background
@@ -45,10 +46,13 @@ class WireServer:
         """The task group of the connections."""
         self.memory = ByteBudget(settings.limits.total_memory)
         """The bytes that all connections hold together, see `Limits.total_memory`."""
-        self._frames = FrameMemory(self.memory)
+        self.frames = FrameMemory(self.memory)
+        """The part of these bytes that is large messages which are being read or written."""
         self._turn = anyio.Lock()  # of the lines that have much to handle
-        self._endpoints = endpoints
-        self._settings = settings
+        self.endpoints = endpoints
+        """The endpoints that are served, by the names of their actions."""
+        self.settings = settings
+        """The settings of the serving half."""
         self._owners = Owners(
             tasks, grace=settings.grace, then=settings.orphans, limit=settings.limits.lost
         )
@@ -62,8 +66,8 @@ class WireServer:
 
         It knows the limits of the server. The line closes it when the line itself is closed.
         """
-        limit = self._settings.limits.frame
-        return FrameReader(limit, first=FIRST_FRAME, memory=self._frames)
+        limit = self.settings.limits.frame
+        return FrameReader(limit, first=FIRST_FRAME, memory=self.frames)
 
     def start(self, line: Line) -> None:
         """Serve one client in a task of its own."""
@@ -81,18 +85,19 @@ class WireServer:
             await line.aclose()
 
     async def _serve(self, line: Line) -> None:
-        heartbeat, limits = self._settings.heartbeat, self._settings.limits
-        if len(self._sessions) >= limits.connections and not self._make_room():
+        heartbeat, limits = self.settings.heartbeat, self.settings.limits
+        if len(self._sessions) >= limits.connections and not self.make_room():
             reason = f"the server is full: it has {limits.connections} connections"
             logger.warning("%s is rejected: %s", line.peer, reason)
+            CONNECTIONS.errors[LimitReached.__name__] += 1
             link = Link(line, heartbeat)
             await link.say_last(encode(Goodbye(reason, Why.LIMIT)))
             return
-        link = Link(line, heartbeat, limits.queue, self._frames)
+        link = Link(line, heartbeat, limits.queue, self.frames)
         session = Session(
             link,
-            self._endpoints,
-            self._settings,
+            self.endpoints,
+            self.settings,
             self._owners,
             self.memory,
             self._clients_of,
@@ -101,11 +106,15 @@ class WireServer:
         self._sessions[session] = None
         self._unknown[session] = anyio.current_time() + limits.handshake
         self._has_unknown.notify()
+        CONNECTIONS.open += 1
         try:
             error = await session.run()
         finally:
+            CONNECTIONS.open -= 1
             self._forget(session)
         wrong = isinstance(error, ProtocolError | AuthenticationFailed | LimitReached)
+        if wrong:
+            CONNECTIONS.errors[type(error).__name__] += 1
         logger.log(logging.WARNING if wrong else logging.INFO, "%s", naming(line.peer, error))
 
     def _forget(self, session: Session) -> None:
@@ -114,7 +123,7 @@ class WireServer:
         if self._latest.get(session.client.session) is session:
             del self._latest[session.client.session]
 
-    def _make_room(self) -> bool:
+    def make_room(self) -> bool:
         """End the oldest connection that has not said hello; return whether there was one.
 
         So connections that say nothing keep no client out.
@@ -128,7 +137,7 @@ class WireServer:
 
     async def expect_hellos(self) -> None:
         """End each connection that does not say hello in time."""
-        handshake = self._settings.limits.handshake
+        handshake = self.settings.limits.handshake
         while True:
             while not self._unknown:
                 await self._has_unknown.wait()

@@ -144,6 +144,11 @@ async def test_the_error_of_a_rule_allows_nothing() -> None:
         await AccessPolicy(authorize=broken).permits(ALI, "fibonacci", Permission.SEND)
 
 
+def test_a_policy_says_whether_it_asks_for_tokens() -> None:
+    assert not AccessPolicy().asks_for_tokens
+    assert AccessPolicy({"secret": "ann"}).asks_for_tokens
+
+
 def test_only_without_a_rule_every_client_may_do_everything() -> None:
     assert AccessPolicy().is_open
     assert AccessPolicy({"secret": "ann"}).is_open  # for those who are in

@@ -126,7 +126,10 @@ def test_a_frame_over_the_limit_is_rejected_with_its_header(frames: list[bytes],
         reader.feed(header(size)[-1:])
 
 
-ADVICE = {"TLS": "use tls:// at both ends, or at neither", "HTTP": "check the port"}
+ADVICE = {
+    "TLS": "use tls:// at both ends, or at neither",
+    "HTTP": "use http:// at both ends, or check the port",
+}
 
 
 @pytest.mark.parametrize(

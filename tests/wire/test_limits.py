@@ -27,10 +27,10 @@ from fibaction.exceptions import (
     ServerNotFound,
 )
 from fibaction.goals import GoalID
-from fibaction.server import ActionServer
+from fibaction.server import ActionServer, GoalHandle, patience
 from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
-from fibaction.wire.channel import StreamChannel
+from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.errors import failed
 from fibaction.wire.frames import (
@@ -402,6 +402,33 @@ async def test_no_more_requests_are_taken_than_the_limit() -> None:
         assert await client.hear_all() == []
 
 
+async def test_a_meta_over_the_limits_is_the_error_of_its_goal_alone() -> None:
+    async with serving(scripted(fib.Result([]))) as served:
+        client = await served.greet()
+        for request, meta in enumerate(({"a": "x" * 4096}, dict.fromkeys("123456789", "")), 1):
+            goal = SendGoal(request, "fibonacci", A, GOAL, None, None, meta)
+            failed = await client.ask(goal, Failed)
+            assert (failed.id, failed.why) == (request, Why.INVALID_MESSAGE)
+            assert failed.text.startswith("the goal's meta has ")
+        await client.send(3, credit=None)
+
+
+async def test_the_meta_of_goals_that_are_decided_upon_takes_memory() -> None:
+    async def on_goal(goal: fib.Goal) -> None:
+        await anyio.sleep_forever()
+
+    server = ActionServer(FIBONACCI, fib.fibonacci, on_goal=on_goal)
+    async with serving(server, limits=Limits(memory=len(GOAL) + 10)) as served:
+        client = await served.greet()
+        goals = [
+            SendGoal(request, "fibonacci", goal_id, GOAL, None, None, {"a": "x" * size})
+            for request, goal_id, size in ((1, A, 10), (2, B, 9))
+        ]
+        rejected = await client.ask(goals[0], Rejected)
+        assert rejected.reason.startswith("too many bytes at once")
+        assert await client.ask_all(goals[1]) == []
+
+
 async def test_goals_that_are_decided_upon_take_no_more_memory_than_the_limit() -> None:
     decide = anyio.Event()
 
@@ -504,6 +531,34 @@ async def test_feedback_for_a_client_that_does_not_read_waits_where_it_is_made()
         few = FIBONACCI.goal.encode(fib.Goal(0))
         await other.say(SendGoal(1, "fibonacci", bytes([99] * 16), few, ANY))
         assert kinds(await other.hear_all())[-1] is Ended
+
+
+async def test_an_executor_waits_for_moments_only_where_the_line_holds_it_briefly(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Line, "holds_briefly", True)
+    monkeypatch.setattr(patience, "MOST", 0.01)
+    done = anyio.Event()
+
+    async def counted(goal: GoalHandle[fib.Goal]) -> AsyncGenerator[fib.Feedback | fib.Result]:
+        async for item in fib.fibonacci(goal):
+            if isinstance(item, fib.Result):
+                done.set()
+            yield item
+
+    server = ActionServer(FIBONACCI, counted, feedback_window=4)
+    async with serving(server) as served:
+        client = await served.greet(ANN)
+        goal = FIBONACCI.goal.encode(fib.Goal(80))
+        await client.say(SendGoal(1, "fibonacci", GOAL_ID, goal, 0))
+        with anyio.fail_after(5):
+            await done.wait()
+        await settled()
+        await client.say(Credit(1, 100))
+        heard = await client.hear_all()
+        numbers = [message.number for message in heard if isinstance(message, Feedback)]
+        assert numbers == [76, 77, 78, 79]
+        assert kinds(heard)[-1] is Ended
 
 
 # Heartbeats

@@ -211,7 +211,10 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
     AskPeers: builds(AskPeers, IDS, TEXT),
     AskPlaces: builds(AskPlaces, IDS, TEXT, COUNTS),
     Welcome: builds(Welcome, NUMBERS, SECONDS, FRAME_SIZES, SECONDS),
-    Following: builds(Following, IDS, STAMPS, STATUSES, strategies.booleans(), STAMPS, ATTEMPTS),
+    Following: builds(
+        *(Following, IDS, STAMPS, STATUSES, strategies.booleans(), STAMPS, ATTEMPTS),
+        strategies.none() | BYTES,
+    ),
     Rejected: builds(Rejected, IDS, TEXT),
     Failed: builds(Failed, IDS, NUMBERS, TEXT),
     Feedback: builds(Feedback, IDS, STAMPS, BYTES),
@@ -311,11 +314,13 @@ LIMITS = {
 NULLABLE = {
     (SendGoal, "credit"),
     (SendGoal, "timeout"),
+    (SendGoal, "meta"),
     (Follow, "after"),
     (Follow, "credit"),
     (CancelGoals, "goal_id"),
     (CancelGoals, "stamp"),
     (Ended, "result"),
+    (Following, "goal"),
 }
 
 
@@ -419,7 +424,9 @@ def test_what_may_be_nil_may_also_be_there(message: FromClient | FromServer, gol
         "stamp": 1,
         "goal_id": bytes(16),
         "result": b"",
+        "goal": b"",
         "timeout": 1.5,
+        "meta": {},
     }
     for name in message.__struct_fields__:
         if (type(message), name) in NULLABLE:

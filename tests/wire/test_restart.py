@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from fibaction.abc import Endpoint, FeedbackItem, ForwardingEndpoint, GoalStream
+from fibaction.abc import Endpoint, FeedbackItem, ForwardingEndpoint, GoalStream, Meta
 from fibaction.exceptions import GoalKept, GoalRejected, UnknownGoal
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Outcome, Sender
 from fibaction.server.feedback_log import FeedbackLog
@@ -310,6 +310,7 @@ class Kept(ForwardingEndpoint):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
+        meta: Meta | None = None,
     ) -> GoalStream:
         if self.error is not None:
             raise self.error

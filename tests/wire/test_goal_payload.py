@@ -1,0 +1,73 @@
+"""The payload of a goal in `Following`: who is told it, and when it is left out."""
+
+from __future__ import annotations
+
+import anyio
+import msgspec
+import pytest
+
+from fibaction.wire.frames import LEAST_FRAME
+from fibaction.wire.messages import Follow, Following, SendGoal
+from tests.wire.ends import (
+    ANY,
+    BOB,
+    EXECUTING,
+    GOAL,
+    GOAL_ID,
+    A,
+    endpoint_of,
+    follow,
+    held,
+    reached,
+    send,
+    serving,
+)
+from tests.wire.memory import Running
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_a_client_that_follows_the_goal_of_another_is_told_the_goal() -> None:
+    async with serving(held()) as served:
+        sender, observer = await served.greet(), await served.greet(BOB)
+        assert (await sender.send(1)).goal is None
+        assert (await observer.ask(follow(None, own=False), Following)).goal == GOAL
+        assert (await observer.ask(send(2), Following)).goal is None
+
+
+async def test_a_client_that_goes_on_with_its_own_goal_is_not_told_it_again() -> None:
+    async with serving(held()) as served:
+        client = await served.greet()
+        await client.send(1)
+        client.channel.cut()
+        client = await served.greet()
+        assert (await client.ask(follow(0), Following)).goal is None
+
+
+async def test_a_goal_over_the_clients_limit_is_left_out() -> None:
+    padded = msgspec.msgpack.encode({"order": 3, "unknown": bytes(4096)})
+    async with serving(held()) as served:
+        sender = await served.greet()
+        await sender.ask(SendGoal(1, "fibonacci", A, padded, ANY), Following)
+        small, large_enough = await served.greet(BOB, max_frame=LEAST_FRAME), await served.greet()
+        assert (await small.ask(follow(None, own=False), Following)).goal is None
+        assert (await large_enough.ask(follow(None, own=False), Following)).goal == padded
+
+
+async def test_a_stream_of_a_client_knows_its_goal_also_after_another_connection() -> None:
+    async with reached() as (connection, server):
+        endpoint = endpoint_of(connection)
+        async with Running(lambda: endpoint.feedback(GOAL_ID)) as following:
+            asked = await server.hear(Follow)
+            told = Following(asked.id, 7, EXECUTING, False, 0, 1, GOAL)
+            await server.say(told)
+            stream = await following.answer()
+            assert stream.goal == GOAL
+        async with Running(lambda: endpoint.send_goal(GOAL_ID, GOAL)) as sending:
+            sent = await server.hear(SendGoal)
+            await server.say(Following(sent.id, 7, EXECUTING, False, 0))
+            assert (await sending.answer()).goal == GOAL
+        again = Following(asked.id, 7, EXECUTING, False, 0, 2)
+        await server.say(again)
+        await anyio.wait_all_tasks_blocked()
+        assert stream.goal == GOAL
