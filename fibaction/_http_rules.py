@@ -52,8 +52,16 @@ class HttpRules:
         path = target.partition("?")[0]
         if path != self.path:
             raise Refused(404, f"there is nothing at {path}: the server is at {self.path}")
+        self.check_sources(headers)
+
+    def check_sources(self, headers: Mapping[str, str], *, has_tls: bool = False) -> None:
+        """Check the host and the page of a request, as `check` does.
+
+        Raises:
+            Refused: One of them is not permitted.
+        """
         host = headers.get("host", "")
-        if not self._serves(host):
+        if not (has_tls or self._serves(host)):
             raise Refused(
                 421, f"the server is not known as {host!r}: name it in its setting hosts="
             )

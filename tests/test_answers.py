@@ -1,0 +1,87 @@
+"""Pages for questions: their messages are those of the code, and what people type finds them."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+TROUBLES = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+MESSAGES = re.findall(r"^### `(.+)`$", TROUBLES, re.MULTILINE)
+ANSWERS = {
+    "blocking": ["howto/blocking.md", "cookbook/blocking_script.md"],
+    "humble": ["faq.md"],
+    "jupyter": ["howto/notebook.md", "cookbook/notebook.md"],
+    "metrics": ["howto/metrics.md"],
+    "opentelemetry": ["howto/tracing.md"],
+    "preempt": ["howto/schedule.md", "cookbook/preempting_arm.md"],
+    "priority": ["howto/schedule.md"],
+    "progress bar": ["howto/notebook.md", "cookbook/file_copy.md"],
+    "pydantic": ["howto/types.md", "cookbook/pydantic_action.md"],
+    "retry": ["howto/deadlines.md", "cookbook/retry.md"],
+    "websocket": ["howto/in_a_web_application.md"],
+}
+"""Words that people type, and the pages that answer them."""
+
+
+def texts_of(module: Path) -> Iterator[str]:
+    """Yield the texts of a module, `{}` for each value in an f-string."""
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        match node:
+            case ast.Constant(value=str() as text):
+                yield text
+            case ast.JoinedStr(values=parts):
+                yield "".join(
+                    str(part.value) if isinstance(part, ast.Constant) else "{}" for part in parts
+                )
+
+
+def plain(text: str) -> str:
+    return re.sub(r"\s+", " ", text.replace("`", ""))
+
+
+@pytest.fixture(scope="module")
+def texts() -> list[str]:
+    """Every text of the code, and of the library under it that raises errors of its own."""
+    spec = importlib.util.find_spec("anyio")
+    assert spec is not None
+    assert spec.origin is not None
+    folders = [ROOT / "fibaction", ROOT / "transports", Path(spec.origin).parent]
+    modules = [module for folder in folders for module in sorted(folder.rglob("*.py"))]
+    return [plain(text) for module in modules for text in texts_of(module)]
+
+
+@pytest.mark.parametrize("message", MESSAGES)
+def test_a_message_with_an_answer_is_one_of_the_code(message: str, texts: list[str]) -> None:
+    parts = [part.strip() for part in plain(message).split("...") if len(part.strip()) > 3]
+
+    assert parts
+    # Some messages are put together of several texts, so each part is looked for by itself.
+    assert [part for part in parts if not any(part in text for text in texts)] == []
+
+
+def test_there_are_messages() -> None:
+    assert len(MESSAGES) > 30
+
+
+@pytest.mark.parametrize(("word", "pages"), ANSWERS.items())
+def test_a_word_that_people_type_finds_the_page_that_answers_it(
+    word: str, pages: list[str]
+) -> None:
+    for page in pages:
+        text = (DOCS / page).read_text(encoding="utf-8").lower()
+        assert word in text
+        # What is in a title or in a heading comes first in a search.
+    headings = " ".join(
+        line.lower()
+        for page in pages
+        for line in (DOCS / page).read_text(encoding="utf-8").splitlines()
+        if line.startswith("#")
+    )
+    assert word in headings
