@@ -110,7 +110,10 @@ def too_long(length: int, looks_like: str = "") -> str:
 @pytest.mark.parametrize(
     ("data", "problem"),
     [
-        (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", too_long(0x47455420, "HTTP: check the port")),
+        (
+            b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n",
+            too_long(0x47455420, "HTTP: use http:// at both ends, or check the port"),
+        ),
         (b"\xff\xff\xff\xff", too_long(2**32 - 1)),
         (struct.pack(">I", FIRST_FRAME + 1), too_long(FIRST_FRAME + 1)),
         (

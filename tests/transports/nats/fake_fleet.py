@@ -31,7 +31,7 @@ from fibaction.wire.wire_server import open_server
 from fibaction_transports.nats.broker import (
     Broker,
     BrokerAway,
-    NobodyListens,
+    NoResponders,
     Note,
     OnMessage,
     PutError,
@@ -117,7 +117,7 @@ class FakeBroker(Broker):
             raise BrokerAway("away")
         listeners = self.listeners.get(subject)
         if not listeners:
-            raise NobodyListens
+            raise NoResponders
         self.questions.append(data)
         listeners.append(listeners.pop(0))  # in turn
         answer = listeners[-1](data)

@@ -8,10 +8,10 @@ from typing import Any
 import msgspec
 
 from fibaction._notify import Notifier
-from fibaction_transports.nats.broker import NobodyListens, Subscription
+from fibaction_transports.nats.broker import NoResponders, Subscription
 from fibaction_transports.nats.nats_answers import OnRaw, RawMessage
 
-NOBODY = None
+NO_RESPONDERS = None
 """The answer of nobody."""
 
 
@@ -59,8 +59,8 @@ class ScriptedClient:
         answer = found.pop(0) if len(found) > 1 else found[0]
         if isinstance(answer, Exception):
             raise answer
-        if answer is NOBODY:
-            raise NobodyListens(subject)
+        if answer is NO_RESPONDERS:
+            raise NoResponders(subject)
         if isinstance(answer, RawMessage):
             return answer
         return RawMessage("", msgspec.json.encode(answer), "", {})

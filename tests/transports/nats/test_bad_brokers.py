@@ -16,7 +16,7 @@ from nats.aio.client import Client
 
 from fibaction import AuthenticationFailed, ServerNotFound, TransportError
 from fibaction.wire.tls_files import TlsFiles
-from fibaction_transports.nats.broker import BrokerAway, NobodyListens, PutError, PutFailure
+from fibaction_transports.nats.broker import BrokerAway, NoResponders, PutError, PutFailure
 from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import FleetSettings
 from fibaction_transports.nats.nats_broker import open_broker
@@ -265,7 +265,7 @@ async def test_a_frozen_broker_answers_nothing_and_is_left_in_time(
                 pass
         own_broker.thaw()
         await log.until("is back")
-        with anyio.fail_after(5), pytest.raises(NobodyListens):
+        with anyio.fail_after(5), pytest.raises(NoResponders):
             await broker.request("fib.x", b"", 5)
         own_broker.freeze()
         broker.publish("fib.x", bytes(2**16))

@@ -14,7 +14,7 @@ from fibaction._notify import Notifier
 from fibaction_transports.nats.broker import (
     Broker,
     Message,
-    NobodyListens,
+    NoResponders,
     PutError,
     PutFailure,
     Record,
@@ -265,16 +265,16 @@ async def test_a_request_gets_the_answer(brokers: tuple[Broker, Broker]) -> None
     assert await one.request(name, b"hello", 5) == b"hello!"
 
 
-async def test_a_sender_is_told_that_nobody_listens(brokers: tuple[Broker, Broker]) -> None:
+async def test_a_sender_is_told_that_has_no_responders(brokers: tuple[Broker, Broker]) -> None:
     one, _ = brokers
     name, back = f"{NAMES.root}.up.{secrets.token_hex(4)}", f"{NAMES.root}.down.x.1"
-    with pytest.raises(NobodyListens):
+    with pytest.raises(NoResponders):
         await one.request(name, b"hello", 5)
     inbox = Inbox()
     await one.subscribe(back, inbox.take)
     one.publish(name, b"hello", back)
     (message,) = await inbox.count(1)
-    assert message.nobody_listens
+    assert message.has_no_responders
     assert message.subject == back
 
 

@@ -80,6 +80,9 @@ async def test_a_goal_larger_than_a_record_is_not_sent(fleet: FakeFleet) -> None
     async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
         with pytest.raises(InvalidMessage, match="the goal has 1048576 bytes, and 1044480 are"):
             await connection.endpoint(COUNT).send_goal(GOAL_ID, bytes(2**20))
+        with pytest.raises(InvalidMessage, match="the goal has 1044490 bytes, and 1044480 are"):
+            meta = {"trace": "12345"}
+            await connection.endpoint(COUNT).send_goal(GOAL_ID, bytes(1044480), meta=meta)
         assert not a.asked
 
 

@@ -32,7 +32,8 @@ LEASE = 6.0
 
 def goal(number: int = 1, **changes: object) -> StoredGoal:
     made = StoredGoal(GoalID(bytes([number]) * 16), number, Sender("me"), b"digest", b"goal")
-    return replace(made, **{"is_running": True, "attempt": 1, **changes})
+    fields = {"is_running": True, "attempt": 1, "meta": {"traceparent": f"00-{number}"}}
+    return replace(made, **{**fields, **changes})
 
 
 def ended(one: StoredGoal, keep_until: int = 0) -> StoredGoal:

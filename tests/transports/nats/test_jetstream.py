@@ -25,7 +25,7 @@ from fibaction_transports.nats.nats_broker import NatsBroker
 from fibaction_transports.nats.nats_client import NatsClient
 from fibaction_transports.nats.note_queue import NoteQueue
 from fibaction_transports.nats.record_watch import RecordWatch, delivery
-from tests.transports.nats.scripted_client import NOBODY, ScriptedClient, failed
+from tests.transports.nats.scripted_client import NO_RESPONDERS, ScriptedClient, failed
 
 NAMES = FleetNames("f")
 MISSING = failed(STREAM_NOT_FOUND, 404)
@@ -195,7 +195,7 @@ async def test_a_cluster_without_room_for_three_replicas_keeps_one(
 @pytest.mark.asyncio
 async def test_an_election_is_waited_for_before_streams_are_made(no_pause: None) -> None:
     away = BrokerAway("no answer")
-    client = ScriptedClient(STREAM_INFO=[NOBODY, away, failed(NO_LEADER, 503), *made()])
+    client = ScriptedClient(STREAM_INFO=[NO_RESPONDERS, away, failed(NO_LEADER, 503), *made()])
     await create(client)
     assert len(client.asked) == 6
 
@@ -204,7 +204,7 @@ async def test_an_election_is_waited_for_before_streams_are_made(no_pause: None)
 async def test_streams_that_nobody_makes_are_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fibaction_transports.nats.jetstream.ELECTION", 0.05)
     with pytest.raises(TransportError, match="cannot be made: JetStream does not answer"):
-        await create(ScriptedClient(STREAM_INFO=[NOBODY]))
+        await create(ScriptedClient(STREAM_INFO=[NO_RESPONDERS]))
 
 
 @pytest.mark.asyncio
@@ -239,7 +239,7 @@ async def got(brokers: int = 1, **answers: Any) -> Record | None:
 
 @pytest.mark.asyncio
 async def test_a_record_of_a_stream_that_is_missing_is_missing() -> None:
-    assert await got(DIRECT_GET=[NOBODY], STREAM_INFO=[MISSING]) is None
+    assert await got(DIRECT_GET=[NO_RESPONDERS], STREAM_INFO=[MISSING]) is None
     assert await got(3, STREAM_MSG_GET=[MISSING]) is None
 
 
@@ -247,11 +247,11 @@ async def test_a_record_of_a_stream_that_is_missing_is_missing() -> None:
 @pytest.mark.parametrize(
     ("brokers", "answers"),
     [
-        (1, {"DIRECT_GET": [NOBODY], "STREAM_INFO": [{}]}),
-        (1, {"DIRECT_GET": [NOBODY], "STREAM_INFO": [NOBODY]}),
+        (1, {"DIRECT_GET": [NO_RESPONDERS], "STREAM_INFO": [{}]}),
+        (1, {"DIRECT_GET": [NO_RESPONDERS], "STREAM_INFO": [NO_RESPONDERS]}),
         (1, {"DIRECT_GET": [RawMessage("", b"", "", {"Status": "408"})]}),
         (3, {"STREAM_MSG_GET": [failed(NO_LEADER, 503)]}),
-        (3, {"STREAM_MSG_GET": [NOBODY], "STREAM_INFO": [NOBODY]}),
+        (3, {"STREAM_MSG_GET": [NO_RESPONDERS], "STREAM_INFO": [NO_RESPONDERS]}),
     ],
 )
 async def test_a_stream_that_does_not_answer_is_told_from_a_missing_record(
@@ -264,7 +264,7 @@ async def test_a_stream_that_does_not_answer_is_told_from_a_missing_record(
 @pytest.mark.asyncio
 async def test_a_watch_begins_when_the_brokers_answer_again(no_pause: None) -> None:
     consumer = {"num_pending": 0, "delivered": {"consumer_seq": 0}}
-    answers = [NOBODY, BrokerAway("no answer"), failed(NO_LEADER, 503), consumer]
+    answers = [NO_RESPONDERS, BrokerAway("no answer"), failed(NO_LEADER, 503), consumer]
     client: Any = ScriptedClient(CONSUMER_CREATE=answers)
     watch = RecordWatch(client, "stream", "s")
     assert await watch.next() is None

@@ -187,7 +187,7 @@ def piece(number: int, data: bytes = b"", kind: bytes = b"D") -> bytes:
     return kind + number.to_bytes(8, "big") + data
 
 
-async def test_nobody_listens_where_no_worker_is(shared_broker: NatsServer, fleet: str) -> None:
+async def test_has_no_responders_where_no_worker_is(shared_broker: NatsServer, fleet: str) -> None:
     async with open_broker(FleetSettings(fleet, (shared_broker.address,))) as broker:
         lines = ClientLines(broker, FleetNames(fleet))
         await lines.open()
@@ -325,7 +325,7 @@ async def test_a_lost_piece_breaks_the_line(shared_broker: NatsServer, fleet: st
         assert await ends.worker.lost() == "a piece of the line to nats client c was lost"
         line = ends.worker.line
         assert isinstance(line, PieceLine)
-        line.handle(Message("", piece(0, b"\0\0\0\1x"), "", nobody_listens=False))
+        line.handle(Message("", piece(0, b"\0\0\0\1x"), "", has_no_responders=False))
         assert ends.worker.frames == []
 
 

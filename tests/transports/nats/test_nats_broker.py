@@ -14,7 +14,7 @@ from fibaction_transports.nats.broker import (
     Broker,
     BrokerAway,
     Message,
-    NobodyListens,
+    NoResponders,
     PutError,
     PutFailure,
     Record,
@@ -110,7 +110,7 @@ async def test_messages_come_to_every_subscriber_and_once_to_a_queue(
             every.close()
 
 
-async def test_a_request_gets_the_first_answer_or_learns_that_nobody_listens(
+async def test_a_request_gets_the_first_answer_or_learns_that_has_no_responders(
     shared_broker: NatsServer, fleet: str
 ) -> None:
     async with open_broker(settings_of(shared_broker)) as one:
@@ -121,7 +121,7 @@ async def test_a_request_gets_the_first_answer_or_learns_that_nobody_listens(
 
             await other.subscribe(f"fib.{fleet}.x", answer)
             assert await one.request(f"fib.{fleet}.x", b"?", 5) == b"yes ?"
-            with pytest.raises(NobodyListens):
+            with pytest.raises(NoResponders):
                 await one.request(f"fib.{fleet}.y", b"?", 5)
 
 
@@ -133,7 +133,7 @@ async def test_a_message_to_nobody_comes_back_to_its_reply(
         await broker.subscribe(f"fib.{fleet}.back", heard.append)
         broker.publish(f"fib.{fleet}.nobody", b"x", f"fib.{fleet}.back")
         await broker.flush()
-        assert heard == [Message(f"fib.{fleet}.back", b"", "", nobody_listens=True)]
+        assert heard == [Message(f"fib.{fleet}.back", b"", "", has_no_responders=True)]
 
 
 async def test_a_subscription_that_is_closed_gets_nothing_more(

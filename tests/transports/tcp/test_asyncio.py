@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio  # noqa: TID251  # what is tested is for asyncio only
+import gc
 import itertools
 import socket
 import struct
 from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +24,12 @@ from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.frames import FrameReader, framed
 from fibaction_transports._streams import _asyncio, _line_turns
 from fibaction_transports._streams._asyncio import (
-    BATCH,
     ProtocolLine,
     accept,
     dial_tcp,
     dial_unix,
 )
+from fibaction_transports._streams._sockets import BATCH
 
 pytestmark = pytest.mark.asyncio
 
@@ -656,9 +657,16 @@ async def test_on_a_loop_of_somebody_else_addresses_are_tried_one_after_the_othe
     assert (made, given) == ("line", [{}])
 
 
-@pytest.mark.parametrize("begin_at_once", [False, True])
-async def test_where_tasks_begin_at_once_addresses_are_tried_one_after_the_other(
-    begin_at_once: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("begin_at_once", "name", "settings"),
+    [
+        (False, "localhost", {"happy_eyeballs_delay": _asyncio.NEXT_ADDRESS}),
+        (True, "localhost", {}),
+        (False, "127.0.0.1", {}),
+    ],
+)
+async def test_addresses_of_a_name_are_tried_at_once_unless_tasks_begin_at_once(
+    begin_at_once: bool, name: str, settings: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loop = asyncio.get_running_loop()
     given: list[dict[str, Any]] = []
@@ -671,10 +679,10 @@ async def test_where_tasks_begin_at_once_addresses_are_tried_one_after_the_other
     monkeypatch.setattr(loop, "create_connection", create_connection)
     if begin_at_once:
         monkeypatch.setattr(loop, "get_task_factory", lambda: asyncio.Task)
-    async with listening() as ((host, port), _):
-        line = await dial_tcp(host, port, FrameReader(), "the server")
+    async with listening() as ((_, port), _):
+        line = await dial_tcp(name, port, FrameReader(), "the server")
         await line.aclose()
-    assert given == [{} if begin_at_once else {"happy_eyeballs_delay": _asyncio.NEXT_ADDRESS}]
+    assert given == [settings]
 
 
 async def test_callbacks_know_that_they_are_asyncios_also_where_only_asyncio_was_started() -> None:
@@ -699,3 +707,17 @@ async def test_without_sniffio_nothing_has_to_be_known(monkeypatch: pytest.Monke
     async with pair() as (one, other):
         one.say(b"1")
         await until(lambda: other.heard)
+
+
+@pytest.mark.parametrize("turns", range(12))
+async def test_a_dial_that_is_canceled_at_any_moment_leaves_no_socket(turns: int) -> None:
+    async with listening() as ((host, port), _):
+        dialing = asyncio.ensure_future(dial_tcp(host, port, FrameReader(), "the server"))
+        for _ in range(turns):
+            await anyio.lowlevel.checkpoint()
+        dialing.cancel()
+        with suppress(asyncio.CancelledError):
+            await (await dialing).aclose()
+        await anyio.wait_all_tasks_blocked()
+        del dialing
+        gc.collect()  # a socket that is still open is an error of the test

@@ -600,5 +600,5 @@ async def test_a_client_at_the_port_of_a_web_server_is_told_so(
             tasks.cancel_scope.cancel()
     assert str(caught.value) == (
         f"{url}: frame of 1213486160 bytes exceeds the limit of 16777216 bytes: this looks like"
-        " HTTP: check the port"
+        " HTTP: use http:// at both ends, or check the port"
     )

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from fibaction._http_rules import rules
 from fibaction.exceptions import (
     AuthenticationFailed,
     ConnectionLost,
@@ -16,7 +17,6 @@ from fibaction.exceptions import (
 from fibaction.wire.codec import encode
 from fibaction.wire.messages import Goodbye, Ping, Why
 from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake, http_answer
-from fibaction_transports.web._http_rules import rules
 from tests.transports.web.upgrade import UPGRADE, upgrade
 
 
@@ -106,7 +106,12 @@ SWITCHED = b"HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade:
 ANSWERS: dict[str, tuple[bytes, type[Exception], str]] = {
     "another protocol": (b"\0\0\0\2\x91\0\r\n\r\n", ProtocolError, "does not speak HTTP"),
     "a page": (PLAIN, ProtocolError, "HTTP 200: OK"),
-    "nothing there": (http_answer(404, "no such path"), ProtocolError, "HTTP 404: no such path"),
+    "nothing there": (http_answer(404, "no such path"), ProtocolError, "HTTP 404: no such path; "),
+    "a page of another server": (
+        b"HTTP/1.1 404 Not Found\r\nContent-Type: text/html\r\nContent-Length: 4\r\n\r\n<h1>",
+        ProtocolError,
+        "^HTTP 404: Not Found; this may be another web server: check the port and the path$",
+    ),
     "forbidden": (http_answer(403, "a page"), AuthenticationFailed, "HTTP 403: a page"),
     "full": (http_answer(503, "it is full"), LimitReached, "HTTP 503: it is full"),
     "a broken body": (

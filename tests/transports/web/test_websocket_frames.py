@@ -12,10 +12,10 @@ from wsproto.connection import Connection, ConnectionType
 from wsproto.events import BytesMessage, CloseConnection, Event, Ping, Pong, TextMessage
 
 from fibaction._budget import ByteBudget
+from fibaction._http_rules import rules
 from fibaction.exceptions import ActionError, ConnectionLost, LimitReached, ProtocolError
 from fibaction.wire.frames import FrameMemory, FrameReader, framed, header
 from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake
-from fibaction_transports.web._http_rules import rules
 from fibaction_transports.web._websocket_frames import WebSocketFraming
 from tests.transports.web.upgrade import upgrade
 

@@ -269,7 +269,7 @@ async def test_a_large_message_in_small_pieces_is_counted(heard: Hearing) -> Non
 async def test_the_wrong_scheme_is_told_to_both_ends(heard: Hearing) -> None:
     settings: dict[str, Any] = {"reconnect": False}
     for where, scheme, problem in (
-        (WS, "tcp", "this looks like HTTP: check the port"),
+        (WS, "tcp", "this looks like HTTP: use http:// at both ends, or check the port"),
         ("tcp://127.0.0.1:0", "ws", "it does not speak HTTP: check the port and the scheme"),
         (wss(), "ws", "HTTP 400: this server speaks TLS: use wss://"),
         (WS, "wss", "does not speak TLS: check the port, or use ws://"),

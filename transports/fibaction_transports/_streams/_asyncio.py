@@ -15,11 +15,12 @@ import os
 import socket
 from collections.abc import Callable, Coroutine, Sequence
 from contextvars import copy_context
+from ipaddress import ip_address
 from time import perf_counter
 from typing import Any, cast
 
 import anyio.lowlevel
-from anyio.abc import Listener, SocketAttribute, TaskGroup
+from anyio.abc import Listener, TaskGroup
 
 from fibaction._asyncio_task import asyncio_loop
 from fibaction._log import clean_logger
@@ -29,9 +30,8 @@ from fibaction.exceptions import ConnectionLost
 from fibaction.wire.channel import CHUNK, LEAVE, Line, NextFrames, OnFrames
 from fibaction.wire.frames import Framing
 from fibaction_transports._streams._line_turns import LineTurns
+from fibaction_transports._streams._sockets import accept_sockets
 
-BATCH = 16
-"""Connections that are accepted in one turn of the event loop: each costs the next turns more."""
 NEXT_ADDRESS = 0.25
 """Seconds after which a host is tried at its next address, too: as RFC 8305 recommends."""
 
@@ -53,7 +53,9 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         buffer: memoryview,
         peer: str = "",
         turns: LineTurns | None = None,
+        early: bytes = b"",
     ) -> None:
+        """Take the form of the frames, and what was read of them before the line is made."""
         self.peer = peer
         self._framing = framing
         self._buffer = buffer
@@ -64,7 +66,7 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         self._rest: list[bytes] = []
         self._on_frames: OnFrames | None = None
         self._next_frames: NextFrames
-        self._early = b""
+        self._early = early
         self._written = 0
         self._error: Exception | None = None
         self._is_due = False
@@ -257,13 +259,23 @@ async def dial_tcp(host: str, port: int, framing: Framing, where: str) -> Protoc
     settings: dict[str, Any] = {}
     # Other loops, such as uvloop, try one address after the other. asyncio has to do so where tasks
     # begin at once, as in programs of Textual: before Python 3.12.8 and 3.13.1 it fails with an
-    # AssertionError otherwise (https://github.com/python/cpython/issues/124309).
-    if isinstance(loop, asyncio.BaseEventLoop) and loop.get_task_factory() is None:
+    # AssertionError otherwise (https://github.com/python/cpython/issues/124309). And where there is
+    # one address only, since a dial of several that is canceled may leave a socket open.
+    is_eager = not isinstance(loop, asyncio.BaseEventLoop) or loop.get_task_factory() is not None
+    if not (is_eager or _is_address(host)):
         settings["happy_eyeballs_delay"] = NEXT_ADDRESS
     made = await loop.create_connection(
         lambda: ProtocolLine(framing, _buffer(), where), host, port, **settings
     )
     return made[1]
+
+
+def _is_address(host: str) -> bool:
+    try:
+        ip_address(host)
+    except ValueError:
+        return False
+    return True
 
 
 async def dial_unix(path: os.PathLike[str], framing: Framing, where: str) -> ProtocolLine:
@@ -278,50 +290,52 @@ async def dial_unix(path: os.PathLike[str], framing: Framing, where: str) -> Pro
     return made[1]
 
 
+class LineMaker:
+    """Makes lines of the sockets of one listener, which share their turns and one buffer."""
+
+    def __init__(self) -> None:
+        self._buffer = _buffer()
+        self._turns = LineTurns()
+
+    async def make(self, accepted: socket.socket, framing: Framing, early: bytes = b"") -> Line:
+        """Return the line over a socket, which it owns from now on.
+
+        Raises:
+            OSError: The connection was lost meanwhile.
+        """
+        try:
+            made = await asyncio_loop().connect_accepted_socket(
+                lambda: ProtocolLine(framing, self._buffer, turns=self._turns, early=early),
+                accepted,
+            )
+        except BaseException:
+            accepted.close()
+            raise
+        return made[1]
+
+
 async def accept(
     listener: Listener[Any],
     new_framing: Callable[[], Framing],
     serve: Callable[[Line], Coroutine[Any, Any, None]],
     tasks: TaskGroup,
 ) -> None:
-    """Serve each client that connects in a task of its own, until accepting fails.
-
-    Clients that come at the same time are accepted together, `BATCH` in a turn of the event loop.
+    """Serve the line of each client that connects in a task of its own, until accepting fails.
 
     Raises:
         OSError: A connection could not be accepted.
     """
-    loop = asyncio_loop()
-    listening = listener.extra(SocketAttribute.raw_socket)
-    buffer, turns = _buffer(), LineTurns()
+    lines = LineMaker()
 
     async def begin(accepted: socket.socket) -> None:
         try:
-            if accepted.family != socket.AF_UNIX:
-                # asyncio sets it only where the socket names its protocol, which this one does not.
-                accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            made = await loop.connect_accepted_socket(
-                lambda: ProtocolLine(new_framing(), buffer, turns=turns), accepted
-            )
-        except BaseException as exc:
-            accepted.close()
-            if not isinstance(exc, Exception):
-                raise
+            line = await lines.make(accepted, new_framing())
+        except Exception as exc:
             logger.warning("a connection was lost as it was accepted: %s", exc)
         else:
-            await serve(made[1])
+            await serve(line)
 
-    while True:
-        accepted, _ = await loop.sock_accept(listening)
-        tasks.start_soon(begin, accepted)
-        for _ in range(BATCH - 1):
-            try:
-                accepted, _ = listening.accept()
-            except BlockingIOError:
-                break
-            accepted.setblocking(False)
-            tasks.start_soon(begin, accepted)
-        await anyio.lowlevel.checkpoint()  # it need not have waited
+    await accept_sockets(listener, begin, tasks)
 
 
 def _buffer() -> memoryview:

@@ -86,12 +86,20 @@ class StreamTransport(WireTransport):
             with anyio.CancelScope(shield=True):
                 await listener.aclose()
 
-    async def _accept(self, listener: Listener[Any], server: WireServer) -> None:
+    async def _accept_all(self, listener: Listener[Any], server: WireServer) -> None:
+        """Serve each client that connects in a task of its own, until accepting fails.
+
+        Raises:
+            OSError: A connection could not be accepted.
+        """
         plain = asyncio_task() is not None and not isinstance(listener, TlsListener)
         accept = _asyncio.accept if plain else _anyio.accept
+        await accept(listener, self._new_framing(server), server.serve, server.tasks)
+
+    async def _accept(self, listener: Listener[Any], server: WireServer) -> None:
         while True:
             try:
-                await accept(listener, self._new_framing(server), server.serve, server.tasks)
+                await self._accept_all(listener, server)
             except Exception as exc:
                 # For example too many open files. The connections that are open must not suffer.
                 logger.error("%s cannot accept connections: %s", self.url, exc, exc_info=exc)

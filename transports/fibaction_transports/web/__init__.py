@@ -1,6 +1,8 @@
-"""`ws://host:port` and `wss://host:port`: actions over WebSocket."""
+"""Actions for web clients: `http://host:port`, `ws://host:port`, and an ASGI application."""
 
 from fibaction.wire.tls_files import TlsFiles
+from fibaction_transports.web.http_transport import HttpTransport
+from fibaction_transports.web.web_transport import WebTransport
 from fibaction_transports.web.websocket_transport import WebSocketTransport
 
-__all__ = ["TlsFiles", "WebSocketTransport"]
+__all__ = ["HttpTransport", "TlsFiles", "WebSocketTransport", "WebTransport"]

@@ -14,6 +14,7 @@ from http import HTTPStatus
 import h11
 from wsproto.utilities import generate_accept_token, generate_nonce
 
+from fibaction._http_rules import HttpRules, Refused
 from fibaction._text import excerpt
 from fibaction.exceptions import (
     AuthenticationFailed,
@@ -24,7 +25,6 @@ from fibaction.exceptions import (
 )
 from fibaction.wire.codec import decode_from_server
 from fibaction.wire.messages import Goodbye
-from fibaction_transports.web._http_rules import HttpRules, Refused
 
 SUBPROTOCOL = "fibaction.1"
 """The name of the wire protocol among WebSocket's subprotocols."""
@@ -56,10 +56,12 @@ def http_answer(status: int, text: str, *headers: tuple[str, str]) -> bytes:
 class ServerHandshake:
     """Reads a request, and answers it."""
 
-    def __init__(self, rules: HttpRules) -> None:
+    def __init__(self, rules: HttpRules, subprotocol: str = SUBPROTOCOL) -> None:
+        """Speak that subprotocol; none if it is empty."""
         self.answer = b""
         """The answer, once the request has arrived or is known to be wrong."""
         self._rules = rules
+        self._subprotocol = subprotocol
         self._http = h11.Connection(h11.SERVER, max_incomplete_event_size=LONGEST_HEAD)
 
     def feed(self, data: bytes) -> bytes | None:
@@ -83,17 +85,17 @@ class ServerHandshake:
             raise self._rejected(Refused(exc.error_status_hint, str(exc))) from exc
         except Refused as exc:
             raise self._rejected(exc) from exc
+        headers = [
+            (b"Upgrade", b"websocket"),
+            (b"Connection", b"Upgrade"),
+            (b"Sec-WebSocket-Accept", generate_accept_token(key)),
+        ]
+        if self._subprotocol:
+            headers.append((b"Sec-WebSocket-Protocol", self._subprotocol.encode()))
         self.answer = (
             self._http.send(
                 h11.InformationalResponse(
-                    status_code=101,
-                    headers=[
-                        (b"Upgrade", b"websocket"),
-                        (b"Connection", b"Upgrade"),
-                        (b"Sec-WebSocket-Accept", generate_accept_token(key)),
-                        (b"Sec-WebSocket-Protocol", SUBPROTOCOL.encode()),
-                    ],
-                    reason=b"Switching Protocols",
+                    status_code=101, headers=headers, reason=b"Switching Protocols"
                 )
             )
             or b""
@@ -113,7 +115,7 @@ class ServerHandshake:
         return http_answer(503, reason)
 
     def _key_of(self, request: h11.Request) -> bytes:
-        """Return the key of a request that asks for the wire protocol over WebSocket.
+        """Return the key of a request that asks for WebSocket.
 
         Raises:
             Refused: It asks for something else.
@@ -143,8 +145,9 @@ class ServerHandshake:
                 ("Upgrade", "websocket"),
                 ("Sec-WebSocket-Version", VERSION),
             )
-        if SUBPROTOCOL not in _items(headers.get("sec-websocket-protocol", "")):
-            raise Refused(400, f"the request must offer the subprotocol {SUBPROTOCOL}")
+        offered = _items(headers.get("sec-websocket-protocol", ""))
+        if self._subprotocol and self._subprotocol not in offered:
+            raise Refused(400, f"the request must offer the subprotocol {self._subprotocol}")
         key = headers.get("sec-websocket-key", "")
         if not key:
             raise Refused(400, "the request has no Sec-WebSocket-Key")
@@ -221,7 +224,9 @@ class ClientHandshake:
         self, answer: h11.Response | h11.InformationalResponse
     ) -> AuthenticationFailed | ConnectionLost | LimitReached | ProtocolError:
         status = answer.status_code
-        text = excerpt(self._text() or answer.reason.decode("latin-1"))
+        # A page of another server says nothing to a user of this one.
+        is_text = dict(answer.headers).get(b"content-type", b"").startswith(b"text/plain")
+        text = excerpt((is_text and self._text()) or answer.reason.decode("latin-1"))
         said = f"HTTP {status}: {text}"
         if status in FULL:
             return LimitReached(said)
@@ -229,7 +234,7 @@ class ClientHandshake:
             return ConnectionLost(said)
         if status in REJECTED:
             return AuthenticationFailed(said)
-        return ProtocolError(said)
+        return ProtocolError(f"{said}; this may be another web server: check the port and the path")
 
     def _text(self) -> str:
         """Return as much of the body as has arrived with the status."""

@@ -31,7 +31,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from wsproto.connection import Connection, ConnectionState, ConnectionType
-from wsproto.events import BytesMessage, CloseConnection, Event, Ping, TextMessage
+from wsproto.events import BytesMessage, CloseConnection, Event, Ping, Pong, TextMessage
 from wsproto.frame_protocol import CloseReason
 from wsproto.utilities import LocalProtocolError
 
@@ -58,6 +58,7 @@ class WebSocketFraming(Framing):
         self._answer = handshake.answer
         self._pong: Event | None = None
         self._code = CloseReason.NORMAL_CLOSURE
+        self._reason: str | None = None
         self._is_broken = False
         self._lost = ""  # why the peer has closed
         self._reply: Event | None = None  # to the close of the peer
@@ -119,11 +120,13 @@ class WebSocketFraming(Framing):
             if isinstance(event, BytesMessage):
                 frames += self._take(event)
             elif isinstance(event, TextMessage):
-                self._code = CloseReason.UNSUPPORTED_DATA
-                raise ProtocolError("it sent a text message: the frames are in binary ones")
+                frames += self._take_text(event)
+            elif isinstance(event, Pong):
+                frames += self._take_pong()
             elif isinstance(event, Ping):
                 self._pong = event.response()
-            elif isinstance(event, CloseConnection):
+            else:
+                assert isinstance(event, CloseConnection)
                 self._end(event)
                 if not frames:
                     self.check()
@@ -143,6 +146,14 @@ class WebSocketFraming(Framing):
             self._code = CloseReason.INVALID_FRAME_PAYLOAD_DATA
             raise ProtocolError("a WebSocket message ended within a frame")
         return frames
+
+    def _take_text(self, event: TextMessage) -> list[bytes]:
+        self._code = CloseReason.UNSUPPORTED_DATA
+        raise ProtocolError("it sent a text message: the frames are in binary ones")
+
+    def _take_pong(self) -> list[bytes]:
+        """Return the frames that a pong stands for."""
+        return []
 
     def _end(self, event: CloseConnection) -> None:
         """Note that the peer has closed, or that what it has sent is not WebSocket."""
@@ -189,7 +200,7 @@ class WebSocketFraming(Framing):
             reply, self._reply = self._reply, None
             last += self._socket.send(reply)
         elif self._socket.state is ConnectionState.OPEN:
-            last += self._socket.send(CloseConnection(code=self._code))
+            last += self._socket.send(CloseConnection(code=self._code, reason=self._reason))
         return last
 
     def discard(self, data: bytes) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, ClassVar, Unpack
 from urllib.parse import SplitResult, quote, unquote
 
+from fibaction._http_rules import HttpRules, rules
 from fibaction.wire.frames import FrameReader, Framing
 from fibaction.wire.settings import WireKeywords
 from fibaction.wire.tls_files import TlsFiles
@@ -14,7 +15,6 @@ from fibaction.wire.transport import boolean, without_user
 from fibaction.wire.wire_server import WireServer
 from fibaction_transports._streams._host_transport import HostTransport, port_in
 from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake, http_answer
-from fibaction_transports.web._http_rules import rules
 from fibaction_transports.web._websocket_frames import WebSocketFraming
 
 HOST = "127.0.0.1"
@@ -27,13 +27,22 @@ def _names(text: str) -> tuple[str, ...]:
     return tuple(name for name in text.split(",") if name)
 
 
+class WebSocketKeywords(WireKeywords, total=False):
+    """The keyword arguments of a `WebSocketTransport`."""
+
+    tls: TlsFiles | ssl.SSLContext | None
+    insecure: bool
+    hosts: Iterable[str]
+    origins: Iterable[str]
+
+
 class WebSocketTransport(HostTransport):
     """WebSocket, with or without TLS."""
 
-    own_settings = ("tls", "insecure", "hosts", "origins")
+    own_settings: ClassVar[tuple[str, ...]] = ("tls", "insecure", "hosts", "origins")
     own_url_settings: ClassVar = {"insecure": boolean, "hosts": _names, "origins": _names}
     plain_scheme = "ws"
-    tls_schemes = ("wss",)
+    tls_schemes: ClassVar[tuple[str, ...]] = ("wss",)
     speaks_tls = http_answer(400, "this server speaks TLS: use wss://")
 
     def __init__(
@@ -101,14 +110,17 @@ class WebSocketTransport(HostTransport):
         handshake = ClientHandshake(host, self._path)
         return WebSocketFraming(self.url, FrameReader(self.client_settings.max_frame), handshake)
 
-    def _new_framing(self, server: WireServer) -> Callable[[], Framing]:
-        admitted = rules(
+    def _rules(self) -> HttpRules:
+        return rules(
             self._host,
             self._path,
             hosts=self._hosts,
             origins=self._origins,
             has_tls=self._tls is not None,
         )
+
+    def _new_framing(self, server: WireServer) -> Callable[[], Framing]:
+        admitted = self._rules()
 
         def new_framing() -> Framing:
             return WebSocketFraming("the client", server.new_reader(), ServerHandshake(admitted))

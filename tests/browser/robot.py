@@ -1,0 +1,195 @@
+"""A robot for tests in a browser: `python -m tests.browser.robot URL [TOKEN]` serves it.
+
+Its actions are those that people send from a page: one with a single number, one with nested
+fields, units and choices, one that waits in a queue, one that fails, and one with a flood of
+feedback.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import AsyncGenerator
+from typing import Annotated, Any, Literal
+
+import anyio
+import msgspec
+
+from fibaction import (
+    Action,
+    ActionServer,
+    CancelRejected,
+    GoalAborted,
+    GoalHandle,
+    GoalRejected,
+    Schedule,
+    serve,
+)
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+
+
+def unit(name: str) -> msgspec.Meta:
+    return msgspec.Meta(extra_json_schema={"x-unit": name})
+
+
+class Point(msgspec.Struct):
+    """A place in the plane."""
+
+    x: Annotated[float, unit("m")] = 0.0
+    y: Annotated[float, unit("m")] = 0.0
+
+
+class Drive(msgspec.Struct):
+    """Where to drive, and how."""
+
+    target: Point = msgspec.field(default_factory=lambda: Point(2.0, 1.0))
+    speed: Annotated[float, msgspec.Meta(gt=0, le=2, description="Speed on straight lines")] = 0.5
+    gear: Literal["slow", "normal", "fast"] = "normal"
+    lights: bool = False
+    stops: list[Point] = []
+    note: str | None = None
+    load: int | str = 0
+
+
+class Driving(msgspec.Struct):
+    """The place so far."""
+
+    position: Point
+    battery: Annotated[float, unit("%")]
+    progress: float
+
+
+class Driven(msgspec.Struct):
+    """The way that was driven."""
+
+    distance: Annotated[float, unit("m")]
+    stops: list[Point]
+
+
+class Load(msgspec.Struct):
+    """How much feedback to send, and how fast."""
+
+    rate: Annotated[int, msgspec.Meta(ge=1, le=10000, extra_json_schema={"x-unit": "1/s"})] = 1000
+    seconds: float = 2.0
+
+
+class Wave(msgspec.Struct):
+    """One point of a wave."""
+
+    value: float
+    level: int
+    samples: list[float]
+
+
+class Cleaning(msgspec.Struct):
+    """The room to clean."""
+
+    room: str
+    minutes: float = 0.02
+
+
+class Cleaned(msgspec.Struct):
+    """The share of the room that is clean."""
+
+    percent: float
+
+
+DRIVE = Action("arm/drive", goal=Drive, feedback=Driving, result=Driven)
+FLOOD = Action("flood", goal=Load, feedback=Wave, result=int)
+CLEAN = Action("clean", goal=Cleaning, feedback=Cleaned, result=str)
+STUBBORN = Action("stubborn", goal=Goal, feedback=Feedback, result=Result)
+BREAK = Action("break", goal=Goal, feedback=Feedback, result=Result)
+
+Items = AsyncGenerator[Any, None]
+
+
+async def fibonacci(goal: GoalHandle[Goal]) -> Items:
+    """Compute a Fibonacci sequence slowly; a negative order is rejected."""
+    sequence = [0, 1]
+    for _ in range(goal.request.order - 1):
+        await anyio.sleep(0.05)
+        sequence.append(sequence[-1] + sequence[-2])
+        yield Feedback(list(sequence))
+    yield Result(sequence)
+
+
+def check_order(goal: Goal) -> None:
+    """Reject a negative order."""
+    if goal.order < 0:
+        raise GoalRejected("the order is negative")
+
+
+async def drive(goal: GoalHandle[Drive]) -> Items:
+    """Drive in a curve; the fast gear is faster."""
+    steps = {"slow": 100, "normal": 50, "fast": 10}[goal.request.gear]
+    target = goal.request.target
+    for step in range(1, steps + 1):
+        await anyio.sleep(0.05)
+        share = step / steps
+        bend = math.sin(math.pi * share)
+        position = Point(target.x * share, target.y * share + bend)
+        yield Driving(position, 80 - 20 * share, share)
+    yield Driven(math.hypot(target.x, target.y), goal.request.stops)
+
+
+async def flood(goal: GoalHandle[Load]) -> Items:
+    """Send feedback at a rate."""
+    rate, step = goal.request.rate, 0
+    begin = anyio.current_time()
+    while (now := anyio.current_time() - begin) < goal.request.seconds:
+        while step < now * rate:
+            step += 1
+            yield Wave(math.sin(step / 500), step % 100, [step / 10, math.cos(step / 300)])
+        await anyio.sleep(0.005)
+    yield step
+
+
+async def clean(goal: GoalHandle[Cleaning]) -> Items:
+    """Clean a room; one room at a time."""
+    for percent in range(10, 101, 10):
+        await anyio.sleep(goal.request.minutes * 6)
+        yield Cleaned(percent)
+    yield f"the {goal.request.room} is clean"
+
+
+async def fail(goal: GoalHandle[Goal]) -> Items:
+    """Send one feedback, then abort."""
+    yield Feedback([goal.request.order])
+    await anyio.sleep(0.05)
+    raise GoalAborted("the arm is stuck", result=Result([goal.request.order]))
+
+
+async def wait(goal: GoalHandle[Goal]) -> Items:
+    """Wait for a while."""
+    await anyio.sleep(goal.request.order)
+    yield Result([])
+
+
+def keep_on(goal: GoalHandle[Goal]) -> None:
+    """Reject a cancel of an even order."""
+    if goal.request.order % 2 == 0:
+        raise CancelRejected("the arm must not stop here")
+
+
+def servers() -> list[ActionServer[Any, Any, Any]]:
+    """Return all servers of the robot."""
+    return [
+        ActionServer(FIBONACCI, fibonacci, on_goal=check_order, result_timeout=600),
+        ActionServer(DRIVE, drive, result_timeout=600),
+        ActionServer(FLOOD, flood),
+        ActionServer(CLEAN, clean, schedule=Schedule(concurrency=1, queue=10)),
+        ActionServer(BREAK, fail),
+        ActionServer(STUBBORN, wait, on_cancel=keep_on),
+    ]
+
+
+async def main(url: str, token: str = "") -> None:
+    """Serve until the process is ended."""
+    settings: dict[str, Any] = {"tokens": {token: "operator"}} if token else {}
+    async with serve(servers(), url, **settings) as (where,):
+        print(where, flush=True)
+        await anyio.sleep_forever()
+
+
+if __name__ == "__main__":
+    anyio.run(main, sys.argv[1], "".join(sys.argv[2:]))

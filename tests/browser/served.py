@@ -1,0 +1,58 @@
+"""Processes with the robot, for tests in a browser."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.ports import free_port
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE = 20.0
+"""Seconds within which a process serves, or ends."""
+
+
+class RobotProcess:
+    """A process that serves the robot at one address; it can be killed, and started again."""
+
+    def __init__(self, query: str = "", token: str = "") -> None:
+        self.port = free_port()
+        self.url = f"http://127.0.0.1:{self.port}"
+        """The address of the page, without a slash at its end."""
+        self.token = token
+        self._query = query
+        self._process: subprocess.Popen[str] | None = None
+
+    @property
+    def pid(self) -> int:
+        """The ID of the process."""
+        assert self._process is not None
+        return self._process.pid
+
+    def start(self) -> None:
+        """Start the process, and wait until it serves."""
+        command = [sys.executable, "-m", "tests.browser.robot", self.url + self._query]
+        if self.token:
+            command.append(self.token)
+        self._process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        assert self._process.stdout is not None
+        if not self._process.stdout.readline().strip():
+            self.kill()
+            raise RuntimeError("the robot has not started")
+
+    def kill(self) -> None:
+        """End the process at once, as a power failure does."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait(PATIENCE)
+            assert self._process.stdout is not None
+            self._process.stdout.close()
+            self._process = None
+
+    def __enter__(self) -> RobotProcess:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()

@@ -1,0 +1,356 @@
+"""The console in a real browser, with a robot in a process of its own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import BrowserContext, Locator, Page, expect
+
+from tests.browser.served import RobotProcess
+
+ID = re.compile("[0-9a-f]{8}")
+NewRobot = Callable[..., RobotProcess]
+
+
+def open_action(page: Page, robot: RobotProcess, name: str = "fibonacci") -> None:
+    page.goto(f"{robot.url}/#/{name}")
+    expect(page.get_by_role("heading", name=name)).to_be_visible()
+
+
+def send(page: Page, **fields: str) -> str:
+    """Send a goal, and return the first letters of its ID."""
+    shown = page.locator(".goal header code").all_inner_texts()
+    for name, value in fields.items():
+        page.get_by_label(name, exact=True).fill(value)
+    page.get_by_role("button", name="Send goal").click()
+    expect(page.locator(".goal header code")).to_have_text(ID)
+    for before in shown:
+        expect(page.locator(".goal header code")).not_to_have_text(before)
+    return page.locator(".goal header code").inner_text()
+
+
+def goal(page: Page) -> Locator:
+    """Return the part of the page that shows one goal."""
+    return page.locator(".goal")
+
+
+def row(page: Page, goal_id: str) -> Locator:
+    """Return the row of a goal in the table."""
+    return page.get_by_role("row").filter(has=page.get_by_role("link", name=goal_id, exact=True))
+
+
+# To send and to follow
+
+
+def test_a_goal_is_sent_in_three_clicks_and_followed_to_its_result(
+    page: Page, robot: RobotProcess
+) -> None:
+    page.goto(robot.url)
+    page.get_by_role("link", name="fibonacci").click()
+    page.get_by_label("order").fill("10")
+    page.get_by_role("button", name="Send goal").click()
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    expect(goal(page).get_by_label("Result", exact=True)).to_contain_text("34, 55")
+    expect(goal(page).get_by_label("Goal", exact=True)).to_contain_text('"order": 10')
+    expect(goal(page)).to_contain_text("Feedback: 9 messages")
+    expect(page.locator("#connection")).to_have_text("connected")
+
+
+def test_a_rejected_goal_shows_its_reason_beside_the_form(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot)
+    page.get_by_label("order").fill("-1")
+    page.get_by_role("button", name="Send goal").click()
+    expect(page.get_by_role("alert")).to_have_text("Rejected: the order is negative")
+
+
+def test_an_aborted_goal_shows_its_reason_and_its_result(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "break")
+    send(page, order="3")
+    expect(goal(page).locator(".badge")).to_have_text("✕ aborted")
+    expect(goal(page).locator(".reason")).to_have_text("the arm is stuck")
+    expect(goal(page).get_by_label("Result", exact=True)).to_contain_text("3")
+
+
+def test_the_form_has_every_kind_of_field_and_sends_what_was_entered(
+    page: Page, robot: RobotProcess
+) -> None:
+    open_action(page, robot, "arm/drive")
+    target = page.get_by_role("group", name="target")
+    target.get_by_label("x m").fill("4.5")
+    page.get_by_label("gear").select_option("fast")
+    page.get_by_label("lights").check()
+    page.get_by_role("button", name="Add to stops").click()
+    page.get_by_role("button", name="Add to stops").click()
+    page.get_by_role("group", name="stops[1]").get_by_label("y m").fill("-2")
+    page.get_by_role("button", name="Remove stops[0]").click()
+    page.get_by_label("set note").check()
+    page.get_by_label("note", exact=True).fill("near the wall")
+    page.get_by_label("load (JSON)").fill('"heavy"')
+    send(page)
+    sent = goal(page).get_by_label("Goal", exact=True)
+    for text in ('"x": 4.5', '"gear": "fast"', '"lights": true', '"y": -2', '"near the wall"'):
+        expect(sent).to_contain_text(text)
+    expect(sent).to_contain_text('"load": "heavy"')
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+
+
+@pytest.mark.parametrize(
+    ("field", "text", "told"),
+    [("speed", "", "enter a number"), ("load (JSON)", "{", "not JSON"), ("speed", "3", "speed")],
+)
+def test_a_field_that_is_wrong_is_named_and_nothing_is_sent(
+    page: Page, robot: RobotProcess, field: str, text: str, told: str
+) -> None:
+    open_action(page, robot, "arm/drive")
+    page.get_by_label(field).fill(text)
+    page.get_by_role("button", name="Send goal").click()
+    expect(page.get_by_role("alert")).to_contain_text(told)
+    assert page.evaluate("document.activeElement.labels[0].textContent") == field
+    expect(goal(page)).to_have_count(0)
+
+
+def test_integers_beyond_those_of_javascript_arrive_exactly(
+    context: BrowserContext, page: Page, robot: RobotProcess
+) -> None:
+    open_action(page, robot, "arm/drive")
+    page.get_by_label("gear").select_option("slow")  # it is active while the other tab looks
+    page.get_by_role("button", name="Edit as JSON").click()
+    area = page.get_by_label("goal (JSON)")
+    edited = area.input_value().replace('"load": 0', f'"load": {2**60 + 1}')
+    area.fill(edited.replace('"note": null', '"note": "12345678901234567890 and 1.50"'))
+    goal_id = send(page)
+    other = context.new_page()
+    other.goto(robot.url)
+    other.get_by_role("link", name=goal_id, exact=True).click()
+    received = goal(other).get_by_label("Goal", exact=True)
+    expect(received).to_contain_text(f'"load": {2**60 + 1}')
+    expect(received).to_contain_text('"note": "12345678901234567890 and 1.50"')
+
+
+def test_a_goal_can_be_edited_as_json_and_used_again(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot)
+    page.get_by_role("button", name="Edit as JSON").click()
+    page.get_by_label("goal (JSON)").fill('{"order": 5}')
+    first = send(page)
+    page.get_by_role("button", name="Edit as JSON").click()
+    page.get_by_label("order").fill("1")
+    goal(page).get_by_role("button", name="Use as new goal").click()
+    expect(page.get_by_label("order")).to_have_value("5")
+    page.get_by_role("button", name="Send goal").click()
+    expect(page.locator(".goal header code")).not_to_have_text(first)
+
+
+def test_the_feedback_is_drawn_by_the_schema_and_told_as_text(
+    page: Page, robot: RobotProcess
+) -> None:
+    open_action(page, robot, "arm/drive")
+    page.get_by_label("gear").select_option("fast")
+    send(page)
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    titles = goal(page).locator("figcaption strong").all_inner_texts()
+    assert titles == ["position (m)", "battery (%)", "progress"]
+    expect(goal(page).get_by_label("Latest feedback")).to_contain_text('"battery": 60')
+    goal(page).get_by_text("Messages", exact=True).click()
+    expect(goal(page).get_by_label("Feedback messages")).to_contain_text("battery")
+    drawn = "canvas => canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height)"
+    some = f"canvas => ({drawn})(canvas).data.some(one => one > 0)"
+    assert goal(page).locator("canvas").first.evaluate(some)
+
+
+# To cancel
+
+
+def test_a_goal_is_canceled_after_a_question(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot)
+    goal_id = send(page, order="200")
+    goal(page).get_by_role("button", name="Cancel goal").click()
+    page.get_by_role("button", name="Keep it").click()
+    expect(goal(page).locator(".badge")).to_have_text("▶ executing")
+    row(page, goal_id).get_by_role("button", name="Cancel").click()
+    page.get_by_role("button", name="Cancel the goal").click()
+    expect(goal(page).locator(".badge")).to_have_text("⊘ canceled")
+
+
+def test_a_cancel_that_is_rejected_shows_the_reason(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "stubborn")
+    send(page, order="2")
+    goal(page).get_by_role("button", name="Cancel goal").click()
+    page.get_by_role("button", name="Cancel the goal").click()
+    expect(page.get_by_role("alert").first).to_contain_text("the arm must not stop here")
+
+
+def test_goals_that_wait_show_their_places_and_all_can_be_canceled_at_once(
+    page: Page, robot: RobotProcess
+) -> None:
+    open_action(page, robot, "clean")
+    ids = [send(page, room=f"room {number}", minutes="2") for number in range(3)]
+    expect(row(page, ids[0]).locator(".badge")).to_have_text("▶ executing")
+    expect(row(page, ids[2]).locator(".badge")).to_have_text("◷ waiting, 2 of 2")
+    page.get_by_role("button", name="Cancel all").click()
+    expect(page.get_by_role("dialog")).to_contain_text("3 active goals")
+    page.get_by_role("dialog").get_by_role("button", name="Cancel all").click()
+    for goal_id in ids:
+        expect(row(page, goal_id).locator(".badge")).to_have_text("⊘ canceled")
+
+
+# Several pages, and those that come back
+
+
+def test_another_tab_sees_the_goal_its_sender_and_what_was_sent(
+    context: BrowserContext, robot: RobotProcess
+) -> None:
+    mine, other = context.new_page(), context.new_page()
+    open_action(mine, robot)
+    goal_id = send(mine, order="60")
+    other.goto(f"{robot.url}/#/fibonacci/{goal_id}")
+    expect(goal(other).get_by_label("Goal", exact=True)).to_contain_text('"order": 60')
+    expect(goal(other).locator(".facts")).to_contain_text("127.0.0.1")
+    expect(goal(other)).to_contain_text(re.compile("Feedback: [1-9]"))
+    goal(other).get_by_role("button", name="Cancel goal").click()
+    other.get_by_role("button", name="Cancel the goal").click()
+    expect(goal(mine).locator(".badge")).to_have_text("⊘ canceled")
+
+
+def test_a_goal_survives_the_end_of_the_server_and_a_reload_of_the_page(
+    page: Page, new_robot: NewRobot
+) -> None:
+    robot = new_robot()
+    open_action(page, robot)
+    ended = send(page, order="4")
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    active = send(page, order="200")
+    robot.kill()
+    expect(page.locator("#connection")).to_contain_text("lost")
+    robot.start()
+    expect(page.locator("#connection")).to_have_text("connected")
+    expect(row(page, active).locator(".badge")).to_have_text("? unknown")
+    send(page, order="5")
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    page.goto(f"{robot.url}/#/fibonacci/{ended}")
+    page.reload()
+    expect(goal(page).get_by_label("Result", exact=True)).to_contain_text("0, 1, 1, 2")
+    expect(goal(page)).to_contain_text("Feedback: 3 messages")
+    page.get_by_role("button", name="Clear history").click()
+    page.get_by_role("button", name="Clear", exact=True).click()
+    expect(row(page, ended)).to_have_count(0)
+
+
+def test_goals_are_searched_and_filtered(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "break")
+    broken = send(page, order="7")
+    expect(goal(page).locator(".badge")).to_have_text("✕ aborted")
+    page.goto(f"{robot.url}/#/")
+    expect(page.get_by_role("heading", name="All actions")).to_be_visible()
+    page.get_by_label("Search goals").fill("stuck 7")
+    expect(row(page, broken)).to_be_visible()
+    page.get_by_label("Search goals").fill("nothing like it")
+    expect(row(page, broken)).to_have_count(0)
+    page.get_by_label("Search goals").fill("")
+    page.get_by_label("Filter goals").select_option("active")
+    expect(row(page, broken)).to_have_count(0)
+    page.get_by_label("Filter goals").select_option("not succeeded")
+    expect(row(page, broken)).to_be_visible()
+    page.get_by_label("Search actions").fill("dri")
+    expect(page.get_by_role("navigation").get_by_role("link")).to_have_text(
+        ["All actions", re.compile("arm/drive")]
+    )
+
+
+# A token, a flood, a phone, the keyboard, and everyone
+
+
+def test_a_token_is_taken_from_the_fragment_or_asked_for(
+    context: BrowserContext, new_robot: NewRobot
+) -> None:
+    robot = new_robot(token="s3cret")
+    page = context.new_page()
+    page.goto(f"{robot.url}/#token=s3cret")
+    expect(page.locator("#connection")).to_have_text("connected")
+    assert "s3cret" not in page.url
+    other = context.new_page()
+    other.goto(f"{robot.url}/#token=wrong")
+    other.get_by_label("Access token").fill("s3cret")
+    other.get_by_role("button", name="Connect").click()
+    expect(other.locator("#connection")).to_have_text("connected")
+    expect(other.get_by_role("link", name="fibonacci")).to_be_visible()
+
+
+def test_a_flood_of_feedback_leaves_the_page_usable(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot, "flood")
+    send(page, **{"rate 1/s": "1000", "seconds": "30"})
+    expect(goal(page)).to_contain_text(re.compile(r"Feedback: \d{4}"))
+    page.get_by_role("link", name="fibonacci").click()
+    send(page, order="3")
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    page.get_by_role("link", name="flood").click()
+    page.get_by_role("button", name=re.compile("^Cancel [0-9a-f]{8}$")).click()
+    page.get_by_role("button", name="Cancel the goal").click()
+    expect(page.locator(".goals .badge").first).to_have_text("⊘ canceled")
+
+
+@pytest.mark.parametrize("name", ["", "fibonacci", "arm/drive"])
+def test_on_a_phone_nothing_scrolls_sideways(page: Page, robot: RobotProcess, name: str) -> None:
+    page.set_viewport_size({"width": 360, "height": 740})
+    open_action(page, robot, name or "fibonacci")
+    send(page)
+    if not name:
+        page.goto(f"{robot.url}/#/")
+        expect(page.get_by_role("heading", name="All actions")).to_be_visible()
+    wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+    assert page.evaluate(wide) <= 0
+
+
+def test_the_keyboard_reaches_everything_that_matters(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot)
+    page.keyboard.press("n")
+    page.keyboard.press("Control+a")
+    page.keyboard.type("150")
+    page.keyboard.press("Control+Enter")
+    expect(goal(page).locator(".badge")).to_have_text("▶ executing")
+    page.keyboard.press("Escape")
+    page.keyboard.press("c")
+    page.get_by_role("button", name="Cancel the goal").press("Enter")
+    expect(goal(page).locator(".badge")).to_have_text("⊘ canceled")
+    page.keyboard.press("Escape")
+    expect(goal(page)).to_have_count(0)
+    page.keyboard.press("j")
+    expect(goal(page)).to_have_count(1)
+    page.keyboard.press("/")
+    expect(page.get_by_label("Search actions")).to_be_focused()
+    page.keyboard.press("Escape")
+    page.keyboard.press("?")
+    expect(page.get_by_role("dialog")).to_contain_text("Next, previous goal")
+    page.keyboard.press("Escape")
+    expect(page.get_by_role("dialog")).to_have_count(0)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("name", ["", "fibonacci", "arm/drive"])
+def test_axe_finds_no_violation(page: Page, robot: RobotProcess, name: str, theme: Any) -> None:
+    # Without transitions, in the middle of which a colour has no contrast yet.
+    page.emulate_media(color_scheme=theme, reduced_motion="reduce")
+    open_action(page, robot, name or "fibonacci")
+    send(page)
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    if not name:
+        page.goto(f"{robot.url}/#/")
+        expect(page.get_by_role("heading", name="All actions")).to_be_visible()
+    found = Axe().run(page)
+    assert found.violations_count == 0, found.generate_report()
+
+
+def test_the_theme_can_be_chosen_and_is_remembered(page: Page, robot: RobotProcess) -> None:
+    page.emulate_media(color_scheme="light")
+    open_action(page, robot)
+    button = page.get_by_role("button", name="Theme")
+    button.click()
+    button.click()
+    expect(button).to_have_text("Theme: dark")
+    page.reload()
+    expect(button).to_have_text("Theme: dark")
+    ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert ground == "rgb(14, 19, 27)"

@@ -1,0 +1,163 @@
+// The client against a server that says what the test writes, at times that the test sets.
+
+import assert from "node:assert/strict";
+import { afterEach, beforeEach, mock, test } from "node:test";
+import { ConnectionLost, Connection, ProtocolError, decode, encode } from "./fibaction.js";
+
+const PING = 0, GOODBYE = 1, HELLO = 16, SEND_GOAL = 17, FOLLOW = 18, LIST_ACTIONS = 22, WELCOME = 32,
+  FOLLOWING = 33, FEEDBACK = 36, PLACES = 46;
+const SECOND = 1000;
+const clock = performance.now;
+let now, sockets;
+
+class ScriptedSocket {
+  readyState = 0;
+  said = [];
+
+  constructor() {
+    sockets.push(this);
+  }
+
+  open() {
+    this.readyState = 1;
+    this.onopen();
+    return this.hear([WELCOME, 1, 30, 2 ** 20, 30]);
+  }
+
+  /** Give the client messages of the server, or any data. */
+  hear(...messages) {
+    for (const message of messages) {
+      const data = Array.isArray(message) ? frame(encode(message)) : message;
+      this.onmessage({ data });
+    }
+    return this;
+  }
+
+  send(bytes) {
+    this.said.push(decode(bytes.subarray(4)));
+  }
+
+  close() {
+    this.readyState = 3;
+  }
+
+  cut() {
+    this.close();
+    this.onclose({ code: 1006, reason: "" });
+  }
+}
+
+function frame(body, length = body.length) {
+  const bytes = new Uint8Array(4 + body.length);
+  new DataView(bytes.buffer).setUint32(0, length);
+  bytes.set(body, 4);
+  return bytes.buffer;
+}
+
+function connect(options) {
+  return new Connection("ws://127.0.0.1:1", { WebSocket: ScriptedSocket, ...options });
+}
+
+/** The next attempt to connect. */
+function nextSocket() {
+  const count = sockets.length;
+  mock.timers.tick(2 * SECOND);
+  assert.equal(sockets.length, count + 1);
+  return sockets.at(-1);
+}
+
+beforeEach(() => {
+  [now, sockets] = [0, []];
+  performance.now = () => now;
+  mock.timers.enable({ apis: ["setTimeout", "setInterval"] });
+});
+afterEach(() => {
+  mock.timers.reset();
+  performance.now = clock;
+});
+
+test("in a tab without timers, a heartbeat is sent when a message comes", () => {
+  connect();
+  const socket = sockets[0].open();
+  now = 14 * SECOND;
+  socket.hear([PING]);
+  assert.deepEqual(socket.said.map(([tag]) => tag), [HELLO]);
+  now = 16 * SECOND;
+  socket.hear([PING]);
+  assert.deepEqual(socket.said.slice(1), [[PING]]);
+});
+
+test("a silent server is left, and dialed again", async () => {
+  const states = [];
+  connect({ onstate: (state) => states.push(state) });
+  sockets[0].open();
+  now = 119 * SECOND;
+  mock.timers.tick(SECOND);
+  assert.deepEqual(states, ["ready"]);
+  now = 121 * SECOND;
+  mock.timers.tick(SECOND);
+  assert.deepEqual(states, ["ready", "lost"]);
+  assert.equal(sockets[0].readyState, 3);
+  nextSocket().open();
+  assert.deepEqual(states, ["ready", "lost", "ready"]);
+});
+
+test("a server that never answers is left as well", async () => {
+  const connection = connect({ reconnectTimeout: 5 });
+  sockets[0].readyState = 1;
+  sockets[0].onopen();
+  const actions = connection.actions();
+  now = 11 * SECOND;
+  mock.timers.tick(SECOND);
+  await assert.rejects(actions, (error) => error instanceof ConnectionLost && /silent/.test(error.message));
+});
+
+test("calls are opened anew before the program hears that the connection is ready", async () => {
+  const connection = connect();
+  sockets[0].open();
+  const sending = connection.sendGoal("count", { to: 3 }, { id: "ab".repeat(16) });
+  const [tag, number] = sockets[0].said[1];
+  assert.equal(tag, SEND_GOAL);
+  sockets[0].hear([FOLLOWING, number, 5, 2, false, 0], [FEEDBACK, number, 1, encode(1)]);
+  const goal = await sending;
+  assert.deepEqual((await goal.feedback.next()).value, 1);
+  sockets[0].cut();
+  connection.onstate = (state) => state === "ready" && connection.actions();
+  const second = nextSocket().open();
+  assert.deepEqual(second.said.map(([one]) => one), [HELLO, FOLLOW, LIST_ACTIONS]);
+  assert.equal(second.said[1][4], 1); // the feedback after which to go on
+});
+
+test("what is no message ends the connection for good, and the server is told", async () => {
+  const garbage = ["text", new ArrayBuffer(3), frame(Uint8Array.of(0xc1)), frame(Uint8Array.of(5)),
+    frame(Uint8Array.of(0x90), 100), [WELCOME, 2, 30]];
+  for (const data of garbage) {
+    const connection = connect();
+    const socket = sockets.at(-1).open();
+    const actions = connection.actions();
+    socket.hear(data);
+    await assert.rejects(actions, ProtocolError);
+    assert.equal(connection.state, "closed");
+    assert.equal(socket.said.at(-1)[0], GOODBYE);
+    assert.equal(socket.readyState, 3);
+  }
+});
+
+test("a server that stops is dialed again, and one that refuses the token is not", () => {
+  const connection = connect();
+  sockets[0].open().hear([GOODBYE, "it stops", 3]);
+  assert.equal(connection.state, "lost");
+  nextSocket().open().hear([GOODBYE, "the token is not valid", 4]);
+  assert.equal(connection.state, "closed");
+  mock.timers.tick(60 * SECOND);
+  assert.equal(sockets.length, 2);
+});
+
+test("a request of one's own is answered with the fields of the answer", async () => {
+  const connection = connect();
+  sockets[0].open();
+  const answer = connection.request(27, "count", 10);
+  assert.deepEqual(sockets[0].said[1], [27, 1, "count", 10]);
+  sockets[0].hear([PLACES, 1, [[Uint8Array.of(1), 1, 2]]]);
+  assert.deepEqual(await answer, [[[Uint8Array.of(1), 1, 2]]]);
+});

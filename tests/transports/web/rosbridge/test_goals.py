@@ -1,0 +1,248 @@
+"""Goals of rosbridge clients, through the server of `http://` and through an application."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import AsyncGenerator
+from typing import Any
+
+import msgspec
+import pytest
+
+from fibaction import (
+    Action,
+    ActionServer,
+    GoalHandle,
+)
+from tests.transports.web.rosbridge.clients import Serving
+from tests.transports.web.rosbridge.robot import Robot, feedback, goal, result
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_a_goal_is_answered_by_its_feedback_and_its_result(serving: Serving) -> None:
+    async with serving(Robot().server) as served, served.connect() as client:
+        await client.say(goal(3))
+        heard = await client.hear_until("action_result")
+        assert heard == [feedback(0), feedback(0, 3), result({"sequence": [3]})]
+
+
+async def test_without_feedback_there_is_the_result_only(serving: Serving) -> None:
+    async with serving(Robot().server) as served, served.connect() as client:
+        sent = goal(3)
+        del sent["feedback"]
+        await client.say(sent)
+        assert await client.hear() == result({"sequence": [3]})
+
+
+async def test_every_end_is_told_as_the_libraries_show_it(serving: Serving) -> None:
+    async with serving(Robot().server) as served, served.connect() as client:
+        for order, expected in [
+            (-1, result("order is negative", 0, ok=False)),
+            (6, result("six is too many", 6, ok=False)),
+            (7, result({"sequence": [7]}, 6, reason="seven is too many")),
+        ]:
+            await client.say(goal(order))
+            assert (await client.hear_until("action_result"))[-1] == expected
+
+
+@pytest.mark.parametrize(
+    ("order", "values", "reason"), [(50, {}, {}), (51, {"sequence": [5, 1]}, {"reason": "stopped"})]
+)
+async def test_a_cancel_arrives_at_once(
+    order: int, values: Any, reason: Any, serving: Serving
+) -> None:
+    async with serving(Robot().server) as served, served.connect() as client:
+        await client.say(goal(order))
+        assert await client.hear() == feedback(0)
+        await client.say(op="cancel_action_goal", id="g1", action="fibonacci")
+        heard = await client.hear_until("action_result")
+        assert heard[-1] == result(values, 5, **reason)
+        # The goal is unknown now, and rosbridge has no answer to that.
+        await client.say(op="cancel_action_goal", id="g1", action="fibonacci")
+        await client.say(goal(-1))
+        assert (await client.hear())["values"] == "order is negative"
+
+
+async def test_a_cancel_that_is_rejected_leaves_the_goal_running(serving: Serving) -> None:
+    robot = Robot()
+    robot.refuses_cancels = True
+    async with serving(robot.server) as served, served.connect() as client:
+        await client.say(goal(50, feedback=False))
+        await client.say(op="cancel_action_goal", id="g1", action="/fibonacci")
+        cancel_all = "/fibonacci/_action/cancel_goal"
+        await client.say(op="call_service", service=cancel_all, args={})
+        answer = await client.hear()
+        assert answer["values"]["return_code"] == 1
+        assert answer["values"]["reason"] == "it is nearly done"
+        robot.go_on.set()
+        assert await client.hear() == result({"sequence": [50]})
+
+
+async def test_a_goal_may_have_a_number_as_its_id_or_none(serving: Serving) -> None:
+    async with serving(Robot().server) as served, served.connect() as client:
+        await client.say(goal(1, id=7, feedback=False))
+        assert await client.hear() == result({"sequence": [1]}, id=7)
+        without = goal(2, feedback=False)
+        del without["id"]
+        await client.say(without)
+        expected = result({"sequence": [2]})
+        del expected["id"]
+        assert await client.hear() == expected
+        await client.say(without | {"args": {"order": 50}})
+        await client.say(op="cancel_action_goal", action="/fibonacci")
+        assert (await client.hear())["status"] == 5
+
+
+async def test_ids_belong_to_one_connection(serving: Serving) -> None:
+    robot = Robot()
+    async with serving(robot.server) as served, served.connect() as one, served.connect() as other:
+        for client in (one, other):
+            await client.say(goal(50))
+            await client.hear()
+            await client.hear()
+        await other.say(op="cancel_action_goal", id="g1", action="/fibonacci")
+        assert (await other.hear())["status"] == 5
+        robot.go_on.set()
+        assert (await one.hear())["status"] == 4
+
+
+async def test_of_two_goals_with_the_same_id_the_later_is_canceled(serving: Serving) -> None:
+    robot = Robot()
+    async with serving(robot.server) as served, served.connect() as client:
+        await client.say(goal(50, feedback=False))
+        await client.say(goal(52, feedback=False))
+        await client.say(op="cancel_action_goal", id="g1", action="/fibonacci")
+        assert await client.hear() == result({}, 5)
+        robot.go_on.set()
+        assert await client.hear() == result({"sequence": [50]})
+
+
+async def test_all_goals_are_canceled_by_a_service(serving: Serving) -> None:
+    async with serving(Robot().server) as served, served.connect() as client:
+        await client.say(goal(50, feedback=False))
+        cancel_all = {"op": "call_service", "service": "/fibonacci/_action/cancel_goal"}
+        await client.say(cancel_all | {"args": {}})
+        heard = [await client.hear(), await client.hear()]
+        heard.sort(key=lambda message: str(message["op"]))
+        assert heard[0] == result({}, 5)
+        (canceled,) = heard[1]["values"].pop("goals_canceling")
+        uuid = base64.b64decode(canceled["goal_id"]["uuid"])
+        assert len(uuid) == 16
+        assert canceled["stamp"]["sec"] > 10**9
+        assert heard[1] == {
+            "op": "service_response",
+            "service": "/fibonacci/_action/cancel_goal",
+            "values": {"return_code": 0},
+            "result": True,
+        }
+        for value in (canceled["goal_id"]["uuid"], list(uuid)):
+            info = {"goal_id": {"uuid": value}, "stamp": {"sec": 0, "nanosec": 0}}
+            await client.say(cancel_all | {"id": 1, "args": {"goal_info": info}})
+            answer = await client.hear()
+            assert (answer["id"], answer["values"]["return_code"]) == (1, 3)
+
+
+async def test_goals_up_to_a_time_are_canceled_by_a_service(serving: Serving) -> None:
+    robot = Robot()
+    async with serving(robot.server) as served, served.connect() as client:
+        await client.say(goal(50, feedback=False))
+        for sec, canceled in [(1, 0), (2**40, 1)]:
+            info = {"stamp": {"sec": sec, "nanosec": 5}}
+            service = "fibonacci/_action/cancel_goal"
+            await client.say(op="call_service", service=service, args=[info])
+            answer = (await client.hear_until("service_response"))[-1]
+            assert len(answer["values"]["goals_canceling"]) == canceled
+
+
+@pytest.mark.parametrize(
+    ("args", "why"),
+    [
+        ({"order": "x"}, 'goal.order must be a whole number, not "x"'),
+        ({"order": 1.5}, "goal.order must be a whole number"),
+        ({"order": 2**70}, "cannot be encoded"),
+        ({"order": 1, "more": 2}, "more"),
+        ({}, "goal.order is missing"),
+        (None, "goal.order is missing"),
+        ([1, 2], "the goal has 1 fields, and 2 are given"),
+        (3, "Expected `object | array | null`, got `int`"),
+    ],
+)
+async def test_wrong_arguments_are_answered_and_nothing_runs(
+    args: Any, why: str, serving: Serving
+) -> None:
+    robot = Robot()
+    async with serving(robot.server) as served, served.connect() as client:
+        await client.say(goal(1, args=args))
+        answer = await client.hear()
+        assert answer == result(answer["values"], 0, ok=False)
+        assert why in answer["values"]
+        await client.say(goal(1, args=[1], feedback=False))
+        assert (await client.hear())["values"] == {"sequence": [1]}
+        assert robot.runs == 1
+
+
+async def test_numbers_beyond_2_53_stay_exact(serving: Serving) -> None:
+    async with serving(Robot().server) as served, served.connect() as client:
+        for number in (2**53 + 1, 2**63 - 1):
+            await client.say(goal(number, feedback=False))
+            await client.say(op="cancel_action_goal", id="g1", action="/fibonacci")
+            assert (await client.hear())["status"] == 5
+        await client.say(goal(-(2**53) - 1))
+        assert (await client.hear())["values"] == "order is negative"
+
+
+async def test_an_action_that_is_not_served_is_told(serving: Serving) -> None:
+    async with serving(Robot().server) as served, served.connect() as client:
+        await client.say(goal(1, action="/dock"))
+        answer = await client.hear()
+        assert answer == result(answer["values"], 0, ok=False, action="/dock")
+        assert "the action '/dock' is not served here" in answer["values"]
+        service = "/dock/_action/cancel_goal"
+        await client.say(op="call_service", service=service, id=1)
+        answer = await client.hear()
+        assert (answer["id"], answer["service"], answer["result"]) == (1, service, False)
+        assert "is not served here" in answer["values"]
+
+
+class Image(msgspec.Struct):
+    data: bytes
+
+
+class Size(msgspec.Struct):
+    size: int
+
+
+async def measure(goal: GoalHandle[Image]) -> AsyncGenerator[Image | Size, None]:
+    yield Image(goal.request.data[::-1])
+    yield Size(len(goal.request.data))
+
+
+@pytest.mark.parametrize("data", ["AAEC", [0, 1, 2]])
+async def test_bytes_are_base64_or_numbers(data: Any, serving: Serving) -> None:
+    action = Action("measure", goal=Image, feedback=Image, result=Size)
+    server = ActionServer(action, measure)
+    async with serving(server) as served, served.connect() as client:
+        sent = {"op": "send_action_goal", "action": "measure", "feedback": True}
+        await client.say(sent | {"args": {"data": data}})
+        assert (await client.hear())["values"] == {"data": "AgEA"}
+        assert (await client.hear())["values"] == {"size": 3}
+        await client.say(sent | {"args": {"data": [0, 256]}})
+        assert (await client.hear())["values"].startswith("goal.data must be text")
+
+
+async def doubled(goal: GoalHandle[int]) -> AsyncGenerator[str | list[int], None]:
+    yield "once"
+    yield [goal.request, goal.request]
+
+
+async def test_messages_that_are_not_objects_have_one_field(serving: Serving) -> None:
+    action = Action("double", goal=int, feedback=str, result=list)
+    server = ActionServer(action, doubled)
+    async with serving(server) as served, served.connect() as client:
+        sent = {"op": "send_action_goal", "action": "/double", "feedback": True}
+        await client.say(sent | {"args": {"data": 4}})
+        assert (await client.hear())["values"] == {"data": "once"}
+        assert (await client.hear())["values"] == {"data": [4, 4]}
+        await client.say(sent | {"args": {"number": 4}})
+        assert (await client.hear())["values"].startswith("goal must be a whole number")

@@ -1,0 +1,119 @@
+"""`RosbridgeTranslator` by itself: what only a session over a long time meets."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import msgspec
+import pytest
+
+from fibaction._budget import ByteBudget
+from fibaction.states import GoalStatus
+from fibaction.wire.codec import FromClient, decode_from_client, encode
+from fibaction.wire.frames import FrameMemory
+from fibaction.wire.messages import (
+    Credit,
+    Ended,
+    Feedback,
+    Following,
+    Hello,
+    Received,
+    SendGoal,
+    StatusChanged,
+    Welcome,
+)
+from fibaction.wire.settings import ServerSettings
+from fibaction_transports.web.rosbridge import _pending_calls
+from fibaction_transports.web.rosbridge._translator import RosbridgeTranslator
+from tests.transports.hearing import Hearing
+from tests.transports.tcp.servers import new_server
+from tests.transports.web.rosbridge.robot import goal, result
+
+
+def sent(frames: list[bytes]) -> list[FromClient]:
+    return [decode_from_client(frame) for frame in frames]
+
+
+@pytest.fixture
+def translator() -> RosbridgeTranslator:
+    memory = FrameMemory(ByteBudget(2**20))
+    made = RosbridgeTranslator("peer", {"fibonacci": new_server()}, ServerSettings(), memory)
+    (hello,) = sent(made.begin())
+    assert isinstance(hello, Hello)
+    assert made.begin() == []
+    return made
+
+
+def send(translator: RosbridgeTranslator, **more: Any) -> SendGoal:
+    (frame,) = sent(translator.frames_of(json.dumps(goal(1, **more))))
+    assert isinstance(frame, SendGoal)
+    return frame
+
+
+def test_a_goal_gets_more_credit_when_it_has_used_it_up(
+    translator: RosbridgeTranslator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_pending_calls, "CREDIT", 2)
+    request = send(translator)
+    assert request.credit == 2
+    feedback = encode(Feedback(request.id, 1, msgspec.msgpack.encode({})))
+    replies: list[FromClient] = []
+    for _ in range(4):
+        assert len(translator.texts_of(feedback)) == 1
+        replies += sent(translator.calls.take_replies())
+    assert replies == [Credit(request.id, 2)] * 2
+
+
+def test_the_meta_of_an_operation_goes_with_the_goal(translator: RosbridgeTranslator) -> None:
+    assert send(translator).meta is None
+    assert send(translator, meta={"traceparent": "00-1"}).meta == {"traceparent": "00-1"}
+
+
+def test_a_meta_that_is_not_text_is_the_error_of_its_goal(translator: RosbridgeTranslator) -> None:
+    assert translator.frames_of(json.dumps(goal(1, meta={"traceparent": 1}))) == []
+    translator.texts_of(encode(Welcome(1, 1.0)))
+    (text,) = translator.take_texts()
+    assert "Expected `str`, got `int`" in text
+
+
+def test_the_end_of_a_goal_is_confirmed(translator: RosbridgeTranslator) -> None:
+    request = send(translator)
+    status = encode(StatusChanged(request.id, GoalStatus.EXECUTING))
+    following = encode(Following(request.id, 0, GoalStatus.ACCEPTED, False, 0))
+    assert translator.texts_of(following) == translator.texts_of(status) == []
+    payload = msgspec.msgpack.encode({"sequence": []})
+    ended = encode(Ended(request.id, GoalStatus.SUCCEEDED, payload, "", 0))
+    assert list(map(json.loads, translator.texts_of(ended))) == [result({"sequence": []})]
+    assert sent(translator.calls.take_replies()) == [Received(request.id)]
+    assert translator.calls.bound_goals() == []
+    assert translator.calls._latest == {}  # it would grow
+
+
+@pytest.mark.parametrize(
+    ("status", "shown"),
+    [(GoalStatus.SUCCEEDED, 4), (GoalStatus.ABORTED, 6), (GoalStatus.UNKNOWN, 0)],
+)
+def test_what_json_cannot_express_is_told_or_left_out(
+    status: GoalStatus, shown: int, translator: RosbridgeTranslator, log: Hearing
+) -> None:
+    request = send(translator)
+    wrong = b"\xc1"  # not msgpack
+    assert translator.texts_of(encode(Feedback(request.id, 1, wrong))) == []
+    assert "is left out" in log.records[0].getMessage()
+    (text,) = translator.texts_of(encode(Ended(request.id, status, wrong, "", 0)))
+    answer = json.loads(text)
+    assert (answer["result"], answer["status"]) == (False, shown)
+    assert "not a valid payload" in answer["values"]
+
+
+def test_an_answer_of_its_own_waits_until_the_client_is_let_in(
+    translator: RosbridgeTranslator,
+) -> None:
+    assert translator.frames_of('{"op":"call_service","service":"/x"}') == []
+    assert not translator.has_texts
+    assert translator.take_texts() == []
+    translator.texts_of(encode(Welcome(1, 1)))
+    assert translator.has_texts
+    assert len(translator.take_texts()) == 1
+    assert not translator.has_texts

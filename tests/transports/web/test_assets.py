@@ -1,0 +1,157 @@
+"""`fibaction_transports.web._assets`: the files, and the headers that they come with."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from html.parser import HTMLParser
+from importlib.resources import files
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import serve
+from fibaction_transports.web import HttpTransport, WebTransport
+from fibaction_transports.web._assets import MEDIA_TYPES, PAGE_POLICY, all_assets
+from tests.transports.tcp.servers import new_server
+from tests.transports.web.http_client import fetch
+from tests.transports.web.test_web_transport import http
+
+pytestmark = pytest.mark.anyio
+
+MOST_BYTES = 120_000
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+@asynccontextmanager
+async def served(where: str = "http://127.0.0.1:0", **settings: Any) -> AsyncGenerator[str, None]:
+    with anyio.fail_after(20):
+        async with serve(new_server(), where, **settings) as (url,):
+            yield url
+
+
+async def test_the_console_is_at_the_root_with_a_strict_policy() -> None:
+    async with served() as url:
+        answer = await fetch(url, "GET", "/", accept="text/html")
+    assert answer.status == 200
+    assert answer.headers["content-type"] == "text/html; charset=utf-8"
+    assert answer.headers["content-security-policy"] == PAGE_POLICY
+    assert answer.headers["x-content-type-options"] == "nosniff"
+    assert answer.headers["referrer-policy"] == "no-referrer"
+    assert answer.body.startswith(b"<!doctype html>")
+
+
+@pytest.mark.parametrize("path", sorted(all_assets()))
+async def test_each_file_arrives_whole_with_its_type_and_a_tag(path: str) -> None:
+    asset = all_assets()[path]
+    async with served() as url:
+        answer = await fetch(url, "GET", path)
+        head = await fetch(url, "HEAD", path)
+        again = await fetch(url, "GET", path, if_none_match=f'W/{answer.headers["etag"]}, "x"')
+    assert (answer.status, answer.body) == (200, asset.body)
+    assert answer.headers["content-type"] == asset.media_type
+    assert answer.headers["cache-control"] == "no-cache"
+    assert (head.status, head.body) == (200, b"")
+    assert head.headers["content-length"] == str(len(asset.body))
+    assert (again.status, again.body) == (304, b"")
+    assert again.headers["etag"] == answer.headers["etag"] == asset.tag
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/console/../__init__.py",
+        "/console/..%2f__init__.py",
+        "/console//etc/passwd",
+        "/console/",
+        "/console",
+        "/console/index.html",
+        "/fibaction.js/",
+        "/_assets.py",
+    ],
+)
+async def test_a_path_that_is_not_a_files_is_not_found(path: str) -> None:
+    async with served() as url:
+        assert (await fetch(url, "GET", path)).status == 404
+
+
+async def test_files_are_only_read() -> None:
+    async with served() as url:
+        answer = await fetch(url, "DELETE", "/")
+    assert answer.status == 405
+    assert answer.headers["allow"] == "GET, HEAD"
+
+
+async def test_files_need_no_token_and_other_hosts_do_not_get_them() -> None:
+    async with served(tokens={"secret": "ann"}) as url:
+        assert (await fetch(url, "GET", "/")).status == 200
+        assert (await fetch(url, "GET", "/actions")).status == 401
+        assert (await fetch(url, "GET", "/", host="evil.example")).status == 421
+        assert (await fetch(url, "GET", "/", origin="http://evil.example")).status == 403
+
+
+async def test_a_server_may_be_without_the_console() -> None:
+    async with served("http://127.0.0.1:0?console=false") as url:
+        assert (await fetch(url, "GET", "/")).status == 404
+        assert (await fetch(url, "GET", "/console/style.css")).status == 404
+        assert (await fetch(url, "GET", "/fibaction.js")).status == 200
+
+
+async def test_below_a_path_the_page_is_found_with_and_without_a_slash() -> None:
+    async with served("http://127.0.0.1:0/robot") as below:
+        url = below.removesuffix("/robot")
+        there = await fetch(url, "GET", "/robot")
+        assert (there.status, there.headers["location"]) == (308, "/robot/")
+        assert (await fetch(url, "GET", "/robot/")).body == all_assets()["/"].body
+        assert (await fetch(url, "GET", "/robot/fibaction.js")).status == 200
+
+
+@pytest.mark.parametrize("console", [True, False])
+async def test_an_application_has_the_console_unless_it_is_not_wanted(console: bool) -> None:
+    web = WebTransport(console=console)
+    async with serve(new_server(), web), anyio.create_task_group() as tasks:
+        call = http(path="/")
+        call.tell(type="http.request", body=b"")
+        tasks.start_soon(call.run, web)
+        assert (await call.heard("http.response.start"))["status"] == (200 if console else 404)
+
+
+def test_the_setting_is_part_of_a_url() -> None:
+    assert HttpTransport.from_url("http://127.0.0.1:1?console=false")._console is False
+
+
+class References(HTMLParser):
+    """The addresses in a page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found += [value or "" for name, value in attrs if name in ("src", "href")]
+
+
+def test_every_file_that_the_page_and_its_modules_name_is_served_at_a_relative_address() -> None:
+    page = References()
+    page.feed(all_assets()["/"].body.decode())
+    names = [name for name in page.found if not name.startswith("#")]
+    assert "console/main.js" in names
+    assert {f"/{name}" for name in names} <= set(all_assets())
+    for path, asset in all_assets().items():
+        if path.startswith("/console/") and path.endswith(".js"):
+            for name in re.findall(r'from "(.*)";', asset.body.decode()):
+                wanted = name[2:] if name.startswith("..") else f"/console/{name[2:]}"
+                assert wanted in all_assets(), f"{path} imports {name}"
+
+
+def test_all_files_of_the_console_are_served_and_small() -> None:
+    folder = files("fibaction_transports.web") / "console"
+    sizes = {one.name: len(one.read_bytes()) for one in folder.iterdir()}
+    assert {f".{name.rpartition('.')[2]}" for name in sizes} <= set(MEDIA_TYPES)
+    assert sum(sizes.values()) <= MOST_BYTES

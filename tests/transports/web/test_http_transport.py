@@ -1,0 +1,338 @@
+"""`fibaction_transports.web.http_transport`: an address of its own, over real sockets."""
+
+from __future__ import annotations
+
+import ssl
+from collections.abc import AsyncGenerator, Generator
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+import anyio
+import pytest
+from anyio.streams.tls import TLSStream
+
+from fibaction import InvalidURL, LimitReached, Limits, TransportError, connect, serve
+from fibaction_transports.web import HttpTransport, TlsFiles, _http_exchange, _http_server
+from fibaction_transports.web._application import WebApplication
+from tests.certificates import pems
+from tests.fibonacci import FIBONACCI, Goal, Result
+from tests.transports.hearing import Hearing, hearing, port_of
+from tests.transports.tcp.servers import new_server, works
+from tests.transports.web.http_client import client_of, fetch
+from tests.transports.web.upgrade import UPGRADE, upgrade
+
+pytestmark = pytest.mark.anyio
+
+HTTP = "http://127.0.0.1:0"
+GOALS = "/actions/fibonacci/goals"
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+@pytest.fixture
+def log() -> Generator[Hearing, None, None]:
+    with hearing("fibaction.web") as found:
+        yield found
+
+
+@asynccontextmanager
+async def served(where: str = HTTP, **settings: Any) -> AsyncGenerator[str, None]:
+    with anyio.fail_after(20):
+        async with serve(new_server(), where, **settings) as (url,):
+            yield url
+
+
+async def said_to(url: str, *pieces: bytes) -> bytes:
+    """Everything that a server says until it closes."""
+    said = b""
+    async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
+        for piece in pieces:
+            await stream.send(piece)
+        with anyio.fail_after(5):
+            try:
+                while True:
+                    said += await stream.receive()
+            except (anyio.EndOfStream, anyio.BrokenResourceError):
+                return said
+
+
+# Addresses
+
+
+def test_a_url_has_a_host_a_port_and_a_path() -> None:
+    assert HttpTransport.from_url("http://robot").url == "http://robot:80"
+    assert HttpTransport.from_url("https://robot/arm").url == "https://robot:443/arm"
+    assert HttpTransport.from_url("https://robot?cert=x")._tls == TlsFiles(cert="x")
+    with pytest.raises(InvalidURL, match="invalid port"):
+        HttpTransport.from_url("http://robot:x")
+
+
+async def test_an_address_of_the_network_needs_tls() -> None:
+    with pytest.raises(TransportError, match=r"use https://, or, if the network is your own"):
+        async with serve(new_server(), "http://0.0.0.0:0"):
+            pass
+    async with served("http://0.0.0.0:0?insecure=true") as url:
+        assert await works(url.replace("0.0.0.0", "127.0.0.1"))
+
+
+async def test_clients_connect_by_ws_and_by_http() -> None:
+    async with served() as url:
+        assert await works(url)
+        assert await works(url.replace("http", "ws"))
+
+
+async def test_it_speaks_tls(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SSL_CERT_FILE", pems().ca)
+    async with served(f"https://127.0.0.1:0?cert={pems().cert}") as url:
+        assert await works(url)
+        assert await works(url.replace("https", "wss"))
+        context = ssl.create_default_context(cafile=pems().ca)
+        plain = await anyio.connect_tcp("127.0.0.1", port_of(url))
+        async with await TLSStream.wrap(plain, hostname="127.0.0.1", ssl_context=context) as tls:
+            await tls.send(b"GET /actions HTTP/1.1\r\nHost: any.example\r\n\r\n")
+            assert (await tls.receive()).startswith(b"HTTP/1.1 200 OK\r\n")
+            await tls.send(b"?\r\n\r\n")
+            assert (await tls.receive()).startswith(b"HTTP/1.1 400 ")
+        assert b"this server speaks TLS: use https://" in await said_to(url, b"GET / HTTP/1.1\r\n")
+
+
+async def test_everything_is_below_the_path() -> None:
+    async with served("http://127.0.0.1:0/arm") as url:
+        at = url.removesuffix("/arm")
+        answer = await fetch(at, "POST", f"/arm{GOALS}?wait=5", {"order": 1})
+        assert answer.headers["location"].startswith(f"/arm{GOALS}/")
+        assert (await fetch(at, "GET", GOALS)).status == 404
+        assert (await fetch(at, "GET", "/army/actions")).status == 404
+        assert await works(url)
+        assert await works(f"{url}/")
+        described = (await fetch(at, "GET", "/arm/openapi.json")).json
+        assert described["servers"] == [{"url": "/arm"}]
+
+
+# Requests, right and wrong
+
+
+@pytest.mark.parametrize(
+    ("data", "status", "reason"),
+    [
+        UPGRADE[name]
+        for name in UPGRADE
+        if name
+        not in (
+            "a plain request",
+            "a request that closes",
+            "an old HTTP",
+            "another method",
+            "no subprotocol",
+            "another path",
+        )
+    ],
+)
+async def test_a_wrong_request_gets_its_status_and_leaves_one_line_in_the_log(
+    data: bytes, status: int, reason: str, log: Hearing
+) -> None:
+    with hearing() as wire:
+        async with served() as url, connect(url, FIBONACCI) as client:
+            assert (await said_to(url, data)).startswith(b"HTTP/1.1 %d " % status)
+            assert await client.call(Goal(1)) == Result([0, 1])
+            await (wire if "HTTP" in "".join(wire.warnings) else log).until(f"HTTP {status}: ")
+    assert len(log.warnings) + len(wire.warnings) == 1
+
+
+async def test_a_websocket_is_at_the_root_only(log: Hearing) -> None:
+    async with served() as url:
+        said = await said_to(url, upgrade(line=b"GET /actions HTTP/1.1"))
+        assert said.startswith(b"HTTP/1.1 404 ")
+
+
+@pytest.mark.parametrize("data", [b"", b"G", b"GET / HTTP/1.1\r\nHost:"], ids=len)
+async def test_a_request_that_trickles_is_not_waited_for(data: bytes, log: Hearing) -> None:
+    async with served(limits=Limits(handshake=0.1)) as url:
+        said = await said_to(url, data[:1], data[1:])
+        assert said.startswith(b"HTTP/1.1 408 ") is bool(data)
+    assert len(log.warnings) == bool(data)
+
+
+async def test_a_body_that_trickles_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch, log: Hearing
+) -> None:
+    from fibaction_transports.web import _exchange
+
+    monkeypatch.setattr(_exchange, "BODY_TIMEOUT", 0.1)
+    head = f"POST {GOALS} HTTP/1.1\r\nHost: [::1]\r\nContent-Type: application/json\r\n"
+    async with served() as url:
+        said = await said_to(url, f"{head}Content-Length: 100\r\n\r\n".encode(), b"{")
+        assert said.startswith(b"HTTP/1.1 408 ")
+    assert len(log.warnings) == 1
+
+
+@pytest.mark.parametrize("length", ["Content-Length: 99999999", "Transfer-Encoding: chunked"])
+async def test_a_body_that_is_too_large_is_not_read(length: str, log: Hearing) -> None:
+    head = f"POST {GOALS} HTTP/1.1\r\nHost: [::1]\r\nContent-Type: application/json\r\n"
+    async with served(limits=Limits(frame=1024)) as url:
+        body = b"fff\r\n" + bytes(0xFFF) + b"\r\n"
+        said = await said_to(url, f"{head}{length}\r\n\r\n".encode(), body)
+        assert said.startswith(b"HTTP/1.1 413 ")
+    assert len(log.warnings) == 1
+
+
+async def test_bodies_count_in_the_memory_of_the_server(log: Hearing) -> None:
+    async with served(limits=Limits(total_memory=100)) as url:
+        answer = await fetch(url, "POST", GOALS, b" " * 1000)
+        assert (answer.status, answer.headers["retry-after"]) == (503, "1")
+        assert (await fetch(url, "POST", f"{GOALS}?wait=5", {"order": 1})).status == 201
+
+
+async def test_a_client_that_goes_within_its_body_leaves_nothing(log: Hearing) -> None:
+    head = f"POST {GOALS} HTTP/1.1\r\nHost: [::1]\r\nContent-Type: application/json\r\n"
+    async with served() as url:
+        async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
+            await stream.send(f"{head}Content-Length: 100\r\n\r\n{{".encode())
+        assert await works(url)
+    assert log.warnings == []
+
+
+async def test_a_client_that_asks_whether_to_go_on_is_told() -> None:
+    head = (
+        f"POST {GOALS}?wait=5 HTTP/1.1\r\nHost: [::1]\r\nContent-Type: application/json\r\n"
+        f"Expect: 100-continue\r\nConnection: close\r\nContent-Length: 12\r\n\r\n"
+    )
+    async with served() as url, await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
+        await stream.send(head.encode())
+        assert (await stream.receive()).startswith(b"HTTP/1.1 100 ")
+        await stream.send(b'{"order": 3}')
+        assert (await stream.receive()).startswith(b"HTTP/1.1 201 Created\r\n")
+
+
+async def test_the_answer_to_head_has_no_body() -> None:
+    head = b"HEAD /actions HTTP/1.1\r\nHost: [::1]\r\nConnection: close\r\n\r\n"
+    async with served() as url:
+        said = await said_to(url, head)
+        assert said.startswith(b"HTTP/1.1 405 ")
+        assert said.endswith(b"\r\n\r\n")
+
+
+async def test_requests_that_come_together_are_answered_in_turn() -> None:
+    request = b"GET /actions HTTP/1.1\r\nHost: [::1]\r\n\r\n"
+    last = b"GET /openapi.json HTTP/1.1\r\nHost: [::1]\r\nConnection: close\r\n\r\n"
+    async with served() as url:
+        said = await said_to(url, request + request, last)
+        assert said.count(b"HTTP/1.1 200 OK\r\n") == 3
+
+
+async def test_what_comes_behind_a_request_is_kept_for_the_next(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(_http_exchange, "MOST_EARLY", 1)
+    body = b'{"order": 3}'
+    post = (
+        f"POST {GOALS}?wait=0.2 HTTP/1.1\r\nHost: [::1]\r\nContent-Type: application/json\r\n"
+        f"Content-Length: {len(body)}\r\n\r\n"
+    ).encode() + body
+    last = b"GET /actions HTTP/1.1\r\nHost: [::1]\r\nConnection: close\r\n\r\n"
+    with anyio.fail_after(20):
+        async with serve(_held(), HTTP) as (url,):
+            async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
+                await stream.send(post)
+                await anyio.wait_all_tasks_blocked()
+                await stream.send(last)
+                said = b""
+                with pytest.raises(anyio.EndOfStream):
+                    while True:
+                        said += await stream.receive()
+    assert said.count(b"HTTP/1.1 20") == 2
+
+
+def _held() -> Any:
+    from tests.transports.web.test_rest import Held
+
+    return Held().server
+
+
+# Limits, and the end
+
+
+async def test_connections_that_say_nothing_keep_no_client_out() -> None:
+    async with served(limits=Limits(connections=2)) as url:
+        async with client_of(url) as first, client_of(url), client_of(url):
+            with anyio.fail_after(5):
+                with pytest.raises((anyio.EndOfStream, anyio.BrokenResourceError)):
+                    await first.stream.receive()
+            assert (await fetch(url, "GET", "/actions")).status == 200
+
+
+@pytest.mark.parametrize("newcomer", [b"", upgrade()])
+async def test_newcomers_push_each_other_out_and_no_client_that_is_known(newcomer: bytes) -> None:
+    async with served(limits=Limits(connections=2)) as url, client_of(url) as known:
+        assert (await known.ask("GET", "/actions"))[0] == 200
+        await known.rest()
+        async with client_of(url) as second, client_of(url) as third, client_of(url) as fourth:
+            for one in (second, third, fourth):
+                await one.stream.send(newcomer or b"GET")
+                await anyio.wait_all_tasks_blocked()
+            with anyio.fail_after(5), suppress(anyio.EndOfStream, anyio.BrokenResourceError):
+                while True:
+                    await second.stream.receive()
+            assert (await known.ask("GET", "/actions"))[0] == 200
+
+
+async def test_a_full_server_says_so(log: Hearing) -> None:
+    async with served(limits=Limits(connections=1)) as url, connect(url, FIBONACCI) as client:
+        await client.wait_for_server()
+        answer = await fetch(url, "GET", "/actions")
+        assert (answer.status, answer.headers["retry-after"]) == (503, "1")
+        with pytest.raises(LimitReached, match="HTTP 503: the server is full: it has 1 conn"):
+            async with connect(url, FIBONACCI, reconnect=False):
+                pass
+    assert len(log.warnings) == 2
+
+
+async def test_a_client_that_is_rejected_and_reads_nothing_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(_http_server, "LEAVE", 0.05)
+    async with served() as url:
+        async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
+            await stream.send(b"?\r\n\r\n")
+            with pytest.raises((anyio.EndOfStream, anyio.BrokenResourceError)):
+                while True:
+                    await stream.receive()
+
+
+async def test_a_peer_that_resets_the_connection_leaves_nothing(log: Hearing) -> None:
+    import socket
+    import struct
+
+    async with served() as url:
+        peer = socket.create_connection(("127.0.0.1", port_of(url)))
+        peer.sendall(b"GET /actions HTTP/1.1\r\nHost: [::1]\r\n\r\n")
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        peer.close()
+        assert await works(url)
+    assert log.warnings == []
+
+
+async def test_a_bug_ends_its_connection_only(
+    monkeypatch: pytest.MonkeyPatch, log: Hearing
+) -> None:
+    async def broken(*_: Any) -> None:
+        raise ValueError("a bug")
+
+    async with served() as url, connect(url, FIBONACCI) as client:
+        await client.wait_for_server()
+        with monkeypatch.context() as patch:
+            patch.setattr(WebApplication, "handle", broken)
+            assert await said_to(url, b"GET / HTTP/1.1\r\nHost: [::1]\r\n\r\n") == b""
+        await log.until("the connection failed")
+        await client.wait_for_server()
+
+
+async def test_the_end_does_not_wait_for_clients_that_read_nothing() -> None:
+    begun = anyio.current_time()
+    async with served() as url:
+        async with client_of(url) as client, client_of(url):
+            await client.ask("POST", GOALS, {"order": 3}, accept="text/event-stream")
+    assert anyio.current_time() - begun < 10

@@ -1,0 +1,76 @@
+"""`/metrics`, `/healthz` and `/readyz` at the address of a server, as Prometheus asks for them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import connect, serve
+from fibaction.metrics import CONTENT_TYPE, Metrics
+from fibaction_transports.web import HttpTransport, WebTransport
+from tests.fibonacci import FIBONACCI, Goal
+from tests.transports.tcp.servers import new_server
+from tests.transports.web.http_client import fetch
+from tests.transports.web.test_web_transport import http
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+async def test_metrics_are_at_the_address_of_the_server() -> None:
+    metrics = Metrics()
+    transport = HttpTransport(port=0, metrics=metrics)
+    async with serve(new_server(), transport, watchers=[metrics]) as (url,):
+        async with connect(url, FIBONACCI) as client:
+            await client.call(Goal(2))
+        answer = await fetch(url, "GET", "/metrics")
+        assert (answer.status, answer.headers["content-type"]) == (200, CONTENT_TYPE)
+        ended = b'fibaction_goals_total{action="fibonacci",status="SUCCEEDED"} 1.0'
+        assert ended in answer.body
+        assert (await fetch(url, "HEAD", "/metrics")).body == b""
+
+
+async def test_the_lag_of_the_event_loop_is_measured_meanwhile() -> None:
+    metrics = Metrics()
+    async with serve(new_server(), HttpTransport(port=0, metrics=metrics)) as (url,):
+        with anyio.fail_after(5):
+            while b"lag_seconds_count 0.0" in (await fetch(url, "GET", "/metrics")).body:
+                pass
+
+
+async def test_metrics_need_a_token_and_probes_need_none() -> None:
+    transport = HttpTransport(port=0, metrics=Metrics(), tokens={"secret": "prometheus"})
+    async with serve(new_server(), transport) as (url,):
+        assert (await fetch(url, "GET", "/metrics")).status == 401
+        token = "Bearer secret"
+        assert (await fetch(url, "GET", "/metrics", authorization=token)).status == 200
+        for path in ("/healthz", "/readyz"):
+            assert (await fetch(url, "GET", path)).body == b"ok\n"
+
+
+async def test_without_metrics_there_is_nothing_and_a_probe_is_read_only() -> None:
+    async with serve(new_server(), "http://127.0.0.1:0") as (url,):
+        assert (await fetch(url, "GET", "/metrics")).status == 404
+        answer = await fetch(url, "POST", "/healthz", {})
+        assert (answer.status, answer.headers["allow"]) == (405, "GET, HEAD")
+
+
+async def test_an_application_has_them_too_while_it_serves() -> None:
+    web = WebTransport(metrics=Metrics())
+    assert (await ready(web)) == 503
+    async with serve(new_server(), web):
+        assert (await ready(web)) == 200
+
+
+async def ready(web: WebTransport) -> int:
+    """The status of the answer of an application to a probe."""
+    call = http(path="/readyz")
+    await call.run(web)
+    status: int = (await call.heard("http.response.start"))["status"]
+    return status

@@ -1,0 +1,72 @@
+"""`fibaction_transports.web._problems`."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from fibaction import GoalID, GoalRejected, TransportError
+from fibaction._http_rules import Refused
+from fibaction.exceptions import ActionError, ConnectionLost, GoalKept, LimitReached, UnknownGoal
+from fibaction.json_payload import PayloadError
+from fibaction.states import GoalEvent, GoalStatus, InvalidTransition
+from fibaction_transports.web._problems import RETRY, STATUSES, problem_of
+
+GOAL = GoalID(bytes(15) + b"\1")
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "kind", "detail"),
+    [
+        (GoalRejected("too far", goal_id=GOAL), 422, "GoalRejected", "too far"),
+        (GoalRejected("busy: later"), 503, "GoalRejected", "busy: later"),
+        (UnknownGoal(GOAL), 404, "UnknownGoal", str(UnknownGoal(GOAL))),
+        (GoalKept("later"), 503, "GoalKept", "later"),
+        (ConnectionLost("cut"), 502, "ConnectionLost", "cut"),
+        (LimitReached("full"), 429, "LimitReached", "full"),
+        (
+            InvalidTransition(GoalStatus.ACCEPTED, GoalEvent.EXECUTE),
+            500,
+            "ServerFailed",
+            "a goal that is ACCEPTED cannot EXECUTE",
+        ),
+        (PayloadError("goal.a is wrong"), 422, "InvalidGoal", "goal.a is wrong"),
+    ],
+)
+def test_an_error_has_a_status_and_its_name(
+    error: ActionError | PayloadError, status: int, kind: str, detail: str
+) -> None:
+    problem = problem_of(error)
+    told = json.loads(problem.body)
+    assert (told["status"], told["type"]) == (status, f"urn:fibaction:{kind}")
+    assert told["detail"] == detail
+    assert told["title"]
+    assert (RETRY in problem.headers) is (status in (429, 503))
+
+
+def test_a_problem_of_http_has_the_words_of_http() -> None:
+    problem = problem_of(Refused(405, "no", ("Allow", "GET")))
+    assert json.loads(problem.body) == {
+        "type": "about:blank",
+        "title": "Method Not Allowed",
+        "status": 405,
+        "detail": "no",
+    }
+    assert problem.headers == (("Allow", "GET"),)
+
+
+def test_each_problem_of_a_goal_is_told() -> None:
+    told = json.loads(problem_of(PayloadError("one", "two")).body)
+    assert told["problems"] == ["one", "two"]
+
+
+def test_text_that_is_not_unicode_can_be_told() -> None:
+    assert json.loads(problem_of(GoalRejected("a\ud800b")).body)["detail"] == "a?b"
+
+
+def test_every_error_of_a_transport_is_in_the_table() -> None:
+    product = {
+        kind for kind in TransportError.__subclasses__() if kind.__module__.startswith("fibaction.")
+    }
+    assert {kind.__name__ for kind in product - set(STATUSES)} <= {"InvalidURL"}  # of no request

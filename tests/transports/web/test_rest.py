@@ -1,0 +1,636 @@
+"""`fibaction_transports.web._rest`, as curl meets it: requests, answers, and events."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import AsyncGenerator, Generator
+from contextlib import asynccontextmanager
+from typing import Any, ClassVar
+
+import anyio
+import msgspec
+import pytest
+
+from fibaction import (
+    Action,
+    ActionServer,
+    CancelRejected,
+    GoalHandle,
+    GoalID,
+    GoalRejected,
+    Limits,
+    Peer,
+    Permission,
+    Sender,
+    Watcher,
+    connect,
+    serve,
+)
+from fibaction.abc import Endpoint, ForwardingEndpoint, GoalStream, Meta
+from fibaction.action import ActionInfo
+from fibaction.exceptions import ConnectionLost
+from fibaction_transports.inprocess import InProcessTransport
+from fibaction_transports.web import _event_stream, _exchange
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.transports.hearing import Hearing, hearing
+from tests.transports.tcp.servers import new_server
+from tests.transports.web.http_client import client_of, events_in, fetch
+
+pytestmark = pytest.mark.anyio
+
+HTTP = "http://127.0.0.1:0"
+ACTION = "/actions/fibonacci"
+GOALS = f"{ACTION}/goals"
+ID = "0123456789abcdef0123456789abcdef"
+EVENTS = "text/event-stream"
+BEGIN = [("accepted", ""), ("status", "")]
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+@pytest.fixture
+def log() -> Generator[Hearing, None, None]:
+    with hearing("fibaction.web") as found:
+        yield found
+
+
+class Held:
+    """An executor that gives as much feedback as the goal asks for, and then waits."""
+
+    def __init__(self) -> None:
+        self.go_on = anyio.Event()
+        self.canceled = anyio.Event()
+
+    async def __call__(self, goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        try:
+            for number in range(goal.request.order):
+                yield Feedback([number])
+            await self.go_on.wait()
+        except BaseException:
+            self.canceled.set()
+            raise
+        yield Result([goal.request.order])
+
+    @property
+    def server(self) -> ActionServer[Goal, Feedback, Result]:
+        return ActionServer(FIBONACCI, self.__call__)
+
+
+@asynccontextmanager
+async def served(endpoint: Endpoint, **settings: Any) -> AsyncGenerator[str, None]:
+    with anyio.fail_after(20):
+        async with serve(endpoint, HTTP, **settings) as (url,):
+            yield url
+
+
+async def status_of(url: str, goal_id: str) -> Any:
+    return (await fetch(url, "GET", f"{GOALS}/{goal_id}")).json
+
+
+# Actions
+
+
+async def test_actions_are_listed_and_described() -> None:
+    async with served(new_server()) as url:
+        (listed,) = (await fetch(url, "GET", "/actions")).json
+        assert (listed["name"], set(listed)) == (
+            "fibonacci",
+            {"name", "type_name", "goal", "feedback", "result"},
+        )
+        assert (await fetch(url, "GET", ACTION)).json == listed
+        described = await fetch(url, "GET", "/openapi.json")
+        assert GOALS in described.json["paths"]
+        assert described.headers["content-type"] == "application/json"
+        assert described.headers["x-content-type-options"] == "nosniff"
+
+
+# Sending
+
+
+async def test_a_goal_that_is_posted_runs_on_by_itself() -> None:
+    held = Held()
+    async with served(held.server) as url:
+        answer = await fetch(url, "POST", GOALS, {"order": 1})
+        assert answer.status == 201
+        goal_id = answer.json["goal_id"]
+        assert answer.headers["location"] == f"{GOALS}/{goal_id}"
+        assert answer.json["status"] == "ACCEPTED"
+        assert int(answer.json["stamp"]) > 2**53
+        held.go_on.set()
+        ended = (await fetch(url, "GET", f"{GOALS}/{goal_id}?wait=10")).json
+        assert (ended["status"], ended["result"]) == ("SUCCEEDED", {"sequence": [1]})
+        (listed,) = (await fetch(url, "GET", GOALS)).json
+        assert (listed["goal_id"], listed["status"]) == (goal_id, "SUCCEEDED")
+        assert listed["feedback_count"] == 1
+
+
+class Noting(Watcher):
+    """A watcher that notes the meta of each goal."""
+
+    def __init__(self) -> None:
+        self.metas: list[dict[str, str]] = []
+
+    def offered(
+        self, action: str, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta
+    ) -> None:
+        self.metas.append(dict(meta))
+
+
+async def test_the_headers_of_a_trace_go_with_the_goal() -> None:
+    noting = Noting()
+    headers = {"traceparent": "00-1", "tracestate": "a=1", "baggage": "b=2", "traces": "3"}
+    async with served(ActionServer(FIBONACCI, fibonacci, watchers=[noting])) as url:
+        for path in (f"{GOALS}?wait=10", GOALS):
+            await fetch(url, "POST", path, {"order": 1}, **headers)
+        await fetch(url, "POST", GOALS, {"order": 1}, accept=EVENTS)
+
+    del headers["traces"]
+    assert noting.metas == [headers, {"detached": "1", **headers}, {}]
+
+
+async def test_headers_that_are_too_long_for_a_goal_are_left_out() -> None:
+    noting = Noting()
+    async with served(ActionServer(FIBONACCI, fibonacci, watchers=[noting])) as url:
+        headers = {"traceparent": "00-1", "tracestate": "x" * 4096, "baggage": "b=2"}
+        answer = await fetch(url, "POST", f"{GOALS}?wait=10", {"order": 1}, **headers)
+
+    assert answer.status == 201
+    assert noting.metas == [{"traceparent": "00-1", "baggage": "b=2"}]
+
+
+async def test_a_request_may_wait_for_the_end() -> None:
+    async with served(new_server()) as url:
+        answer = await fetch(url, "POST", f"{GOALS}?wait=10", {"order": 3})
+        assert (answer.status, answer.json["status"]) == (201, "SUCCEEDED")
+        assert answer.json["result"] == {"sequence": [0, 1, 1, 2]}
+        assert answer.json["reason"] == ""
+
+
+async def test_a_wait_that_is_over_answers_with_what_is_known() -> None:
+    async with served(Held().server) as url:
+        answer = await fetch(url, "POST", f"{GOALS}?wait=0.05", {"order": 0})
+        assert answer.json["status"] == "EXECUTING"
+        assert "result" not in answer.json
+
+
+async def test_a_goal_that_is_put_runs_once() -> None:
+    async with served(new_server()) as url:
+        first = await fetch(url, "PUT", f"{GOALS}/{ID}?wait=10", {"order": 3})
+        again = await fetch(url, "PUT", f"{GOALS}/{ID}?wait=10", {"order": 3})
+        assert (first.status, again.status) == (201, 200)
+        assert first.json == again.json
+        other = await fetch(url, "PUT", f"{GOALS}/{ID}", {"order": 4})
+        assert other.status == 422
+        assert len((await fetch(url, "GET", GOALS)).json) == 1
+
+
+async def test_a_goal_is_streamed_from_its_beginning_to_its_end() -> None:
+    async with served(new_server()) as url:
+        answer = await fetch(url, "POST", GOALS, {"order": 3}, accept=EVENTS)
+        assert answer.status == 201
+        assert answer.headers["content-type"] == EVENTS
+        names = [(name, event_id) for name, event_id, _ in answer.events]
+        assert names == [*BEGIN, ("feedback", "1"), ("feedback", "2"), ("result", "end")]
+        assert answer.events[2][2] == {"partial_sequence": [0, 1, 1]}
+        assert answer.events[-1][2] == {
+            "status": "SUCCEEDED",
+            "result": {"sequence": [0, 1, 1, 2]},
+            "reason": "",
+            "feedback_dropped": 0,
+        }
+
+
+async def test_a_streaming_request_that_is_cut_cancels_its_goal() -> None:
+    held = Held()
+    async with served(held.server) as url:
+        async with client_of(url) as client:
+            await client.ask("POST", GOALS, {"order": 1}, accept=EVENTS)
+            await client.until("id: 1")
+        await held.canceled.wait()
+
+
+@pytest.mark.parametrize("query", ["", "?wait=30"])
+async def test_a_plain_request_that_is_cut_leaves_its_goal(query: str) -> None:
+    held = Held()
+    async with served(held.server) as url:
+        async with client_of(url) as client:
+            with anyio.move_on_after(0.2):
+                await client.ask("PUT", f"{GOALS}/{ID}{query}", {"order": 1})
+        held.go_on.set()
+        ended = await fetch(url, "GET", f"{GOALS}/{ID}?wait=10")
+        assert ended.json["status"] == "SUCCEEDED"
+
+
+async def test_a_cut_of_one_who_may_not_cancel_is_logged(log: Hearing) -> None:
+    def sends_only(peer: Peer, action: str, permission: Permission) -> bool:
+        return permission is not Permission.CANCEL
+
+    held = Held()
+    async with served(held.server, authorize=sends_only) as url:
+        async with client_of(url) as client:
+            await client.ask("PUT", f"{GOALS}/{ID}", {"order": 1}, accept=EVENTS)
+            await client.until("id: 1")
+        await log.until(f"has gone, and goal {ID} runs on: this client may not cancel")
+        assert (await status_of(url, ID))["status"] == "EXECUTING"
+
+
+async def test_the_goal_of_another_is_observed_and_not_canceled_by_a_cut() -> None:
+    held = Held()
+    async with served(held.server) as url, connect(url, FIBONACCI) as owner:
+        goal = await owner.send_goal(Goal(1), goal_id=GoalID.parse(ID))
+        async with client_of(url) as client:
+            status, _ = await client.ask("PUT", f"{GOALS}/{ID}", {"order": 1}, accept=EVENTS)
+            assert status == 200
+            await client.until("id: 1")
+        held.go_on.set()
+        assert await goal.result() == Result([1])
+
+
+# Following
+
+
+async def test_events_go_on_behind_the_last_one() -> None:
+    held = Held()
+    async with served(held.server) as url:
+        await fetch(url, "PUT", f"{GOALS}/{ID}", {"order": 5})
+        where = f"{GOALS}/{ID}/events"
+        for path, last, wanted in (
+            (where, "0", [b"1", b"2", b"3", b"4", b"5"]),
+            (where, "3", [b"4", b"5"]),
+            (f"{where}?after=4", "", [b"5"]),
+        ):
+            async with client_of(url) as client:
+                await client.ask("GET", path, last_event_id=last)
+                assert re.findall(rb"id: (\d+)", await client.until("id: 5")) == wanted
+        held.go_on.set()
+        end = await fetch(url, "GET", where, last_event_id="5")
+        assert [name for name, _, _ in end.events] == ["accepted", "result"]
+        nothing = await fetch(url, "GET", where, last_event_id="end")
+        assert (nothing.status, nothing.body) == (204, b"")
+
+
+async def test_a_follower_that_goes_leaves_the_goal() -> None:
+    held = Held()
+    async with served(held.server) as url:
+        await fetch(url, "PUT", f"{GOALS}/{ID}", {"order": 1})
+        async with client_of(url) as client:
+            await client.ask("GET", f"{GOALS}/{ID}/events")
+            await client.until("id: 1")
+        held.go_on.set()
+        assert (await fetch(url, "GET", f"{GOALS}/{ID}?wait=10")).json["status"] == "SUCCEEDED"
+
+
+async def test_a_quiet_stream_is_kept_alive(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_event_stream, "KEEP_ALIVE_AFTER", 0.05)
+    async with served(Held().server) as url, client_of(url) as client:
+        await client.ask("POST", GOALS, {"order": 0}, accept=EVENTS)
+        await client.until("\n\n:\n\n:\n\n")
+
+
+async def test_much_feedback_is_told_in_few_pieces_and_in_order() -> None:
+    async with served(new_server()) as url, client_of(url) as client:
+        await client.ask("POST", GOALS, {"order": 90}, accept=EVENTS)
+        events = events_in(await client.rest())
+        numbers = [int(event_id) for name, event_id, _ in events if name == "feedback"]
+        assert numbers == list(range(1, 90))
+
+
+async def test_a_client_that_does_not_read_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_exchange, "WRITE_TIMEOUT", 0.1)
+
+    async def endless(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+        try:
+            while True:
+                yield Feedback([0] * 10_000)
+        except BaseException:
+            canceled.set()
+            raise
+
+    canceled = anyio.Event()
+    async with served(ActionServer(FIBONACCI, endless)) as url, client_of(url) as client:
+        await client.ask("POST", GOALS, {"order": 0}, accept=EVENTS)
+        await canceled.wait()
+
+
+async def test_a_server_that_stops_tells_the_end_of_goals() -> None:
+    held = Held()
+    async with served(held.server) as url:
+        async with anyio.create_task_group() as tasks:
+            async with client_of(url) as client:
+                await client.ask("POST", GOALS, {"order": 1}, accept=EVENTS)
+                await client.until("id: 1")
+                heard: list[bytes] = []
+
+                async def hear() -> None:
+                    heard.append(await client.rest())
+
+                async with serve(held.server, HTTP):
+                    pass
+                tasks.start_soon(hear)
+                await anyio.lowlevel.checkpoint()
+                held.go_on.set()
+                while not heard:
+                    await anyio.lowlevel.checkpoint()
+    assert b'"status":"SUCCEEDED"' in heard[0]
+
+
+async def test_a_wait_for_a_stream_that_breaks_is_an_error() -> None:
+    class Lost(ForwardingEndpoint):
+        async def feedback(self, *arguments: Any, **settings: Any) -> GoalStream:
+            stream = await super().feedback(*arguments, **settings)
+            stream.fail(ConnectionLost("the cable"))
+            return stream
+
+    async with served(Lost(Held().server)) as url:
+        await fetch(url, "PUT", f"{GOALS}/{ID}", {"order": 0})
+        answer = await fetch(url, "GET", f"{GOALS}/{ID}?wait=5")
+        assert (answer.status, answer.json["detail"]) == (502, "the cable")
+        told = await fetch(url, "GET", f"{GOALS}/{ID}/events")
+        name, _, problem = told.events[-1]
+        assert (name, problem["type"]) == ("failure", "urn:fibaction:ConnectionLost")
+
+
+async def test_a_bug_of_an_endpoint_is_an_answer_without_its_text(log: Hearing) -> None:
+    class Failing(ForwardingEndpoint):
+        async def feedback(self, *arguments: Any, **settings: Any) -> GoalStream:
+            raise ValueError("a secret")
+
+    async with served(Failing(new_server())) as url:
+        answer = await fetch(url, "GET", f"{GOALS}/{ID}")
+        assert (answer.status, answer.json["type"]) == (500, "urn:fibaction:ServerFailed")
+        assert b"secret" not in answer.body
+        record = await log.until("its request failed")
+        assert record.exc_info is not None
+
+
+# Canceling
+
+
+async def test_a_goal_is_canceled() -> None:
+    held = Held()
+    async with served(held.server) as url:
+        await fetch(url, "PUT", f"{GOALS}/{ID}", {"order": 0})
+        answer = await fetch(url, "DELETE", f"{GOALS}/{ID}")
+        assert answer.status == 202
+        assert [goal["goal_id"] for goal in answer.json["goals_canceling"]] == [ID]
+        assert (await fetch(url, "GET", f"{GOALS}/{ID}?wait=10")).json["status"] == "CANCELED"
+        late = await fetch(url, "DELETE", f"{GOALS}/{ID}")
+        assert (late.status, late.json["detail"]) == (409, "the goal has ended")
+        unknown = await fetch(url, "DELETE", f"{GOALS}/{ID[::-1]}")
+        assert unknown.status == 404
+
+
+async def test_a_cancel_that_is_rejected_has_its_reason() -> None:
+    def never(goal: GoalHandle[Goal]) -> None:
+        raise CancelRejected("the arm is over the table")
+
+    server = ActionServer(FIBONACCI, Held(), on_cancel=never)
+    async with served(server) as url:
+        await fetch(url, "PUT", f"{GOALS}/{ID}", {"order": 0})
+        answer = await fetch(url, "DELETE", f"{GOALS}/{ID}")
+        assert (answer.status, answer.json["detail"]) == (409, "the arm is over the table")
+
+
+async def test_all_goals_are_canceled_or_those_before_a_time() -> None:
+    async with served(Held().server) as url:
+        first = (await fetch(url, "POST", GOALS, {"order": 0})).json
+        second = (await fetch(url, "POST", GOALS, {"order": 0})).json
+        for query, goal in ((f"?before={first['stamp']}", first), ("", second)):
+            answer = await fetch(url, "DELETE", f"{GOALS}{query}")
+            assert answer.status == 202
+            assert [one["goal_id"] for one in answer.json["goals_canceling"]] == [goal["goal_id"]]
+        none = await fetch(url, "DELETE", f"{GOALS}?before={10**30}")
+        assert (none.status, none.json["goals_canceling"]) == (202, [])
+
+
+# Tokens and permissions
+
+
+async def test_a_token_is_asked_for_and_known(log: Hearing) -> None:
+    held = Held()
+    async with served(held.server, tokens={"8Zq0r1 ü": "kitchen"}) as url:
+        for headers in ({}, {"authorization": "Bearer guessed"}, {"authorization": "Basic x"}):
+            answer = await fetch(url, "GET", "/actions", **headers)
+            assert answer.status == 401
+            assert answer.headers["www-authenticate"] == "Bearer"
+        assert all("HTTP 401" in line for line in log.warnings)
+        assert len(log.warnings) == 3
+        token = "Bearer 8Zq0r1 ü".encode().decode("latin-1")
+        put = [
+            await fetch(url, "PUT", f"{GOALS}/{ID}", {"order": 0}, authorization=token)
+            for _ in range(2)
+        ]
+        assert [answer.status for answer in put] == [201, 200]
+        (goal,) = (await fetch(url, "GET", GOALS, authorization=token)).json
+        assert goal["client"].startswith("kitchen at 127.0.0.1:")
+
+
+async def test_permissions_are_those_of_the_token(log: Hearing) -> None:
+    def cook_sends(peer: Peer, action: str, permission: Permission) -> bool:
+        return peer.name == "cook" and permission is Permission.SEND
+
+    tokens = {"a": "cook", "b": "guest"}
+    async with served(new_server(), tokens=tokens, authorize=cook_sends) as url:
+        cook, guest = {"authorization": "bearer a"}, {"authorization": "bearer b"}
+        where = f"{GOALS}/{ID}"
+        assert (await fetch(url, "PUT", where, {"order": 1}, **guest)).status == 403
+        assert (await fetch(url, "PUT", where, {"order": 1}, **cook)).status == 201
+        assert (await fetch(url, "GET", f"{where}?wait=5", **cook)).status == 200
+        denied = [
+            await fetch(url, "GET", where, **guest),
+            await fetch(url, "GET", f"{where}/events", **guest),
+            await fetch(url, "GET", GOALS, **cook),
+            await fetch(url, "DELETE", where, **cook),
+            await fetch(url, "GET", "/actions/other/goals", **cook),
+        ]
+        assert {answer.status for answer in denied} == {403}
+        assert "may not observe" in denied[0].json["detail"]
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "headers", "status"),
+    [
+        ("POST", GOALS, b'{"order": NaN}', {}, 400),
+        ("POST", GOALS, b'{"order"', {}, 400),
+        ("POST", GOALS, b"\xff\xfe", {}, 400),
+        ("POST", GOALS, b"", {}, 400),
+        ("POST", GOALS, b"[" * 500 + b"]" * 500, {}, 422),
+        ("POST", GOALS, b'{"order": 1e400}', {}, 400),
+        ("POST", GOALS, b'{"order": "3"}', {}, 422),
+        ("POST", GOALS, b'{"order": 3, "speed": 1}', {}, 422),
+        ("POST", GOALS, b'{"order": 18446744073709551616}', {}, 422),
+        ("POST", GOALS, b"{}", {}, 422),
+        ("POST", GOALS, b"{}", {"content_type": "text/plain"}, 415),
+        ("POST", GOALS, b" " * 2000, {}, 413),
+        ("POST", f"{GOALS}?wait=x", b'{"order": 3}', {}, 400),
+        ("POST", f"{GOALS}?wait=nan", b'{"order": 3}', {}, 400),
+        ("POST", f"{GOALS}?wait=1e9", b'{"order": 3}', {}, 400),
+        ("POST", "/actions/no/goals", b'{"order": 3}', {}, 404),
+        ("GET", "/../actions", None, {}, 404),
+        ("GET", "/actions/%2e%2e/%2e%2e/etc", None, {}, 404),
+        ("GET", f"{GOALS}/x", None, {}, 400),
+        ("DELETE", f"{GOALS}/{'0' * 32}", None, {}, 400),
+        ("DELETE", f"{GOALS}?before=now", None, {}, 400),
+        ("GET", f"{GOALS}/{ID}/events?after=x", None, {}, 400),
+        ("PATCH", GOALS, None, {}, 405),
+        ("GET", "/actions", None, {"origin": "http://evil.example"}, 403),
+        ("GET", "/actions", None, {"origin": "null"}, 403),
+    ],
+)
+async def test_bad_input_gets_its_status_and_one_line_of_the_log(
+    method: str, path: str, body: bytes | None, headers: dict[str, str], status: int, log: Hearing
+) -> None:
+    held = Held()
+    async with served(held.server, limits=Limits(frame=1024)) as url:
+        other = f"{GOALS}/{'e' * 32}"
+        assert (await fetch(url, "PUT", other, {"order": 3})).status == 201
+        answer = await fetch(url, method, path, body, **headers)
+        assert answer.status == status
+        assert answer.json["status"] == status
+        assert answer.headers["content-type"] == "application/problem+json"
+        assert len(log.warnings) == 1
+        assert f"HTTP {status}: " in log.warnings[0]
+        held.go_on.set()
+        assert (await fetch(url, "GET", f"{other}?wait=5")).json["result"] == {"sequence": [3]}
+
+
+async def test_json_that_nests_too_deep_is_refused(log: Hearing) -> None:
+    async with served(new_server()) as url:
+        answer = await fetch(url, "POST", GOALS, b"[" * 10_000 + b"]" * 10_000)
+        assert answer.status == 400
+        assert len(log.warnings) == 1
+
+
+async def test_a_goal_that_the_server_rejects_has_its_reason(log: Hearing) -> None:
+    def too_far(goal: Goal) -> None:
+        raise GoalRejected("busy: later" if goal.order else "too far")
+
+    async with served(ActionServer(FIBONACCI, Held(), on_goal=too_far)) as url:
+        answer = await fetch(url, "POST", GOALS, {"order": 0})
+        assert (answer.status, answer.json["detail"]) == (422, "too far")
+        busy = await fetch(url, "POST", GOALS, {"order": 1}, accept=EVENTS)
+        assert (busy.status, busy.headers["retry-after"]) == (503, "1")
+        assert (await fetch(url, "GET", f"{GOALS}/{ID}")).status == 404
+    assert log.warnings == []
+
+
+async def test_numbers_beyond_what_javascript_has_stay_what_they_are() -> None:
+    wide: Action[Any, Any, Any] = Action(
+        "wide", goal=dict[str, int], feedback=float, result=list[int]
+    )
+
+    async def echo(goal: GoalHandle[Any]) -> AsyncGenerator[Any, None]:
+        yield math.nan
+        yield [goal.request["n"]]
+
+    async with served(ActionServer(wide, echo)) as url:
+        for number in (2**53 + 1, 2**63, -(2**63)):
+            answer = await fetch(url, "POST", "/actions/wide/goals?wait=5", {"n": number})
+            assert answer.json["result"] == [number]
+        told = await fetch(url, "POST", "/actions/wide/goals", {"n": 1}, accept=EVENTS)
+        assert told.events[2] == ("feedback", "1", None)
+
+
+async def test_what_json_cannot_express_is_a_failure() -> None:
+    odd: Action[Any, Any, Any] = Action(
+        "odd", goal=int, feedback=dict[tuple[int, int], int], result=str
+    )
+
+    async def execute(goal: GoalHandle[Any]) -> AsyncGenerator[Any, None]:
+        yield {(1, 2): 3}
+        yield "done"
+
+    async with served(ActionServer(odd, execute)) as url:
+        told = await fetch(url, "POST", "/actions/odd/goals", 1, accept=EVENTS)
+        assert told.events[-1][0] == "failure"
+
+
+async def test_an_action_with_slashes_has_its_address() -> None:
+    arm: Action[Any, Any, Any] = Action("/left/arm", goal=int, feedback=str, result=int)
+
+    async def echo(goal: GoalHandle[int]) -> AsyncGenerator[Any, None]:
+        yield goal.request
+
+    async with served(ActionServer(arm, echo)) as url:
+        for name in ("%2Fleft%2Farm", "/left/arm"):
+            answer = await fetch(url, "POST", f"/actions/{name}/goals?wait=5", 7)
+            assert answer.json["result"] == 7
+            assert (await fetch(url, "GET", answer.headers["location"])).json["result"] == 7
+
+
+async def test_a_schema_that_changes_is_read_again() -> None:
+    class Changing(ForwardingEndpoint):
+        schema: ClassVar[dict[str, Any]] = {}
+
+        @property
+        def info(self) -> ActionInfo:
+            return msgspec.structs.replace(super().info, goal=self.schema)
+
+    async with served(Changing(new_server())) as url:
+        kinds: list[str] = []
+        for schema in ({}, FIBONACCI.info.goal):
+            Changing.schema = schema
+            answer = await fetch(url, "POST", GOALS, {"order": "x"})
+            kinds.append(answer.json["type"])
+        assert kinds == ["urn:fibaction:GoalRejected", "urn:fibaction:InvalidGoal"]
+
+
+async def test_it_is_a_gateway_to_any_endpoint() -> None:
+    async with (
+        serve(new_server(), InProcessTransport()) as (behind,),
+        connect(behind) as connection,
+    ):
+        (info,) = await connection.actions()
+        async with served(connection.endpoint(info)) as url:
+            answer = await fetch(url, "POST", GOALS, {"order": 3}, accept=EVENTS)
+            assert answer.events[-1][2]["result"] == {"sequence": [0, 1, 1, 2]}
+
+
+async def test_a_gateway_shows_a_goal_only_to_those_who_may_observe() -> None:
+    def boss_observes(peer: Peer, action: str, permission: Permission) -> bool:
+        return peer.name == "boss" or permission is Permission.SEND
+
+    async with (
+        serve(new_server(), "tcp://127.0.0.1:0") as (behind,),
+        connect(behind) as connection,
+    ):
+        endpoint = connection.endpoint((await connection.actions())[0])
+        tokens = {"a": "boss", "b": "guest"}
+        async with served(endpoint, tokens=tokens, authorize=boss_observes) as url:
+            where = f"{GOALS}/{ID}?wait=5"
+            first = await fetch(url, "PUT", where, {"order": 3}, authorization="Bearer a")
+            again = await fetch(url, "PUT", where, {"order": 3}, authorization="Bearer b")
+            posted = await fetch(url, "POST", GOALS, {"order": 3}, authorization="Bearer b")
+        assert [first.status, again.status, posted.status] == [201, 403, 201]
+
+
+# Connections
+
+
+async def test_a_connection_has_many_requests() -> None:
+    async with served(new_server()) as url, client_of(url) as client:
+        for order in range(1, 4):
+            status, _ = await client.ask("POST", f"{GOALS}?wait=5", {"order": order})
+            assert (status, bool(await client.rest())) == (201, True)
+        await client.ask("POST", GOALS, {"order": 3}, accept=EVENTS)
+        assert b"end" in await client.rest()
+        status, _ = await client.ask("GET", "/actions")
+        assert status == 200
+
+
+async def test_pages_that_are_named_get_the_headers_of_cors() -> None:
+    origin = "https://console.example"
+    async with served(new_server(), origins=[origin]) as url:
+        answer = await fetch(url, "GET", "/actions", origin=origin)
+        assert answer.headers["access-control-allow-origin"] == origin
+        asked = await fetch(url, "OPTIONS", GOALS, origin=origin)
+        assert asked.status == 204
+        assert "authorization" in asked.headers["access-control-allow-headers"]
+        assert "access-control-allow-origin" not in (await fetch(url, "GET", "/actions")).headers

@@ -1,0 +1,54 @@
+/** The list of actions, with the number of active goals of each. */
+
+import { arrange, h, setText, show } from "./dom.js";
+import { linkTo } from "./goal_text.js";
+
+export class ActionList {
+  constructor(store) {
+    this.store = store;
+    this.items = new Map();
+    this.search = h("input", { type: "search", placeholder: "Search actions", "aria-label": "Search actions", oninput: () => this.update() });
+    this.all = this.item("", "All actions");
+    this.list = h("ul", {});
+    this.note = h("p", { class: "note" });
+    this.elements = [this.search, this.list, this.note];
+  }
+
+  item(name, text) {
+    const count = h("span", { class: "count" });
+    const link = h("a", { href: name ? linkTo(name) : "#/" }, h("span", {}, text), count);
+    return { link, count, element: h("li", {}, link) };
+  }
+
+  update() {
+    const { actions, goals, shown } = this.store;
+    const word = this.search.value.toLowerCase();
+    const active = new Map();
+    for (const goal of goals.values()) {
+      if (goal.isActive) {
+        active.set(goal.action, (active.get(goal.action) ?? 0) + 1);
+      }
+    }
+    const names = [...actions.keys()].sort().filter((name) => name.toLowerCase().includes(word));
+    const shownItems = names.map((name) => {
+      const item = this.items.get(name) ?? this.item(name, name);
+      this.items.set(name, item);
+      this.mark(item, name === shown.action, active.get(name) ?? 0);
+      return item.element;
+    });
+    this.mark(this.all, !shown.action, 0);
+    arrange(this.list, [this.all.element, ...shownItems]);
+    show(this.note, names.length === 0);
+    setText(this.note, actions.size ? "No action has this name." : "No action is served.");
+  }
+
+  mark(item, isShown, count) {
+    if (isShown) {
+      item.link.setAttribute("aria-current", "page");
+    } else {
+      item.link.removeAttribute("aria-current");
+    }
+    show(item.count, count > 0);
+    setText(item.count, count ? `${count} active` : "");
+  }
+}

@@ -1,0 +1,121 @@
+/** The page of one action, or of all of them: form, goals, timeline, and the goal that is shown. */
+
+import { announce, h, show } from "./dom.js";
+import { confirmed } from "./dialogs.js";
+import { GoalForm } from "./form.js";
+import { GoalList } from "./goal_list.js";
+import { linkTo, shortId, stateOf } from "./goal_text.js";
+import { GoalView } from "./goal_view.js";
+import { Timeline } from "./timeline.js";
+
+export class ActionPage {
+  /** Make the page of an action; without an `info`, that of all actions. */
+  constructor(store, info) {
+    this.store = store;
+    this.info = info;
+    this.view = null;
+    this.states = new Map();
+    this.timeline = new Timeline({ withAction: !info });
+    this.list = new GoalList({
+      withAction: !info,
+      oncancel: (record) => this.cancel(record),
+      oncancelAll: () => this.cancelAll(),
+      onforget: () => this.forget(),
+    });
+    for (const input of [this.list.search, this.list.filter]) {
+      input.addEventListener("input", () => store.change());
+    }
+    this.error = h("p", { class: "error", role: "alert", hidden: true });
+    this.place = h("div", { class: "goal-place" });
+    this.form = info ? new GoalForm(info, (goal) => this.send(goal)) : null;
+    const title = h("h1", {}, info ? info.name : "All actions");
+    const type = info?.type_name ?? info?.typeName;
+    const head = h("div", { class: "title" }, title, type ? h("code", {}, type) : null);
+    const form = this.form && h("section", { class: "card", "aria-label": "New goal" }, h("h2", {}, "New goal"), this.form.element);
+    const left = h("div", { class: "left" }, form, this.timeline.element);
+    this.element = h("div", { class: "page" }, head, this.error, h("div", { class: "halves" }, left, this.place), this.list.element);
+  }
+
+  /** Show what there is now. */
+  update() {
+    const goals = this.store.goalsOf(this.info?.name ?? "");
+    const record = this.store.goals.get(this.store.shown.goal);
+    if (!record) {
+      this.view = null;
+      this.place.replaceChildren();
+    } else if (this.view?.record.key !== record.key) {
+      this.view = new GoalView(record, {
+        oncancel: (one) => this.cancel(one),
+        onagain: (one) => this.useAgain(one),
+      });
+      this.place.replaceChildren(this.view.element);
+    }
+    this.element.classList.toggle("with-goal", Boolean(record));
+    this.view?.update(record);
+    this.list.update(goals, record?.key);
+    this.timeline.update(goals, record?.key);
+    this.tellEnds(goals);
+  }
+
+  /** Tell a screen reader how the goals of this page go. */
+  tellEnds(goals) {
+    for (const goal of goals.filter((one) => one.isMine)) {
+      const state = stateOf(goal);
+      if (this.states.get(goal.key) !== state) {
+        this.states.set(goal.key, state);
+        announce(`Goal ${shortId(goal.id)}: ${state} ${goal.reason}`);
+      }
+    }
+  }
+
+  async send(goal) {
+    const record = await this.store.send(this.info, goal);
+    window.location.hash = linkTo(record.action, record.id).slice(1);
+  }
+
+  useAgain(record) {
+    if (this.form) {
+      this.form.set(record.goal);
+      this.focusForm();
+    } else {
+      window.location.hash = linkTo(record.action, record.id).slice(1);
+    }
+  }
+
+  focusForm() {
+    this.form?.element.querySelector("input, select, textarea, button")?.focus();
+  }
+
+  fail(text) {
+    this.error.textContent = text;
+    show(this.error, Boolean(text));
+  }
+
+  async cancel(record) {
+    const name = `goal ${shortId(record.id)} of ${record.action}`;
+    if (await confirmed("Cancel this goal?", `This asks the server to cancel ${name}.`, "Cancel the goal", "Keep it")) {
+      try {
+        await this.store.cancel(record);
+        this.fail("");
+      } catch (error) {
+        this.fail(`The cancel of ${name} was rejected: ${error.reason ?? error.message}`);
+      }
+    }
+  }
+
+  async cancelAll() {
+    const active = this.store.goalsOf(this.info?.name ?? "").filter((goal) => goal.isActive);
+    const text = `This asks the server to cancel ${active.length} active goals, those of other clients included.`;
+    if (await confirmed("Cancel all goals?", text, "Cancel all", "Keep them")) {
+      const reasons = await this.store.cancelAll(this.info?.name ?? "");
+      this.fail(reasons.length ? `${reasons.length} cancels were rejected: ${reasons[0]}` : "");
+    }
+  }
+
+  async forget() {
+    const text = "This browser forgets the goals that have ended. The server does not.";
+    if (await confirmed("Clear the history?", text, "Clear", "Keep it")) {
+      this.store.forgetEnded();
+    }
+  }
+}

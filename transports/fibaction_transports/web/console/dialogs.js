@@ -1,0 +1,56 @@
+/** Questions to the person at the page: each is a dialog that the browser makes modal. */
+
+import { h } from "./dom.js";
+
+function open(title, body, buttons) {
+  const heading = h("h2", { id: "dialog-title" }, title);
+  const dialog = h("dialog", { "aria-labelledby": "dialog-title" }, heading, body, buttons);
+  document.body.append(dialog);
+  dialog.addEventListener("close", () => dialog.remove());
+  dialog.showModal();
+  return dialog;
+}
+
+/** Ask a question, and return whether the answer is yes. */
+export function confirmed(title, text, yes, no) {
+  return new Promise((resolve) => {
+    const answer = (value) => () => {
+      dialog.close();
+      resolve(value);
+    };
+    const buttons = h(
+      "div",
+      { class: "buttons" },
+      h("button", { type: "button", class: "danger", onclick: answer(true) }, yes),
+      h("button", { type: "button", onclick: answer(false) }, no),
+    );
+    const dialog = open(title, h("p", {}, text), buttons);
+    dialog.addEventListener("cancel", () => resolve(false));
+  });
+}
+
+/** Ask for the access token, and return it. */
+export function askToken(reason) {
+  return new Promise((resolve) => {
+    const input = h("input", { id: "token", type: "password", autocomplete: "off", required: true });
+    const form = h(
+      "form",
+      { method: "dialog" },
+      h("p", {}, reason),
+      h("label", { for: "token" }, "Access token"),
+      input,
+      h("div", { class: "buttons" }, h("button", { type: "submit", class: "main" }, "Connect")),
+    );
+    const dialog = open("This server asks for a token", form, h("span"));
+    dialog.addEventListener("cancel", (event) => event.preventDefault());
+    dialog.addEventListener("close", () => resolve(input.value));
+  });
+}
+
+/** Show the keys. */
+export function showKeys(keys) {
+  const rows = keys.map(([key, text]) => h("tr", {}, h("td", {}, h("kbd", {}, key)), h("td", {}, text)));
+  const close = h("button", { type: "button", onclick: () => dialog.close() }, "Close");
+  const body = h("table", { class: "keys" }, h("tbody", {}, ...rows));
+  const dialog = open("Keyboard shortcuts", body, h("div", { class: "buttons" }, close));
+}

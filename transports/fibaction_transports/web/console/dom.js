@@ -1,0 +1,56 @@
+/** Helpers to build the page. Text always becomes text, and never HTML. */
+
+/** Return a new element; `on...` are listeners, the other properties are attributes. */
+export function h(tag, properties = {}, ...children) {
+  return fill(document.createElement(tag), properties, children);
+}
+
+/** Return a new element of SVG. */
+export function svg(tag, properties = {}, ...children) {
+  return fill(document.createElementNS("http://www.w3.org/2000/svg", tag), properties, children);
+}
+
+function fill(element, properties, children) {
+  for (const [name, value] of Object.entries(properties)) {
+    if (typeof value === "function") {
+      element.addEventListener(name.slice(2), value);
+    } else if (value === true) {
+      element.setAttribute(name, "");
+    } else if (value !== false && value !== null && value !== undefined) {
+      element.setAttribute(name, value);
+    }
+  }
+  element.append(...children.flat().filter((child) => child !== null && child !== undefined));
+  return element;
+}
+
+/** Replace the text of an element, if it is another one. */
+export function setText(element, text) {
+  if (element.textContent !== text) {
+    element.textContent = text;
+  }
+}
+
+/** Show or hide an element. */
+export function show(element, isShown) {
+  if (element.hidden === isShown) {
+    element.hidden = !isShown;
+  }
+}
+
+/** Put these elements into a parent, in this order, and move only those that are elsewhere. */
+export function arrange(parent, elements) {
+  elements.forEach((element, index) => {
+    if (parent.children[index] !== element) {
+      parent.insertBefore(element, parent.children[index] ?? null);
+    }
+  });
+  while (parent.children.length > elements.length) {
+    parent.lastElementChild.remove();
+  }
+}
+
+/** Tell a screen reader what has happened. */
+export function announce(text) {
+  document.getElementById("announcer").textContent = text;
+}

@@ -1,0 +1,257 @@
+/** A form for a goal, made from its JSON Schema. */
+
+import { h, show } from "./dom.js";
+import { defaultOf, kindOf, resolverOf, unitOf } from "./schema.js";
+import { base64Of, bytesOf, parsed, textOf } from "./values.js";
+
+const MOST_LEVELS = 6;
+let lastId = 0;
+
+/** A value that is not valid, and the field that it is in. */
+export class FieldError extends Error {}
+
+/** Return a field for a schema: an element, a function that reads the value, and one that sets it. */
+export function fieldFor(given, name, value, resolve, level = 0) {
+  const schema = resolve(given);
+  const { kind, inner } = level > MOST_LEVELS ? { kind: "json" } : kindOf(schema, resolve);
+  const makers = {
+    array: listField,
+    boolean: checkField,
+    choice: choiceField,
+    const: constField,
+    nullable: nullableField,
+    object: objectField,
+    json: jsonField,
+  };
+  const make = makers[kind] ?? inputField;
+  return make({ schema: inner ?? schema, kind, name, value, resolve, level });
+}
+
+function labelled(schema, name, input, ...more) {
+  lastId += 1;
+  input.id = `field-${lastId}`;
+  const unit = unitOf(schema);
+  const note = schema.description ?? "";
+  if (note) {
+    input.setAttribute("aria-describedby", `note-${lastId}`);
+  }
+  const label = h("label", { for: input.id }, name, unit ? h("span", { class: "unit" }, ` ${unit}`) : null);
+  const hint = note ? h("small", { id: `note-${lastId}` }, note) : null;
+  return h("div", { class: "field" }, label, input, hint, ...more);
+}
+
+function inputField({ schema, kind, name, value }) {
+  const isNumber = kind === "number" || kind === "integer";
+  // A number that JavaScript rounds is written and read as text.
+  const isLarge = kind === "integer" && !Number.isSafeInteger(Number(value ?? 0));
+  const input = h("input", {
+    type: isNumber && !isLarge ? "number" : "text",
+    step: kind === "integer" ? 1 : "any",
+    min: schema.minimum,
+    max: schema.maximum,
+    minlength: schema.minLength,
+    maxlength: schema.maxLength,
+    placeholder: schema.format ?? (kind === "bytes" ? "base64" : null),
+    autocomplete: "off",
+  });
+  const set = (one) => {
+    input.value = one instanceof Uint8Array ? base64Of(one) : String(one ?? "");
+  };
+  set(value);
+  const read = () => {
+    try {
+      return readInput(kind, input);
+    } catch (error) {
+      input.focus();
+      throw new FieldError(`${name}: ${error.message}`);
+    }
+  };
+  return { element: labelled(schema, name, input), read, set };
+}
+
+function readInput(kind, input) {
+  const text = input.value.trim();
+  if (!input.checkValidity()) {
+    throw new Error(input.validationMessage);
+  }
+  if (kind === "integer") {
+    if (!/^[+-]?\d+$/.test(text)) {
+      throw new Error("enter a whole number");
+    }
+    return Number.isSafeInteger(Number(text)) ? Number(text) : BigInt(text);
+  }
+  if (kind === "number") {
+    if (text === "" || !Number.isFinite(Number(text))) {
+      throw new Error("enter a number");
+    }
+    return Number(text);
+  }
+  return kind === "bytes" ? bytesOf(text) : input.value;
+}
+
+function checkField({ schema, name, value }) {
+  const input = h("input", { type: "checkbox" });
+  const set = (one) => {
+    input.checked = Boolean(one);
+  };
+  set(value);
+  const element = labelled(schema, name, input);
+  element.classList.add("check");
+  return { element, read: () => input.checked, set };
+}
+
+function choiceField({ schema, name, value }) {
+  const options = schema.enum.map((one, index) => h("option", { value: index }, textOf(one).replaceAll('"', "")));
+  const select = h("select", {}, ...options);
+  const set = (one) => {
+    select.selectedIndex = Math.max(schema.enum.indexOf(one), 0);
+  };
+  set(value);
+  return { element: labelled(schema, name, select), read: () => schema.enum[select.selectedIndex], set };
+}
+
+function constField({ schema, name }) {
+  const element = h("p", { class: "field" }, `${name}: ${textOf(schema.const)}`);
+  return { element, read: () => schema.const, set: () => {} };
+}
+
+function nullableField({ schema, name, value, resolve, level }) {
+  const start = value ?? defaultOf(schema, resolve);
+  const field = fieldFor(schema, name, start, resolve, level);
+  const isSet = h("input", { type: "checkbox", onchange: () => show(field.element, isSet.checked) });
+  const set = (one) => {
+    isSet.checked = one !== null && one !== undefined;
+    if (isSet.checked) {
+      field.set(one);
+    }
+    show(field.element, isSet.checked);
+  };
+  set(value);
+  const toggle = labelled({}, `set ${name}`, isSet);
+  toggle.classList.add("check");
+  const element = h("div", { class: "optional" }, toggle, field.element);
+  return { element, read: () => (isSet.checked ? field.read() : null), set };
+}
+
+function objectField({ schema, name, value, resolve, level }) {
+  const fields = Object.entries(schema.properties).map(([part, one]) => {
+    const start = value?.[part] ?? defaultOf(one, resolve);
+    return [part, fieldFor(one, part, start, resolve, level + 1)];
+  });
+  const elements = fields.map(([, field]) => field.element);
+  const legend = name ? h("legend", {}, name) : null;
+  const element = legend ? h("fieldset", {}, legend, ...elements) : h("div", { class: "fields" }, ...elements);
+  return {
+    element,
+    read: () => Object.fromEntries(fields.map(([part, field]) => [part, field.read()])),
+    set: (one) => fields.forEach(([part, field]) => part in (one ?? {}) && field.set(one[part])),
+  };
+}
+
+function listField({ schema, name, value, resolve, level }) {
+  let items = [];
+  const list = h("div", { class: "items" });
+  const add = (one) => {
+    const start = one ?? defaultOf(schema.items, resolve);
+    const field = fieldFor(schema.items, `${name}[${items.length}]`, start, resolve, level + 1);
+    const remove = h("button", { type: "button", class: "quiet", "aria-label": `Remove ${name}[${items.length}]` }, "×");
+    const item = { field, element: h("div", { class: "item" }, field.element, remove) };
+    remove.addEventListener("click", () => set(items.filter((other) => other !== item).map((other) => other.field.read())));
+    items.push(item);
+    list.append(item.element);
+  };
+  const set = (values) => {
+    items = [];
+    list.replaceChildren();
+    (values ?? []).forEach(add);
+  };
+  set(value);
+  const more = h("button", { type: "button", onclick: () => add() }, `Add to ${name}`);
+  const element = h("fieldset", {}, h("legend", {}, name), list, more);
+  return { element, read: () => items.map(({ field }) => field.read()), set };
+}
+
+function jsonField({ schema, name, value }) {
+  const area = h("textarea", { rows: 3, spellcheck: "false" });
+  const set = (one) => {
+    area.value = textOf(one ?? null, { whole: true });
+  };
+  set(value);
+  const read = () => {
+    try {
+      return parsed(area.value);
+    } catch (error) {
+      area.focus();
+      throw new FieldError(`${name}: this is not JSON: ${error.message}`);
+    }
+  };
+  return { element: labelled(schema, `${name} (JSON)`, area), read, set };
+}
+
+/** The form of one action, as fields or as JSON. */
+export class GoalForm {
+  constructor(info, onsend) {
+    const resolve = resolverOf(info.goal);
+    const start = defaultOf(info.goal, resolve);
+    const isObject = kindOf(resolve(info.goal), resolve).kind === "object";
+    this.onsend = onsend;
+    this.field = fieldFor(info.goal, isObject ? "" : "goal", start, resolve);
+    this.json = jsonField({ schema: {}, name: "goal", value: start });
+    this.isJson = false;
+    this.toggle = h("button", { type: "button", class: "quiet", "aria-pressed": "false", onclick: () => this.switch() }, "Edit as JSON");
+    this.button = h("button", { type: "submit", class: "main" }, "Send goal");
+    this.error = h("p", { class: "error", role: "alert", hidden: true });
+    show(this.json.element, false);
+    const parts = [this.field.element, this.json.element, this.error];
+    const buttons = h("div", { class: "buttons" }, this.button, this.toggle);
+    this.element = h("form", { class: "goal-form", novalidate: true }, ...parts, buttons);
+    this.element.addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.send();
+    });
+    this.element.addEventListener("keydown", (event) => {
+      if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) {
+        this.send();
+      }
+    });
+  }
+
+  /** Fill the form with a goal. */
+  set(goal) {
+    this.field.set(goal);
+    this.json.set(goal);
+  }
+
+  switch() {
+    try {
+      const [from, to] = this.isJson ? [this.json, this.field] : [this.field, this.json];
+      to.set(from.read());
+    } catch (error) {
+      this.fail(error.message);
+      return;
+    }
+    this.isJson = !this.isJson;
+    this.toggle.setAttribute("aria-pressed", String(this.isJson));
+    show(this.json.element, this.isJson);
+    show(this.field.element, !this.isJson);
+    this.fail("");
+  }
+
+  fail(text) {
+    this.error.textContent = text;
+    show(this.error, Boolean(text));
+  }
+
+  async send() {
+    this.fail("");
+    this.button.disabled = true;
+    try {
+      const goal = (this.isJson ? this.json : this.field).read();
+      await this.onsend(goal);
+    } catch (error) {
+      this.fail(error.reason ? `Rejected: ${error.reason}` : error.message);
+    } finally {
+      this.button.disabled = false;
+    }
+  }
+}

@@ -1,0 +1,110 @@
+/** One goal as the console knows it: from its server, from this page, or from the history. */
+
+import { chartsOf, progressOf } from "./schema.js";
+import { Series } from "./series.js";
+
+const MOST_KEPT_POINTS = 100;
+const MOST_FEEDBACK_LINES = 200;
+const MOST_KEPT_LINES = 20;
+
+/** The statuses of goals that have not ended. */
+export const ACTIVE = ["SENDING", "ACCEPTED", "EXECUTING", "CANCELING"];
+
+export class GoalRecord {
+  constructor(action, id, info) {
+    this.action = action;
+    this.id = id;
+    this.info = info;
+    this.status = "ACCEPTED";
+    this.sentAt = 0;
+    this.startedAt = 0;
+    this.endedAt = 0;
+    this.client = "";
+    this.isMine = false;
+    this.place = 0;
+    this.queueLength = 0;
+    this.goal = undefined;
+    this.result = undefined;
+    this.reason = "";
+    this.feedback = undefined;
+    this.feedbackCount = 0;
+    this.feedbackDropped = 0;
+    this.progress = null;
+    this.recent = [];
+    this.handle = null;
+    this.isPast = false;
+    this.series = new Series(info ? chartsOf(info.feedback) : []);
+    this.readProgress = info ? progressOf(info.feedback) : () => null;
+  }
+
+  get key() {
+    return `${this.action}/${this.id}`;
+  }
+
+  get isActive() {
+    return ACTIVE.includes(this.status);
+  }
+
+  /** Return the seconds that it has taken, so far or in all. */
+  seconds(now = Date.now()) {
+    return Math.max(0, ((this.isActive ? now : this.endedAt || this.sentAt) - this.sentAt) / 1000);
+  }
+
+  /** Change the status, and note the time; what has ended stays so. */
+  setStatus(status, now = Date.now()) {
+    if (status === this.status || (!this.isActive && status !== "UNKNOWN" && this.endedAt)) {
+      return;
+    }
+    this.status = status;
+    if (status !== "SENDING" && status !== "ACCEPTED" && !this.startedAt) {
+      this.startedAt = now;
+    }
+    if (!this.isActive && !this.endedAt) {
+      this.endedAt = now;
+      this.place = 0;
+    }
+  }
+
+  /** Take one feedback message. */
+  addFeedback(feedback, number, now = Date.now()) {
+    this.feedback = feedback;
+    this.feedbackCount = number;
+    this.progress = this.readProgress(feedback) ?? this.progress;
+    this.recent.push([now, feedback]);
+    if (this.recent.length > 2 * MOST_FEEDBACK_LINES) {
+      this.recent.splice(0, MOST_FEEDBACK_LINES);
+    }
+    this.series.add(feedback, (now - this.sentAt) / 1000);
+  }
+
+  /** Keep less of a goal that has ended, and that is not shown. */
+  thin() {
+    if (!this.isActive && this.recent.length > MOST_KEPT_LINES) {
+      this.recent = this.recent.slice(-MOST_KEPT_LINES);
+      this.series.restore(this.series.kept(MOST_KEPT_POINTS));
+    }
+  }
+
+  /** Return the last feedback messages, with their times. */
+  get lines() {
+    return this.recent.slice(-MOST_FEEDBACK_LINES);
+  }
+
+  /** Return what the history keeps. */
+  kept() {
+    const { action, id, status, sentAt, startedAt, endedAt, client, isMine, goal, result, reason } =
+      this;
+    const { feedback, feedbackCount, feedbackDropped } = this;
+    const points = this.series.kept(MOST_KEPT_POINTS);
+    return { action, id, status, sentAt, startedAt, endedAt, client, isMine, goal, result, reason,
+      feedback, feedbackCount, feedbackDropped, points };
+  }
+
+  /** Return the record of a goal in the history. */
+  static of({ points, ...kept }, info) {
+    const record = new GoalRecord(kept.action, kept.id, info);
+    Object.assign(record, kept, { isPast: true });
+    record.series.restore(points ?? []);
+    return record;
+  }
+}

@@ -1,0 +1,69 @@
+/** Words for goals: statuses, times, and places in a queue. */
+
+import { h } from "./dom.js";
+
+const WORDS = {
+  SENDING: ["sending", "…"],
+  ACCEPTED: ["waiting", "◷"],
+  EXECUTING: ["executing", "▶"],
+  CANCELING: ["canceling", "■"],
+  SUCCEEDED: ["succeeded", "✓"],
+  CANCELED: ["canceled", "⊘"],
+  ABORTED: ["aborted", "✕"],
+  REJECTED: ["rejected", "✕"],
+  UNKNOWN: ["unknown", "?"],
+};
+
+/** Return the word for a status. */
+export function wordOf(status) {
+  return (WORDS[status] ?? WORDS.UNKNOWN)[0];
+}
+
+/** Return the word for the state of a goal, with its place if it waits. */
+export function stateOf(record) {
+  if (record.status === "ACCEPTED" && record.place) {
+    return `waiting, ${record.place} of ${record.queueLength}`;
+  }
+  return wordOf(record.status);
+}
+
+/** Make a badge show the state of a goal. */
+export function showBadge(badge, record) {
+  const icon = (WORDS[record.status] ?? WORDS.UNKNOWN)[1];
+  const text = `${icon} ${stateOf(record)}`;
+  if (badge.textContent !== text) {
+    badge.className = `badge ${record.status.toLowerCase()}`;
+    badge.replaceChildren(h("span", { "aria-hidden": "true" }, icon), ` ${stateOf(record)}`);
+  }
+}
+
+/** Return seconds as a person says them. */
+export function durationOf(seconds) {
+  if (seconds < 10) {
+    return `${seconds.toFixed(1)} s`;
+  }
+  if (seconds < 60) {
+    return `${Math.round(seconds)} s`;
+  }
+  const minutes = Math.floor(seconds / 60);
+  const rest = String(Math.floor(seconds % 60)).padStart(2, "0");
+  return minutes < 60 ? `${minutes}:${rest} min` : `${(minutes / 60).toFixed(1)} h`;
+}
+
+/** Return a time of the day, and the day if it is not today. */
+export function timeOf(stamp) {
+  const time = new Date(stamp);
+  const clock = time.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", second: "2-digit" });
+  return time.toDateString() === new Date().toDateString() ? clock : `${time.toLocaleDateString()} ${clock}`;
+}
+
+/** Return the first letters of a goal's ID. */
+export function shortId(id) {
+  return id.slice(0, 8);
+}
+
+/** Return the address of a goal within the page. */
+export function linkTo(action, id = "") {
+  const name = action.split("/").map(encodeURIComponent).join("/");
+  return `#/${name}${id ? `/${shortId(id)}` : ""}`;
+}

@@ -1,0 +1,91 @@
+/** One goal: what was sent beside its result, its feedback as charts and text, and its cancel. */
+
+import { Chart } from "./chart.js";
+import { h, setText, show } from "./dom.js";
+import { durationOf, shortId, showBadge, timeOf } from "./goal_text.js";
+import { textOf } from "./values.js";
+
+export class GoalView {
+  constructor(record, { oncancel, onagain }) {
+    this.badge = h("span", { class: "badge" });
+    this.facts = h("p", { class: "facts" });
+    this.reason = h("p", { class: "reason" });
+    this.bar = h("progress", { max: 1, "aria-label": "Progress" });
+    this.goal = h("pre", { tabindex: 0, "aria-label": "Goal" });
+    this.result = h("pre", { tabindex: 0, "aria-label": "Result" });
+    this.latest = h("pre", { tabindex: 0, "aria-label": "Latest feedback" });
+    this.lines = h("pre", { tabindex: 0, "aria-label": "Feedback messages", class: "lines" });
+    const redraw = () => this.updateFeedback(this.record);
+    this.log = h("details", { ontoggle: redraw }, h("summary", {}, "Messages"), this.lines);
+    this.feedbackTitle = h("h3", {}, "Feedback");
+    this.chartList = h("div", { class: "charts" });
+    this.cancel = h("button", { type: "button", class: "danger", onclick: () => oncancel(this.record) }, "Cancel goal");
+    this.again = h("button", { type: "button", onclick: () => onagain(this.record) }, "Use as new goal");
+    this.feedback = h("div", { class: "feedback" }, this.feedbackTitle, this.chartList, this.latest, this.log);
+    this.element = h(
+      "section",
+      { class: "card goal", "aria-label": "Goal" },
+      h("header", {}, h("h2", {}, "Goal ", h("code", {}, shortId(record.id))), this.badge, h("span", { class: "space" }), this.again, this.cancel),
+      this.facts,
+      this.bar,
+      this.reason,
+      h("div", { class: "pair" }, h("div", {}, h("h3", {}, "Goal"), this.goal), h("div", {}, h("h3", {}, "Result"), this.result)),
+      this.feedback,
+    );
+    this.take(record);
+  }
+
+  take(record) {
+    this.record = record;
+    this.series = record.series;
+    this.charts = record.series.charts.map((chart) => new Chart(chart));
+    this.chartList.replaceChildren(...this.charts.map((chart) => chart.element));
+  }
+
+  /** Show the goal as it is now. */
+  update(record) {
+    if (record.series !== this.series) {
+      this.take(record);
+    }
+    this.record = record;
+    showBadge(this.badge, record);
+    setText(this.facts, factsOf(record));
+    setText(this.reason, record.reason);
+    show(this.reason, Boolean(record.reason));
+    show(this.bar, record.progress !== null);
+    this.bar.value = record.status === "SUCCEEDED" ? 1 : (record.progress ?? 0);
+    setText(this.goal, record.goal === undefined ? "not known" : textOf(record.goal));
+    setText(this.result, resultOf(record));
+    show(this.cancel, record.isActive && record.status !== "CANCELING");
+    show(this.again, record.goal !== undefined);
+    this.updateFeedback(record);
+  }
+
+  updateFeedback(record) {
+    const dropped = record.feedbackDropped ? `, ${record.feedbackDropped} dropped` : "";
+    setText(this.feedbackTitle, `Feedback: ${record.feedbackCount} messages${dropped}`);
+    show(this.latest, record.feedback !== undefined);
+    setText(this.latest, textOf(record.feedback));
+    show(this.log, record.lines.length > 0);
+    if (this.log.open) {
+      const lines = record.lines.map(([time, value]) => `${((time - record.sentAt) / 1000).toFixed(3)} s  ${textOf(value).replace(/\s+/g, " ")}`);
+      setText(this.lines, lines.reverse().join("\n"));
+    }
+    for (const chart of this.charts) {
+      show(chart.element, chart.chart.lines.some((line) => line.times.length));
+      chart.draw();
+    }
+  }
+}
+
+function resultOf(record) {
+  if (record.result !== undefined) {
+    return textOf(record.result);
+  }
+  return record.isActive ? "not there yet" : "none";
+}
+
+function factsOf(record) {
+  const sender = record.isMine ? "this page" : record.client || "an unknown client";
+  return `${record.action} · sent ${timeOf(record.sentAt)} by ${sender} · ${durationOf(record.seconds())} · ${record.id}`;
+}

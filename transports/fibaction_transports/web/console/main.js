@@ -1,0 +1,145 @@
+/** The console: connects to the server that the page came from, and shows what the address says. */
+
+import { Connection } from "../fibaction.js";
+import { ActionList } from "./action_list.js";
+import { ActionPage } from "./action_page.js";
+import { keepToken, serverAddress, shownIn, takeToken } from "./address.js";
+import { askToken, showKeys } from "./dialogs.js";
+import { setText } from "./dom.js";
+import { linkTo } from "./goal_text.js";
+import { History } from "./history.js";
+import { Store } from "./store.js";
+import { setUpTheme } from "./theme.js";
+
+const TICK = 500;
+const TICKS_OF_PLACES = 4;
+const KEYS = [
+  ["/", "Search actions"],
+  ["n", "Go to the form of a new goal"],
+  ["Ctrl Enter", "Send the goal of the form"],
+  ["j, k", "Next, previous goal"],
+  ["c", "Cancel the goal that is shown"],
+  ["Esc", "Close the goal"],
+  ["?", "Show these keys"],
+];
+
+class Console {
+  constructor() {
+    this.content = document.getElementById("content");
+    this.status = document.getElementById("connection");
+    setUpTheme(document.getElementById("theme"));
+    document.getElementById("help").addEventListener("click", () => showKeys(KEYS));
+    document.querySelector(".skip").addEventListener("click", (event) => {
+      event.preventDefault();
+      this.content.focus();
+    });
+    this.page = null;
+    this.ticks = 0;
+    this.connect(takeToken());
+    window.addEventListener("hashchange", () => this.route());
+    window.addEventListener("keydown", (event) => this.press(event));
+    setInterval(() => this.tick(), TICK);
+  }
+
+  connect(token) {
+    const address = serverAddress();
+    this.connection = new Connection(address, { token, onstate: (state) => this.takeState(state) });
+    this.store = new Store(this.connection, new History(address));
+    this.store.onchange = () => this.update();
+    this.actions = new ActionList(this.store);
+    document.getElementById("actions").replaceChildren(...this.actions.elements);
+    this.store.start();
+    this.store.change();
+  }
+
+  takeState(state) {
+    this.store.takeState(state);
+    if (state === "closed") {
+      this.connection.ready.catch((error) => this.takeEnd(error));
+    }
+  }
+
+  /** Ask for another token if the server does not accept this one; else say why it is over. */
+  async takeEnd(error) {
+    if (error.name !== "AuthenticationFailed") {
+      this.store.state = `disconnected: ${error.message}; reload the page`;
+      this.store.change();
+      return;
+    }
+    this.store.onchange = () => {};
+    const token = await askToken(error.message);
+    keepToken(token);
+    this.page = null;
+    this.connect(token);
+  }
+
+  /** Show the action and the goal in the address. */
+  route() {
+    const { action, goal } = shownIn(window.location.hash, this.store.actions);
+    const record = this.store.goalsOf(action).find((one) => goal && one.id.startsWith(goal));
+    const isSame = this.store.shown.action === action && this.store.shown.goal === (record?.key ?? "");
+    if (!isSame) {
+      this.store.show(action, record?.id);
+    }
+    const info = this.store.actions.get(action);
+    if (!this.page || this.page.info !== info) {
+      if (this.page?.info && info && JSON.stringify(this.page.info) === JSON.stringify(info)) {
+        return; // described again after a reconnect: what was typed into the form stays
+      }
+      this.page = new ActionPage(this.store, info);
+      this.content.replaceChildren(this.page.element);
+      document.title = info ? `${info.name} · fibaction console` : "fibaction console";
+    }
+  }
+
+  update() {
+    this.route();
+    const words = { ready: "connected", lost: "connection lost, trying again" };
+    setText(this.status, words[this.store.state] ?? this.store.state);
+    this.status.dataset.state = this.store.state;
+    this.actions.update();
+    this.page.update();
+  }
+
+  /** Let the times of active goals go on. */
+  tick() {
+    this.ticks += 1;
+    if (!document.hidden && [...this.store.goals.values()].some((goal) => goal.isActive)) {
+      if (this.ticks % TICKS_OF_PLACES === 0) {
+        this.store.refreshPlaces();
+      }
+      this.store.change();
+    }
+  }
+
+  press(event) {
+    const isTyping = event.target.closest("input, textarea, select, dialog");
+    if (event.key === "Escape" && isTyping && !event.target.closest("dialog")) {
+      event.target.blur();
+    }
+    if (isTyping || event.ctrlKey || event.metaKey || event.altKey) {
+      return;
+    }
+    const { action, goal } = this.store.shown;
+    const record = this.store.goals.get(goal);
+    const shown = record ? linkTo(this.page.info ? action : record.action, record.id) : "";
+    const go = (address) => {
+      window.location.hash = (address ?? "#/").slice(1);
+    };
+    const deeds = {
+      "/": () => this.actions.search.focus(),
+      n: () => this.page.focusForm(),
+      j: () => go(this.page.list.neighbour(shown, 1)),
+      k: () => go(this.page.list.neighbour(shown, -1)),
+      c: () => record?.isActive && this.page.cancel(record),
+      "?": () => showKeys(KEYS),
+      Escape: () => go(action ? linkTo(action) : "#/"),
+    };
+    if (deeds[event.key]) {
+      event.preventDefault();
+      deeds[event.key]();
+    }
+  }
+}
+
+new Console();

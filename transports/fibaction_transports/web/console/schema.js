@@ -1,0 +1,172 @@
+/** JSON Schemas of actions, as far as a form and charts need them. */
+
+const PERCENT = ["percent", "percentage", "percent_complete", "percentage_complete", "percent_done"];
+const FRACTION = ["fraction", "fraction_complete", "fraction_done", "ratio", "completion", "progress"];
+const MOST_LEVELS = 8;
+const MOST_SERIES = 24;
+const MOST_INDEXED = 6;
+
+/** Return a function that follows `$ref`s of a schema to the schemas that they mean. */
+export function resolverOf(root) {
+  return function resolve(schema) {
+    let found = schema ?? {};
+    for (let level = 0; found.$ref && level < MOST_LEVELS; level += 1) {
+      const { $ref, ...beside } = found;
+      const path = $ref.replace(/^#\/?/, "").split("/").filter(Boolean);
+      found = { ...path.reduce((part, name) => part?.[unescape(name)], root), ...beside };
+    }
+    return found;
+  };
+}
+
+function unescape(name) {
+  return decodeURIComponent(name).replaceAll("~1", "/").replaceAll("~0", "~");
+}
+
+/**
+ * Return the kind of field that a schema needs: object, array, boolean, integer, number, string,
+ * bytes, choice, const, nullable (with the schema `inner`), or json for everything else.
+ */
+export function kindOf(schema, resolve) {
+  if ("const" in schema) {
+    return { kind: "const" };
+  }
+  if (Array.isArray(schema.enum)) {
+    return { kind: "choice" };
+  }
+  const choices = schema.anyOf ?? schema.oneOf;
+  if (choices) {
+    const others = choices.filter((one) => resolve(one).type !== "null");
+    const { anyOf, oneOf, ...beside } = schema;
+    if (others.length === 1 && choices.length === 2) {
+      return { kind: "nullable", inner: { ...beside, ...resolve(others[0]) } };
+    }
+    return { kind: "json" };
+  }
+  if (schema.type === "object" && schema.properties) {
+    return { kind: "object" };
+  }
+  if (schema.type === "array" && schema.items && schema.items !== false) {
+    return { kind: "array" };
+  }
+  if (schema.type === "string" && schema.contentEncoding === "base64") {
+    return { kind: "bytes" };
+  }
+  const simple = ["boolean", "integer", "number", "string"];
+  return { kind: simple.includes(schema.type) ? schema.type : "json" };
+}
+
+/** Return the value that a form begins with. */
+export function defaultOf(given, resolve, level = 0) {
+  const schema = resolve(given);
+  if ("default" in schema) {
+    return filled(schema.default, schema, resolve, level);
+  }
+  const { kind } = kindOf(schema, resolve);
+  const least = schema.minimum ?? (schema.exclusiveMinimum ?? -1) + 1;
+  const simple = {
+    const: schema.const,
+    choice: schema.enum?.[0],
+    array: [],
+    boolean: false,
+    integer: Math.max(least, 0),
+    number: Math.max(least, 0),
+    string: "",
+    bytes: "",
+  };
+  if (kind !== "object" || level >= MOST_LEVELS) {
+    return kind in simple ? simple[kind] : null;
+  }
+  return filled({}, schema, resolve, level);
+}
+
+function filled(value, schema, resolve, level) {
+  const isObject = value !== null && typeof value === "object" && !Array.isArray(value);
+  if (!isObject || !schema.properties || level >= MOST_LEVELS) {
+    return value;
+  }
+  const names = Object.keys(schema.properties);
+  const of = (name) => value[name] ?? defaultOf(schema.properties[name], resolve, level + 1);
+  return { ...value, ...Object.fromEntries(names.map((name) => [name, of(name)])) };
+}
+
+/** Return the unit of a schema, as its author has named it; empty if it has none. */
+export function unitOf(schema) {
+  return schema["x-unit"] ?? schema.unit ?? "";
+}
+
+/**
+ * Return the charts for values of a schema. Numbers of one object that have the same unit share a
+ * chart. A list is a curve of its own, unless the schema says that it is short.
+ */
+export function chartsOf(root) {
+  const resolve = resolverOf(root);
+  const charts = new Map();
+  let count = 0;
+
+  function add(chart, title, unit, line) {
+    if (count < MOST_SERIES) {
+      count += 1;
+      const found = charts.get(chart) ?? { title, unit, lines: [], isCurve: Boolean(line.isCurve) };
+      found.lines.push(line);
+      charts.set(chart, found);
+    }
+  }
+
+  function visit(given, path, level) {
+    let schema = resolve(given);
+    const found = kindOf(schema, resolve);
+    if (found.kind === "nullable") {
+      schema = resolve(found.inner);
+    }
+    const unit = unitOf(schema);
+    const { kind } = kindOf(schema, resolve);
+    if (kind === "integer" || kind === "number") {
+      const parent = path.slice(0, -1).join(".");
+      const name = path.join(".");
+      const chart = unit ? `${parent} ${unit}` : name;
+      add(chart, unit && parent ? parent : name, unit, { name: name || "value", path });
+    } else if (kind === "object" && level < MOST_LEVELS) {
+      for (const [name, one] of Object.entries(schema.properties)) {
+        visit(one, [...path, name], level + 1);
+      }
+    } else if (kind === "array") {
+      visitList(schema, path, unit);
+    }
+  }
+
+  function visitList(schema, path, unit) {
+    const items = resolve(schema.items);
+    const name = path.join(".") || "values";
+    if (!["integer", "number"].includes(items.type)) {
+      return;
+    }
+    if (schema.maxItems && schema.maxItems <= MOST_INDEXED) {
+      for (let index = 0; index < schema.maxItems; index += 1) {
+        const line = { name: `${name}[${index}]`, path: [...path, index] };
+        add(name, name, unit || unitOf(items), line);
+      }
+    } else {
+      add(name, name, unit || unitOf(items), { name, path, isCurve: true });
+    }
+  }
+
+  visit(root, [], 0);
+  return [...charts.values()];
+}
+
+/** Return a function that finds the progress in feedback, from 0 to 1; null if it does not tell. */
+export function progressOf(root) {
+  const fields = Object.keys(resolverOf(root)(root).properties ?? {});
+  const percent = fields.find((name) => PERCENT.includes(name));
+  const fraction = fields.find((name) => FRACTION.includes(name));
+  let isOfHundred = Boolean(percent);
+  return function read(feedback) {
+    const value = Number(feedback?.[percent ?? fraction]);
+    if (!Number.isFinite(value)) {
+      return null;
+    }
+    isOfHundred ||= value > 1;
+    return Math.min(Math.max(isOfHundred ? value / 100 : value, 0), 1);
+  };
+}

@@ -1,0 +1,350 @@
+/**
+ * The actions and the goals of one server, as this page knows them.
+ *
+ * Theory of operation. All actions are watched, so the page knows the status of every goal. To have
+ * its feedback and its result, a goal must be followed. That costs the server and the page work, so
+ * only these are: goals that this page has sent, the one that is shown, and the newest active goals
+ * of the action that is shown. Changes are collected, and listeners are told once for each frame.
+ */
+
+import { ACTIVE, GoalRecord } from "./goal_record.js";
+import { stored } from "./values.js";
+
+const MOST_FOLLOWED = 20;
+const MOST_GOALS = 1000;
+const ASK_AGAIN = 2000;
+const ASK_PLACES = 27; // a message of the protocol that only this page sends
+const MOST_PLACES = 1000;
+const FORGOTTEN = "the server does not know it any more";
+
+/** Return the ID of a new goal. Pages without TLS do not have `crypto.randomUUID`. */
+function newId() {
+  return hexOf(crypto.getRandomValues(new Uint8Array(16)));
+}
+
+function hexOf(bytes) {
+  return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+
+export class Store {
+  constructor(connection, history) {
+    this.connection = connection;
+    this.history = history;
+    this.actions = new Map();
+    this.goals = new Map();
+    this.watches = new Map();
+    this.sending = new Set();
+    this.shown = { action: "", goal: "" };
+    this.state = "connecting";
+    this.onchange = () => {};
+    this.frame = 0;
+  }
+
+  /** Begin: goals of the history first, then all that the server has. */
+  start() {
+    for (const kept of this.history.goals()) {
+      const record = GoalRecord.of(kept, undefined);
+      this.goals.set(record.key, record);
+    }
+    this.askActions("");
+  }
+
+  /** Ask for the actions, now and ever again, and take them if they are others than before. */
+  async askActions(before) {
+    const infos = await this.connection.actions().catch(() => null);
+    if (this.state === "closed") {
+      return;
+    }
+    const now = infos ? stored(infos) : before;
+    if (now !== before) {
+      this.takeActions(infos);
+    }
+    setTimeout(() => this.askActions(now), ASK_AGAIN);
+  }
+
+  /** Take the new state of the connection. */
+  takeState(state) {
+    this.state = state;
+    this.change();
+  }
+
+  /** Tell the listener at the next frame. */
+  change() {
+    this.frame ||= requestAnimationFrame(() => {
+      this.frame = 0;
+      this.onchange();
+    });
+  }
+
+  // Actions
+
+  takeActions(infos) {
+    this.actions = new Map(infos.map((info) => [info.name, info]));
+    for (const [name, stop] of this.watches) {
+      if (!this.actions.has(name)) {
+        stop();
+        this.watches.delete(name);
+      }
+    }
+    for (const [name, info] of this.actions) {
+      if (!this.watches.has(name)) {
+        this.describePast(info);
+        this.watch(info);
+      }
+    }
+    this.change();
+  }
+
+  watch(info) {
+    const take = (goal) => this.takeStatus(info, goal);
+    const fail = () => setTimeout(() => this.actions.has(info.name) && this.watch(info), ASK_AGAIN);
+    this.watches.set(info.name, this.connection.watch(info.name, take, fail));
+  }
+
+  /** Ask for the places of goals that wait: the changes of statuses do not tell them. */
+  async refreshPlaces() {
+    const waiting = [...this.goals.values()].filter((goal) => goal.status === "ACCEPTED");
+    for (const name of new Set(waiting.map((goal) => goal.action))) {
+      if (this.state === "ready") {
+        const answer = this.connection.request(ASK_PLACES, name, MOST_PLACES);
+        this.takePlaces(name, await answer.catch(() => [[]]));
+      }
+    }
+  }
+
+  takePlaces(name, [goals]) {
+    for (const [id, place, queueLength] of goals) {
+      const record = this.goals.get(`${name}/${hexOf(id)}`);
+      if (record?.status === "ACCEPTED") {
+        Object.assign(record, { place: Number(place), queueLength: Number(queueLength) });
+      }
+    }
+    this.change();
+  }
+
+  /** Give goals of the history the schema, with which their charts are drawn. */
+  describePast(info) {
+    for (const record of this.goals.values()) {
+      if (record.action === info.name && !record.info) {
+        this.goals.set(record.key, GoalRecord.of(record.kept(), info));
+      }
+    }
+  }
+
+  // Goals
+
+  /** Return the goals of an action, or of all, the newest first. */
+  goalsOf(action) {
+    const goals = [...this.goals.values()].filter((goal) => !action || goal.action === action);
+    return goals.sort((one, other) => other.sentAt - one.sentAt);
+  }
+
+  takeStatus(info, told) {
+    if (told.status === "UNKNOWN") {
+      this.takeForgotten(`${info.name}/${told.id}`);
+      return;
+    }
+    const record = this.recordOf(info, told.id);
+    record.isPast = false;
+    record.sentAt = Number(told.stamp / 1_000_000n);
+    record.client = told.client;
+    record.place = told.place;
+    record.queueLength = told.queueLength;
+    if (!record.handle) {
+      record.feedbackCount = Math.max(record.feedbackCount, Number(told.feedbackCount));
+      record.setStatus(told.status);
+    }
+    this.follow(record);
+    this.change();
+  }
+
+  /** Take that a server does not know a goal any more. If it was active, it is lost. */
+  takeForgotten(key) {
+    const record = this.goals.get(key);
+    if (record?.isActive && !record.handle) {
+      record.setStatus("UNKNOWN");
+      record.reason = FORGOTTEN;
+      this.keep(record);
+    }
+    this.change();
+  }
+
+  recordOf(info, id) {
+    const key = `${info.name}/${id}`;
+    let record = this.goals.get(key);
+    if (!record) {
+      record = new GoalRecord(info.name, id, info);
+      this.goals.set(key, record);
+      if (this.goals.size > MOST_GOALS) {
+        this.forgetOldest();
+      }
+    }
+    return record;
+  }
+
+  forgetOldest() {
+    for (const [key, record] of this.goals) {
+      if (!record.isActive && key !== this.shown.goal) {
+        this.goals.delete(key);
+        return;
+      }
+    }
+  }
+
+  // To follow goals
+
+  /** Show an action, and perhaps one of its goals: they are followed from now on. */
+  show(action, goal = "") {
+    this.shown = { action, goal: goal && `${action}/${goal}` };
+    for (const record of this.goals.values()) {
+      if (record.handle && !this.isWanted(record)) {
+        record.handle.leave();
+        record.handle = null;
+      }
+      if (record.key !== this.shown.goal) {
+        record.thin();
+      }
+    }
+    for (const record of this.goalsOf(action)) {
+      this.follow(record);
+    }
+    this.change();
+  }
+
+  isWanted(record) {
+    return record.isMine || record.key === this.shown.goal || this.isInReach(record);
+  }
+
+  isInReach(record) {
+    const isShown = !this.shown.action || record.action === this.shown.action;
+    if (!isShown || !record.isActive) {
+      return false;
+    }
+    const followed = [...this.goals.values()].filter((one) => one.handle && one.isActive);
+    return Boolean(record.handle) || followed.length < MOST_FOLLOWED;
+  }
+
+  /** Follow a goal, if it is wanted and not followed yet. */
+  async follow(record) {
+    const needsEnd = !record.isActive && record.result === undefined && !record.isPast;
+    const isBusy = record.handle || record.isAsking || this.sending.has(record.key);
+    if (isBusy || !(needsEnd || this.isWanted(record))) {
+      return;
+    }
+    if (!record.isActive && (record.isPast || record.hasEnd)) {
+      return;
+    }
+    record.isAsking = true;
+    try {
+      const handle = await this.connection.attach(record.action, record.id, { after: 0, observe: true });
+      await this.read(record, handle);
+    } catch (error) {
+      record.isPast = !record.isActive;
+      this.change();
+    } finally {
+      record.isAsking = false;
+    }
+  }
+
+  /** Read the feedback and the end of a goal. */
+  async read(record, handle) {
+    record.handle = handle;
+    record.goal = handle.goal ?? record.goal;
+    handle.onstatus = (status) => {
+      record.setStatus(status);
+      this.change();
+    };
+    record.setStatus(handle.status);
+    this.change();
+    const reading = this.readFeedback(record, handle);
+    try {
+      const outcome = await handle.outcome;
+      await reading;
+      if (record.handle === handle) {
+        this.end(record, outcome);
+      }
+    } catch (error) {
+      record.reason = record.isActive ? error.message : record.reason;
+    }
+    if (record.handle === handle) {
+      record.handle = null;
+    }
+    this.change();
+  }
+
+  async readFeedback(record, handle) {
+    try {
+      for await (const feedback of handle.feedback) {
+        record.addFeedback(feedback, handle.number);
+        this.change();
+      }
+    } catch {
+      // `outcome` raises the same error.
+    }
+  }
+
+  end(record, outcome) {
+    record.setStatus(outcome.status);
+    record.result = outcome.result ?? undefined;
+    record.reason = outcome.reason || record.reason;
+    record.feedbackDropped = Number(outcome.feedbackDropped ?? 0);
+    record.hasEnd = true;
+    if (outcome.status === "UNKNOWN") {
+      record.reason = FORGOTTEN;
+    }
+    if (record.key !== this.shown.goal) {
+      record.thin();
+    }
+    this.keep(record);
+  }
+
+  keep(record) {
+    if (!record.isActive) {
+      this.history.add(record);
+    }
+  }
+
+  // What a person does
+
+  /** Send a goal, and return its record; a rejection is an error with its reason. */
+  async send(info, goal) {
+    const id = newId();
+    const key = `${info.name}/${id}`;
+    this.sending.add(key); // its status may come before the answer
+    try {
+      const handle = await this.connection.sendGoal(info.name, goal, { id });
+      const record = this.recordOf(info, id);
+      record.isMine = true;
+      record.goal = goal;
+      record.sentAt ||= Date.now();
+      this.read(record, handle);
+      return record;
+    } finally {
+      this.sending.delete(key);
+    }
+  }
+
+  /** Ask for the cancel of a goal. */
+  async cancel(record) {
+    await this.connection.cancel(record.action, { id: record.id });
+  }
+
+  /** Ask for the cancel of all active goals, and return the errors of actions that reject it. */
+  async cancelAll(action) {
+    const active = this.goalsOf(action).filter((goal) => goal.isActive);
+    const names = [...new Set(active.map((goal) => goal.action))];
+    const answers = await Promise.allSettled(names.map((name) => this.connection.cancel(name)));
+    return answers.filter(({ status }) => status === "rejected").map(({ reason }) => reason.message);
+  }
+
+  /** Forget the goals that have ended. */
+  forgetEnded() {
+    for (const [key, record] of this.goals) {
+      if (!ACTIVE.includes(record.status)) {
+        this.goals.delete(key);
+      }
+    }
+    this.history.clear();
+    this.change();
+  }
+}

@@ -1,0 +1,66 @@
+/** The newest goals as bars over time: the wait, the run, and the end. */
+
+import { h, svg } from "./dom.js";
+import { durationOf, shortId, stateOf, wordOf } from "./goal_text.js";
+
+const MOST_GOALS = 12;
+const ROW = 18;
+const LETTER = 7.4;
+const LEAST_SECONDS = 5;
+
+export class Timeline {
+  constructor({ withAction }) {
+    this.withAction = withAction;
+    this.svg = svg("svg", { role: "img", "aria-label": "Timeline of goals" });
+    this.element = h("section", { class: "card timeline", "aria-label": "Timeline" }, h("h2", {}, "Timeline"), this.svg);
+  }
+
+  /** Draw the newest of these goals. */
+  update(goals, shown) {
+    const newest = goals.filter((goal) => goal.sentAt).slice(0, MOST_GOALS);
+    this.element.hidden = newest.length === 0;
+    const width = this.svg.clientWidth;
+    if (!width || !newest.length) {
+      return;
+    }
+    const now = Date.now();
+    const start = Math.min(...newest.map((goal) => goal.sentAt));
+    const end = Math.max(start + LEAST_SECONDS * 1000, ...newest.map((goal) => endOf(goal, now)));
+    const names = newest.map((goal) => (this.withAction ? `${shortId(goal.id)} ${goal.action}` : shortId(goal.id)));
+    const longest = Math.max(...names.map((name) => name.length));
+    const label = Math.min(longest * LETTER + 12, width / 3);
+    const scale = (width - label - 70) / (end - start);
+    const rows = newest.map((goal, index) => {
+      const name = names[index].slice(0, Math.floor(label / LETTER));
+      return rowOf(goal, index, { start, scale, now, shown, label, name });
+    });
+    const height = newest.length * ROW + 4;
+    this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+    this.svg.setAttribute("height", height);
+    const words = newest.map((goal) => `${shortId(goal.id)} ${stateOf(goal)}`).join(", ");
+    this.svg.setAttribute("aria-label", `Timeline of ${newest.length} goals: ${words}`);
+    this.svg.replaceChildren(...rows);
+  }
+}
+
+function endOf(goal, now) {
+  return goal.isActive ? now : goal.endedAt || goal.sentAt;
+}
+
+function rowOf(goal, index, { start, scale, now, shown, label, name }) {
+  const y = index * ROW + 2;
+  const from = label + (goal.sentAt - start) * scale;
+  const begun = label + ((goal.startedAt || endOf(goal, now)) - start) * scale;
+  const to = Math.max(label + (endOf(goal, now) - start) * scale, from + 3);
+  const waits = Math.max(Math.min(begun, to) - from, 0);
+  const text = durationOf(goal.seconds(now));
+  return svg(
+    "g",
+    { class: goal.key === shown ? "current" : null },
+    svg("title", {}, `${goal.action} ${shortId(goal.id)}: ${wordOf(goal.status)}, ${text}`),
+    svg("text", { x: 0, y: y + 12 }, name),
+    svg("rect", { class: "bar accepted", x: from, y, width: waits, height: ROW - 5, rx: 3 }),
+    svg("rect", { class: `bar ${goal.status.toLowerCase()}`, x: from + waits, y, width: Math.max(to - from - waits, waits ? 0 : 3), height: ROW - 5, rx: 3 }),
+    svg("text", { class: "duration", x: to + 6, y: y + 12 }, text),
+  );
+}

@@ -1,0 +1,95 @@
+"""`http://host:port/path` and `https://host:port/path`: everything for web clients."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from functools import cached_property
+from typing import Any, ClassVar, Unpack
+
+from anyio.abc import Listener
+
+from fibaction._asyncio_task import asyncio_task
+from fibaction.metrics import Metrics
+from fibaction.wire.transport import boolean
+from fibaction.wire.wire_server import WireServer
+from fibaction_transports._streams._sockets import accept_sockets
+from fibaction_transports._streams._tls import TlsListener
+from fibaction_transports.web._application import WebApplication
+from fibaction_transports.web._handshake import http_answer
+from fibaction_transports.web._http_server import HttpServer
+from fibaction_transports.web.websocket_transport import (
+    HOST,
+    WebSocketKeywords,
+    WebSocketTransport,
+)
+
+
+class HttpTransport(WebSocketTransport):
+    """HTTP and WebSocket at one address, with or without TLS.
+
+    A server has all that a `WebTransport` has. A client connects by WebSocket, to `http://` as to
+    `ws://`.
+    """
+
+    own_settings: ClassVar[tuple[str, ...]] = (
+        *WebSocketTransport.own_settings,
+        "console",
+        "metrics",
+    )
+    own_url_settings: ClassVar = {**WebSocketTransport.own_url_settings, "console": boolean}
+    plain_scheme = "http"
+    tls_schemes: ClassVar[tuple[str, ...]] = ("https",)
+    speaks_tls = http_answer(400, "this server speaks TLS: use https://")
+
+    def __init__(
+        self,
+        host: str = HOST,
+        port: int | None = None,
+        path: str = "/",
+        *,
+        console: bool = True,
+        metrics: Metrics | None = None,
+        **settings: Unpack[WebSocketKeywords],
+    ) -> None:
+        """Take what a `WebSocketTransport` takes.
+
+        Args:
+            host: The host to connect to, or to listen at.
+            port: The port, as for `WebSocketTransport`.
+            path: The path of the server; it begins with `/`.
+            console: Serve the console as a page at the path.
+            metrics: Serve these at `/metrics`; they are a watcher, too, for `serve`.
+            settings: Those of a `WebSocketTransport`.
+
+        Raises:
+            TypeError, ValueError: As for `WebSocketTransport`.
+        """
+        super().__init__(host, port, path, **settings)
+        self._console = console
+        self._metrics = metrics
+
+    @cached_property
+    def _served(self) -> dict[WireServer, HttpServer]:
+        return {}
+
+    @asynccontextmanager
+    async def accept_lines(self, server: WireServer) -> AsyncGenerator[str, None]:
+        admitted = self._rules()
+        application = WebApplication(server, admitted, console=self._console, metrics=self._metrics)
+        self._served[server] = HttpServer(application, server, admitted, self._scheme)
+        try:
+            async with super().accept_lines(server) as url:
+                try:
+                    yield url
+                finally:
+                    await application.close()
+        finally:
+            del self._served[server]
+
+    async def _accept_all(self, listener: Listener[Any], server: WireServer) -> None:
+        served = self._served[server]
+        if asyncio_task() is not None and not isinstance(listener, TlsListener):
+            await accept_sockets(listener, served.serve_socket, server.tasks)
+        else:
+            await listener.serve(served.serve, server.tasks)

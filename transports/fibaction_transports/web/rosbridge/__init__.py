@@ -1,0 +1,1 @@
+"""rosbridge: the JSON protocol of roslibjs and roslibpy, as far as it is about actions."""

@@ -1,0 +1,146 @@
+"""The messages of a rosbridge client: JSON text to operations.
+
+A message is an object whose `op` names the operation. Operations about topics, services of others
+and the settings of rosbridge itself are not served here, and are `Ignored`. An operation that is
+served, with a field that is wrong, is `Wrong`: its client gets an answer, if the message says to
+what.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any, TypeAlias, cast
+
+import msgspec
+
+from fibaction._plain_data import is_map
+from fibaction._text import excerpt
+from fibaction.exceptions import ProtocolError
+from fibaction.wire.errors import sendable
+
+LONGEST_ID = 1000
+"""Characters of an ID, at most: it is in each answer."""
+MOST_FRAGMENTS = 10_000
+"""Fragments of one message, at most."""
+
+ClientID: TypeAlias = (
+    Annotated[str, msgspec.Meta(max_length=LONGEST_ID)]
+    | Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
+    | None
+)
+"""The ID of a request, made by the client; None if it has none."""
+Arguments: TypeAlias = dict[str, Any] | list[Any] | None
+"""The fields of a message by name, or in their order; None for the defaults."""
+FragmentSize: TypeAlias = Annotated[int, msgspec.Meta(ge=1)] | None
+"""Characters of the largest message that the client accepts; None for any."""
+
+
+class SendActionGoal(msgspec.Struct, tag_field="op", tag="send_action_goal"):
+    """Request to send a goal."""
+
+    action: str
+    id: ClientID = None
+    args: Arguments = None
+    feedback: bool = False
+    fragment_size: FragmentSize = None
+    cancel_on_disconnect: bool = False
+    """True if the goal ends when its client does not come back."""
+    meta: dict[str, str] | None = None
+    """Text that goes with the goal, for traces: see `SendGoal.meta`."""
+
+
+class CancelActionGoal(msgspec.Struct, tag_field="op", tag="cancel_action_goal"):
+    """Request to cancel the goal that was sent with the same ID."""
+
+    action: str
+    id: ClientID = None
+
+
+class CallService(msgspec.Struct, tag_field="op", tag="call_service"):
+    """Call of a service."""
+
+    service: str
+    id: ClientID = None
+    args: Arguments = None
+    fragment_size: FragmentSize = None
+
+
+class Fragment(msgspec.Struct, tag_field="op", tag="fragment"):
+    """A piece of the text of another message."""
+
+    id: ClientID
+    data: str
+    num: Annotated[int, msgspec.Meta(ge=0)]
+    total: Annotated[int, msgspec.Meta(ge=1, le=MOST_FRAGMENTS)]
+
+
+class Auth(msgspec.Struct, tag_field="op", tag="auth"):
+    """The client's access token: what `authenticate()` of roslibjs has as its first argument."""
+
+    mac: str
+
+
+class Wrong(msgspec.Struct):
+    """An operation with a field that is wrong."""
+
+    op: str
+    id: ClientID
+    name: str
+    """The name of the action or the service; empty if it is wrong, too."""
+    why: str
+
+
+class Ignored(msgspec.Struct):
+    """A message with an operation that is not served here, or without one."""
+
+    op: str
+
+
+Operation: TypeAlias = (
+    SendActionGoal | CancelActionGoal | CallService | Fragment | Auth | Wrong | Ignored
+)
+
+_SERVED = SendActionGoal | CancelActionGoal | CallService | Fragment | Auth
+_NAMES = frozenset({"send_action_goal", "cancel_action_goal", "call_service", "fragment", "auth"})
+_decoder: msgspec.json.Decoder[Any] = msgspec.json.Decoder(_SERVED)
+_id_type: Any = ClientID
+
+
+def read(text: str) -> Operation:
+    """Return the operation in a message.
+
+    Raises:
+        ProtocolError: The message is not JSON.
+    """
+    try:
+        return cast("Operation", _decoder.decode(text))
+    except (ValueError, RecursionError) as exc:
+        why = str(exc)
+    # Python's own parser takes NaN as well, which roslibpy writes: such a call gets its answer.
+    # Raised behind the block, so that the error does not keep the message.
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError):
+        data = _NOT_JSON
+    if data is _NOT_JSON:
+        raise ProtocolError(f"it sent a message that is not JSON: {excerpt(why)}")
+    return _wrong(data, why)
+
+
+_NOT_JSON = object()
+
+
+def _wrong(data: object, why: str) -> Wrong | Ignored:
+    if not is_map(data) or data.get("op") not in _NAMES:
+        op = data.get("op") if is_map(data) else None
+        return Ignored(excerpt(op) if isinstance(op, str) else "")
+    name = data.get("action", data.get("service"))
+    return Wrong(data["op"], _id_in(data), sendable(name) if isinstance(name, str) else "", why)
+
+
+def _id_in(data: dict[Any, Any]) -> ClientID:
+    try:
+        found = msgspec.convert(data.get("id"), _id_type)
+    except msgspec.ValidationError:
+        return None
+    return sendable(found) if isinstance(found, str) else cast("int | None", found)
