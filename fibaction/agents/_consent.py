@@ -1,0 +1,167 @@
+"""`Consents`: the questions to the user before something moves.
+
+Theory of operation
+-------------------
+
+A question is an elicitation of MCP: the client shows a text, and the user accepts or declines. How
+it travels depends on the protocol that the client speaks.
+
+- With a handshake (versions up to 2025-11-25), the server asks the client while the tool runs.
+- Without one (from 2026-07-28 on), the tool answers that input is required, and the client calls
+  it again with the user's answer and with a `requestState`. That is a random number here, which
+  stands for one question, about one tool with exactly these arguments, and is valid once and for a
+  limited time: an answer cannot be used for another goal.
+
+A client says by its capabilities whether it can ask. One that cannot gets an error, so nothing
+moves; the error does not tell the model how that is changed, since some models can run commands. A
+client that answers in place of its user is not noticed: that is a matter of trust.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import anyio
+from mcp.server.context import ServerRequestContext
+from mcp.shared.exceptions import MCPError
+from mcp_types import (
+    CallToolRequestParams,
+    ClientCapabilities,
+    ElicitRequest,
+    ElicitRequestFormParams,
+    ElicitResult,
+    InputRequiredResult,
+)
+from mcp_types.version import MODERN_PROTOCOL_VERSIONS
+from pydantic import ValidationError
+
+from fibaction._text import with_escapes
+from fibaction.agents._tool_error import ToolError
+from fibaction.json_payload import PayloadError, to_json
+
+QUESTION_TIMEOUT = 600.0
+"""Seconds that a user has to answer a question."""
+MOST_QUESTIONS = 1000
+"""Questions that wait for their answers at once; the oldest of more is forgotten."""
+LONGEST_GOAL = 4000
+"""Characters of a goal that a user is asked about. The user must see all of what is sent."""
+MOST_LINES = 40
+"""Lines of a goal that is shown with one field on a line."""
+
+_KEY = "consent"
+_SCHEMA: dict[str, Any] = {"type": "object", "properties": {}}
+"""The form of the question: it has no fields, only the answer itself."""
+
+
+class _Question(NamedTuple):
+    call: str
+    expires: float
+
+
+class Consents:
+    """The questions of one bridge, and their answers."""
+
+    def __init__(self) -> None:
+        self._questions: dict[str, _Question] = {}
+
+    async def ask(
+        self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams, question: str
+    ) -> InputRequiredResult | None:
+        """Ask the user whether the call of a tool may go on; return None if it may.
+
+        Otherwise return the answer to this call, after which the client asks and calls again.
+
+        Raises:
+            ToolError: The user does not agree, or cannot be asked.
+        """
+        if not _can_ask(context.session.client_capabilities):
+            raise _cannot_ask("this client cannot ask")
+        if context.protocol_version in MODERN_PROTOCOL_VERSIONS:
+            return self._asked_again(params, question)
+        try:
+            with anyio.fail_after(QUESTION_TIMEOUT):
+                answer = await context.session.elicit_form(question, _SCHEMA, context.request_id)
+        except TimeoutError as exc:
+            raise _cannot_ask(f"there was no answer in {QUESTION_TIMEOUT:g} s") from exc
+        except (MCPError, ValidationError) as exc:
+            raise _cannot_ask(f"the client failed to ask ({type(exc).__name__})") from exc
+        _check(answer)
+        return None
+
+    def _asked_again(
+        self, params: CallToolRequestParams, question: str
+    ) -> InputRequiredResult | None:
+        call, now = _call_of(params), anyio.current_time()
+        answer = (params.input_responses or {}).get(_KEY)
+        asked = self._questions.pop(params.request_state or "", None)
+        if asked is not None and asked.call == call and asked.expires > now:
+            if not isinstance(answer, ElicitResult):
+                raise _cannot_ask("the client has not answered the question")
+            _check(answer)
+            return None
+        # The first call; or an answer to another question, or to one of long ago: it is asked anew.
+        state = secrets.token_urlsafe(16)
+        while len(self._questions) >= MOST_QUESTIONS:
+            del self._questions[next(iter(self._questions))]
+        self._questions[state] = _Question(call, now + QUESTION_TIMEOUT)
+        form = ElicitRequestFormParams(message=question, requested_schema=_SCHEMA)
+        return InputRequiredResult(
+            input_requests={_KEY: ElicitRequest(params=form)}, request_state=state
+        )
+
+
+def _can_ask(capabilities: ClientCapabilities | None) -> bool:
+    """Return whether a client can show a form to its user."""
+    elicitation = capabilities.elicitation if capabilities else None
+    return elicitation is not None and (elicitation.form is not None or elicitation.url is None)
+
+
+def _cannot_ask(reason: str) -> ToolError:
+    return ToolError(
+        f"Nothing was sent: the user must agree to it first, and {reason}. Tell the user, who finds"
+        f" in the documentation of fibaction, on the page Agents, how goals can be permitted."
+    )
+
+
+def _check(answer: ElicitResult) -> None:
+    """Check that the user has agreed.
+
+    Raises:
+        ToolError: The user has not.
+    """
+    if answer.action == "decline":
+        raise ToolError(
+            "Nothing was sent: the user has declined. Do not try it again unless the user asks you"
+            " to."
+        )
+    if answer.action != "accept":
+        raise ToolError("Nothing was sent: the user has closed the question without an answer.")
+
+
+def _call_of(params: CallToolRequestParams) -> str:
+    """Return the text that is the same for the same call only."""
+    return json.dumps([params.name, params.arguments], sort_keys=True)
+
+
+def goal_text(message: Mapping[str, Any] | Any) -> str:
+    """Return a goal as the user is to see it: JSON, without characters that could deceive.
+
+    Raises:
+        ToolError: It is too long to be shown, or cannot be.
+    """
+    try:
+        line = to_json(message)
+    except PayloadError as exc:
+        raise ToolError(f"The goal was not sent, because the user cannot see it: {exc}") from exc
+    lines = json.dumps(json.loads(line), indent=2, ensure_ascii=False).split("\n")
+    shown = [line] if len(lines) > MOST_LINES else lines
+    text = "\n".join(with_escapes(one, lambda c: json.dumps(c)[1:-1]) for one in shown)
+    if len(text) > LONGEST_GOAL:
+        raise ToolError(
+            f"The goal was not sent: it has {len(text)} characters, and the user, who must agree to"
+            f" it, can be shown {LONGEST_GOAL}. Send a shorter one."
+        )
+    return text

@@ -1,0 +1,200 @@
+"""MCP over HTTP ("streamable HTTP"), by uvicorn, which the SDK brings with it.
+
+Requests are let in by the rules of this project's web servers: the `Host` must be this machine or
+an address, the `Origin` none or the same, and the token must be right, before anything is read. So
+no page of a browser and no other user of the machine can move a robot.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, MutableMapping
+from contextlib import asynccontextmanager, contextmanager
+from ipaddress import ip_address
+from typing import Any
+
+import anyio
+import uvicorn
+from mcp.server import Server
+from mcp.server.transport_security import TransportSecuritySettings
+
+from fibaction._http_rules import HttpRules, Refused, rules
+from fibaction._log import clean_logger
+from fibaction.exceptions import TransportError
+from fibaction.wire.auth import AccessPolicy
+
+PATH = "/mcp"
+LAST_ANSWERS = 1
+"""Seconds that clients have for their last answers at the end."""
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Scope]]
+Send = Callable[[Scope], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+logger = clean_logger("fibaction.agents")
+
+
+class Guarded:
+    """An ASGI application that lets in only the requests that are permitted."""
+
+    def __init__(self, app: App, admitted: HttpRules, access: AccessPolicy) -> None:
+        self._app = app
+        self._rules = admitted
+        self._access = access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http":
+            try:
+                self._check(scope)
+            except Refused as exc:
+                await _refuse(exc, send)
+                return
+        await self._app(scope, receive, send)
+
+    def _check(self, scope: Scope) -> None:
+        """Check the host, the page and the token of a request.
+
+        Raises:
+            Refused: One of them is not permitted.
+        """
+        headers: dict[str, str] = {}
+        for name, value in scope["headers"]:
+            key, text = name.decode("latin-1").lower(), value.decode("latin-1")
+            # A header that comes twice is a trick, and fits nothing.
+            headers[key] = f"{headers[key]}, {text}" if key in headers else text
+        self._rules.check_sources(headers, has_tls=scope.get("scheme") == "https")
+        scheme, _, token = headers.get("authorization", "").partition(" ")
+        host, port = scope.get("client") or ("a client", 0)
+        bearer = token.strip().encode("latin-1").decode(errors="replace")
+        if scheme.lower() != "bearer" or self._access.admit(f"{host}:{port}", bearer) is None:
+            reason = "the header Authorization must be: Bearer, and the token of the bridge"
+            raise Refused(401, reason, ("WWW-Authenticate", "Bearer"))
+
+
+async def _refuse(refused: Refused, send: Send) -> None:
+    logger.warning("HTTP %d: %s", refused.status, refused)
+    body = f"{refused}\n".encode()
+    headers = [
+        (name.lower().encode(), value.encode("latin-1"))
+        for name, value in (
+            *refused.headers,
+            ("Content-Type", "text/plain; charset=utf-8"),
+            ("Content-Length", str(len(body))),
+        )
+    ]
+    await send({"type": "http.response.start", "status": refused.status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})
+
+
+def http_app(server: Server[Any], host: str, token: str, *, has_tls: bool = False) -> App:
+    """Return the application for a server that listens at a host.
+
+    Raises:
+        ValueError: The token is empty or cannot be one.
+    """
+    # The rules above are stricter.
+    off = TransportSecuritySettings(enable_dns_rebinding_protection=False)
+    app = server.streamable_http_app(streamable_http_path=PATH, transport_security=off, host=host)
+    admitted = rules(host, PATH, hosts=(), origins=(), has_tls=has_tls)
+    return Guarded(app, admitted, AccessPolicy({token: "agent"}))
+
+
+class _Uvicorn(uvicorn.Server):
+    """A uvicorn that leaves the signals to its caller, and tells when it has started."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.has_started = anyio.Event()
+
+    @contextmanager
+    def capture_signals(self) -> Generator[None, None, None]:
+        yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self.has_started.set()
+
+
+@asynccontextmanager
+async def served_over_http(
+    server: Server[Any],
+    host: str,
+    port: int,
+    token: str,
+    *,
+    cert: str | None = None,
+    key: str | None = None,
+    insecure: bool = False,
+) -> AsyncGenerator[str, None]:
+    """Serve MCP over HTTP during the block, which gets the URL. It runs on asyncio only.
+
+    Port 0 is a free one. `cert` and `key` are the files for TLS, without which it is for this
+    machine only, unless `insecure` says that something else protects the line.
+
+    Raises:
+        TransportError: Nothing can listen there, or the files cannot be used.
+        ValueError: The token is empty or cannot be one.
+    """
+    if not (cert or insecure or is_loopback(host)):
+        raise TransportError(
+            f"{host} can be reached from other machines: use TLS, with --cert and --key, or, if the"
+            f" network is your own, --insecure"
+        )
+    app = http_app(server, host, token, has_tls=cert is not None)
+    listener = _listening(host, port)
+    config = uvicorn.Config(
+        app,
+        http="h11",
+        ws="none",
+        lifespan="on",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        ssl_certfile=cert,
+        ssl_keyfile=key,
+        timeout_graceful_shutdown=LAST_ANSWERS,
+    )
+    try:
+        config.load()
+    except OSError as exc:  # an SSLError is one
+        listener.close()
+        raise TransportError(f"cannot load the TLS files {cert} and {key}: {exc}") from exc
+    running = _Uvicorn(config)
+
+    async def run() -> None:
+        with anyio.CancelScope(shield=True):  # canceled, it would leave tasks of its own behind
+            await running.serve([listener])
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(run)
+        with anyio.CancelScope(shield=True):  # told to end before, it would close nothing
+            await running.has_started.wait()
+        scheme, shown = ("https" if cert else "http"), f"[{host}]" if ":" in host else host
+        try:
+            yield f"{scheme}://{shown}:{listener.getsockname()[1]}{PATH}"
+        finally:
+            running.should_exit = True
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """Return a socket that listens.
+
+    Raises:
+        TransportError: It cannot.
+    """
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        return socket.create_server((host, port), family=family)
+    except OSError as exc:
+        raise TransportError(f"cannot listen at {host}:{port}: {exc.strerror or exc}") from exc
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a host can be reached from this machine only."""
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False

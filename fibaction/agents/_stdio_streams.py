@@ -1,0 +1,44 @@
+"""The streams of MCP over stdin and stdout, whose reader can be canceled.
+
+The reader of the SDK waits for a line in a thread, and cannot be canceled meanwhile: a signal would
+end the program only when the client sends something.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any, cast
+
+from anyio import AsyncFile, to_thread
+from mcp.server.stdio import stdio_server
+
+
+class _Lines:
+    """The lines of stdin. After a cancellation, a thread may still wait for one."""
+
+    def __init__(self) -> None:
+        self._read = sys.stdin.buffer.readline
+
+    def __aiter__(self) -> _Lines:
+        return self
+
+    async def __anext__(self) -> str:
+        line: bytes = await to_thread.run_sync(self._read, abandon_on_cancel=True)
+        if not line:
+            raise StopAsyncIteration
+        return line.decode(errors="replace")
+
+
+@asynccontextmanager
+async def stdio_streams() -> AsyncGenerator[tuple[Any, Any], None]:
+    """Give the streams of messages and of answers.
+
+    Meanwhile, what else is written to stdout goes to stderr, so that it does not disturb.
+
+    Raises:
+        RuntimeError: Something else serves over stdout already.
+    """
+    async with stdio_server(stdin=cast("AsyncFile[str]", _Lines())) as streams:
+        yield streams

@@ -1,0 +1,214 @@
+"""`ToolCalls`: the tools, as they are called."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+from mcp.server.context import ServerRequestContext
+from mcp_types import CallToolRequestParams, CallToolResult, InputRequiredResult
+
+from fibaction.agents._agent_goals import AgentGoal, AgentGoals, goals_of
+from fibaction.agents._consent import Consents, goal_text
+from fibaction.agents._goal_overview import overview
+from fibaction.agents._robot_actions import RobotAction, RobotActions
+from fibaction.agents._tool_answers import (
+    data_answer,
+    error_answer,
+    feedback_text,
+    goal_answer,
+)
+from fibaction.agents._tool_error import ToolError
+from fibaction.agents._tool_list import tool_list
+from fibaction.agents._tool_names import CANCEL, SEND, STATUS
+from fibaction.agents._tool_schema import GOAL
+from fibaction.agents.agent_policy import AgentPolicy
+from fibaction.exceptions import ActionError
+from fibaction.goals import CancelCode, GoalID
+from fibaction.json_payload import JsonCodec, PayloadError
+
+CANCEL_WAIT = 5.0
+"""Seconds that `cancel_goal` waits for the end of the goal, if it is not told otherwise."""
+
+Answer = CallToolResult | InputRequiredResult
+
+
+class ToolCalls:
+    """The calls of the tools of one bridge."""
+
+    def __init__(self, actions: RobotActions, goals: AgentGoals, policy: AgentPolicy) -> None:
+        self._actions = actions
+        self._goals = goals
+        self._policy = policy
+        self._consents = Consents()
+        inputs = {tool.name: tool.input_schema for tool in tool_list({}, policy)}
+        self._inputs = {name: JsonCodec(schema, "input") for name, schema in inputs.items()}
+
+    async def call(
+        self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
+    ) -> Answer:
+        """Call a tool; an error is an answer, too."""
+        own = {SEND: self._send, STATUS: self._status, CANCEL: self._cancel}
+        try:
+            handle = own.get(params.name, self._run)
+            return await handle(context, params)
+        except ToolError as exc:
+            return error_answer(str(exc))
+
+    async def _run(
+        self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
+    ) -> Answer:
+        """Send a goal, and wait for its end; cancel it if the client cancels the call."""
+        action = self._action(params.name)
+        message = _message(action, params.arguments or {})
+        if (asked := await self._ask_to_send(context, params, action, message)) is not None:
+            return asked
+        goal = await self._goals.send(action, message)
+        try:
+            await self._wait(context, goal, self._policy.patience)
+        except anyio.get_cancelled_exc_class():
+            await goal.leave()
+            raise
+        return goal_answer(goal)
+
+    async def _send(
+        self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
+    ) -> Answer:
+        """Send a goal, and answer as soon as it is accepted."""
+        given = self._input(params)
+        action = self._action(given["tool"])
+        message = _message(action, given[GOAL])
+        if (asked := await self._ask_to_send(context, params, action, message)) is not None:
+            return asked
+        return goal_answer(await self._goals.send(action, message))
+
+    async def _status(
+        self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
+    ) -> Answer:
+        """Tell about one goal, or about everything."""
+        given = self._input(params)
+        if "goal_id" not in given:
+            actions = list(self._actions.tools.values())
+            return data_answer(overview(self._actions.problems, actions, await goals_of(actions)))
+        goal = await self._goal(given["goal_id"])
+        await self._wait(context, goal, given["wait"])
+        return goal_answer(goal)
+
+    async def _cancel(
+        self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
+    ) -> Answer:
+        """Cancel a goal; ask the user first if it is another client's."""
+        given = self._input(params)
+        goal = await self._goal(given["goal_id"])
+        action = goal.action
+        if not goal.own and self._policy.asks(action.server, action.info.name):
+            question = (
+                f"Cancel the goal {goal.goal_id} of the action {action.title}, which another"
+                f" program has sent?"
+            )
+            if (asked := await self._consents.ask(context, params, question)) is not None:
+                return asked
+        if not goal.ended.is_set():
+            await _cancel(goal)
+        await self._wait(context, goal, given["wait"])
+        return goal_answer(goal, cancel_wanted=True)
+
+    # Their parts
+
+    async def _ask_to_send(
+        self,
+        context: ServerRequestContext[Any, Any],
+        params: CallToolRequestParams,
+        action: RobotAction,
+        message: Any,
+    ) -> InputRequiredResult | None:
+        """Ask the user before a goal, if that is the policy; return the answer if it is a question.
+
+        Raises:
+            ToolError: The goal may not be sent.
+        """
+        if not self._policy.asks(action.server, action.info.name):
+            return None
+        question = f"Send this goal to the action {action.title}?\n\n{goal_text(message)}"
+        return await self._consents.ask(context, params, question)
+
+    async def _wait(
+        self, context: ServerRequestContext[Any, Any], goal: AgentGoal, seconds: float
+    ) -> None:
+        async def report(number: int, feedback: Any) -> None:
+            await context.session.report_progress(number, message=feedback_text(feedback))
+
+        await goal.wait(seconds, report)
+
+    def _action(self, tool: str) -> RobotAction:
+        """Return the action of a tool.
+
+        Raises:
+            ToolError: There is none now, or goals cannot be sent.
+        """
+        if self._policy.read_only:
+            raise ToolError("Nothing was sent: this bridge is read-only. Only goal_status is here.")
+        tools = self._actions.tools
+        if tool in tools:
+            return tools[tool]
+        text = f"There is no tool {tool!r} now; there are {', '.join(sorted(tools)) or 'none'}."
+        for server, problem in self._actions.problems.items():
+            if problem:
+                text += f" The server {server} cannot be reached: {problem}.".replace("  ", " ")
+        raise ToolError(text)
+
+    async def _goal(self, text: str) -> AgentGoal:
+        """Return a goal of the actions that are allowed.
+
+        Raises:
+            ToolError: There is none of that ID.
+        """
+        try:
+            goal_id = GoalID.parse(text)
+        except ValueError as exc:
+            raise ToolError(f"{exc}.") from exc
+        return await self._goals.find(goal_id, list(self._actions.tools.values()))
+
+    def _input(self, params: CallToolRequestParams) -> dict[str, Any]:
+        """Return the input of one of the bridge's own tools, with its defaults.
+
+        Raises:
+            ToolError: It is invalid, or there is no such tool here.
+        """
+        if params.name not in self._inputs:
+            raise ToolError("Nothing was done: this bridge is read-only. Only goal_status is here.")
+        try:
+            given: dict[str, Any] = self._inputs[params.name].complete(params.arguments or {})
+        except PayloadError as exc:
+            raise ToolError(f"Nothing was done: {exc}.") from exc
+        return given
+
+
+def _message(action: RobotAction, arguments: dict[str, Any]) -> Any:
+    """Return the goal in the arguments of a call, with its defaults.
+
+    Raises:
+        ToolError: It is not a goal of the action.
+    """
+    surplus = set(arguments) - {GOAL}
+    if action.input.is_wrapped and (surplus or GOAL not in arguments):
+        raise ToolError(f"The goal was not sent: the input has the field {GOAL!r} and no other.")
+    try:
+        return action.goals.complete(action.input.goal_in(arguments))
+    except PayloadError as exc:
+        raise ToolError(f"The goal was not sent: {exc}.") from exc
+
+
+async def _cancel(goal: AgentGoal) -> None:
+    """Ask the server to cancel a goal.
+
+    Raises:
+        ToolError: The goal goes on.
+    """
+    try:
+        answer = await goal.cancel()
+    except ActionError as exc:
+        raise ToolError(f"The goal was not canceled, and may go on: {exc}") from exc
+    if answer.return_code is CancelCode.REJECTED:
+        reason = answer.reason or "it gives no reason"
+        raise ToolError(f"The server rejects the cancel, and the goal goes on: {reason}")

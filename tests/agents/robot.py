@@ -1,0 +1,194 @@
+"""A robot for agents, a client of the SDK that is connected to its bridge, and what was said."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any, Literal
+
+import anyio
+import msgspec
+from mcp import Client
+from mcp_types import CallToolResult, ElicitRequestFormParams, ElicitResult, TextContent
+
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    CancelRejected,
+    ClientGoal,
+    GoalAborted,
+    GoalCanceled,
+    GoalHandle,
+    GoalRejected,
+    serve,
+)
+from fibaction.agents import AgentPolicy, McpBridge
+from fibaction_transports.inprocess import InProcessTransport
+
+Mode = Literal["legacy", "auto"]
+MODES: tuple[Mode, ...] = ("legacy", "auto")
+"""The protocol with a handshake, and the one without."""
+UNASKED = AgentPolicy(unasked=("*",))
+PATIENCE = 30.0
+
+
+class Drive(msgspec.Struct):
+    """Drive straight on."""
+
+    meters: int
+    speed: float = 0.5
+
+
+class Driven(msgspec.Struct):
+    meters: int
+
+
+class Arrived(msgspec.Struct):
+    at: int
+
+
+DRIVE = Action("arm/drive", goal=Drive, feedback=Driven, result=Arrived, type_name="a/action/Drive")
+COUNT = Action("count", goal=int, feedback=int, result=str)
+
+
+class Robot:
+    """A robot that drives, and counts."""
+
+    def __init__(self) -> None:
+        self.here = InProcessTransport()
+        self.sent: list[Drive] = []
+        """The goals that were accepted."""
+        self.waits = anyio.Event()
+        """Set when a goal of 100 m or more has begun; only a cancel ends it."""
+        self.stopped = anyio.Event()
+        """Set when such a goal was canceled."""
+        self.is_stubborn = False
+        self.drive = ActionServer(
+            DRIVE, self._drive, on_goal=self._on_drive, on_cancel=self._on_cancel, result_timeout=60
+        )
+        self.count = ActionServer(COUNT, self._count)
+
+    def _on_drive(self, goal: Drive) -> None:
+        if goal.meters < 0:
+            raise GoalRejected("it cannot drive backwards" if goal.meters > -9 else "")
+        self.sent.append(goal)
+
+    def _on_cancel(self, _: GoalHandle[Drive]) -> None:
+        if self.is_stubborn:
+            raise CancelRejected("it is on a slope")
+
+    async def _drive(self, goal: GoalHandle[Drive]) -> AsyncGenerator[Driven | Arrived, None]:
+        meters = goal.request.meters
+        if meters == 13:
+            raise GoalAborted("there is a wall", result=Arrived(12))
+        yield Driven(1)
+        try:
+            if meters >= 100:
+                self.waits.set()
+                await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            self.stopped.set()
+            raise GoalCanceled("it has braked", result=Arrived(1)) from None
+        yield Arrived(meters)
+
+    async def _count(self, goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
+        yield "x" * goal.request
+
+
+class Talk:
+    """A client of the SDK, and what came of it."""
+
+    def __init__(self) -> None:
+        self.client: Client
+        self.bridge: McpBridge
+        self.asked: list[str] = []
+        """The questions to the user."""
+        self.progress: list[tuple[float, str | None]] = []
+        self.told = anyio.Event()
+        """Set at each change of the list of tools."""
+
+    async def call(self, name: str, /, **arguments: Any) -> CallToolResult:
+        """Call a tool."""
+        with anyio.fail_after(PATIENCE):
+            return await self.client.call_tool(
+                name, arguments, progress_callback=self._note_progress
+            )
+
+    async def error(self, name: str, /, **arguments: Any) -> str:
+        """Call a tool that does not work, and return its text."""
+        result = await self.call(name, **arguments)
+        assert result.is_error
+        return text_of(result)
+
+    async def data(self, name: str, /, **arguments: Any) -> Any:
+        """Call a tool that works, and return its data."""
+        result = await self.call(name, **arguments)
+        assert not result.is_error, text_of(result)
+        return result.structured_content
+
+    async def tools(self) -> list[str]:
+        """Return the names of the tools."""
+        return [tool.name for tool in (await self.client.list_tools(cache_mode="bypass")).tools]
+
+    async def _note_progress(
+        self, progress: float, total: float | None, message: str | None
+    ) -> None:
+        assert total is None
+        self.progress.append((progress, message))
+
+
+def text_of(result: CallToolResult) -> str:
+    """Return the text of an answer."""
+    (content,) = result.content
+    assert isinstance(content, TextContent)
+    return content.text
+
+
+@asynccontextmanager
+async def talk(
+    bridge: McpBridge, mode: Mode, answer: Literal["accept", "decline", "cancel"] | None = None
+) -> AsyncGenerator[Talk, None]:
+    """Connect a client; with `answer`, it can ask its user, who always answers so."""
+    made = Talk()
+    made.bridge = bridge
+
+    async def ask(context: Any, params: Any) -> ElicitResult:
+        assert isinstance(params, ElicitRequestFormParams)
+        made.asked.append(params.message)
+        assert answer is not None
+        return ElicitResult(action=answer, content={} if answer == "accept" else None)
+
+    async def note(message: Any) -> None:
+        if type(message).__name__ == "ToolListChangedNotification":
+            made.told.set()
+
+    made.client = Client(
+        bridge.server,
+        mode=mode,
+        elicitation_callback=ask if answer else None,
+        message_handler=note,
+    )
+    async with made.client:
+        yield made
+
+
+@asynccontextmanager
+async def robot_and_talk(
+    mode: Mode,
+    policy: AgentPolicy | None = None,
+    answer: Literal["accept", "decline", "cancel"] | None = None,
+) -> AsyncGenerator[tuple[Robot, Talk], None]:
+    """A robot that is served, a bridge to it, and a client of that."""
+    robot = Robot()
+    async with (
+        serve((robot.drive, robot.count), robot.here),
+        McpBridge(robot.here, policy) as bridge,
+        talk(bridge, mode, answer) as made,
+    ):
+        yield robot, made
+
+
+async def sent_by_others(robot: Robot, meters: int) -> ClientGoal[Driven, Arrived]:
+    """Send a goal that is not one of the bridge."""
+    return await ActionClient(robot.drive, DRIVE).send_goal(Drive(meters))

@@ -1,0 +1,286 @@
+"""The questions to the user before something moves."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any, cast
+
+import anyio
+import pytest
+from mcp import Client
+from mcp_types import (
+    CallToolResult,
+    ClientCapabilities,
+    ElicitationCapability,
+    ElicitResult,
+    ErrorData,
+    FormElicitationCapability,
+    InputRequiredResult,
+    ListRootsResult,
+    UrlElicitationCapability,
+)
+
+from fibaction import serve
+from fibaction.agents import AgentPolicy, McpBridge, _consent
+from fibaction.agents._consent import goal_text
+from fibaction.agents._tool_error import ToolError
+from tests.agents.robot import (
+    MODES,
+    Drive,
+    Mode,
+    Robot,
+    Talk,
+    robot_and_talk,
+    sent_by_others,
+    text_of,
+)
+
+pytestmark = pytest.mark.asyncio
+both = pytest.mark.parametrize("mode", MODES)
+
+
+@both
+async def test_the_user_is_asked_before_each_goal_and_sees_all_of_it(mode: Mode) -> None:
+    async with robot_and_talk(mode, answer="accept") as (robot, made):
+        assert (await made.data("arm-drive", meters=3))["status"] == "SUCCEEDED"
+        assert made.asked == [
+            'Send this goal to the action arm/drive?\n\n{\n  "meters": 3,\n  "speed": 0.5\n}'
+        ]
+        await made.data("arm-drive", meters=3)
+        await made.data("send_goal", tool="arm-drive", goal={"meters": 4})
+        assert len(made.asked) == 3
+        assert robot.sent == [Drive(3), Drive(3), Drive(4)]
+
+
+@both
+@pytest.mark.parametrize(
+    ("answer", "text"),
+    [("decline", "the user has declined"), ("cancel", "closed the question without an answer")],
+)
+async def test_without_a_yes_nothing_is_sent(mode: Mode, answer: Any, text: str) -> None:
+    async with robot_and_talk(mode, answer=answer) as (robot, made):
+        assert text in await made.error("arm-drive", meters=3)
+        assert text in await made.error("send_goal", tool="arm-drive", goal={"meters": 3})
+        assert len(made.asked) == 2
+        assert robot.sent == []
+
+
+@both
+async def test_a_client_that_cannot_ask_sends_nothing_but_what_is_permitted(mode: Mode) -> None:
+    policy = AgentPolicy(unasked=("count",))
+    async with robot_and_talk(mode, policy) as (robot, made):
+        text = await made.error("arm-drive", meters=3)
+        assert text.startswith("Nothing was sent: the user must agree to it first, and this client")
+        assert "--" not in text  # a model that can run commands must not help itself
+        assert "must agree" in await made.error("send_goal", tool="arm-drive", goal={"meters": 3})
+        assert (await made.data("count", goal=1))["result"] == "x"
+        tools = {tool.name: tool for tool in (await made.client.list_tools()).tools}
+        assert "The user is asked" in (tools["arm-drive"].description or "")
+        assert "The user is asked" not in (tools["count"].description or "")
+        assert robot.sent == []
+
+
+@both
+async def test_what_would_be_rejected_at_once_is_not_asked_about(mode: Mode) -> None:
+    async with robot_and_talk(mode, answer="accept") as (_, made):
+        await made.error("arm-drive", meters="far")
+        await made.error("fly")
+        assert made.asked == []
+
+
+@both
+async def test_the_user_is_asked_before_the_goal_of_another_is_canceled(mode: Mode) -> None:
+    async with robot_and_talk(mode, answer="accept") as (robot, made):
+        other = await sent_by_others(robot, 100)
+        await robot.waits.wait()
+        assert (await made.data("cancel_goal", goal_id=str(other.goal_id)))["status"] == "CANCELED"
+        (question,) = made.asked
+        assert question == (
+            f"Cancel the goal {other.goal_id} of the action arm/drive, which another program has"
+            f" sent?"
+        )
+        assert robot.stopped.is_set()
+
+
+@both
+async def test_an_own_goal_is_canceled_without_a_question(mode: Mode) -> None:
+    async with robot_and_talk(mode, answer="accept") as (robot, made):
+        sent = await made.data("send_goal", tool="arm-drive", goal={"meters": 100})
+        await robot.waits.wait()
+        made.asked.clear()
+        await made.data("cancel_goal", goal_id=sent["goal_id"])
+        assert made.asked == []
+
+
+# The protocol with a handshake
+
+
+@asynccontextmanager
+async def talk_with(bridge: McpBridge, callback: Any) -> AsyncGenerator[Talk, None]:
+    made = Talk()
+    made.client = Client(bridge.server, mode="legacy", elicitation_callback=callback)
+    async with made.client:
+        yield made
+
+
+async def test_a_client_that_fails_to_ask_sends_nothing() -> None:
+    async def fail(*_: object) -> ErrorData:
+        return ErrorData(code=-32000, message="no window")
+
+    robot = Robot()
+    async with (
+        serve(robot.drive, robot.here),
+        McpBridge(robot.here) as bridge,
+        talk_with(bridge, fail) as made,
+    ):
+        assert "the client failed to ask" in await made.error("arm-drive", meters=3)
+        assert robot.sent == []
+
+
+async def test_a_user_who_does_not_answer_is_waited_for_a_limited_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(_consent, "QUESTION_TIMEOUT", 0.02)
+
+    async def never(*_: object) -> ElicitResult:
+        await anyio.sleep_forever()
+        raise AssertionError
+
+    robot = Robot()
+    async with (
+        serve(robot.drive, robot.here),
+        McpBridge(robot.here) as bridge,
+        talk_with(bridge, never) as made,
+    ):
+        assert "there was no answer in 0.02 s" in await made.error("arm-drive", meters=3)
+        assert robot.sent == []
+
+
+# The protocol without one: the client calls again, with the answer and what the server gave it
+
+
+class Rounds:
+    """Calls of tools, round by round."""
+
+    def __init__(self, made: Talk) -> None:
+        self._session = made.client.session
+
+    async def ask(self, meters: int = 3) -> str:
+        """Make a first call, and return the state for the second."""
+        result = await self.call(meters)
+        assert isinstance(result, InputRequiredResult)
+        assert result.request_state
+        assert set(result.input_requests or ()) == {"consent"}
+        return result.request_state
+
+    async def call(self, meters: int = 3, **settings: Any) -> CallToolResult | InputRequiredResult:
+        """Make one call."""
+        result = await self._session.call_tool(
+            "arm-drive", {"meters": meters}, allow_input_required=True, **settings
+        )
+        return cast("CallToolResult | InputRequiredResult", result)
+
+
+YES = {"consent": ElicitResult(action="accept", content={})}
+
+
+async def test_an_answer_counts_once_and_for_the_same_goal_only(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with robot_and_talk("auto", answer="accept") as (robot, made):
+        rounds = Rounds(made)
+        state = await rounds.ask(3)
+        # For another goal; then the question is gone, for the first one, too.
+        again = await rounds.call(50, input_responses=YES, request_state=state)
+        assert isinstance(again, InputRequiredResult)
+        again = await rounds.call(3, input_responses=YES, request_state=state)
+        assert isinstance(again, InputRequiredResult)
+        # Made up, or none.
+        for made_up in ("", "yes", None):
+            again = await rounds.call(3, input_responses=YES, request_state=made_up)
+            assert isinstance(again, InputRequiredResult)
+        assert robot.sent == []
+
+        state = await rounds.ask(3)
+        done = await rounds.call(3, input_responses=YES, request_state=state)
+        assert isinstance(done, CallToolResult)
+        assert robot.sent == [Drive(3)]
+        again = await rounds.call(3, input_responses=YES, request_state=state)
+        assert isinstance(again, InputRequiredResult)
+
+        monkeypatch.setattr(_consent, "QUESTION_TIMEOUT", -1.0)
+        state = await rounds.ask(3)
+        again = await rounds.call(3, input_responses=YES, request_state=state)
+        assert isinstance(again, InputRequiredResult)
+        assert robot.sent == [Drive(3)]
+
+
+async def test_a_second_call_without_an_answer_sends_nothing() -> None:
+    async with robot_and_talk("auto", answer="accept") as (robot, made):
+        rounds = Rounds(made)
+        for answers in (None, {"consent": ListRootsResult(roots=[])}):
+            state = await rounds.ask()
+            result = await rounds.call(input_responses=answers, request_state=state)
+            assert isinstance(result, CallToolResult)
+            assert "has not answered the question" in text_of(result)
+        assert robot.sent == []
+
+
+async def test_the_oldest_of_too_many_questions_is_forgotten(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(_consent, "MOST_QUESTIONS", 2)
+    async with robot_and_talk("auto", answer="accept") as (robot, made):
+        rounds = Rounds(made)
+        states = [await rounds.ask() for _ in range(3)]
+        newest = await rounds.call(input_responses=YES, request_state=states[2])
+        assert isinstance(newest, CallToolResult)
+        oldest = await rounds.call(input_responses=YES, request_state=states[0])
+        assert isinstance(oldest, InputRequiredResult)
+        assert len(robot.sent) == 1
+
+
+@pytest.mark.parametrize(
+    ("elicitation", "can"),
+    [
+        (ElicitationCapability(), True),
+        (ElicitationCapability(form=FormElicitationCapability()), True),
+        (
+            ElicitationCapability(form=FormElicitationCapability(), url=UrlElicitationCapability()),
+            True,
+        ),
+        (ElicitationCapability(url=UrlElicitationCapability()), False),
+        (None, False),
+    ],
+)
+async def test_a_client_says_whether_it_can_ask(
+    elicitation: ElicitationCapability | None, can: bool
+) -> None:
+    assert _consent._can_ask(ClientCapabilities(elicitation=elicitation)) is can
+    assert not _consent._can_ask(None)
+
+
+# The goal in the question
+
+
+async def test_a_goal_is_shown_without_characters_that_deceive() -> None:
+    text = goal_text({"to": "the door\u202eroot eht", "note": "a\nb\x1b[2J", "größe": 1})
+    assert text.split("\n") == [
+        "{",
+        '  "to": "the door\\u202eroot eht",',
+        '  "note": "a\\nb\\u001b[2J",',
+        '  "größe": 1',
+        "}",
+    ]
+
+
+async def test_a_goal_with_many_parts_is_shown_on_one_line() -> None:
+    assert goal_text({"path": list(range(100))}).count("\n") == 0
+
+
+async def test_a_goal_that_is_too_long_to_be_shown_is_not_sent() -> None:
+    with pytest.raises(ToolError, match="has 5014 characters, and the user, who must agree"):
+        goal_text({"to": "x" * 4998 + "\n"})
+    with pytest.raises(ToolError, match="because the user cannot see it"):
+        goal_text({"to": object()})

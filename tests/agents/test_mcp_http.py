@@ -1,0 +1,227 @@
+"""MCP over HTTP, on this machine."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import anyio
+import httpx2
+import pytest
+from mcp import Client
+from mcp.client.streamable_http import streamable_http_client
+from mcp_types import ElicitResult
+
+from fibaction import TransportError, serve
+from fibaction.agents import AgentPolicy, McpBridge
+from fibaction.agents._mcp_http import is_loopback, served_over_http
+from tests.agents.robot import MODES, PATIENCE, UNASKED, Drive, Mode, Robot, Talk
+from tests.certificates import pems
+
+pytestmark = pytest.mark.asyncio
+both = pytest.mark.parametrize("mode", MODES)
+HELLO: dict[str, Any] = {
+    "protocolVersion": "2025-11-25",
+    "capabilities": {},
+    "clientInfo": {"name": "test", "version": "1"},
+}
+TOKEN = "tW4x9c-tW4x9c"
+GOOD = {"Authorization": f"Bearer {TOKEN}"}
+
+
+@asynccontextmanager
+async def served(
+    policy: AgentPolicy | None = None, host: str = "127.0.0.1", **settings: Any
+) -> AsyncGenerator[tuple[Robot, str], None]:
+    robot = Robot()
+    async with (
+        serve((robot.drive, robot.count), robot.here),
+        McpBridge(robot.here, policy) as bridge,
+        served_over_http(bridge.server, host, 0, TOKEN, **settings) as url,
+    ):
+        yield robot, url
+
+
+@asynccontextmanager
+async def talking(url: str, mode: Mode) -> AsyncGenerator[Talk, None]:
+    made = Talk()
+
+    async def yes(context: Any, params: Any) -> ElicitResult:
+        made.asked.append(params.message)
+        return ElicitResult(action="accept", content={})
+
+    async def note(message: Any) -> None:
+        if type(message).__name__ == "ToolListChangedNotification":
+            made.told.set()
+
+    async with httpx2.AsyncClient(headers=GOOD, trust_env=False) as http:
+        made.client = Client(
+            streamable_http_client(url, http_client=http),
+            mode=mode,
+            elicitation_callback=yes,
+            message_handler=note,
+        )
+        async with made.client:
+            yield made
+
+
+@both
+async def test_the_user_is_asked_and_the_goal_runs(mode: Mode) -> None:
+    async with served() as (robot, url), talking(url, mode) as made:
+        assert url.endswith("/mcp")
+        assert (await made.data("arm-drive", meters=3))["result"] == {"at": 3}
+        assert made.progress == [(1, '{"meters":1}')]
+        assert len(made.asked) == 1
+        assert robot.sent == [Drive(3)]
+
+
+@both
+async def test_a_call_that_the_client_cancels_cancels_its_goal(mode: Mode) -> None:
+    async with served(UNASKED) as (robot, url), talking(url, mode) as made:
+        with anyio.fail_after(PATIENCE):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(lambda: made.call("arm-drive", meters=100))
+                await robot.waits.wait()
+                tasks.cancel_scope.cancel()
+            await robot.stopped.wait()
+
+
+async def test_each_client_is_told_that_the_list_has_changed() -> None:
+    robot = Robot()
+    async with (
+        serve(robot.count, robot.here),
+        McpBridge(robot.here) as bridge,
+        served_over_http(bridge.server, "127.0.0.1", 0, TOKEN) as url,
+        talking(url, "auto") as one,
+        talking(url, "auto") as two,
+        one.client.listen(tools_list_changed=True),
+        two.client.listen(tools_list_changed=True),
+        serve(robot.drive, robot.here),
+    ):
+        with anyio.fail_after(PATIENCE):
+            await one.told.wait()
+            await two.told.wait()
+        assert "arm-drive" in await two.tools()
+
+
+# What is let in
+
+
+async def answer(url: str, headers: dict[str, str], **settings: Any) -> httpx2.Response:
+    """Return the answer to a list of tools."""
+    async with httpx2.AsyncClient(trust_env=False, **settings) as http:
+        accept = {"Accept": "application/json, text/event-stream"}
+        body = {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": HELLO}
+        return await http.post(url, headers={**accept, **headers}, json=body)
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({}, 401),
+        ({"Authorization": "Bearer"}, 401),
+        ({"Authorization": "Bearer wrong"}, 401),
+        ({"Authorization": f"Basic {TOKEN}"}, 401),
+        ({"Authorization": TOKEN}, 401),
+        ({**GOOD, "Host": "evil.example"}, 421),
+        ({**GOOD, "Origin": "https://evil.example"}, 403),
+        ({**GOOD, "Origin": "null"}, 403),
+    ],
+)
+async def test_a_request_without_the_token_or_of_a_foreign_page_is_refused(
+    headers: dict[str, str], status: int
+) -> None:
+    async with served() as (_, url):
+        refused = await answer(url, headers)
+        assert refused.status_code == status
+        assert TOKEN not in refused.text
+        if status == 401:
+            assert refused.headers["WWW-Authenticate"] == "Bearer"
+            assert "and the token of the bridge" in refused.text
+        allowed = await answer(url, GOOD)
+        assert allowed.status_code == 200
+        assert "server" not in allowed.headers
+
+
+async def test_a_header_that_comes_twice_does_not_count() -> None:
+    async with served() as (_, url):
+        async with httpx2.AsyncClient(trust_env=False) as http:
+            twice = [("Authorization", f"Bearer {TOKEN}"), ("Authorization", "Bearer x")]
+            assert (await http.post(url, headers=twice, json={})).status_code == 401
+
+
+async def test_beyond_this_machine_it_takes_tls_or_a_word_for_it() -> None:
+    with pytest.raises(TransportError, match=r"0\.0\.0\.0 can be reached from other machines"):
+        async with served(host="0.0.0.0"):
+            pass
+    async with served(host="0.0.0.0", insecure=True) as (_, url):
+        assert (await answer(url, GOOD)).status_code == 200
+    files = pems()
+    async with served(host="0.0.0.0", cert=files.cert, key=files.cert) as (_, url):
+        assert url.startswith("https://0.0.0.0:")
+        here = url.replace("0.0.0.0", "127.0.0.1")
+        context = ssl.create_default_context(cafile=files.ca)
+        secure = await answer(here, GOOD, verify=context)
+        assert secure.status_code == 200
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
+async def test_this_machine_has_several_names(host: str) -> None:
+    async with served(host=host) as (_, url):
+        assert (await answer(url, GOOD)).status_code == 200
+
+
+async def test_a_port_that_is_taken_is_an_error() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        async with McpBridge(Robot().here) as bridge:
+            with pytest.raises(TransportError, match=f"cannot listen at 127.0.0.1:{port}: "):
+                async with served_over_http(bridge.server, "127.0.0.1", port, TOKEN):
+                    pass
+
+
+async def test_files_that_are_not_for_tls_are_an_error(tmp_path: Path) -> None:
+    with pytest.raises(TransportError, match="cannot load the TLS files"):
+        async with served(cert=str(tmp_path / "no.pem"), key=str(tmp_path / "no.pem")):
+            pass
+
+
+async def test_an_empty_token_is_an_error() -> None:
+    async with McpBridge(Robot().here) as bridge:
+        with pytest.raises(ValueError, match="none empty"):
+            async with served_over_http(bridge.server, "127.0.0.1", 0, ""):
+                pass
+
+
+@pytest.mark.parametrize(
+    ("host", "is_here"),
+    [("localhost", True), ("127.1.2.3", True), ("::1", True), ("10.0.0.1", False), ("h", False)],
+)
+async def test_which_hosts_are_this_machine(host: str, is_here: bool) -> None:
+    assert is_loopback(host) is is_here
+
+
+@both
+async def test_it_ends_while_a_tool_waits(mode: Mode) -> None:
+    robot = Robot()
+    with anyio.fail_after(PATIENCE):
+        async with serve(robot.drive, robot.here), anyio.create_task_group() as tasks:
+            async with (
+                McpBridge(robot.here, UNASKED) as bridge,
+                served_over_http(bridge.server, "127.0.0.1", 0, TOKEN) as url,
+            ):
+
+                async def call() -> None:
+                    with pytest.raises(BaseExceptionGroup):
+                        async with talking(url, mode) as made:
+                            await made.call("arm-drive", meters=100)
+                            raise RuntimeError("the call has ended")
+
+                tasks.start_soon(call)
+                await robot.waits.wait()
+            await robot.stopped.wait()
+            tasks.cancel_scope.cancel()

@@ -1,0 +1,34 @@
+"""The names of tools."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from fibaction.agents._tool_names import LONGEST, tool_name
+
+VALID = re.compile(r"[A-Za-z0-9_-]{1,64}")
+
+
+@pytest.mark.parametrize(
+    ("server", "action", "name"),
+    [
+        ("", "drive", "drive"),
+        ("", "/arm/pick_up", "arm-pick_up"),
+        ("", "~/pick", "pick"),
+        ("left", "arm/pick", "left-arm-pick"),
+        ("", "drïve!", "dr_ve_"),
+    ],
+)
+def test_a_tool_has_the_name_of_its_action(server: str, action: str, name: str) -> None:
+    assert tool_name(server, action, ()) == name
+
+
+@pytest.mark.parametrize("action", ["x" * (LONGEST + 1), "send_goal", "", "/"])
+def test_a_name_that_cannot_be_taken_ends_with_digits_that_are_always_the_same(action: str) -> None:
+    name = tool_name("", action, {"send_goal"})
+    assert VALID.fullmatch(name)
+    assert name != action
+    assert name == tool_name("", action, {"send_goal", "other"})
+    assert name != tool_name("", f"{action}y", {"send_goal"})
