@@ -31,14 +31,24 @@ from fibaction_transports.ros2 import (
     endpoint,
     followed_goals,
     presence,
+    rcl,
     service_client,
 )
 from fibaction_transports.ros2.action_server import RosActionServer
+from fibaction_transports.ros2.goal_stream import RosGoalStream
 from fibaction_transports.ros2.service_client import ServiceCall, ServiceClient, send_request
 from fibaction_transports.ros2.waitable import Responses
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.fibonacci import FIBONACCI, Goal, Result, fibonacci
-from tests.ros2.ends import PATIENCE, Items, both_ends, client_of, forever, new_url
+from tests.ros2.ends import (
+    PATIENCE,
+    Items,
+    Undecoded,
+    both_ends,
+    client_of,
+    forever,
+    new_url,
+)
 
 pytestmark = pytest.mark.anyio
 
@@ -136,6 +146,26 @@ async def test_a_cancel_that_is_lost_is_sent_again(
         assert (await goal.cancel()).accepted
         assert (await goal.outcome()).status is GoalStatus.CANCELED
     assert len(lost) == 1
+
+
+async def test_what_was_lost_while_the_server_was_silent_is_requested_again_at_once(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service_client, "FIRST_TIMEOUT", 60.0)
+    monkeypatch.setattr(followed_goals, "LATE", 60.0)
+    lost = lose(monkeypatch, "_answer_cancel", answers=False)
+    lost_results = lose(monkeypatch, "_answer_result", answers=False)
+    async with both_ends(url, forever) as client, anyio.create_task_group() as tasks:
+        goal = await client.send_goal(Goal(7))
+        raw = client_of(client.endpoint)
+        undecided = RosGoalStream(GoalID.random(), Undecoded(), 10, reads=True)
+        raw._follow(undecided)  # it is requested when it has begun
+        tasks.start_soon(goal.cancel)
+        while not (lost and lost_results):  # noqa: ASYNC110  # as above
+            await anyio.sleep(0.01)
+        raw._resume()
+        assert (await goal.outcome()).status is GoalStatus.CANCELED
+        raw._followed.remove(undecided)
 
 
 @pytest.mark.parametrize("answers", [False, True], ids=["request", "answer"])
@@ -263,13 +293,52 @@ def test_a_request_that_cannot_be_sent_is_a_lost_connection() -> None:
 async def test_a_server_that_is_killed_before_any_sign_of_life_is_missed(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(presence, "FIRST_SIGN", 0.5)
-    async with both_ends(url, forever) as client:
+    monkeypatch.setattr(presence, "FIRST_SIGN", 0.25)
+    async with both_ends(f"{url}&reconnect=false", forever) as client:
         # It is dead, and the graph still has it.
         monkeypatch.setattr(presence.Presence, "_poll_liveliness", lambda self: None)
         goal = await client.send_goal(Goal(1))
         with pytest.raises(ConnectionLost, match="has gone away"):
             await goal.outcome()
+
+
+async def test_a_middleware_without_signs_of_life_does_without(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unsupported(*_: object) -> None:
+        raise rcl.UnsupportedEventType("the middleware has no such event")
+
+    monkeypatch.setattr(rcl.raw, "EventHandle", unsupported)
+    monkeypatch.setattr(presence, "middleware", lambda: "rmw_zenoh_cpp")
+    await works_for_longer_than_a_first_sign(url, monkeypatch)
+
+
+async def test_a_middleware_that_never_tells_of_signs_of_life_kills_no_server(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(presence.Presence, "_poll_liveliness", lambda self: None)
+    monkeypatch.setattr(presence, "middleware", lambda: "rmw_zenoh_cpp")
+    await works_for_longer_than_a_first_sign(url, monkeypatch)
+
+
+async def works_for_longer_than_a_first_sign(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Call a server until its first sign of life would be overdue, with nothing in between."""
+    monkeypatch.setattr(presence, "FIRST_SIGN", 0.25)
+    async with both_ends(url, fibonacci) as client:
+        end = anyio.current_time() + 3 * 2 * presence.FIRST_SIGN
+        while anyio.current_time() < end:
+            assert await client.call(Goal(2)) == Result([0, 1, 1])
+
+
+async def test_a_middleware_that_has_told_of_a_sign_of_life_is_trusted(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(presence, "middleware", lambda: "rmw_zenoh_cpp")
+    async with both_ends(url, fibonacci) as client:
+        seen = client_of(client.endpoint).presence
+        with anyio.fail_after(PATIENCE):
+            while not seen._tells_signs:
+                await client.call(Goal(2))
 
 
 async def test_a_server_that_has_left_is_missed_at_once(url: str) -> None:

@@ -25,14 +25,16 @@ from fibaction import (
     serve,
 )
 from fibaction_transports.inprocess import InProcessTransport
-from fibaction_transports.ros2 import action_server, feedback_topic, presence, rcl, service_server
+from fibaction_transports.ros2 import action_server, feedback_topic, rcl, rivals, service_server
 from fibaction_transports.ros2.action_server import RosActionServer, ServedEndpoint
 from fibaction_transports.ros2.conversion import RosAction
+from fibaction_transports.ros2.end_settings import EndSettings
 from fibaction_transports.ros2.goal_stream import RosGoalStream
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import NodeSettings, own_node
 from fibaction_transports.ros2.rcl import raw, rclpy_qos, uuid_of
 from fibaction_transports.ros2.status_list import info_of, unpack_statuses
+from fibaction_transports.ros2.waitable import Requests
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.ros2.ends import (
@@ -150,7 +152,7 @@ async def test_answers_to_a_client_that_cannot_be_reached_are_dropped_and_others
                 depth=1, durability=rclpy_qos.DurabilityPolicy.TRANSIENT_LOCAL
             )
             name = action_names(deaf.node, "fibonacci").send_goal
-            client = deaf.make(raw.Client, service, name, profile.get_c_qos_profile())
+            client = deaf.make(raw.Client, service, name, profile)
             request = service.Request()
             request.goal_id.uuid = uuid_of(GoalID.random())
             request.goal.order = 7
@@ -288,7 +290,7 @@ async def test_a_second_server_of_the_same_action_causes_a_warning(
     caplog: pytest.LogCaptureFixture,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(presence, "RIVALS_PAUSE", 0.05)
+    monkeypatch.setattr(rivals, "RIVALS_PAUSE", 0.05)
     async with (
         serve(ActionServer(FIBONACCI, fibonacci), url),
         serve(ActionServer(FIBONACCI, fibonacci), url),
@@ -360,9 +362,9 @@ async def test_a_request_that_arrives_after_the_tasks_have_ended_is_dropped(
             own_node(NodeSettings(namespace=place)) as ros,
             anyio.create_task_group() as tasks,
         ):
-            served = RosActionServer(ros, ServedEndpoint(server), 10, tasks)
+            served = RosActionServer(ros, ServedEndpoint(server), EndSettings(), tasks)
             tasks.cancel_scope.cancel()  # as if trio had raised a Ctrl-C in one of them
-            goals, *_ = ros._waitable._sources
+            goals = next(one for one in ros._waitable._sources if isinstance(one, Requests))
             goals._sink((None, None))
             await served.drain()
     assert [one.levelno for one in caplog.records if "one is lost" in one.message] == [logging.INFO]
@@ -403,7 +405,7 @@ async def test_a_subscriber_that_never_matches_delays_only_one_goal(
         wants_more = rclpy_qos.QoSProfile(
             depth=1, durability=rclpy_qos.DurabilityPolicy.TRANSIENT_LOCAL
         )
-        ros.make(raw.Subscription, impl.FeedbackMessage, name, wants_more.get_c_qos_profile())
+        ros.make(raw.Subscription, impl.FeedbackMessage, name, wants_more)
         async with both_ends(url) as client:
             for _ in range(3):
                 assert await client.call(Goal(3)) == Result([0, 1, 1, 2])

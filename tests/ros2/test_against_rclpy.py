@@ -12,6 +12,7 @@ import anyio
 import pytest
 
 from fibaction import GoalID, GoalStatus, Schedule, serve
+from fibaction_transports.ros2 import rcl, service_server
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import TYPE, Behaviour
 from tests.ros2.stock.process import Peer, peer
@@ -191,6 +192,27 @@ async def test_a_late_subscriber_gets_the_last_list_of_statuses(stock: Peer) -> 
     lists = await eventually(lambda: stock.ask("statuses", action="ours"), len)
     assert len(lists) == 1
     assert [goal, SUCCEEDED] in lists[0]
+
+
+async def test_a_client_that_is_told_of_the_acceptance_after_the_statuses_gets_them_again(
+    stock: Peer, ours: Behaviour, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise `ros2 action send_goal` would not cancel its goal at Ctrl-C: it cancels only goals
+    that it knows to be active.
+    """
+    tries = iter([False, False])
+
+    def has_answered(service: Any, response: Any, header: Any) -> bool:
+        if type(response).__name__.endswith("SendGoal_Response"):
+            for answer in tries:
+                return answer
+        return rcl.has_answered(service, response, header)
+
+    monkeypatch.setattr(service_server, "has_answered", has_answered)
+    goal = await accepted(stock, orders.WAITS)
+
+    await eventually(lambda: stock.ask("handle_status", goal=goal), lambda s: s == EXECUTING)
+    await end_all(stock, ours)
 
 
 @pytest.mark.promise("EXECUTE-7", "RESULT-1")

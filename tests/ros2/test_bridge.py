@@ -17,8 +17,10 @@ from anyio.streams.buffered import BufferedByteReceiveStream
 
 from fibaction import ActionServer, GoalStatus, connect, serve
 from tests.fibonacci import FIBONACCI, Goal, fibonacci
+from tests.ports import free_port
 from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import PATIENCE, peer
+from tests.transports.web.rosbridge.clients import SocketClient
 
 pytestmark = pytest.mark.asyncio
 
@@ -61,6 +63,29 @@ async def test_a_server_of_rclpy_is_reached_without_ros(tmp_path: Path) -> None:
 
     assert feedback == [[0, 1, 1], [0, 1, 1, 2], [0, 1, 1, 2, 3]]
     assert result.sequence == [0, 1, 1, 2, 3]
+
+
+async def test_a_server_of_rclpy_is_reached_by_a_program_for_rosbridge() -> None:
+    port = free_port()
+    async with (
+        peer("server"),
+        bridge("ros2://", f"http://127.0.0.1:{port}", "stock"),
+        await anyio.connect_tcp("127.0.0.1", port) as stream,
+    ):
+        client = SocketClient(stream)
+        await client.shake_hands({})
+        await client.say(
+            op="send_action_goal",
+            id="one",
+            action="/stock",
+            action_type="arduinobot_msgs/action/Fibonacci",
+            args={"order": 4},
+            feedback=True,
+        )
+        *feedback, result = await client.hear_until("action_result")
+
+    assert [one["values"]["partial_sequence"][-1] for one in feedback] == [1, 2, 3]
+    assert (result["status"], result["values"]) == (4, {"sequence": [0, 1, 1, 2, 3]})
 
 
 async def test_a_server_without_ros_is_reached_by_a_client_of_rclpy(tmp_path: Path) -> None:

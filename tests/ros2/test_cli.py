@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+import uuid
 from collections.abc import Generator
 from contextlib import closing
 from pathlib import Path
@@ -107,3 +108,36 @@ def test_ctrl_c_at_a_terminal_cancels_the_goal_and_says_how_it_ended() -> None:
         shown.press("\x03")
         assert shown.ends() == 3
         assert "CANCELED" in shown.text
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        [COMMAND, "serve", "fibonacci:make_server", "ros2://"],
+        [sys.executable, "fibonacci_server.py", "--url", "ros2://"],
+    ],
+    ids=["serve", "example"],
+)
+def test_a_server_starts_with_the_arguments_of_ros2_run(command: list[str | Path]) -> None:
+    place = f"/started_{uuid.uuid4().hex[:8]}"
+    rules = ["--ros-args", "-r", f"__ns:={place}", "-r", "__node:=mine"]
+    process = subprocess.Popen(
+        [*command, *rules],
+        cwd=ROOT / "examples",
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    with process:
+        try:
+            assert process.stdout is not None
+            assert f" at ros2://?namespace={place}, Ctrl-C" in process.stdout.readline()
+            found = subprocess.run(
+                [COMMAND, "info", f"{place}/fibonacci", "-u", URL],
+                capture_output=True,
+                text=True,
+                timeout=PATIENCE,
+            )
+            assert f"{place}/mine" in found.stdout
+        finally:
+            process.kill()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 from collections.abc import AsyncGenerator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
@@ -17,6 +18,7 @@ from fibaction import (
     ConnectionLost,
     GoalAborted,
     GoalRejected,
+    GoalStatus,
     ServerNotFound,
     UnknownGoal,
     connect,
@@ -45,6 +47,8 @@ PROFILE = f"""\
 """
 SOON, LEASE_OF_OURS = 3.0, 8.0
 """Seconds that are several times the usual 0.3 and 2.5."""
+IMPATIENT = "ros2://?reconnect_timeout=0.5"
+SILENT = "its server is silent, and is waited for"
 
 
 @pytest.fixture
@@ -52,20 +56,22 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
-def server_with_lease(folder: Path) -> AbstractAsyncContextManager[Peer]:
-    """A stock server that Fast DDS takes for dead `LEASE` seconds after it was killed."""
+def server_with_lease(folder: Path, *program: str) -> AbstractAsyncContextManager[Peer]:
+    """A server, by default a stock one, that Fast DDS takes for dead `LEASE` seconds after its last
+    message.
+    """
     profile = folder / "profile.xml"
     profile.write_text(PROFILE)
-    return peer("server", FASTDDS_DEFAULT_PROFILES_FILE=str(profile))
+    return peer(*(program or ("server",)), FASTDDS_DEFAULT_PROFILES_FILE=str(profile))
 
 
 @asynccontextmanager
 async def waiting_for(
-    server: Peer, name: str, order: int = orders.WAITS
+    server: Peer, name: str, order: int = orders.WAITS, url: str = IMPATIENT
 ) -> AsyncGenerator[
     tuple[ActionClient[Goal, Feedback, Result], ClientGoal[Feedback, Result]], None
 ]:
-    async with connect("ros2://", action(name)) as client:
+    async with connect(url, action(name)) as client:
         await client.wait_for_server(20)
         goal = await client.send_goal(Goal(order))
         assert await anext(goal.feedback) == Feedback([1])
@@ -150,6 +156,97 @@ async def test_a_server_of_ours_that_stops_ends_its_goals_first(number: signal.S
             assert gone < LEASE_OF_OURS
 
 
+async def noted(caplog: pytest.LogCaptureFixture, text: str) -> None:
+    with anyio.fail_after(LEASE_OF_OURS):
+        while text not in caplog.text:  # noqa: ASYNC110  # a log offers nothing to wait for
+            await anyio.sleep(0.01)
+
+
+@pytest.mark.promise("LOSS-2", "LOSS-4")
+async def test_calls_go_on_when_a_server_that_was_silent_is_there_again(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.INFO, "fibaction.ros2")
+    async with peer("ours", "serve_it", "loss_paused", "asyncio") as server:
+        async with waiting_for(server, "loss_paused", url="ros2://") as (client, goal):
+            results: list[Result] = []
+
+            async def call() -> None:
+                results.append(await client.call(Goal(2)))
+
+            async with anyio.create_task_group() as tasks:
+                for found_silent in (False, True):
+                    server.signal(signal.SIGSTOP)
+                    tasks.start_soon(call)
+                    if not found_silent:  # this goal is sent before it is known
+                        await noted(caplog, SILENT)
+                        tasks.start_soon(call)  # and this one afterwards
+                        await anyio.wait_all_tasks_blocked()
+                    server.signal(signal.SIGCONT)
+                    await noted(caplog, "its server is there again")
+            assert results == [Result([0, 1, 1])] * 3
+            assert (await goal.cancel()).accepted
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
+@pytest.mark.promise("LOSS-2", "LOSS-4")
+async def test_a_goal_goes_on_although_the_graph_has_dropped_its_silent_server(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "fibaction.ros2")
+    async with server_with_lease(tmp_path, "ours", "serve_it", "loss_gap", "asyncio") as server:
+        async with waiting_for(server, "loss_gap", url="ros2://") as (client, goal):
+            node = client_of(client.endpoint).presence._ros.node
+
+            async def servers() -> int:
+                return int(node.count_publishers("/loss_gap/_action/status"))
+
+            server.signal(signal.SIGSTOP)
+            await eventually(servers, lambda number: number == 0)
+            server.signal(signal.SIGCONT)
+            await noted(caplog, "its server is there again")
+            assert (await goal.cancel()).accepted
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
+@pytest.mark.promise("LOSS-6")
+async def test_a_server_that_was_killed_and_started_anew_does_not_know_the_goals(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.INFO, "fibaction.ros2")
+    async with peer("ours", "serve_it", "loss_anew", "asyncio") as server:
+        async with waiting_for(server, "loss_anew", url="ros2://") as (client, goal):
+            server.process.kill()
+            await noted(caplog, SILENT)
+            async with peer("ours", "serve_it", "loss_anew", "asyncio"):
+                with anyio.fail_after(LEASE_OF_OURS):
+                    assert (await goal.outcome()).status is GoalStatus.UNKNOWN
+                assert await client.call(Goal(2)) == Result([0, 1, 1])
+
+
+async def test_without_reconnect_a_wait_ends_as_soon_as_the_server_is_silent() -> None:
+    async with peer("ours", "serve_it", "loss_strict", "asyncio") as server:
+        async with waiting_for(server, "loss_strict", url="ros2://?reconnect=false") as (_, goal):
+            await lost_after(lambda: server.signal(signal.SIGSTOP), goal)
+            server.signal(signal.SIGCONT)
+
+
+async def test_a_client_with_a_longer_lease_does_not_notice_a_short_silence(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.INFO, "fibaction.ros2")
+    async with peer("ours", "serve_it", "loss_long", "asyncio") as server:
+        async with (
+            waiting_for(server, "loss_long", url="ros2://long?lease=60") as (patient, _),
+            waiting_for(server, "loss_long", url="ros2://short") as (client, _),
+        ):
+            server.signal(signal.SIGSTOP)
+            await noted(caplog, SILENT)
+            assert client_of(patient.endpoint).presence.is_there()
+            assert not client_of(client.endpoint).presence.is_there()
+            server.signal(signal.SIGCONT)
+
+
 async def test_a_stock_server_that_stops_is_missed_at_once() -> None:
     async with peer("tutorial_server") as server:
         async with connect("ros2://", action("tutorial")) as client:
@@ -174,7 +271,7 @@ async def test_a_stock_server_that_is_killed_is_missed_when_its_lease_ends(
 
 
 async def test_a_server_that_comes_back_is_used_again() -> None:
-    async with connect("ros2://", action("loss_again")) as client:
+    async with connect(IMPATIENT, action("loss_again")) as client:
         async with peer("ours", "serve_it", "loss_again", "asyncio") as server:
             await client.wait_for_server(20)
             goal = await client.send_goal(Goal(orders.WAITS))

@@ -136,9 +136,7 @@ async def test_a_handle_that_ros_does_not_allow_is_a_transport_error(ros: RosNod
     from action_msgs.msg import GoalStatusArray
 
     with pytest.raises(TransportError, match="1 a"):
-        ros.make(
-            raw.Publisher, GoalStatusArray, "1 a", rclpy_qos.QoSProfile(depth=1).get_c_qos_profile()
-        )
+        ros.make(raw.Publisher, GoalStatusArray, "1 a", rclpy_qos.QoSProfile(depth=1))
 
 
 async def test_a_call_that_fails_while_ros_is_up_is_an_error(ros: RosNode) -> None:

@@ -6,10 +6,8 @@ import importlib
 import importlib.util
 import subprocess
 import sys
-import threading
 import uuid
 from collections.abc import AsyncGenerator, Generator
-from contextlib import suppress
 from typing import Any
 
 import anyio
@@ -30,14 +28,9 @@ from fibaction import (
 from fibaction.action import ActionInfo
 from fibaction.urls import transport_for
 from fibaction_transports.ros2 import Ros2Transport
-from fibaction_transports.ros2.rcl import (
-    Context,
-    ExternalShutdownException,
-    SingleThreadedExecutor,
-    rclpy,
-)
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.ros2.spun import spun_node
 
 pytestmark = pytest.mark.anyio
 
@@ -71,6 +64,18 @@ def named(name: str, type_name: str = FIBONACCI.type_name) -> Any:
         ("ros2://?domain_id=233", "domain_id must be between 0 and 232, not 233"),
         ("ros2://?feedback_depth=0", "feedback_depth must be between 1 and 100000, not 0"),
         ("ros2://?discovery_timeout=nan", "discovery_timeout must be between 0 and inf, not nan"),
+        ("ros2://?lease=0", "lease must be between 0.1 and 3600, not 0.0"),
+        ("ros2://?reconnect_timeout=-1", "reconnect_timeout must be between 0 and inf, not -1.0"),
+        ("ros2://?reconnect=yes", "ros2://: invalid setting 'reconnect': 'yes'"),
+        ("ros2://?introspection=all", "introspection is one of off, metadata, contents, not 'all'"),
+        (
+            "ros2://?feedback_qos=best-effort",
+            "invalid feedback_qos: 'best-effort' is not one of reliable, best_effort, volatile,",
+        ),
+        (
+            "ros2://?status_qos=volatile,transient_local",
+            "invalid status_qos: 'volatile,transient_local' has two words for durability",
+        ),
     ],
 )
 def test_an_invalid_url_is_an_error_of_one_sentence(url: str, text: str) -> None:
@@ -157,6 +162,24 @@ def test_settings_take_precedence_over_those_in_the_url() -> None:
         transport_for("ros2://", color="red")
 
 
+async def test_the_url_has_the_settings_that_a_client_must_share() -> None:
+    place = namespace()
+    transport = Ros2Transport(
+        namespace=place,
+        lease=5,
+        services_qos="reliable",
+        feedback_qos="best_effort, volatile",
+        status_qos="volatile",
+        feedback_depth=7,
+    )
+    with anyio.fail_after(10):
+        async with serve(server(), transport) as (url,):
+            assert url == transport.url
+            assert url.startswith(f"ros2://?namespace={place}&lease=5&services_qos=reliable&")
+            async with connect(url, FIBONACCI) as client:
+                assert await client.call(Goal(2)) == Result([0, 1, 1])
+
+
 async def test_all_mismatches_are_reported_before_anything_is_served() -> None:
     swapped = Action(
         "swapped", goal=Result, feedback=Feedback, result=Goal, type_name=FIBONACCI.type_name
@@ -226,6 +249,16 @@ async def test_names_can_be_remapped() -> None:
             assert await other.call(Goal(2)) == Result([0, 1, 1])
 
 
+async def test_a_namespace_that_is_an_argument_is_in_the_url() -> None:
+    place = namespace()
+    rules = ["--ros-args", "-r", f"__ns:={place}"]
+    with anyio.fail_after(10):
+        async with serve(server(), Ros2Transport(arguments=rules)) as (url,):
+            assert url == f"ros2://?namespace={place}"
+            async with connect(url, FIBONACCI) as client:
+                assert await client.call(Goal(2)) == Result([0, 1, 1])
+
+
 async def test_an_action_without_a_type_takes_that_of_its_server() -> None:
     url = f"ros2://?namespace={namespace()}"
     with anyio.fail_after(10):
@@ -255,27 +288,8 @@ async def test_an_action_without_a_server_is_not_found_and_can_be_waited_for() -
 @pytest.fixture
 def node() -> Generator[Any, None, None]:
     """A node that the user spins."""
-    context = Context()
-    rclpy.init(args=[], context=context)
-    mine = rclpy.create_node("mine", context=context, namespace=namespace())
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(mine)
-    stop = rclpy.task.Future()
-
-    def spin() -> None:
-        with suppress(ExternalShutdownException):
-            executor.spin_until_future_complete(stop)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    try:
+    with spun_node(namespace()) as mine:
         yield mine
-    finally:
-        stop.set_result(None)
-        thread.join()
-        executor.shutdown()
-        mine.destroy_node()
-        context.try_shutdown()
 
 
 async def test_a_node_of_the_user_is_used_and_left_as_it_was(node: Any) -> None:
@@ -283,10 +297,11 @@ async def test_a_node_of_the_user_is_used_and_left_as_it_was(node: Any) -> None:
     transport = Ros2Transport(node=node)
     with anyio.fail_after(10):
         async with serve(server(), transport) as (url,), connect(transport, FIBONACCI) as client:
-            assert url == f"ros2://?namespace={node.get_namespace()}"
+            assert url == transport.url == f"ros2://?namespace={node.get_namespace()}"
             assert await client.call(Goal(2)) == Result([0, 1, 1])
             async with connect(url, FIBONACCI) as other:
                 assert await other.call(Goal(2)) == Result([0, 1, 1])
+            assert transport.url == url
     assert list(node.waitables) == before
 
 

@@ -15,6 +15,7 @@ from fibaction import GoalID, GoalInfo, GoalStatus
 from fibaction.exceptions import ProtocolError
 from fibaction.states import TRANSITIONS
 from fibaction_transports.ros2.status_list import (
+    REPEAT,
     PublishedStatuses,
     ReceivedStatuses,
     goal_of_feedback,
@@ -23,6 +24,9 @@ from fibaction_transports.ros2.status_list import (
     pack_statuses,
     unpack_statuses,
 )
+from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+
+pytestmark = pytest.mark.anyio
 
 messages: Any = import_module("action_msgs.msg")
 serialization: Any = import_module("rclpy.serialization")
@@ -189,3 +193,61 @@ def test_statuses_that_were_not_seen_are_filled_in_so_that_every_change_is_legal
 def test_an_invalid_status_is_a_protocol_error() -> None:
     with pytest.raises(ProtocolError, match="invalid status list: 77"):
         info_of((bytes(16), 0, 0, 77))
+
+
+async def repeated(
+    monkeypatch: pytest.MonkeyPatch, *turns: list[GoalInfo]
+) -> tuple[list[bytes], int]:
+    """Update goals, each turn of them while the repetition for the turn before waits. Return the
+    lists, and the number of waits.
+    """
+    lists: list[bytes] = []
+    statuses = PublishedStatuses(lists.append)
+    rest = iter(turns)
+    waits = 0
+
+    def update() -> None:
+        for info in next(rest, []):
+            statuses.update(info)
+            if info.status is GoalStatus.ACCEPTED:
+                statuses.repeat_later(info.goal_id)
+        statuses.flush()
+
+    async def sleep(seconds: float) -> None:
+        nonlocal waits
+        waits += 1
+        assert seconds == REPEAT
+        update()
+        await anyio.lowlevel.checkpoint()
+
+    monkeypatch.setattr(anyio, "sleep", sleep)
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(statuses.repeat)
+        update()
+        await anyio.wait_all_tasks_blocked()
+        tasks.cancel_scope.cancel()
+    return lists, waits
+
+
+async def test_the_list_is_published_again_after_acceptances_and_once_for_many(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    goals = [GoalInfo(GoalID.random(), number, GoalStatus.ACCEPTED) for number in range(1, 101)]
+
+    lists, waits = await repeated(monkeypatch, goals[:50], goals[50:])
+
+    assert waits == 2
+    assert [len(unpack_statuses(one)) for one in lists] == [50, 100, 100, 100]
+    assert {info_of(line) for line in unpack_statuses(lists[-1])} == set(goals)
+
+
+async def test_the_list_is_not_published_again_for_goals_that_have_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    one, two = (GoalInfo(goal_id, 1, GoalStatus.ACCEPTED) for goal_id in (ONE, TWO))
+    over = [GoalInfo(ONE, 1, GoalStatus.SUCCEEDED), GoalInfo(TWO, 1, GoalStatus.UNKNOWN)]
+
+    lists, waits = await repeated(monkeypatch, [one, two], over)
+
+    assert waits == 1
+    assert [len(unpack_statuses(one)) for one in lists] == [2, 1]

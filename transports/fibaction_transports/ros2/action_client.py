@@ -25,9 +25,10 @@ statuses, and the streams of the goals, are told the changes.
 
 *A server that has gone* does not say so. `run` looks for the server as long as a call, a goal or a
 stream of statuses is pending. `Presence` knows by the graph, and by signs of life, whether there is
-a server. If there is none, everything that is pending ends with `ConnectionLost`, after
-`LAST_WORDS` seconds for what is still on its way. A server that was started anew has another ID
-(GID) in the graph: goals that were accepted by servers that are all gone end likewise.
+a server. If it has fallen silent, it is waited for; when it is there again, requests whose answers
+are missing are sent again. If there is none, everything that is pending ends with `ConnectionLost`,
+after `LAST_WORDS` seconds for what is still on its way. A server that was started anew has another
+ID (GID) in the graph: goals that were accepted by servers that are all gone end likewise.
 
 *A loss on the way* is noticed only by what is missing: by a timeout (`ServiceClient`), or by the
 status list (`FollowedGoals`). Feedback that is lost is not noticed at all, as in every client of
@@ -41,6 +42,7 @@ from typing import Any
 import anyio
 from anyio import current_time
 
+from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction.exceptions import ConnectionLost, GoalRejected, UnknownGoal
 from fibaction.goals import GoalID, GoalInfo
@@ -48,13 +50,16 @@ from fibaction.server.status_broadcast import StatusSubscription
 from fibaction.states import GoalStatus
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.conversion import stamp_of
+from fibaction_transports.ros2.end_settings import EndSettings
 from fibaction_transports.ros2.followed_goals import LATE, FollowedGoals
 from fibaction_transports.ros2.goal_stream import RosGoalStream
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import RosNode
 from fibaction_transports.ros2.presence import WATCH_PAUSE, Presence
 from fibaction_transports.ros2.rcl import raw, uuid_of
+from fibaction_transports.ros2.rivals import Rivals
 from fibaction_transports.ros2.service_client import ServiceCall, ServiceClient
+from fibaction_transports.ros2.stamps import FollowedStamps
 from fibaction_transports.ros2.status_list import ReceivedStatuses, goal_of_feedback
 from fibaction_transports.ros2.waitable import Messages
 
@@ -69,41 +74,36 @@ LAST_WORDS = 0.25
 """Seconds for messages to arrive that a server has sent before it left."""
 NO_REASON = "the server rejected it; ROS 2 transmits no reason, but the server's log may have it"
 
+logger = clean_logger("fibaction.ros2")
+
 
 class RosActionClient:
     """A client of the servers of one action."""
 
-    def __init__(
-        self,
-        ros: RosNode,
-        action: str,
-        impl: Any,
-        *,
-        feedback_depth: int,
-        discovery_timeout: float,
-    ) -> None:
+    def __init__(self, ros: RosNode, action: str, impl: Any, settings: EndSettings) -> None:
         """Make the handles.
 
         Raises:
             TransportError: ROS does not allow them.
         """
         self.impl = impl
-        self.depth = feedback_depth
+        self.depth = settings.feedback_depth
         """Feedback messages of a goal that are kept for a late reader."""
-        self.known = ReceivedStatuses()
+        self.stamps = FollowedStamps(ros.clock)
+        self.known = ReceivedStatuses(self.stamps.from_ros)
         self._action = action
         full = action_names(ros.node, action)
-        make, services = ros.make, qos.services()
+        make, services = ros.make, qos.services(settings.services_qos)
         # Subscriptions first. A server that knows the clients then knows these, too, so that its
         # messages arrive once it answers.
-        queue = qos.feedback(QUEUE * feedback_depth)
+        queue = qos.feedback(QUEUE * self.depth, settings.feedback_qos)
         feedback = make(raw.Subscription, impl.FeedbackMessage, full.feedback, queue)
-        status = make(
-            raw.Subscription, impl.GoalStatusMessage, full.status, qos.subscribed_status()
-        )
+        lists = qos.subscribed_status(settings.status_qos)
+        status = make(raw.Subscription, impl.GoalStatusMessage, full.status, lists)
         goals = make(raw.Client, impl.SendGoalService, full.send_goal, services)
         cancels = make(raw.Client, impl.CancelGoalService, full.cancel_goal, services)
         results = make(raw.Client, impl.GetResultService, full.get_result, services)
+        ros.introspect(settings.introspection, goals, cancels, results)
         self._goals = ServiceClient(goals, impl.SendGoalService)
         self._cancels = ServiceClient(cancels, impl.CancelGoalService)
         self._followed = FollowedGoals(action, results, impl.GetResultService, self.known)
@@ -111,6 +111,8 @@ class RosActionClient:
         self._subscriptions: list[StatusSubscription] = []
         self._listed_by: frozenset[bytes] = frozenset()
         """The servers when the last status list came: one of them has sent it."""
+        self._rivals = Rivals(ros, action, full, settings.lease)
+        self._was_silent = False
         self._pending = Notifier()
         self._listed = Notifier()
         self.presence = Presence(
@@ -120,7 +122,7 @@ class RosActionClient:
             full,
             (goals, cancels, results),
             (feedback, status),
-            discovery_timeout,
+            settings,
         )
         ros.on_loss(self._fail)
         ros.listen(
@@ -140,22 +142,25 @@ class RosActionClient:
             GoalRejected, ServerNotFound, ConnectionLost: See `Endpoint.send_goal`.
         """
         await self.presence.needed()
+        self._rivals.note(self.presence.servers(), self.presence.count())
         request = self.impl.SendGoalService.Request()
         request.goal_id.uuid = uuid_of(stream.goal_id)
         request.goal = goal
         self._follow(stream)
         try:
-            info = await self._accepted(stream.goal_id, request)
+            info = await self._accepted(stream, request)
             stream.servers = self.presence.servers()
             stream.begin(GoalInfo(info.goal_id, info.stamp, GoalStatus.ACCEPTED))
             if (now := self.known.get(stream.goal_id)) is not None:
                 stream.set_status(now.status)
+            self._choose_server(stream)
             self._followed.request_result(stream)
         except BaseException:
             self._followed.remove(stream)
             raise
 
-    async def _accepted(self, goal_id: GoalID, request: Any) -> GoalInfo:
+    async def _accepted(self, stream: RosGoalStream, request: Any) -> GoalInfo:
+        goal_id = stream.goal_id
         with ServiceCall(self._goals, request) as call:
             self._pending.notify()
             while not await call.attempt():
@@ -170,7 +175,9 @@ class RosActionClient:
             response = call.response
         if not response.accepted:
             raise GoalRejected(NO_REASON, goal_id=goal_id)
-        return GoalInfo(goal_id, stamp_of(response.stamp), GoalStatus.ACCEPTED)
+        stream.ros_stamp = stamp_of(response.stamp)
+        stamp = self.stamps.from_ros(goal_id, stream.ros_stamp)
+        return GoalInfo(goal_id, stamp, GoalStatus.ACCEPTED)
 
     async def _listing(self, goal_id: GoalID, call: ServiceCall) -> None:
         """Wait a moment until the goal is listed, or another answer accepts it."""
@@ -244,24 +251,33 @@ class RosActionClient:
         if statuses in self._subscriptions:
             self._subscriptions.remove(statuses)
 
+    def _choose_server(self, stream: RosGoalStream) -> None:
+        """Take the feedback of the goal from one server, if there are several."""
+        if stream.has_begun:
+            stream.take_from(self._rivals.feedback_of(stream.goal_id, stream.ros_stamp))
+
     def _follow(self, stream: RosGoalStream) -> None:
         self._followed.add(stream)
         self._pending.notify()
 
     # Messages
 
-    def _take_feedback(self, message: bytes) -> None:
+    def _take_feedback(self, item: tuple[bytes, bytes]) -> None:
+        message, publisher = item
         for stream in self._followed.of(goal_of_feedback(message)):
-            stream.add_feedback(message)
+            stream.add_feedback(message, publisher)
 
-    def _take_statuses(self, message: bytes) -> None:
+    def _take_statuses(self, item: tuple[bytes, bytes]) -> None:
+        message, publisher = item
         self._listed_by = self.presence.servers()
+        self._rivals.note_list(publisher, message)
         for info in self.known.update(message):
             for statuses in self._subscriptions:
                 statuses.put(info)
             streams = self._followed.of(info.goal_id)
             for stream in streams:
                 stream.set_status(info.status)
+                self._choose_server(stream)
             if streams and not info.status.is_active:
                 self._followed.expect_result(info.goal_id, LATE)
         self._listed.notify()
@@ -278,13 +294,36 @@ class RosActionClient:
                 await self._pending.wait()
             await anyio.sleep(WATCH_PAUSE)
             if self._is_pending():
-                if not self.presence.is_there():
-                    await anyio.sleep(LAST_WORDS)
-                    self._fail(self._gone())
-                    self.known.clear()
-                else:
-                    await self._fail_gone()
+                await self._look_for_server()
             self._followed.retry_overdue()
+
+    async def _look_for_server(self) -> None:
+        if self.presence.is_there():
+            if self._was_silent:
+                self._was_silent = False
+                self._resume()
+            self._rivals.note(self.presence.servers(), self.presence.count())
+            await self._fail_gone()
+        elif self.presence.may_return():
+            if not self._was_silent:
+                self._was_silent = True
+                logger.info("%s: its server is silent, and is waited for", self._action)
+        else:
+            self._was_silent = False
+            await anyio.sleep(LAST_WORDS)
+            self._fail(self._gone())
+            self.known.clear()
+
+    def _resume(self) -> None:
+        """Request again what may have been lost while the server was silent. If it was started
+        anew meanwhile, the new one says whether it knows the goals.
+        """
+        logger.info("%s: its server is there again", self._action)
+        for stream in self._followed:
+            stream.servers |= self.presence.servers()
+        self._followed.resume()
+        for client in (self._goals, self._cancels):
+            client.resume()
 
     def _is_pending(self) -> bool:
         calling = self._goals.calls or self._cancels.calls

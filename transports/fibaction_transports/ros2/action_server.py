@@ -55,13 +55,15 @@ from fibaction_transports.ros2.conversion import (
     goal_info_to_ros,
     stamp_of,
 )
+from fibaction_transports.ros2.end_settings import EndSettings
 from fibaction_transports.ros2.feedback_topic import FeedbackTopic
 from fibaction_transports.ros2.goal_forwarder import GoalForwarder
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import RosNode
-from fibaction_transports.ros2.presence import warn_of_rivals
 from fibaction_transports.ros2.rcl import raw
+from fibaction_transports.ros2.rivals import warn_of_rivals
 from fibaction_transports.ros2.service_server import ServiceServers
+from fibaction_transports.ros2.stamps import ServedStamps
 from fibaction_transports.ros2.status_list import PublishedStatuses, pack_statuses
 
 NO_GOAL = bytes(16)
@@ -98,7 +100,7 @@ class RosActionServer:
     """One action, served in ROS."""
 
     def __init__(
-        self, ros: RosNode, served: ServedEndpoint, feedback_depth: int, tasks: TaskGroup
+        self, ros: RosNode, served: ServedEndpoint, settings: EndSettings, tasks: TaskGroup
     ) -> None:
         self._ros = ros
         self._endpoint = served.endpoint
@@ -112,26 +114,29 @@ class RosActionServer:
         self._published_at = -math.inf
         self._progress = Notifier()
         self._services = ServiceServers(self._name, tasks, self._progress)
-        self._open(feedback_depth)
+        self._open(settings)
 
-    def _open(self, depth: int) -> None:
+    def _open(self, settings: EndSettings) -> None:
         make, impl, full = self._ros.make, self._impl, self._names
-        profile = qos.services()
+        profile = qos.services(settings.services_qos)
         goals = make(raw.Service, impl.SendGoalService, full.send_goal, profile)
         cancels = make(raw.Service, impl.CancelGoalService, full.cancel_goal, profile)
         results = make(raw.Service, impl.GetResultService, full.get_result, profile)
+        self._ros.introspect(settings.introspection, goals, cancels, results)
         self._feedback = FeedbackTopic(
-            self._ros, self._name, full, impl.FeedbackMessage, self._codecs.feedback, depth
+            self._ros, self._name, full, impl.FeedbackMessage, self._codecs.feedback, settings
         )
-        self._status = make(
-            raw.Publisher, impl.GoalStatusMessage, full.status, qos.published_status()
-        )
+        profile = qos.published_status(settings.lease, settings.status_qos)
+        self._status = make(raw.Publisher, impl.GoalStatusMessage, full.status, profile)
         self._statuses = PublishedStatuses(self._publish_status)
+        self._stamps = ServedStamps(self._ros.clock)
         requests = self._services.requests
         rejected = impl.CancelGoalService.Response(return_code=int(CancelCode.REJECTED))
 
         def decided(request: Any) -> None:
-            self._deciding.discard(goal_id_of(request.goal_id))
+            goal_id = goal_id_of(request.goal_id)
+            self._deciding.discard(goal_id)
+            self._statuses.repeat_later(goal_id)
 
         self._ros.listen(
             requests(goals, impl.SendGoalService, self._answer_goal, done=decided),
@@ -144,6 +149,7 @@ class RosActionServer:
         # The list without goals, so that clients need not wait for a list.
         self._publish_status(pack_statuses(()))
         self._tasks.start_soon(self._statuses.run, name=f"statuses of {self._name}")
+        self._tasks.start_soon(self._statuses.repeat, name=f"repeated statuses of {self._name}")
         self._tasks.start_soon(self._follow_statuses, name=f"goals of {self._name}")
         self._tasks.start_soon(
             warn_of_rivals,
@@ -199,28 +205,30 @@ class RosActionServer:
         self._deciding.add(goal_id)  # until the client has been told
         stream = await self._endpoint.send_goal(goal_id, self._codecs.goal.from_ros(goal))
         # Here and not only by the stream of all statuses, which may be read after the goal's own.
-        self._statuses.update(GoalInfo(goal_id, stream.stamp, GoalStatus.ACCEPTED))
+        self._update(GoalInfo(goal_id, stream.stamp, GoalStatus.ACCEPTED))
         self._forward(stream)
-        return stream.stamp
+        return self._stamps.to_ros(goal_id, stream.stamp)
 
     async def _answer_cancel(self, request: Any) -> Any:
         info = request.goal_info
         goal_id, stamp = goal_id_of(info.goal_id), stamp_of(info.stamp)
         try:
             answer = await self._endpoint.cancel_goals(
-                None if goal_id == NO_GOAL else goal_id, stamp or None
+                None if goal_id == NO_GOAL else goal_id,
+                self._stamps.from_ros(stamp) if stamp else None,
             )
         except ActionError as exc:
             answer = CancelAnswer(CancelCode.REJECTED, reason=str(exc))
         if answer.reason:
             self._ros.warn(f"{self._name}: cancel rejected: {answer.reason}")
         await anyio.lowlevel.checkpoint()  # statuses from before the cancel are published first
-        for one in answer.goals_canceling:
+        canceling = [self._in_ros(one) for one in answer.goals_canceling]
+        for one in canceling:
             self._statuses.update(one)
         self._statuses.flush()
         response = self._impl.CancelGoalService.Response()
         response.return_code = int(answer.return_code)
-        response.goals_canceling = [goal_info_to_ros(one) for one in answer.goals_canceling]
+        response.goals_canceling = [goal_info_to_ros(one) for one in canceling]
         return response
 
     async def _answer_result(self, request: Any) -> Any:
@@ -252,7 +260,7 @@ class RosActionServer:
 
     def _forward(self, stream: GoalStream) -> None:
         goal_id = stream.goal_id
-        forwarder = GoalForwarder(stream, self._feedback.of(goal_id), self._statuses.update)
+        forwarder = GoalForwarder(stream, self._feedback.of(goal_id), self._update)
         self._forwarders[goal_id] = forwarder
         self._tasks.start_soon(
             self._run_forwarder, goal_id, forwarder, name=f"goal of {self._name}"
@@ -275,17 +283,28 @@ class RosActionServer:
             response = self._result(goal_id, outcome)
             status = GoalStatus(response.status)
             if status.is_terminal:
-                self._statuses.update(GoalInfo(goal_id, forwarder.stream.stamp, status))
+                self._update(GoalInfo(goal_id, forwarder.stream.stamp, status))
             self._statuses.flush()
             await forwarder.hand_over(response)
         finally:
             del self._forwarders[goal_id]
             for info in forwarder.late:
                 if info.status is GoalStatus.UNKNOWN or goal_id not in self._statuses:
-                    self._statuses.update(info)
+                    self._update(info)
             self._progress.notify()
 
     # Statuses
+
+    def _update(self, info: GoalInfo) -> None:
+        """Set the status of a goal in the list, with its stamp in ROS."""
+        if info.status is GoalStatus.UNKNOWN:
+            self._stamps.forget(info.goal_id)
+            self._statuses.update(info)
+        else:
+            self._statuses.update(self._in_ros(info))
+
+    def _in_ros(self, info: GoalInfo) -> GoalInfo:
+        return GoalInfo(info.goal_id, self._stamps.to_ros(info.goal_id, info.stamp), info.status)
 
     def _publish_status(self, message: bytes) -> None:
         self._published_at = current_time()
@@ -300,6 +319,7 @@ class RosActionServer:
             except Exception as exc:
                 self._log_failure("no statuses", exc)
                 self._statuses.clear()
+                self._stamps.clear()
             await anyio.sleep(RETRY_PAUSE)
 
     def _take_status(self, info: GoalInfo) -> None:
@@ -310,7 +330,7 @@ class RosActionServer:
         is_new = info.goal_id not in self._statuses and info.goal_id not in self._deciding
         if forwarder is None and is_new and info.status.is_active:
             self._tasks.start_soon(self._follow, info.goal_id, name=f"goal of {self._name}")
-        self._statuses.update(info)
+        self._update(info)
 
     async def _follow(self, goal_id: GoalID) -> None:
         """Publish the feedback of a goal that did not come through ROS."""
@@ -333,11 +353,11 @@ class RosActionServer:
 
 @asynccontextmanager
 async def serve_actions(
-    ros: RosNode, endpoints: Sequence[ServedEndpoint], feedback_depth: int
+    ros: RosNode, endpoints: Sequence[ServedEndpoint], settings: EndSettings
 ) -> AsyncGenerator[None, None]:
     """Serve for as long as the block lasts."""
     async with Background() as tasks:
-        servers = [RosActionServer(ros, one, feedback_depth, tasks) for one in endpoints]
+        servers = [RosActionServer(ros, one, settings, tasks) for one in endpoints]
         for server in servers:
             server.start()
         try:

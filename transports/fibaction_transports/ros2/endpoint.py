@@ -11,7 +11,7 @@ from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction._tasks import Background
-from fibaction.abc import Connection, Endpoint
+from fibaction.abc import Connection, Endpoint, Meta
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import (
     ConnectionLost,
@@ -35,18 +35,17 @@ from fibaction.server.status_broadcast import StatusSubscription
 from fibaction.states import GoalStatus
 from fibaction_transports.ros2.action_client import RosActionClient
 from fibaction_transports.ros2.conversion import RosAction, RosCodecs, goal_id_of, stamp_of
+from fibaction_transports.ros2.end_settings import EndSettings
 from fibaction_transports.ros2.goal_stream import GoalDecoder, RosGoalStream
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import RosNode
 from fibaction_transports.ros2.rcl import deserialize, uuid_of
+from fibaction_transports.ros2.stamps import FIRST_STAMP, LAST_STAMP
 
 SETTLED = 0.2
 """Seconds without a change after which a list of actions or nodes counts as complete."""
 LIST_PAUSE = 0.05
 """Seconds between two looks at the graph."""
-
-FIRST_STAMP, LAST_STAMP = -(2**31) * 10**9, 2**31 * 10**9 - 1
-"""The first and the last stamp that a message of ROS can hold."""
 
 FoundT = TypeVar("FoundT")
 
@@ -77,8 +76,9 @@ class RosEndpoint(Endpoint):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
+        meta: Meta | None = None,
     ) -> RosGoalStream:
-        """See `Endpoint.send_goal`. A request of ROS has no field for the timeout."""
+        """See `Endpoint.send_goal`. A request of ROS has no fields for the timeout and the meta."""
         try:
             message = self._codecs.goal.to_ros(goal)
         except ProtocolError as exc:
@@ -109,11 +109,16 @@ class RosEndpoint(Endpoint):
         info = request.goal_info
         info.goal_id.uuid = uuid_of(goal_id or bytes(16))
         # A stamp beyond these would silently become another one, or none, which means all goals.
-        within = min(max(stamp or 0, FIRST_STAMP), LAST_STAMP)
+        known = self._client.stamps
+        within = min(max(known.to_ros(stamp) if stamp else 0, FIRST_STAMP), LAST_STAMP)
         info.stamp.sec, info.stamp.nanosec = divmod(within, 10**9)
         response = await self._client.cancel(request)
         canceling = tuple(
-            GoalInfo(goal_id_of(one.goal_id), stamp_of(one.stamp), GoalStatus.CANCELING)
+            GoalInfo(
+                goal_id_of(one.goal_id),
+                known.from_ros(goal_id_of(one.goal_id), stamp_of(one.stamp)),
+                GoalStatus.CANCELING,
+            )
             for one in response.goals_canceling
         )
         try:
@@ -163,14 +168,11 @@ class _Decoder(GoalDecoder):
 class RosConnection(Connection):
     """A connection to all actions in the graph of a node."""
 
-    def __init__(
-        self, ros: RosNode, tasks: TaskGroup, *, feedback_depth: int, discovery_timeout: float
-    ) -> None:
+    def __init__(self, ros: RosNode, tasks: TaskGroup, settings: EndSettings) -> None:
         self._ros = ros
         self._tasks = tasks
-        self._depth = feedback_depth
-        self._timeout = discovery_timeout
-        self._deadline = current_time() + discovery_timeout
+        self._settings = settings
+        self._deadline = current_time() + settings.discovery_timeout
         self._clients: dict[tuple[str, str], RosActionClient] = {}
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
@@ -190,8 +192,7 @@ class RosConnection(Connection):
                 self._ros,
                 info.name,
                 found.ros_type.Impl,
-                feedback_depth=self._depth,
-                discovery_timeout=self._timeout,
+                self._settings,
             )
             self._clients[full.feedback, type_name] = client
             self._tasks.start_soon(client.run, name=f"client of {info.name}")
@@ -278,13 +279,11 @@ def _nodes(ends: Iterable[Any]) -> tuple[str, ...]:
 
 @asynccontextmanager
 async def connect_actions(
-    ros: RosNode, *, feedback_depth: int, discovery_timeout: float
+    ros: RosNode, settings: EndSettings
 ) -> AsyncGenerator[RosConnection, None]:
     """Connect for as long as the block lasts."""
     async with Background() as tasks:
-        connection = RosConnection(
-            ros, tasks, feedback_depth=feedback_depth, discovery_timeout=discovery_timeout
-        )
+        connection = RosConnection(ros, tasks, settings)
         try:
             yield connection
         finally:

@@ -13,6 +13,7 @@ from fibaction.exceptions import ProtocolError
 from fibaction.goals import GoalID
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.conversion import RosCodec
+from fibaction_transports.ros2.end_settings import EndSettings
 from fibaction_transports.ros2.names import ActionNames
 from fibaction_transports.ros2.node import RosNode
 from fibaction_transports.ros2.rcl import raw, uuid_of
@@ -42,14 +43,16 @@ class FeedbackTopic:
         full: ActionNames,
         message_type: Any,
         codec: RosCodec,
-        depth: int,
+        settings: EndSettings,
     ) -> None:
         self._ros = ros
         self._action = action
         self._names = full
         self._type = message_type
         self._codec = codec
-        self._publisher = ros.make(raw.Publisher, message_type, full.feedback, qos.feedback(depth))
+        depth = settings.feedback_depth
+        profile = qos.feedback(depth, settings.feedback_qos)
+        self._publisher = ros.make(raw.Publisher, message_type, full.feedback, profile)
         self._unmatched = 0
         self._half = (depth + 1) // 2
         self._piece = -(-self._half // PIECES)

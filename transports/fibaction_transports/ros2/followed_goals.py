@@ -103,6 +103,17 @@ class FollowedGoals:
                     self.request_result(stream)
                     self._overdue[goal_id] = now + LATE * len(stream.requests)
 
+    def resume(self) -> None:
+        """Request all results once more: requests and answers may have been lost meanwhile.
+
+        Raises:
+            ConnectionLost: ROS cannot send any more.
+        """
+        for stream in self:
+            if stream.has_begun:
+                stream.resumed += 1
+                self.request_result(stream)
+
     def fail(self, error: ConnectionLost, streams: Iterable[RosGoalStream] | None = None) -> None:
         """End these streams with an error, by default all of them."""
         for stream in self if streams is None else streams:
@@ -137,6 +148,6 @@ class FollowedGoals:
         result was requested in vain.
         """
         for stream in self:
-            if len(stream.requests) > FAILED_REQUESTS:
+            if len(stream.requests) - stream.resumed > FAILED_REQUESTS:
                 stream.fail(ProtocolError(f"the goal's result cannot be read: {error}"))
                 self.remove(stream)

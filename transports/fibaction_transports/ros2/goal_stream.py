@@ -47,16 +47,21 @@ class RosGoalStream(GoalStream):
     def __init__(self, goal_id: GoalID, decoder: GoalDecoder, depth: int, *, reads: bool) -> None:
         self.goal_id = goal_id
         self.stamp = 0
+        self.ros_stamp = 0
+        """The stamp as it was in the acceptance; 0 if another client has sent the goal."""
         self.latest = False
         self.cursor = 0
         self.decoder = decoder
         self.requests: list[int] = []
         """The numbers of the requests for its result."""
+        self.resumed = 0
+        """The number of those that were sent because the server had been silent."""
         self.servers: frozenset[bytes] = frozenset()
         """The servers at the time when it was accepted: one of them has the goal."""
         self.news = Notifier()
         self.reads = reads
-        self._items: deque[FeedbackItem] = deque(maxlen=depth)
+        self._items: deque[tuple[FeedbackItem, bytes]] = deque(maxlen=depth)
+        self._publishers: frozenset[bytes] = frozenset()
         self._statuses: deque[GoalStatus] = deque()
         self._status = GoalStatus.UNKNOWN
         self._received = 0
@@ -89,12 +94,30 @@ class RosGoalStream(GoalStream):
         self.stamp, self._status = info.stamp, info.status
         self.news.notify()
 
-    def add_feedback(self, message: bytes) -> None:
-        """Add a feedback message, which is decoded when it is read."""
+    def add_feedback(self, message: bytes, publisher: bytes = b"") -> None:
+        """Add a feedback message, which is decoded when it is read; `publisher` is its GID."""
+        if not self._is_of_its_server(publisher):
+            return
         self._received += 1
         if self.reads and not self.is_over:
-            self._items.append(FeedbackItem(self._received, message))
+            self._items.append((FeedbackItem(self._received, message), publisher))
             self.news.notify()
+
+    def take_from(self, publishers: frozenset[bytes]) -> None:
+        """Take feedback of these publishers only, and drop the unread feedback of others. None
+        means all publishers.
+        """
+        if publishers and publishers != self._publishers:
+            self._publishers = publishers
+            before = self._received - len(self._items)
+            kept = [item for item in self._items if self._is_of_its_server(item[1])]
+            self._items.clear()
+            self._received = before + len(kept)
+            for number, (item, publisher) in enumerate(kept, before + 1):
+                self._items.append((FeedbackItem(number, item.payload), publisher))
+
+    def _is_of_its_server(self, publisher: bytes) -> bool:
+        return not (self._publishers and publisher) or publisher in self._publishers
 
     def set_status(self, status: GoalStatus) -> None:
         """Set the status, unless it is an earlier one: statuses only ever grow."""
@@ -132,7 +155,7 @@ class RosGoalStream(GoalStream):
         return (self._outcome,)
 
     def _next_feedback(self) -> FeedbackItem:
-        item = self._items.popleft()
+        item, _ = self._items.popleft()
         self.cursor = item.number
         self._delivered += 1
         return FeedbackItem(item.number, self.decoder.feedback(item.payload))

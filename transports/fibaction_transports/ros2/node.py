@@ -19,12 +19,16 @@ from fibaction._tasks import Background
 from fibaction._text import excerpt
 from fibaction.exceptions import ConnectionLost, TransportError
 from fibaction_transports.ros2.mailbox import Mailbox
+from fibaction_transports.ros2.node_clock import NodeClock
+from fibaction_transports.ros2.parameters import parameter_services
 from fibaction_transports.ros2.rcl import (
     Context,
+    IntrospectionState,
     InvalidHandle,
     SignalHandlerOptions,
     check_for_type_support,
     rclpy,
+    rclpy_qos,
     validate_namespace,
     validate_node_name,
 )
@@ -54,6 +58,7 @@ class RosNode:
 
     def __init__(self, node: Any) -> None:
         self.node = node
+        self.clock = NodeClock(node)
         self._logger = node.get_logger()
         self._mailbox = Mailbox(self.wake)
         self._waitable = RosWaitable(self._mailbox)
@@ -109,7 +114,7 @@ class RosNode:
         return self.is_up
 
     def make(self, kind: Any, ros_type: Any, name: str, profile: Any) -> Any:
-        """Make a raw handle, which is destroyed at the end.
+        """Make a raw handle with this quality of service, which is destroyed at the end.
 
         Raises:
             TransportError: ROS does not allow it.
@@ -117,7 +122,7 @@ class RosNode:
         try:
             check_for_type_support(ros_type)
             with self.node.handle:
-                handle = kind(self.node.handle, ros_type, name, profile)
+                handle = kind(self.node.handle, ros_type, name, profile.get_c_qos_profile())
         except Exception as exc:  # rclpy raises whatever rcl says
             raise TransportError(f"{name}: {exc}") from exc
         self._handles.append(handle)
@@ -127,6 +132,15 @@ class RosNode:
         """Destroy this raw handle, too, at the end. Returns it."""
         self._handles.append(handle)
         return handle
+
+    def introspect(self, level: str, *handles: Any) -> None:
+        """Publish events of raw services or clients: `off`, `metadata` or `contents`."""
+        if level == "off":
+            return
+        state = IntrospectionState.__members__[level.upper()]
+        profile = rclpy_qos.qos_profile_system_default.get_c_qos_profile()
+        for handle in handles:
+            handle.configure_introspection(self.node.get_clock().handle, profile, state)
 
     def listen(self, *sources: Source) -> None:
         """Take what arrives at these sources: see `RosWaitable.add`."""
@@ -173,6 +187,7 @@ class RosNode:
         """Destroy all handles; those that an executor waits for are destroyed when it wakes."""
         with suppress(ValueError):
             self.node.remove_waitable(self._waitable)
+        self.clock.close()
         self._destroy()
         self._mailbox.close()
 
@@ -258,9 +273,13 @@ def _make(context: Any, settings: NodeSettings, name: str) -> RosNode:
         name,
         context=context,
         namespace=settings.namespace,
-        start_parameter_services=False,  # it has no parameters, and so six services fewer
+        start_parameter_services=False,  # see `parameters`
     )
-    return RosNode(node)
+    ros = RosNode(node)
+    for source in parameter_services(node):
+        ros.keep(source.handle)
+        ros.listen(source)
+    return ros
 
 
 @asynccontextmanager

@@ -13,8 +13,10 @@ from typing import Any
 
 rclpy: Any = import_module("rclpy")
 Context: Any = import_module("rclpy.context").Context
+JumpThreshold: Any = import_module("rclpy.clock").JumpThreshold
 Duration: Any = import_module("rclpy.duration").Duration
 Future: Any = import_module("rclpy.task").Future
+ParameterService: Any = import_module("rclpy.parameter_service").ParameterService
 ReentrantCallbackGroup: Any = import_module("rclpy.callback_groups").ReentrantCallbackGroup
 SignalHandlerOptions: Any = import_module("rclpy.signals").SignalHandlerOptions
 check_for_type_support: Any = import_module("rclpy.type_support").check_for_type_support
@@ -31,6 +33,9 @@ ExternalShutdownException: Any = _executors.ExternalShutdownException
 raw: Any = import_module("rclpy.impl.implementation_singleton").rclpy_implementation
 """Raw handles, without rclpy's classes: `Service`, `Client`, `Publisher`, `Subscription`."""
 InvalidHandle: type[Exception] = raw.InvalidHandle
+UnsupportedEventType: type[Exception] = raw.UnsupportedEventTypeError
+IntrospectionState: Any = raw.service_introspection.ServiceIntrospectionState
+middleware: Any = rclpy.get_rmw_implementation_identifier
 LIVELINESS_CHANGED: Any = raw.rcl_subscription_event_type_t.RCL_SUBSCRIPTION_LIVELINESS_CHANGED
 
 GoalInfoMessage: Any = import_module("action_msgs.msg").GoalInfo

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
+import msgspec
+
 from fibaction.abc import Connection, Endpoint, Transport
 from fibaction.exceptions import InvalidURL, TransportError
 from fibaction.urls import check_settings, unknown_setting, without_settings
 from fibaction_transports.ros2.action_server import ServedEndpoint, serve_actions
+from fibaction_transports.ros2.end_settings import EndSettings, check_range
 from fibaction_transports.ros2.endpoint import connect_actions
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import (
@@ -22,23 +24,29 @@ from fibaction_transports.ros2.node import (
     users_node,
 )
 
+_YES_OR_NO = {"true": True, "false": False}
+
 _IN_URLS: dict[str, Callable[[str], Any]] = {
     "namespace": str,
     "domain_id": int,
     "feedback_depth": int,
     "discovery_timeout": float,
+    "lease": float,
+    "reconnect": _YES_OR_NO.__getitem__,
+    "reconnect_timeout": float,
+    "services_qos": str,
+    "feedback_qos": str,
+    "status_qos": str,
+    "introspection": str,
 }
 """The settings that a URL may have, and their types."""
 
-_NAMES = (
-    "namespace",
-    "domain_id",
-    "arguments",
-    "node",
-    "feedback_depth",
-    "discovery_timeout",
-)
+_NAMES = (*_IN_URLS, "arguments", "node")
 """The settings that are given by name."""
+
+_SHARED = ("lease", "services_qos", "feedback_qos", "status_qos")
+"""The settings that a client should have as its server has them."""
+_USUAL = {"namespace": "", **msgspec.structs.asdict(EndSettings())}
 
 
 class Ros2Transport(Transport):
@@ -54,6 +62,13 @@ class Ros2Transport(Transport):
         node: Any = None,
         feedback_depth: int = 1000,
         discovery_timeout: float = 4.0,
+        lease: float = 2.0,
+        reconnect: bool = True,
+        reconnect_timeout: float = 10.0,
+        services_qos: str = "",
+        feedback_qos: str = "",
+        status_qos: str = "",
+        introspection: str = "off",
     ) -> None:
         """Describe the node; nothing is made yet. Each `serve` and `connect` makes its own.
 
@@ -71,36 +86,54 @@ class Ros2Transport(Transport):
             discovery_timeout: Seconds for which a new client waits if it finds no server. Nodes
                 announce themselves at once, and again after 3 s: on a busy machine, discovery may
                 take as long.
+            lease: Seconds, from 0.1 to 3600. A server gives signs of life so often that clients
+                with this lease, or a longer one, do not miss it. At a client, a server counts as
+                silent after so many seconds without one. A client whose lease is shorter than the
+                server's gets no signs of life.
+            reconnect: False ends waiting calls with `ConnectionLost` as soon as their server is
+                silent. It has no effect for a server.
+            reconnect_timeout: Seconds that a client waits for a silent server to be there again.
+            services_qos: The quality of service of the three services, as words of ROS with commas:
+                `reliable` or `best_effort`, `volatile` or `transient_local`. What is left out is as
+                `rcl_action` has it.
+            feedback_qos: The same for the feedback topic, for example `best_effort`.
+            status_qos: The same for the status topic, for example `volatile`.
+            introspection: The events that the services publish at each request and answer:
+                `"off"`, `"metadata"` (who, and when) or `"contents"`, which has the messages, too.
 
         Raises:
-            ValueError: A number is out of range, or both a node and its description are given.
+            ValueError: A number is out of range, a word is not valid, or both a node and its
+                description are given.
         """
-        for name, value, least, most in (
-            ("domain_id", domain_id or 0, 0, LAST_DOMAIN),
-            ("feedback_depth", feedback_depth, 1, 100_000),
-            ("discovery_timeout", discovery_timeout, 0, math.inf),
-        ):
-            if not least <= value <= most:
-                raise ValueError(f"{name} must be between {least} and {most}, not {value}")
+        check_range("domain_id", domain_id or 0, 0, LAST_DOMAIN)
+        self._ends = EndSettings(
+            feedback_depth=feedback_depth,
+            discovery_timeout=discovery_timeout,
+            lease=lease,
+            reconnect=reconnect,
+            reconnect_timeout=reconnect_timeout,
+            services_qos=services_qos,
+            feedback_qos=feedback_qos,
+            status_qos=status_qos,
+            introspection=introspection,
+        )
         self._settings = NodeSettings(node_name or "", namespace, domain_id, arguments)
         if node is not None and self._settings != NodeSettings():
             raise ValueError("a node has its name, namespace, domain and arguments already")
         self._node = node
-        self._feedback_depth = feedback_depth
-        self._discovery_timeout = discovery_timeout
 
     @classmethod
     def from_url(cls, url: str, **settings: Any) -> Ros2Transport:
         """Make a transport from `ros2://node_name`, where the name may be left out.
 
-        Settings in the URL, after `?`: `namespace`, `domain_id`, `feedback_depth`,
-        `discovery_timeout`.
+        All settings that are text or numbers can be in the URL, after `?`; `reconnect` is `true` or
+        `false` there.
 
         Raises:
             InvalidURL: The URL is not valid; the text says what is wrong.
             TypeError: There is no such setting.
         """
-        check_settings(cls.__name__, settings, (*_IN_URLS, "arguments", "node"))
+        check_settings(cls.__name__, settings, _NAMES)
         where = without_settings(url)
         try:
             parts = urlsplit(url)
@@ -110,7 +143,6 @@ class Ros2Transport(Transport):
                     f"invalid ROS URL {where}: it has a {what}; a valid one is, for example,"
                     " ros2://node_name?namespace=/robot1&domain_id=7"
                 )
-            check_settings(cls.__name__, settings, _NAMES)
             found = _settings(where, parse_qsl(parts.query, keep_blank_values=True))
             return cls(parts.netloc or None, **{**found, **settings})
         except ValueError as exc:
@@ -118,15 +150,24 @@ class Ros2Transport(Transport):
 
     @property
     def url(self) -> str:
-        """The URL with which a client finds the same graph."""
-        settings = self._settings
-        query = {"namespace": settings.namespace, "domain_id": settings.domain_id}
+        """The URL with which a client finds the same graph, and suits servers with these
+        settings.
+        """
         if self._node is not None:
-            query = {"namespace": self._node.get_namespace(), "domain_id": None}
-        text = urlencode(
-            {name: value for name, value in query.items() if value not in ("", None)}, safe="/"
-        )
-        return f"ros2://{f'?{text}' if text else ''}"
+            return self._url_of(self._node)
+        return self._url(self._settings.namespace)
+
+    def _url_of(self, node: Any) -> str:
+        """Return the URL with which a client gets the namespace of a node, remapped or not."""
+        space = node.get_namespace()
+        is_named = space != "/" or self._settings.namespace or self._node is not None
+        return self._url(space if is_named else "")
+
+    def _url(self, namespace: str) -> str:
+        settings = {"namespace": namespace, "domain_id": self._settings.domain_id}
+        settings |= {name: getattr(self._ends, name) for name in _SHARED}
+        given = {name: one for name, one in settings.items() if one not in (_USUAL.get(name), None)}
+        return f"ros2://{'?' if given else ''}{urlencode(given, safe='/,')}"
 
     @asynccontextmanager
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
@@ -136,19 +177,15 @@ class Ros2Transport(Transport):
             full = [action_names(ros.node, endpoint.info.name) for endpoint in endpoints]
             if len(set(full)) < len(full):
                 raise TransportError("two of the endpoints serve actions of the same name")
-            async with serve_actions(ros, served, self._feedback_depth):
-                yield self.url
+            async with serve_actions(ros, served, self._ends):
+                yield self._url_of(ros.node)
 
     @asynccontextmanager
     async def connect(self) -> AsyncGenerator[Connection, None]:
         """See `Transport.connect`. It does not look for servers, which may come later."""
         async with (
             self._open() as ros,
-            connect_actions(
-                ros,
-                feedback_depth=self._feedback_depth,
-                discovery_timeout=self._discovery_timeout,
-            ) as connection,
+            connect_actions(ros, self._ends) as connection,
         ):
             yield connection
 
@@ -183,6 +220,6 @@ def _settings(where: str, query: list[tuple[str, str]]) -> dict[str, Any]:
             raise InvalidURL(f"{where}: setting {name!r} given twice")
         try:
             settings[name] = _IN_URLS[name](text)
-        except ValueError:
+        except (ValueError, KeyError):
             raise InvalidURL(f"{where}: invalid setting {name!r}: {text!r}") from None
     return settings

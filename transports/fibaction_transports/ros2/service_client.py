@@ -32,6 +32,7 @@ class ServiceCall:
         self._numbers: list[int] = []
         self._news = Notifier()
         self._timeout = FIRST_TIMEOUT
+        self._is_due = False
         self._error: ConnectionLost | None = None
 
     def __enter__(self) -> ServiceCall:
@@ -56,6 +57,7 @@ class ServiceCall:
 
     async def _try(self) -> bool:
         self._raise_error()
+        self._is_due = False
         self.tries += 1
         self._numbers.append(self._client.send(self._request, self))
         timeout, self._timeout = self._timeout, min(2 * self._timeout, LONGEST_TIMEOUT)
@@ -64,7 +66,7 @@ class ServiceCall:
     async def wait(self, seconds: float) -> bool:
         """Wait for an answer without a retry, and return whether there is one."""
         with anyio.move_on_after(seconds):
-            while self.response is None:
+            while self.response is None and not self._is_due:
                 self._raise_error()
                 await self._news.wait()
         return self.response is not None
@@ -72,6 +74,11 @@ class ServiceCall:
     def set_response(self, response: Any) -> None:
         """Store an answer. After a retry there may be several; the last one counts."""
         self.response = response
+        self._news.notify()
+
+    def resume(self) -> None:
+        """Send the request again now: it may have been lost."""
+        self._is_due, self._timeout = True, FIRST_TIMEOUT
         self._news.notify()
 
     def fail(self, error: ConnectionLost) -> None:
@@ -121,6 +128,11 @@ class ServiceClient:
     def forget(self, number: int) -> None:
         """Ignore the answer to this request from now on."""
         self._open.pop(number, None)
+
+    def resume(self) -> None:
+        """Send all requests again that wait for their answers."""
+        for call in self.calls:
+            call.resume()
 
     def fail(self, error: ConnectionLost) -> None:
         """End all calls with an error."""

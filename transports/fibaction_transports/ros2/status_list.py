@@ -17,6 +17,8 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeAlias
 
+import anyio
+
 from fibaction._notify import Notifier
 from fibaction.exceptions import ProtocolError
 from fibaction.goals import GoalID, GoalInfo
@@ -24,6 +26,11 @@ from fibaction.states import TRANSITIONS, GoalStatus
 
 StatusLine: TypeAlias = tuple[Any, ...]
 """One line of a list: the goal's ID, the seconds and nanoseconds of its stamp, its status."""
+
+REPEAT = 0.1
+"""Seconds after an acceptance was answered at which the list is published again. A client of rclpy
+drops the status of a goal whose acceptance it has yet to handle; then `ros2 action send_goal` would
+not cancel at Ctrl-C, as it cancels only goals that it knows to be active."""
 
 _BILLION = 10**9
 _HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian
@@ -43,7 +50,10 @@ class PublishedStatuses:
         self._publish = publish
         self._lines: dict[GoalID, bytes] = {}
         self._changed: set[GoalID] = set()
+        self._accepted: set[GoalID] = set()
+        """The goals for which the list is to be published again."""
         self._news = Notifier()
+        self._acceptances = Notifier()
 
     def __contains__(self, goal_id: GoalID) -> bool:
         return goal_id in self._lines
@@ -83,6 +93,25 @@ class PublishedStatuses:
                 await self._news.wait()
             self.flush()
 
+    def repeat_later(self, goal_id: GoalID) -> None:
+        """Publish the list once more after `REPEAT` seconds, if this goal is active then."""
+        self._accepted.add(goal_id)
+        self._acceptances.notify()
+
+    async def repeat(self) -> None:
+        """Publish the list again as told by `repeat_later`, until canceled. Goals that are added
+        during a wait have their turn after the next one, so many goals cause few lists.
+        """
+        while True:
+            while not self._accepted:
+                await self._acceptances.wait()
+            accepted, self._accepted = self._accepted, set()
+            await anyio.sleep(REPEAT)
+            lines = [self._lines[goal_id] for goal_id in accepted if goal_id in self._lines]
+            if any(GoalStatus(status_of(line)).is_active for line in lines):
+                self._changed.clear()
+                self._publish(pack_statuses(self._lines.values()))
+
 
 def _shortest_ways() -> dict[tuple[GoalStatus, GoalStatus], tuple[GoalStatus, ...]]:
     """Return the statuses from one to another; EXECUTING before CANCELING if both would do."""
@@ -108,7 +137,11 @@ class ReceivedStatuses:
     that a goal must have had are reported all the same, so that every change is a legal one.
     """
 
-    def __init__(self) -> None:
+    def __init__(
+        self, stamp_of: Callable[[bytes, int], int] = lambda goal_id, stamp: stamp
+    ) -> None:
+        """`stamp_of` translates the stamp of a goal from ROS."""
+        self._stamp_of = stamp_of
         self._infos: dict[bytes, GoalInfo] = {}
         self._lines: set[StatusLine] = set()
         self._first = True
@@ -138,7 +171,7 @@ class ReceivedStatuses:
             ProtocolError: The message is not a status list.
         """
         lines = unpack_statuses(message)
-        changed = [info_of(line) for line in lines if line not in self._lines]
+        changed = [self._info(line) for line in lines if line not in self._lines]
         gone = self._infos.keys() - {line[0] for line in lines}
         steps = [step for info in changed for step in self._steps(info)]
         for goal_id in gone:
@@ -148,6 +181,10 @@ class ReceivedStatuses:
         self._lines = set(lines)
         self._first = False
         return steps
+
+    def _info(self, line: StatusLine) -> GoalInfo:
+        info = info_of(line)
+        return GoalInfo(info.goal_id, self._stamp_of(info.goal_id, info.stamp), info.status)
 
     def _steps(self, info: GoalInfo) -> Iterator[GoalInfo]:
         before = self._infos.get(info.goal_id)
@@ -203,6 +240,15 @@ def unpack_statuses(message: bytes) -> list[StatusLine]:
     except (ValueError, struct.error) as exc:
         raise ProtocolError(f"invalid status list of {len(message)} bytes: {exc}") from exc
     return lines
+
+
+def stamps_of(message: bytes) -> dict[bytes, int]:
+    """Return the stamps of the goals in an `action_msgs/msg/GoalStatusArray`, by their IDs.
+
+    Raises:
+        ProtocolError: The message is not a status list.
+    """
+    return {line[0]: line[1] * _BILLION + line[2] for line in unpack_statuses(message)}
 
 
 def info_of(line: StatusLine) -> GoalInfo:

@@ -90,7 +90,9 @@ class Responses(Source):
 
 
 class Messages(Source):
-    """The messages of a topic, as bytes, because most of them may be ignored."""
+    """The messages of a topic: `(message, publisher)`. The message is bytes, because most may be
+    ignored. The publisher is its GID; empty if the middleware or rclpy does not tell it.
+    """
 
     kind = "subscription"
 
@@ -100,7 +102,11 @@ class Messages(Source):
 
     def take(self) -> Any:
         taken = self.handle.take_message(self._type, True)
-        return None if taken is None else taken[0]
+        if taken is None:
+            return None
+        message, info = taken
+        publisher: Any = info.get("publisher_gid")
+        return message, publisher["data"] if publisher else b""
 
 
 _COUNTS = {

@@ -1,0 +1,1 @@
+"""A node that serves the Fibonacci action with fibaction."""

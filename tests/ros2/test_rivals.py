@@ -1,0 +1,178 @@
+"""Two servers of one name: each of them runs every goal, and a client is told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import ActionServer, GoalHandle, GoalID, connect, serve
+from fibaction.goals import GoalInfo
+from fibaction.states import GoalStatus
+from fibaction_transports.ros2.goal_stream import RosGoalStream
+from fibaction_transports.ros2.rivals import Rivals
+from fibaction_transports.ros2.status_list import pack_line, pack_statuses
+from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.ros2.ends import PATIENCE, Items, Undecoded, client_of, new_url
+from tests.ros2.stock.waiting import eventually
+
+pytestmark = pytest.mark.anyio
+
+MESSAGES = 20
+WARNING = "there are 2 servers of this name, and each of them runs every goal"
+
+
+@pytest.mark.parametrize("names", ["one name", "two names"])
+async def test_feedback_is_taken_of_the_server_that_accepted_the_goal_and_the_log_warns_once(
+    names: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fibaction_transports.ros2.rivals.PATIENCE", 0.0)
+    url = new_url()
+    tags: dict[int, int] = {}
+    """The feedback of each server, by the stamp that it gave the goal."""
+
+    def server(tag: int) -> ActionServer[Goal, Feedback, Result]:
+        async def execute(goal: GoalHandle[Goal]) -> Items:
+            tags[goal.stamp] = tag
+            for _ in range(MESSAGES):
+                yield Feedback([tag])
+                await anyio.sleep(0.001)
+            yield Result([tag])
+
+        return ActionServer(FIBONACCI, execute)
+
+    first, second = ("robot", "robot") if names == "one name" else ("one", "two")
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(server(1), url.replace("//", f"//{first}")),
+            serve(server(2), url.replace("//", f"//{second}")),
+            connect(url, FIBONACCI) as client,
+        ):
+            presence = client_of(client.endpoint).presence
+
+            async def servers() -> int:
+                return presence.is_there() + len(presence.servers())
+
+            await eventually(servers, lambda number: number == 3)
+            for _ in range(2):
+                goal = await client.send_goal(Goal(1))
+                await goal.outcome()
+                seen = {tuple(one.partial_sequence) async for one in goal.feedback}
+                assert seen == {(tags[goal.stamp],)}
+    assert caplog.text.count(WARNING) == 1
+
+
+def test_unread_feedback_of_another_server_is_dropped_and_the_rest_numbered_anew() -> None:
+    stream = RosGoalStream(GoalID.random(), Undecoded(), 10, reads=True)
+    for message, publisher in ((b"a", b"one"), (b"b", b"two"), (b"c", b"one"), (b"d", b"")):
+        stream.add_feedback(message, publisher)
+    (first,) = stream.take()
+
+    stream.take_from(frozenset({b"one"}))
+    stream.take_from(frozenset())  # nothing is known of other publishers now
+    stream.add_feedback(b"e", b"two")
+    stream.add_feedback(b"f", b"one")
+
+    taken = [first, *stream.take(10)]
+    assert [(one.number, one.payload) for one in taken] == [  # type: ignore[union-attr]
+        (1, b"a"),
+        (2, b"c"),
+        (3, b"d"),
+        (4, b"f"),
+    ]
+    assert stream.dropped == 0
+
+
+class Node:
+    """The ends of the topics of two servers in one context, which have one name."""
+
+    def __init__(self, *ends: Any) -> None:
+        self.node = self
+        self._ends = ends
+
+    def attempt(self, call: Any, *arguments: Any, otherwise: Any) -> Any:
+        return call(*arguments)
+
+    def get_publishers_info_by_topic(self, topic: str) -> Any:
+        return [end for end in self._ends if end.topic == topic]
+
+
+class End:
+    node_namespace = "/"
+
+    def __init__(self, topic: str, gid: bytes, node: str = "robot") -> None:
+        self.topic, self.endpoint_gid, self.node_name = topic, gid, node
+
+
+class Names:
+    status, feedback = "status", "feedback"
+
+
+def listed(goal_id: GoalID, stamp: int) -> bytes:
+    return pack_statuses([pack_line(GoalInfo(goal_id, stamp, GoalStatus.ACCEPTED))])
+
+
+async def test_the_server_with_the_nearest_stamp_has_the_goal() -> None:
+    one, two = b"participant1one.", b"participant2two."
+    node: Any = Node(
+        End("status", one),
+        End("status", two),
+        End("feedback", b"participant1fb.."),
+        End("feedback", b"participant2fb.."),
+    )
+    names: Any = Names()
+    rivals = Rivals(node, "arm", names, 2.0)
+    goal_id = GoalID.random()
+
+    rivals.note(frozenset({one}), 1)
+    rivals.note_list(one, listed(goal_id, 90))  # one server alone is not compared
+    assert rivals.feedback_of(goal_id, 100) == frozenset()
+
+    rivals.note(frozenset({one, two}), 2)
+    rivals.note_list(one, listed(goal_id, 90))
+    assert rivals.feedback_of(GoalID.random(), 100) == frozenset()
+    assert rivals.feedback_of(goal_id, 100) == {b"participant1fb.."}
+    rivals.note_list(two, listed(goal_id, 105))
+    assert rivals.feedback_of(goal_id, 100) == {b"participant2fb.."}
+
+    rivals.note(frozenset({one}), 1)
+    assert rivals.feedback_of(goal_id, 100) == frozenset()
+
+
+async def test_without_participants_in_the_ids_the_nodes_tell_servers_apart() -> None:
+    one, two = b"abcdefghijklmnop", b"bcdefghijklmnopq"
+    node: Any = Node(
+        End("status", one, "one"),
+        End("status", two, "two"),
+        End("feedback", b"cdefghijklmnopqr", "one"),
+        End("feedback", b"defghijklmnopqrs", "two"),
+    )
+    names: Any = Names()
+    rivals = Rivals(node, "arm", names, 2.0)
+    goal_id = GoalID.random()
+
+    rivals.note(frozenset({one, two}), 1)
+    rivals.note_list(two, listed(goal_id, 100))
+
+    assert rivals.feedback_of(goal_id, 100) == {b"defghijklmnopqrs"}
+
+
+async def test_a_second_server_that_is_soon_silent_causes_no_warning(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As one that was killed, beside the one that took its place."""
+    clock = [0.0]
+    monkeypatch.setattr("fibaction_transports.ros2.rivals.current_time", lambda: clock[0])
+    node: Any = Node()
+    names: Any = Names()
+    rivals = Rivals(node, "arm", names, 2.0)
+    both = frozenset({b"one", b"two"})
+
+    for clock[0], count in ((0.0, 2), (1.9, 2), (2.1, 1), (3.0, 2), (6.9, 2)):
+        rivals.note(both, count)
+    assert caplog.text == ""
+    for clock[0] in (7.0, 8.0):
+        rivals.note(both, 2)
+    assert caplog.text.count(WARNING) == 1
