@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from weakref import WeakSet, WeakValueDictionary
 
 from fibaction._notify import Notifier
-from fibaction.abc import Connection, Endpoint, GoalStream, StatusStream, Transport
+from fibaction.abc import Connection, Endpoint, GoalStream, Meta, StatusStream, Transport
 from fibaction.action import Action, ActionInfo
 from fibaction.exceptions import ConnectionLost, InvalidURL, ServerNotFound, TransportError, copy_of
 from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
@@ -158,11 +158,12 @@ class _NamedEndpoint(Endpoint):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
+        meta: Meta | None = None,
     ) -> GoalStream:
         if sender == UNKNOWN_SENDER:
             sender = self._connection.sender
         stream = await self._server.send_goal(
-            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout
+            goal_id, goal, feedback=feedback, sender=sender, timeout=timeout, meta=meta
         )
         return self._connection.opened(stream)
 

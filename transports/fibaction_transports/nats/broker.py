@@ -31,8 +31,8 @@ class Message(NamedTuple):
     data: bytes
     reply: str
     """The subject for an answer; empty if none is expected."""
-    nobody_listens: bool = False
-    """True if it is the broker's answer to a message with this reply, which nobody gets."""
+    has_no_responders: bool = False
+    """True if it is the broker's answer to a message whose subject has no subscriber."""
 
 
 class Record(NamedTuple):
@@ -70,8 +70,8 @@ OnMessage: TypeAlias = Callable[[Message], None]
 """Takes a message; it must not wait, and must not raise."""
 
 
-class NobodyListens(Exception):
-    """A request that nobody gets."""
+class NoResponders(Exception):
+    """An error for a request whose subject has no subscriber."""
 
 
 class BrokerAway(Exception):
@@ -126,8 +126,8 @@ class Broker(ABC):
     def publish(self, subject: str, data: bytes, reply: str = "") -> None:
         """Send a message soon, in the order of the calls.
 
-        If `reply` is given and nobody listens to the subject, a message with `nobody_listens` comes
-        to `reply`. Without a connection, it is sent on the next, or is lost.
+        If `reply` is given and the subject has no subscriber, a message with `has_no_responders`
+        comes to `reply`. Without a connection, it is sent on the next, or is lost.
         """
 
     @abstractmethod
@@ -144,7 +144,7 @@ class Broker(ABC):
         """Send a message, and return the first answer.
 
         Raises:
-            NobodyListens: Nobody gets it.
+            NoResponders: The subject has no subscriber.
             BrokerAway: There was no answer within `timeout` seconds.
         """
 

@@ -14,6 +14,7 @@ from typing import TypeVar
 import anyio
 from anyio import current_time
 
+from fibaction._meta import Meta, checked_meta, size_of
 from fibaction._text import excerpt, shortened
 from fibaction.abc import Endpoint, StatusStream
 from fibaction.action import ActionInfo
@@ -71,16 +72,20 @@ class FleetEndpoint(Endpoint):
         feedback: bool = True,
         sender: Sender = UNKNOWN_SENDER,
         timeout: float | None = None,
+        meta: Meta | None = None,
     ) -> RemoteGoal:
-        if len(goal) > self._parts.max_record - RECORD_OVERHEAD:
-            limit = self._parts.max_record - RECORD_OVERHEAD
+        carried = checked_meta(meta)
+        size = len(goal) + size_of(carried)
+        limit = self._parts.max_record - RECORD_OVERHEAD
+        if size > limit:
             raise InvalidMessage(
-                f"the goal has {len(goal)} bytes, and {limit} are the limit of the brokers"
+                f"the goal has {size} bytes, and {limit} are the limit of the brokers"
             )
         deadline = math.inf if timeout is None else current_time() + timeout
 
         def request(call_id: int, credit: int) -> SendGoal:
-            return SendGoal(call_id, self._info.name, goal_id, goal, credit if feedback else None)
+            allowed = credit if feedback else None
+            return SendGoal(call_id, self._info.name, goal_id, goal, allowed, meta=carried)
 
         trial = Trial(self._parts, self._info.name)
         places = self._parts.places

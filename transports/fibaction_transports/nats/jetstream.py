@@ -13,7 +13,7 @@ import anyio
 import msgspec
 
 from fibaction.exceptions import TransportError
-from fibaction_transports.nats.broker import BrokerAway, NobodyListens, PutError, PutFailure
+from fibaction_transports.nats.broker import BrokerAway, NoResponders, PutError, PutFailure
 from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import MANY
 from fibaction_transports.nats.nats_client import NatsClient
@@ -57,7 +57,7 @@ async def call(
 
     Raises:
         ApiError: It answers with an error.
-        NobodyListens, BrokerAway: It does not answer.
+        NoResponders, BrokerAway: It does not answer.
     """
     message = await client.request(f"$JS.API.{name}", body, timeout)
     try:
@@ -128,7 +128,7 @@ async def check_account(client: NatsClient) -> None:
         while True:
             try:
                 answer = await call(client, "INFO", timeout=INFO_TIMEOUT)
-            except NobodyListens as exc:
+            except NoResponders as exc:
                 why = "is not enabled: start nats-server with -js"
                 if not client.info.get("cluster"):
                     raise TransportError(f"JetStream of the broker {client.url} {why}") from exc
@@ -159,7 +159,7 @@ async def is_missing(client: NatsClient, stream: str) -> bool:
         await call(client, f"STREAM.INFO.{stream}")
     except ApiError as exc:
         return exc.number == STREAM_NOT_FOUND
-    except NobodyListens as exc:
+    except NoResponders as exc:
         raise BrokerAway("JetStream does not answer") from exc
     return False
 
@@ -215,7 +215,7 @@ async def _create_stream(
                     count = 1
                 elif exc.code != 503 or exc.number in NO_ROOM_FOR_REPLICAS:
                     raise TransportError(f"the stream {name} cannot be made: {exc}") from exc
-            except (NobodyListens, BrokerAway):
+            except (NoResponders, BrokerAway):
                 pass  # there is no leader now
             await anyio.sleep(TRY_AGAIN)
     raise TransportError(f"the stream {name} cannot be made: JetStream does not answer")

@@ -13,8 +13,8 @@ from fibaction_transports.nats.broker import BrokerAway
 
 ACK_TIMEOUT = 2.0
 """Seconds within which a broker answers to a write."""
-NOBODY = "503"
-"""The status of an answer to a message that nobody gets."""
+NO_RESPONDERS = "503"
+"""The status of the broker's answer to a message whose subject has no subscriber."""
 
 NO_HEADERS: Mapping[str, str] = {}
 """The headers of most messages."""

@@ -17,7 +17,7 @@ from fibaction_transports.nats.broker import (
     Broker,
     BrokerAway,
     Message,
-    NobodyListens,
+    NoResponders,
     Note,
     OnMessage,
     PutError,
@@ -29,7 +29,7 @@ from fibaction_transports.nats.broker import (
 )
 from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.nats_answers import ACK_TIMEOUT, NOBODY, RawMessage
+from fibaction_transports.nats.nats_answers import ACK_TIMEOUT, NO_RESPONDERS, RawMessage
 from fibaction_transports.nats.nats_client import NatsClient
 from fibaction_transports.nats.note_queue import NoteQueue
 from fibaction_transports.nats.record_watch import watch_records
@@ -60,7 +60,7 @@ class NatsBroker(Broker):
 
     async def subscribe(self, subject: str, on_message: OnMessage, queue: str = "") -> Subscription:
         def on_raw(raw: RawMessage) -> None:
-            on_message(Message(raw.subject, raw.data, raw.reply, raw.status == NOBODY))
+            on_message(Message(raw.subject, raw.data, raw.reply, raw.status == NO_RESPONDERS))
 
         return await self._client.subscribe(subject, on_raw, queue)
 
@@ -104,7 +104,7 @@ class NatsBroker(Broker):
             answer = await self._client.request(
                 f"$JS.API.DIRECT.GET.{stream}.{subject}", b"", ACK_TIMEOUT
             )
-        except NobodyListens as exc:
+        except NoResponders as exc:
             if await jetstream.is_missing(self._client, stream):
                 return None
             raise BrokerAway(f"the stream {stream} does not answer") from exc

@@ -35,11 +35,11 @@ from fibaction._log import clean_logger
 from fibaction._notify import Notifier
 from fibaction.exceptions import TransportError
 from fibaction.wire.channel import CHUNK
-from fibaction_transports.nats.broker import BrokerAway, NobodyListens, Subscription
+from fibaction_transports.nats.broker import BrokerAway, NoResponders, Subscription
 from fibaction_transports.nats.fleet_settings import FleetSettings
 from fibaction_transports.nats.nats_answers import (
     ACK_TIMEOUT,
-    NOBODY,
+    NO_RESPONDERS,
     OnAnswer,
     OnRaw,
     PendingAnswers,
@@ -154,14 +154,14 @@ class NatsClient:
         """Send a message, and return the first answer.
 
         Raises:
-            NobodyListens: Nobody gets it.
+            NoResponders: The subject has no subscriber.
             BrokerAway: There was no answer within `timeout` seconds.
         """
         number = self._pending.number()
         command = _Command(subject, data, self._pending.subject(number), None, number)
         message = await self._answer_to(command, timeout)
-        if message.status == NOBODY:
-            raise NobodyListens(f"nobody gets {subject}")
+        if message.status == NO_RESPONDERS:
+            raise NoResponders(f"{subject} has no subscriber")
         return message
 
     async def flush(self, timeout: float = ACK_TIMEOUT) -> None:

@@ -16,7 +16,7 @@ import msgspec
 
 from fibaction._notify import Notifier
 from fibaction_transports.nats import jetstream
-from fibaction_transports.nats.broker import BrokerAway, NobodyListens, Note
+from fibaction_transports.nats.broker import BrokerAway, NoResponders, Note
 from fibaction_transports.nats.fleet_names import stream_of_note
 from fibaction_transports.nats.nats_answers import RawMessage
 from fibaction_transports.nats.nats_client import NatsClient
@@ -56,7 +56,7 @@ class NoteQueue:
                     if subscription is None:
                         subscription = await self._client.subscribe(inbox, self._on_message)
                     await self._take(inbox)
-                except (BrokerAway, NobodyListens, jetstream.ApiError):
+                except (BrokerAway, NoResponders, jetstream.ApiError):
                     self._connection = 0
                     await anyio.sleep(jetstream.TRY_AGAIN)
                 while self._found:

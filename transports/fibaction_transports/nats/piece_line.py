@@ -111,7 +111,7 @@ class PieceLine(Line):
     def handle(self, message: Message) -> None:
         """Take a message of the other end."""
         data = message.data
-        if message.nobody_listens:
+        if message.has_no_responders:
             self.end(ConnectionLost(f"{self.peer} is gone"))
         elif len(data) < HEAD:
             self.end(ConnectionLost(f"{self.peer} sent a piece that is too short"))
@@ -165,7 +165,7 @@ class PieceLine(Line):
         """Begin the line.
 
         Raises:
-            ServerNotFound: Nobody listens, or nobody answers.
+            ServerNotFound: There is no subscriber, or no answer.
         """
         self._publish(OPEN)
         with anyio.move_on_after(DIAL_TIMEOUT):

@@ -12,7 +12,7 @@ then a question finds a place. As offers end soon, a client that goes on comes t
 
 A worker that is frozen, or whose machine was switched off, still gets its share of the questions
 until the broker notices, and does not answer. So the first wait is short, and the next ones are
-longer, for a fleet that is only slow. A question that nobody gets is answered by the broker at
+longer, for a fleet that is only slow. A question without a subscriber is answered by the broker at
 once: then no worker has room. The leases tell whether there are any. A worker that is the only one
 gets the goal in any case, and tells by its rejection how many goals run and wait.
 """
@@ -36,7 +36,7 @@ from fibaction.exceptions import (
     copy_of,
 )
 from fibaction.wire.remote_goal import RemoteGoal
-from fibaction_transports.nats.broker import Broker, BrokerAway, NobodyListens
+from fibaction_transports.nats.broker import Broker, BrokerAway, NoResponders
 from fibaction_transports.nats.fleet_names import FleetNames
 from fibaction_transports.nats.fleet_records import Question, encode, offer
 from fibaction_transports.nats.fleet_workers import FleetWorkers
@@ -48,7 +48,7 @@ OFFER_LIFE = 0.25
 ROOM_WAIT = 0.25
 """Seconds in which a worker that has room by its lease must be found by questions."""
 ROOM_PAUSE = 0.02
-"""Seconds between two questions that nobody gets, within that time."""
+"""Seconds between two questions without a subscriber, within that time."""
 MOST_LEFT = 256
 """The most places of one action that are kept for other goals."""
 
@@ -180,7 +180,7 @@ class Places:
             asked_at = current_time()
             try:
                 return await self._one_answer(action, question, wait)
-            except NobodyListens:
+            except NoResponders:
                 worker = await self._last_resort(action, current_time() - began)
                 if worker:
                     return Place(worker), goals
@@ -200,7 +200,7 @@ class Places:
         until = current_time() + OFFER_LIFE
         try:
             answer = await self._broker.request(self._names.offer(action), question, wait)
-        except NobodyListens:
+        except NoResponders:
             answer = await self._broker.request(self._names.queue(action), question, wait)
             until = 0.0  # the room of a goal that ends is for one that waits
         offered = offer(answer)

@@ -23,7 +23,7 @@ import msgspec
 
 from fibaction._notify import Notifier
 from fibaction_transports.nats import jetstream
-from fibaction_transports.nats.broker import BrokerAway, NobodyListens, Record, Subscription, Watch
+from fibaction_transports.nats.broker import BrokerAway, NoResponders, Record, Subscription, Watch
 from fibaction_transports.nats.nats_answers import RawMessage
 from fibaction_transports.nats.nats_client import NatsClient
 
@@ -86,7 +86,7 @@ class RecordWatch(Watch):
                 await self._news.wait()
             try:
                 return await self._make_consumer()
-            except (BrokerAway, NobodyListens, jetstream.ApiError):
+            except (BrokerAway, NoResponders, jetstream.ApiError):
                 await anyio.sleep(jetstream.TRY_AGAIN)
 
     async def _make_consumer(self) -> None:
