@@ -1,6 +1,6 @@
 """The command `fibaction`: actions from a shell. Its parts need the extra `fibaction[cli]`.
 
-No other part of fibaction imports it.
+`python -m fibaction` imports it, and no other part of fibaction.
 """
 
 from __future__ import annotations

@@ -23,6 +23,7 @@ from fibaction.cli.exit_codes import ExitCode, debugging, report_errors
 from fibaction.cli.logs import CleanFormatter
 from fibaction.cli.options import URL
 from fibaction.cli.output import LogHandler
+from fibaction.cli.ros_args import without_ros_args
 
 VERBS = {
     "list": ("list", "list_command", "List the actions that are served."),
@@ -39,8 +40,14 @@ VERBS = {
     "workers": ("workers", "workers_command", "List the workers of a fleet."),
     "top": ("top", "top_command", "Watch all actions and goals on a live screen."),
     "serve": ("serve", "serve_command", "Run your action servers."),
+    "record": ("record_file", "record_command", "Record the goals of a server from outside."),
+    "replay": ("replay_file", "replay_command", "Answer goals as a recording has it."),
+    "show": ("show_file", "show_command", "Summarise a recording."),
+    "export": ("export_file", "export_command", "Write a recording as an MCAP file."),
     "broker": ("run_broker", "broker_command", "Run a broker for a fleet on this machine."),
     "bridge": ("bridge", "bridge_command", "Serve at one URL the actions of another."),
+    "console": ("console", "console_command", "Operate actions in the browser."),
+    "mcp": ("serve_mcp", "mcp_command", "Serve actions as tools of language models."),
     "gen": ("gen", "gen_command", "Write Python types for an .action file."),
 }
 """Each verb: its module in `fibaction.cli`, the name of its command there, and its short help."""
@@ -129,7 +136,7 @@ def main() -> None:
             # A character that the terminal's encoding does not have is printed as a number.
             stream.reconfigure(errors="backslashreplace")
     try:
-        cli.main(prog_name="fibaction")
+        cli.main(without_ros_args(sys.argv[1:]), prog_name="fibaction")
     except Exception as exc:
         if debugging():
             raise

@@ -25,6 +25,8 @@ apart."""
 GAP = "  "
 LEAST_END = 14
 """Least room for the reason or the result of a goal; with less they are left out."""
+GOOD_END = 30
+"""Room for the reason or the result that is worth shorter IDs."""
 LONGEST_END = 100
 """Characters of a reason or a result where the width is not limited."""
 
@@ -118,7 +120,8 @@ def in_columns(
     now = time.time() if now is None else now
     digits = 32
     table = _cells(rows, digits, now, actions=actions)
-    if width is not None and _width(table) > width:
+    needed = _width(table) + (GOOD_END if any(row.end for row in rows) else 0)
+    if width is not None and needed > width:
         digits = unambiguous(row.goal_id for row in rows)
         table = _cells(rows, digits, now, actions=actions)
     spare = None if width is None else width - _width(table)

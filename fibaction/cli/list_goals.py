@@ -17,7 +17,7 @@ from fibaction.cli.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.goal_lookup import ActionClients, goals_of
 from fibaction.cli.goal_table import GoalRow, in_color, in_columns, picture
 from fibaction.cli.options import json_option, url_option
-from fibaction.cli.outcomes import with_outcomes
+from fibaction.cli.outcomes import Outcomes
 from fibaction.cli.output import console, note, on_terminal, say, say_json
 from fibaction.cli.signals import until_interrupted
 from fibaction.cli.stored_goals import rows_of_store
@@ -74,7 +74,7 @@ async def list_goals(url: str, name: str | None, *, watch: bool, as_json: bool) 
     async with connect(url) as connection:
         if not watch:
             clients = await ActionClients(connection, name).now()
-            rows = await with_outcomes(clients, await goals_of(clients))
+            rows = await Outcomes().of(clients, await goals_of(clients))
             _print_once(rows, name, as_json=as_json)
         elif as_json or not on_terminal():
             printer = EventPrinter(as_json)
@@ -110,7 +110,7 @@ async def _watch_screen(connection: ClientConnection, name: str | None) -> None:
     from rich.live import Live
 
     screen = console()
-    actions = ActionClients(connection, name)
+    actions, outcomes = ActionClients(connection, name), Outcomes()
     clients = await actions.now()
     rows, away = await goals_of(clients), ""
     to_terminal = sys.stderr.isatty()  # output to a file does not disturb the list
@@ -125,6 +125,7 @@ async def _watch_screen(connection: ClientConnection, name: str | None) -> None:
                     rows, away = await goals_of(clients), ""
                 except ActionError as exc:
                     away = message_of(exc)
+            rows = await outcomes.of(clients, rows, PAUSE)
             if away:
                 await _check_connection(clients.values())
 

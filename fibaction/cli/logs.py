@@ -9,6 +9,7 @@ from typing import Any
 
 from fibaction._log import traceback_text
 from fibaction.cli.escape import clean
+from fibaction.log_records import GoalFilter, JsonFormatter
 
 
 class CleanFormatter(logging.Formatter):
@@ -28,12 +29,18 @@ class CleanFormatter(logging.Formatter):
 
 
 @contextmanager
-def log_with_time() -> Generator[None, None, None]:
-    """Log to stderr with the time during the block; warnings, and with `log_events` more."""
+def log_with_time(*, as_json: bool = False) -> Generator[None, None, None]:
+    """Log to stderr with the time during the block; warnings, and with `log_events` more.
+
+    With `as_json`, each record is a JSON object on one line, with the goal that it belongs to.
+    """
     root, files = logging.getLogger(), logging.getLogger("watchfiles")
     before = root.handlers[:], root.level, files.level
     handler = logging.StreamHandler()
     handler.setFormatter(CleanFormatter("%(asctime)s %(message)s"))
+    if as_json:
+        handler.addFilter(GoalFilter())
+        handler.setFormatter(JsonFormatter())
     root.handlers[:] = [handler]
     root.setLevel(logging.WARNING)
     files.setLevel(logging.ERROR)  # its warnings repeat what the command says

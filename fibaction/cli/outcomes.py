@@ -1,8 +1,9 @@
-"""The outcomes of goals that have ended, for `fibaction goals`."""
+"""The outcomes of goals that have ended, for `fibaction goals` and `fibaction top`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import anyio
 from msgspec.structs import replace
@@ -11,7 +12,7 @@ from fibaction.cli.escape import excerpt
 from fibaction.cli.goal_table import GoalRow
 from fibaction.cli.progress import on_one_line
 from fibaction.exceptions import ActionError
-from fibaction.goals import Outcome
+from fibaction.goals import GoalID, Outcome
 from fibaction.monitor import AnyClient
 
 MOST = 50
@@ -21,31 +22,48 @@ TIMEOUT = 2.0
 """Seconds for all of them; the list is shown then, without those that have not come."""
 
 
-async def with_outcomes(clients: Mapping[str, AnyClient], rows: Sequence[GoalRow]) -> list[GoalRow]:
-    """Return the rows, those of the newest goals that have ended with their outcomes."""
-    whole = {row.info.goal_id: row for row in rows}
+class Outcomes:
+    """The outcomes of the newest goals that have ended, each asked for once."""
 
-    async def ask(row: GoalRow) -> None:
-        client = clients[row.action]
-        try:
-            async with limit:
-                raw = await client.endpoint.get_result(row.info.goal_id)
-            result = None if raw.result is None else client.action.result.decode(raw.result)
-        except ActionError:
-            return  # it may be forgotten by now
-        outcome = Outcome(raw.status, result, raw.reason)
-        whole[row.info.goal_id] = replace(row, outcome=outcome, end=_text_of(outcome))
+    def __init__(self) -> None:
+        self._known: dict[GoalID, Outcome[Any]] = {}
 
-    ended = [row for row in rows if not row.info.status.is_active]
-    limit = anyio.CapacityLimiter(MOST_AT_ONCE)
-    with anyio.move_on_after(TIMEOUT):
-        async with anyio.create_task_group() as tasks:
-            for row in ended[-MOST:]:
-                tasks.start_soon(ask, row)
-    return list(whole.values())
+    async def of(
+        self,
+        clients: Mapping[str, AnyClient],
+        rows: Sequence[GoalRow],
+        timeout: float = TIMEOUT,
+    ) -> list[GoalRow]:
+        """Return the rows, those of the newest goals that have ended with their outcomes."""
+        newest = [row for row in rows if not row.info.status.is_active][-MOST:]
+        ids = {row.info.goal_id for row in newest}
+        self._known = {key: one for key, one in self._known.items() if key in ids}
+        limit = anyio.CapacityLimiter(MOST_AT_ONCE)
+
+        async def ask(row: GoalRow) -> None:
+            client, goal_id = clients[row.action], row.info.goal_id
+            try:
+                async with limit:
+                    raw = await client.endpoint.get_result(goal_id)
+                result = None if raw.result is None else client.action.result.decode(raw.result)
+            except ActionError:
+                return  # it may be forgotten by now
+            self._known[goal_id] = Outcome(raw.status, result, raw.reason)
+
+        with anyio.move_on_after(timeout):
+            async with anyio.create_task_group() as tasks:
+                for row in newest:
+                    if row.info.goal_id not in self._known:
+                        tasks.start_soon(ask, row)
+        return [with_outcome(row, self._known.get(row.info.goal_id)) for row in rows]
 
 
-def _text_of(outcome: Outcome[object]) -> str:
+def with_outcome(row: GoalRow, outcome: Outcome[Any] | None) -> GoalRow:
+    """Return the row with an outcome."""
+    return row if outcome is None else replace(row, outcome=outcome, end=end_of(outcome))
+
+
+def end_of(outcome: Outcome[Any]) -> str:
     """Return the reason; where there is none, the result on one line."""
     if outcome.reason:
         return excerpt(outcome.reason)

@@ -6,7 +6,7 @@ SIGINT. At a change it is stopped and the next one started; clients reconnect by
 module has an error, the process ends with it, and the next change starts another one.
 
 Ctrl-C in a terminal goes to both processes, and then this one stops the other: within `SAME_STOP`
-seconds these are one signal.
+seconds these are one signal. A second Ctrl-C ends the other process, and with it this one.
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ def run_reloading(
         names = sorted({str(Path(path).relative_to(folder)) for _, path in changes})
         note(f"{', '.join(names)} changed: starting again")
 
+    signal.signal(signal.SIGINT, _interrupt_once)
     # Not as an argument, where a list of processes would show a token in it.
     os.environ["FIBACTION_URL"] = default_url
     watchfiles.run_process(
@@ -69,6 +70,12 @@ def run_reloading(
         callback=report,
     )
     raise click.exceptions.Exit(ExitCode.SUCCEEDED)
+
+
+def _interrupt_once(number: int, _frame: object) -> None:
+    """Handle SIGINT as Python does, and ignore the next ones: the other process has them, too."""
+    signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def _command(target: str, urls: Sequence[str], options: Sequence[str]) -> list[str]:

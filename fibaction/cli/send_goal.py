@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import sys
 from contextlib import suppress
@@ -15,8 +16,9 @@ import msgspec
 from anyio import get_cancelled_exc_class
 
 from fibaction._api import ClientConnection, connect
+from fibaction._meta import trace_meta
 from fibaction._tasks import Background
-from fibaction.abc import Endpoint, GoalStream
+from fibaction.abc import Endpoint, GoalStream, Meta
 from fibaction.action import Action, ActionInfo
 from fibaction.cli.action_names import find_action, shown
 from fibaction.cli.completion import ACTION, TYPE_OR_GOAL
@@ -224,7 +226,11 @@ class _GoalSender:
         feedback = (self._options.feedback or self._printer.wants_all) and not self._options.detach
         try:
             stream = await self._endpoint.send_goal(
-                self._goal_id, payload, feedback=feedback, timeout=self._time_left()
+                self._goal_id,
+                payload,
+                feedback=feedback,
+                timeout=self._time_left(),
+                meta=_trace(is_detached=self._options.detach),
             )
         except get_cancelled_exc_class():
             # It may have arrived, and no client would know of it.
@@ -304,3 +310,9 @@ class _GoalSender:
             note("The goal was canceled before the server had accepted it.")
             return ExitCode.CANCELED
         return ExitCode.INTERRUPTED
+
+
+def _trace(*, is_detached: bool) -> Meta:
+    """Return the trace that the environment variables TRACEPARENT and so on tell."""
+    variables = {name.lower(): value for name, value in os.environ.items()}
+    return trace_meta(variables, is_detached=is_detached)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import os
 from collections.abc import AsyncGenerator, Callable, Generator, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from typing import Literal
 
 import anyio
@@ -22,6 +22,7 @@ from fibaction.cli.logs import log_events, log_with_time
 from fibaction.cli.options import reject_inproc, url_of
 from fibaction.cli.output import say
 from fibaction.cli.reload import SAME_STOP, run_reloading, started_by
+from fibaction.cli.serve_watchers import metrics_of, recorded
 from fibaction.cli.signals import stop_signals
 from fibaction.states import GoalStatus
 from fibaction.stores.sqlite_store import SqliteStore
@@ -43,6 +44,7 @@ Examples:
   fibaction serve robot:server
   fibaction serve robot:make_servers tcp://127.0.0.1:7400 unix:///run/robot.sock ros2://
   fibaction serve robot:server --store goals.db
+  fibaction serve robot:server --record today.jsonl --metrics :9464
   fibaction serve robot:server --reload""",
 )
 @click.argument("target", metavar="MODULE:SERVER")
@@ -53,6 +55,9 @@ Examples:
     type=click.Choice(["full", "normal"]),
     help="With --store: normal is faster, and may lose the last goals if the power fails.",
 )
+@click.option("--log-json", is_flag=True, help="Log JSON objects, one on a line, with goal IDs.")
+@click.option("--metrics", metavar="[HOST]:PORT", help="Serve /metrics and /healthz here, by HTTP.")
+@click.option("--record", metavar="FILE", help="Record everything that happens to goals.")
 @click.option("--reload", is_flag=True, help="Start again when the module's .py files change.")
 @click.option("--started-by", "parent", type=int, hidden=True)
 @click.pass_context
@@ -62,6 +67,9 @@ def serve_command(
     urls: tuple[str, ...],
     store: str | None,
     sync: Literal["full", "normal"] | None,
+    log_json: bool,
+    metrics: str | None,
+    record: str | None,
     reload: bool,
     parent: int | None,
 ) -> None:
@@ -80,11 +88,16 @@ def serve_command(
     where = urls or (url_of(context),)
     reject_inproc(*where)  # beside another one it is for clients in the module itself
     sync = sync or "full"
+    if record is not None:
+        record = os.path.abspath(record)
     if store is not None:
         store = os.path.abspath(store)  # the module may change the folder when it is imported
-    with log_with_time():
+    with log_with_time(as_json=log_json):
         if reload:
-            options = () if store is None else ("--store", store, "--sync", sync)
+            options: tuple[str, ...] = () if store is None else ("--store", store, "--sync", sync)
+            options += ("--log-json",) if log_json else ()
+            options += () if metrics is None else ("--metrics", metrics)
+            options += () if record is None else ("--record", record)
             run_reloading(target, urls, url_of(context), options)
         else:
             with started_by(parent):
@@ -93,7 +106,16 @@ def serve_command(
                 if store is not None:
                     keep_in_file(servers, store, sync)
                 with LastSeconds(LAST_SECONDS, ExitCode.SUCCEEDED) as last:
-                    run(serve_servers, servers, where, same=same, at_end=last.begin, uvloop=True)
+                    run(
+                        serve_servers,
+                        servers,
+                        where,
+                        metrics=metrics,
+                        record=record,
+                        same=same,
+                        at_end=last.begin,
+                        uvloop=True,
+                    )
 
 
 def keep_in_file(servers: Sequence[AnyServer], path: str, sync: Literal["full", "normal"]) -> None:
@@ -108,15 +130,24 @@ async def serve_servers(
     servers: Sequence[AnyServer],
     urls: Sequence[str],
     *,
+    metrics: str | None = None,
+    record: str | None = None,
     same: float | None = None,
     at_end: Callable[[], None],
 ) -> int:
     """Serve until a signal comes, then let the goals end and tell their clients.
 
-    A signal within `same` seconds of the first one is ignored: see `stop_signals`. `at_end` is
-    called when all servers have stopped.
+    With `metrics`, an address, metrics are served there, and with `record` everything is recorded
+    in that file. A signal within `same` seconds of the first one is ignored: see `stop_signals`.
+    `at_end` is called when all servers have stopped.
     """
-    async with stop_signals(same) as stop, served(servers, *urls) as where:
+    async with AsyncExitStack() as stack:
+        stop = await stack.enter_async_context(stop_signals(same))
+        if metrics is not None:
+            await stack.enter_async_context(metrics_of(servers, metrics))
+        if record is not None:
+            stack.enter_context(recorded(servers, record))
+        where = await stack.enter_async_context(served(servers, *urls))
         say(f"serving {names_of(servers)} at {', '.join(where)}, Ctrl-C stops it")
         with rare_collections():
             await stop.wait()

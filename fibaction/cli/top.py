@@ -31,11 +31,12 @@ Example:
   fibaction top
 
 \b
-Keys: c cancels the goal under the cursor, f or Enter follows it, q quits.""",
+Keys: c cancels the goal under the cursor, after a question; f or Enter shows the goal, its
+feedback and its end; / filters; s sorts; q quits.""",
 )
 @url_option
 def top_command(url: str) -> None:
-    """Watch all actions and goals on a live screen: rates, and the latest feedback."""
+    """Watch all actions and goals on a live screen: progress, rates, the latest feedback, ends."""
     if find_spec("textual") is None:
         raise Failure("fibaction top needs textual: pip install 'fibaction[tui]'", ExitCode.USAGE)
     # Textual draws on stderr.
@@ -65,7 +66,8 @@ async def show(connection: ClientConnection, url: str) -> None:
     Raises:
         ActionError: It is lost and is not reopened.
     """
-    from fibaction.cli.screen import FeedbackText, TopScreen
+    from fibaction.cli.screen import TopScreen
+    from fibaction.cli.screen_tables import FeedbackText
 
     monitor = Monitor(summarize=FeedbackText.of)
     screen = TopScreen(monitor, without_settings(url))

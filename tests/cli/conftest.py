@@ -28,7 +28,7 @@ import pyte
 import pytest
 from click.testing import CliRunner, Result
 
-from fibaction.cli import serve, signals
+from fibaction.cli import serve, serve_mcp, signals
 from fibaction.cli.app import cli
 from tests.cli.robot_module import MODULE
 from tests.processes import PATIENCE, Finished, ended, lines_until
@@ -224,7 +224,8 @@ def signals_of_its_own(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     alarm, and no end of the last seconds is left to the next test.
     """
     monkeypatch.setattr(signals, "GRACE", 60.0)
-    monkeypatch.setattr(serve, "LAST_SECONDS", 3600.0)
+    for module in (serve, serve_mcp):
+        monkeypatch.setattr(module, "LAST_SECONDS", 3600.0)
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
     before = [signal.getsignal(number) for number in numbers]
     yield

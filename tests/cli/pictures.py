@@ -2,7 +2,7 @@
 
     python -m tests.cli.pictures [--light] [FOLDER]
 
-It runs a server, and the commands in terminals of 80 and of 160 columns, and draws as SVG what is
+It runs a server, and the commands in terminals of 80 and of 100 columns, and draws as SVG what is
 on them then: into docs/cli/, unless another folder is named. The server is at the usual port, so
 nobody else may be.
 """
@@ -31,7 +31,7 @@ from tests.processes import ended, lines_until
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "cli"
 URL = "tcp://127.0.0.1:7400"
-WIDTHS = (80, 160)
+WIDTHS = (80, 100)
 LINES = 12
 CELL = (8.43, 18)
 """Points that a letter is wide and a line is high, for letters of 14 points."""
@@ -113,7 +113,11 @@ async def drive(goal: GoalHandle[Drive]) -> AsyncGenerator[Driving | Arrived, No
     for step in range(1, steps + 1):
         await anyio.sleep(0.1)
         done = step / steps
-        yield Driving(done, Place(to.x * done, to.y * done), "none" if step % 30 else "füñf 鳥")
+        yield Driving(
+            round(done, 3),
+            Place(round(to.x * done, 2), round(to.y * done, 2)),
+            "none" if step % 30 else "füñf 鳥",
+        )
     yield Arrived(to)
 
 
@@ -235,10 +239,14 @@ def pictures(columns: int, colors: Colors) -> Iterator[tuple[str, str]]:
         with opened("goals", "--watch", columns=columns) as goals:
             goals.until(r"2 active")
             yield "goals", goals.svg(colors)
-        with opened("top", columns=columns, lines=24) as top:
-            top.until(r" [1-9]\d*\.\d .*progress")
-            top.press("\x1b[Bf")
-            top.until(r"^ position:")
+        for speed in (2, 3, 5):
+            say("base/drive_to", f"{{to: {{x: 25, y: 40}}, speed: {speed}}}")
+        for thing in ("plate", "fork", "ghost"):
+            say("arm/pick", f"object_name: {thing}")
+        with opened("top", columns=columns, lines=34) as top:
+            top.until(r"base/drive_to .* [3-9]\d% .* position")
+            top.press("\x1b[A" * 11 + "f")  # the cursor may be at a goal that was there before
+            top.until(r"^ *speed: 5")
             yield "top", top.svg(colors)
 
 
@@ -262,16 +270,16 @@ def main() -> None:
     """Draw all pictures; with `--light`, as they look on a light background."""
     folders = [Path(argument) for argument in sys.argv[1:] if argument != "--light"]
     colors = LIGHT if "--light" in sys.argv else DARK
-    server = start_command("serve", "tests.cli.pictures:servers", URL)
-    try:
-        lines_until("serving", server)
-        for columns in WIDTHS:
+    for columns in WIDTHS:
+        server = start_command("serve", "tests.cli.pictures:servers", URL)
+        try:
+            lines_until("serving", server)
             for name, picture in pictures(columns, colors):
                 path = (folders or [FOLDER])[0] / f"{name}_{columns}.svg"
                 path.write_text(picture, encoding="utf-8")
-    finally:
-        server.kill()
-        ended(server)
+        finally:
+            server.kill()
+            ended(server)
 
 
 if __name__ == "__main__":

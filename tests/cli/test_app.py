@@ -79,7 +79,7 @@ def test_an_unknown_verb_is_not_completed() -> None:
 def run_main_with(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run the command line, whose verb ends with that error."""
 
-    def verb(**_: object) -> None:
+    def verb(*_: object, **__: object) -> None:
         raise error
 
     monkeypatch.setattr(app.cli, "main", verb)

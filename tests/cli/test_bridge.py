@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from signal import SIGINT, SIGKILL, SIGTERM
 from typing import Any
@@ -19,6 +22,8 @@ from fibaction.exceptions import ServerNotFound, TransportError
 from tests.cli.conftest import Invoke, Run, Start, eventually
 from tests.fibonacci import FIBONACCI, fibonacci
 from tests.processes import PATIENCE, ended, lines_until
+
+ROOT = Path(__file__).resolve().parents[2]
 
 # bridge, as a process
 
@@ -42,6 +47,25 @@ def test_a_bridge_serves_all_that_there_is_until_a_signal_comes(
 
     assert code == 0
     assert "Traceback" not in err
+
+
+def test_programs_of_rosbridge_find_a_bridge_in_place_of_their_server(
+    started: Start, tcp: str
+) -> None:
+    bridge = started("bridge", tcp, "http://0.0.0.0:0?insecure=true", "fibonacci")
+    (said,) = lines_until("", bridge)
+    found = re.search(r"http://0\.0\.0\.0:(\d+)", said)
+    assert found is not None
+    program = ROOT / "tests/transports/web/rosbridge/programs/short_program.py"
+    client = subprocess.Popen(
+        [sys.executable, str(program), f"ws://127.0.0.1:{found[1]}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    finished = ended(client)
+
+    assert finished.lines[-1:] == ["{'sequence': [0]}"], finished.err
 
 
 def test_a_bridge_waits_for_what_is_named_and_survives_the_server(

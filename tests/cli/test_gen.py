@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from fibaction.cli import gen
 from tests.cli.conftest import Invoke, Run
 
 FILES = Path(__file__).parent.parent / "action_files"
@@ -75,3 +76,45 @@ def test_an_error_is_one_of_usage_and_says_what_is_wrong(
 
 def test_the_help_has_an_example(invoke: Invoke) -> None:
     assert "fibaction gen Fibonacci.action > fibonacci_types.py" in invoke("gen", "--help").output
+
+
+def test_typescript_is_written_of_a_file_a_module_and_a_server(
+    fibaction: Run, invoke: Invoke, tcp: str, tmp_path: Path, folder: Path
+) -> None:
+    of_file = invoke("gen", "--ts", PICK_UP, "-n", "arm/pick")
+    assert '"arm/pick": ArmPickAction;' in of_file.output
+    of_module = fibaction("gen", "--ts", "robot:server")
+    assert (of_module.code, '"count": CountAction;' in of_module.out) == (0, True)
+    path = tmp_path / "robot.ts"
+    of_server = invoke("gen", "--ts", tcp, "-o", str(path))
+    assert (of_server.exit_code, of_server.output) == (0, "")
+    assert '"fibonacci": FibonacciAction;' in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (["no.action"], "no.action: No such file or directory"),
+        (["no:server"], "there is no module 'no' in "),
+        (["tcp://127.0.0.1:1"], "no server listens at tcp://127.0.0.1:1 "),
+        (["robot:server", "-n", "a"], "--name, --type and --search are for .action files"),
+        (["tests.cli.robot:servers", "-o", "/nowhere/x.ts"], "/nowhere/x.ts: No such file"),
+    ],
+)
+def test_typescript_that_cannot_be_written_is_one_sentence(
+    invoke: Invoke, arguments: list[str], error: str
+) -> None:
+    done = invoke("gen", "--ts", *arguments)
+
+    assert done.exit_code in (2, 6)
+    assert done.stderr.startswith(f"Error: {error}")
+
+
+def test_a_server_without_actions_has_no_types(
+    invoke: Invoke, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gen, "import_servers", lambda target: [])
+    done = invoke("gen", "--ts", "robot:server")
+
+    assert done.exit_code == 2
+    assert done.stderr == "Error: robot:server serves no actions, so there are no types\n"

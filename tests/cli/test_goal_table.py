@@ -92,7 +92,8 @@ def test_a_reason_or_a_result_is_shown_as_far_as_there_is_room() -> None:
 
     lines = in_columns(rows, actions=True, width=100, now=2.0)
     assert max(map(len, lines)) == 100
-    assert lines[2].endswith("  the arm is stuck t…")
+    assert lines[2].startswith("cccccccc  /arm/pick"), "an end is worth more than a whole ID"
+    assert lines[2].endswith("  -       the arm is stuck the arm is stuck the arm …")
     assert "RESULT" not in in_columns(rows, actions=True, width=70, now=2.0)[0]
 
 

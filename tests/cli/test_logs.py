@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import re
 
 import pytest
 
+from fibaction import GoalID
+from fibaction._current_goal import CurrentGoal, current_goal
 from fibaction.cli.logs import CleanFormatter, log_connection, log_events, log_with_time
 
 
@@ -61,3 +64,15 @@ def test_the_connection_is_logged_on_demand() -> None:
     log_connection()
 
     assert log.isEnabledFor(logging.INFO)
+
+
+def test_records_are_json_objects_with_their_goal_if_that_is_wanted(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with log_with_time(as_json=True):
+        current = current_goal.set(CurrentGoal("drive", GoalID(bytes(16))))
+        logging.getLogger("robot").warning("stuck")
+        current_goal.reset(current)
+
+    fields = json.loads(capsys.readouterr().err)
+    assert (fields["message"], fields["action"], fields["goal_id"]) == ("stuck", "drive", "0" * 32)

@@ -8,7 +8,7 @@ import pytest
 from fibaction import ActionClient, GoalAborted, GoalStatus, UnknownGoal
 from fibaction.cli import outcomes
 from fibaction.cli.goal_lookup import goals_of
-from fibaction.cli.outcomes import with_outcomes
+from fibaction.cli.outcomes import Outcomes
 from fibaction.monitor import AnyClient
 from tests.cli.served import counter
 
@@ -27,7 +27,7 @@ async def test_goals_that_have_ended_have_a_reason_or_a_result(
         await client.send_goal(1)
         clients: dict[str, AnyClient] = {"count": client}
         rows = await goals_of(clients)
-        whole = await with_outcomes(clients, rows)
+        whole = await Outcomes().of(clients, rows)
         assert [row.info for row in whole] == [row.info for row in rows]
         assert [row.end for row in whole] == ["done\\x1b", "stuck", "", ""]
         succeeded, aborted, empty, running = (row.outcome for row in whole)
@@ -38,7 +38,7 @@ async def test_goals_that_have_ended_have_a_reason_or_a_result(
         assert running is None
 
         monkeypatch.setattr(outcomes, "MOST", 1)
-        newest = await with_outcomes(clients, rows)
+        newest = await Outcomes().of(clients, rows)
         assert [row.outcome is not None for row in newest] == [False, False, True, False]
 
 
@@ -59,4 +59,25 @@ async def test_a_server_that_does_not_give_an_outcome_is_left_with_its_list(
 
         for answer in (forgotten, silent):
             monkeypatch.setattr(server, "get_result", answer)
-            assert await with_outcomes({"count": client}, rows) == rows
+            assert await Outcomes().of({"count": client}, rows) == rows
+
+
+async def test_an_outcome_is_asked_for_once_while_its_goal_is_listed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with counter("count", ["one"], ["two"]) as server:
+        client = ActionClient(server, server.action)
+        await client.call(1)
+        await client.call(1)
+        clients: dict[str, AnyClient] = {"count": client}
+        rows = await goals_of(clients)
+        kept = Outcomes()
+        assert [row.end for row in await kept.of(clients, rows)] == ["one", "two"]
+
+        async def forgotten(goal_id: object) -> None:
+            raise UnknownGoal(rows[0].info.goal_id)
+
+        monkeypatch.setattr(server, "get_result", forgotten)
+        assert [row.end for row in await kept.of(clients, rows)] == ["one", "two"]
+        await kept.of(clients, rows[1:])
+        assert [row.end for row in await kept.of(clients, rows)] == ["", "two"]

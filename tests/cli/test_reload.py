@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -202,6 +203,21 @@ def test_the_other_process_is_the_command_without_reload(
     assert not counts(watchfiles.Change.modified, "/robot/site-packages/arm.py")
     asked["callback"]({(1, str(file.parent / name)) for name in ("b.py", "a.py")})
     assert capsys.readouterr().err == "a.py, b.py changed: starting again\n"
+
+
+def test_only_the_first_ctrl_c_interrupts_the_process_that_watches(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run_process(*_: object, **__: object) -> None:
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(SIGINT)
+        signal.raise_signal(SIGINT)  # while it waits for the other process
+
+    monkeypatch.setattr(watchfiles, "run_process", run_process)
+    with pytest.raises(click.exceptions.Exit) as exit:
+        reload.run_reloading("reloaded:server", [], "tcp://robot")
+
+    assert exit.value.exit_code == 0
 
 
 def test_without_a_parent_an_error_is_the_callers() -> None:

@@ -14,7 +14,8 @@ from textual.widgets import DataTable
 from fibaction import ActionInfo, CancelAnswer, ConnectionLost, GoalID, GoalInfo, Outcome
 from fibaction.cli import screen
 from fibaction.cli.escape import clean
-from fibaction.cli.screen import FeedbackText, TopScreen
+from fibaction.cli.screen import TopScreen
+from fibaction.cli.screen_tables import FeedbackText
 from fibaction.events import GoalFeedback
 from fibaction.monitor import GoalKey, Monitor
 from fibaction.states import GoalStatus
@@ -43,7 +44,7 @@ async def shown(monitor: Monitor, columns: int = 80) -> AsyncGenerator[Pilot[Non
     app = TopScreen(monitor, "tcp://robot:7400")
     async with app.run_test(size=(columns, 24), notifications=True) as pilot:
         with anyio.fail_after(PATIENCE):
-            while "Quit" not in lines(pilot)[-1]:  # the keys come last, a moment later
+            while "q Quit" not in lines(pilot)[-1]:  # the keys come last, a moment later
                 await pilot.pause()
         yield pilot
 
@@ -70,7 +71,7 @@ async def test_everything_fits_the_width(columns: int) -> None:
         state, heads = lines(pilot)[:2]
         goals = find(pilot, "LATEST")
         first = find(pilot, "11111111").split()
-        assert state == " tcp://robot:7400  2 active, 0 ended, 0.0 feedback/s"
+        assert state == " tcp://robot:7400  2 active, 0 ended, 0.0 feedback/s  newest first"
         assert heads.split() == ["ACTION", "ACTIVE", "ENDED", "FEEDBACK/S", "TYPE"]
         assert find(pilot, "arm/action/Pick").split()[:2] == ["/arm/pick", "2"]
         assert "away: its server has stopped" in find(pilot, " /wait")
@@ -78,7 +79,7 @@ async def test_everything_fits_the_width(columns: int) -> None:
         assert "41" in first
         assert first[-1].endswith("…"), "what does not fit is seen to be cut"
         assert ("CLIENT" in goals) == ("1.2.3.4:5" in " ".join(first)) == (columns == 160)
-        assert "q Quit  c Cancel goal  f Follow goal" in lines(pilot)[-1]
+        assert "c Cancel goal  f Follow goal  / Filter  s Sort  q Quit" in lines(pilot)[-1]
         for name in ("#actions", "#goals"):
             assert pilot.app.query_one(name).max_scroll_x == 0
 
@@ -182,7 +183,7 @@ async def test_the_goal_under_the_cursor_is_canceled(monkeypatch: pytest.MonkeyP
         monitor.on_event("arm/pick", GoalInfo(FIRST, 1, GoalStatus.EXECUTING))
         assert isinstance(pilot.app, TopScreen)
         pilot.app.draw()
-        await pilot.press("c")
+        await pilot.press("c", "y")
         await pilot.app.workers.wait_for_complete()
         assert (await goal.outcome()).status is GoalStatus.CANCELED
         await pilot.pause()
@@ -211,10 +212,72 @@ async def test_what_is_not_canceled_is_told_of(
 
     monkeypatch.setattr(server, "cancel_goals", cancel)
     async with shown(monitor, 160) as pilot:
-        await pilot.press("c")
+        await pilot.press("c", "y")
         await pilot.app.workers.wait_for_complete()
         await pilot.pause()
         assert find(pilot, text)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("key", ["n", "escape"])
+async def test_a_goal_is_left_when_the_question_is_answered_with_no(key: str) -> None:
+    async with shown(filled()) as pilot:
+        await pilot.press("c")
+        await pilot.pause()
+        assert find(pilot, "Cancel the goal 11111111 of /arm/pick?")
+        with anyio.fail_after(PATIENCE):
+            while "y Yes, cancel it  n No  q Quit" not in lines(pilot)[-1]:
+                await pilot.pause()
+        await pilot.press("f", key, "y")  # neither follows nor cancels
+        await pilot.pause()
+        assert not [line for line in lines(pilot) if "Cancel the goal" in line]
+        assert not pilot.app.query_one("#followed").display
+        assert not pilot.app.workers
+
+
+@pytest.mark.asyncio
+async def test_goals_are_filtered_while_the_words_are_typed() -> None:
+    async with shown(filled(), 160) as pilot:
+        await pilot.press("slash", *"q2222")
+        await pilot.pause()
+        assert "0 of 2 with “q2222”" in lines(pilot)[0]
+        await pilot.press("home", "delete", "enter")
+        await pilot.pause()
+        assert "1 of 2 with “2222”" in lines(pilot)[0]
+        assert find(pilot, "22222222")
+        assert not [line for line in lines(pilot) if "11111111" in line]
+        assert not pilot.app.query_one("#filter").display
+        await pilot.press("escape")
+        await pilot.pause()
+        assert "with" not in lines(pilot)[0]
+        assert find(pilot, "11111111")
+
+
+@pytest.mark.asyncio
+async def test_goals_are_sorted_in_the_next_order() -> None:
+    async with shown(filled()) as pilot:
+        await pilot.press("s")
+        await pilot.pause()
+        assert lines(pilot)[0].endswith("  oldest first")
+        ids = [line.split()[0] for line in lines(pilot) if "EXECUTING" in line]
+        assert ids == ["22222222", "11111111"]
+
+
+@pytest.mark.asyncio
+async def test_a_goal_that_is_followed_shows_what_was_sent() -> None:
+    server = counter("arm/pick")
+    client = Served(server).connection.client(server.action)
+    monitor = Monitor(summarize=FeedbackText.of)
+    monitor.on_action_found(server.info, client)
+    async with server:
+        await client.send_goal(77, goal_id=FIRST)
+        monitor.on_event("arm/pick", GoalInfo(FIRST, 1, GoalStatus.EXECUTING))
+        async with shown(monitor) as pilot:
+            await pilot.press("f")
+            with anyio.fail_after(PATIENCE):
+                while not any("77" in line for line in lines(pilot)):
+                    await pilot.pause()
+            assert find(pilot, "Goal:")
 
 
 @pytest.mark.asyncio
@@ -286,7 +349,7 @@ async def test_a_goal_that_has_ended_is_shown_with_its_reason_and_result(
     async with shown(monitor) as pilot:
         await pilot.press("f")
         with anyio.fail_after(PATIENCE):
-            while not any(texts[0] in line for line in lines(pilot)):
+            while not any(texts[-1] in line for line in lines(pilot)):
                 await pilot.pause()
         assert all(find(pilot, text) for text in texts)
         assert find(pilot, "No feedback has come")

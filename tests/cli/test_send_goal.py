@@ -26,9 +26,11 @@ from fibaction import (
     Schedule,
     Sender,
     ServerNotFound,
+    Watcher,
     connect,
     serve,
 )
+from fibaction.abc import Meta
 from fibaction.action import Action
 from fibaction.cli import send_goal
 from fibaction.cli.exit_codes import ExitCode, Failure
@@ -423,6 +425,36 @@ async def until(server: ActionServer[Any, Any, Any], status: GoalStatus) -> None
         while (info := await statuses.receive()) and info.status is not status:
             pass
     assert info is not None
+
+
+class Noting(Watcher):
+    """A watcher that notes the meta of each goal."""
+
+    def __init__(self) -> None:
+        self.metas: list[dict[str, str]] = []
+
+    def offered(
+        self, action: str, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta
+    ) -> None:
+        self.metas.append(dict(meta))
+
+
+@pytest.mark.asyncio
+async def test_the_trace_of_the_environment_goes_with_the_goal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    noting, action = Noting(), Action("count", goal=int, feedback=int, result=str)
+    server = ScriptedServer(action, ["there"])
+    server.watch_by([noting])
+    monkeypatch.setenv("TRACEPARENT", "00-1")
+    monkeypatch.setenv("BAGGAGE", "b=2")
+    async with serve(server, "inproc://keys"):
+        for detach in (False, True):
+            options = SendOptions(False, None, detach, as_json=True, full=False)
+            assert await send("inproc://keys", "count", "", "3", options) == ExitCode.SUCCEEDED
+
+    trace = {"traceparent": "00-1", "baggage": "b=2"}
+    assert noting.metas == [trace, {"detached": "1", **trace}]
 
 
 @pytest.mark.asyncio

@@ -128,7 +128,9 @@ def test_reload_is_another_process(invoke: Invoke, monkeypatch: pytest.MonkeyPat
     assert invoke(*command, "--store", "goals.db", url="tcp://b").exit_code == 0
     common = ("robot:server", ("unix:///a",), "tcp://b")
     kept = ("--store", os.path.abspath("goals.db"), "--sync", "full")
-    assert asked == [(*common, ()), (*common, kept)]
+    more = ("--log-json", "--metrics", ":0", "--record", os.path.abspath("a.jsonl"))
+    assert invoke(*command, *more, url="tcp://b").exit_code == 0
+    assert asked == [(*common, ()), (*common, kept), (*common, more)]
 
 
 def test_ctrl_c_during_the_import_is_an_interruption(folder: Path, invoke: Invoke) -> None:

@@ -42,12 +42,13 @@ def test_the_goals_of_a_store_are_listed_as_those_of_a_server(here: Run, path: P
 
     assert found.code == 0
     heading, *goals = [line.split() for line in found.lines]
-    assert heading == ["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "CLIENT"]
+    assert heading == ["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "CLIENT", "REASON,", "RESULT"]
     assert [goal[1:3] for goal in goals] == [
         ["/paint", "SUCCEEDED"],
         ["/arm/drive", "SUCCEEDED"],
         ["/paint", "SUCCEEDED"],
     ]
+    assert [goal[-2:] for goal in goals] == [["done", "1"], ["done", "2"], ["done", "3"]]
 
 
 def test_the_goals_of_one_action_are_listed_as_json(here: Run, path: Path) -> None:
@@ -56,6 +57,10 @@ def test_the_goals_of_one_action_are_listed_as_json(here: Run, path: Path) -> No
     assert [(goal["action"], goal["status"]) for goal in found.json] == [("paint", "SUCCEEDED")] * 2
     assert found.json[0]["feedback_count"] == 1
     assert found.json[0]["attempt"] == 1
+    assert [(goal["reason"], goal["result"]) for goal in found.json] == [
+        ("", "done 1"),
+        ("", "done 3"),
+    ]
 
 
 def test_a_goal_that_runs_again_tells_its_attempt(here: Run, tmp_path: Path) -> None:

@@ -32,13 +32,16 @@ def test_goals_can_be_watched_followed_and_canceled(
         "send_goal", "wait", "{seconds: 60, steps: 600}", "--detach", url=url
     ).out.strip()
     shown = terminal("top", url=url, columns=columns)
-    shown.until(rf"{goal_id[:8]} +/wait +EXECUTING .*progress: ")
+    shown.until(rf"{goal_id[:8]} +/wait +EXECUTING +━*╸?─*  *\d+% .* step: ")
     # Goals of tests before this one may have come before it, and the cursor is at one of them.
     shown.press("\x1b[A" * 10)
     shown.press("f")
     shown.until(f"/wait {goal_id} EXECUTING")
-    shown.until("^ step: step")
+    shown.until("^ *step: step")
+    shown.until("^ *seconds: 60")
     shown.press("c")
+    shown.until(rf"Cancel the goal {goal_id[:8]} of /wait\?")
+    shown.press("y")
     shown.until(rf"{goal_id[:8]} +/wait +CANCELED")
     assert len(shown.screen) == 24
     shown.press("q")

@@ -1,0 +1,195 @@
+"""`console`: as a process, and piece by piece in this one."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import urllib.error
+import urllib.request
+import webbrowser
+from pathlib import Path
+from signal import SIGKILL, SIGTERM
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import ActionInfo
+from fibaction._notify import Notifier
+from fibaction.cli import console
+from fibaction.cli.exit_codes import ExitCode
+from fibaction.exceptions import TransportError
+from tests.cli.conftest import Invoke, Run, Start, eventually
+from tests.cli.served import Served, counter
+from tests.processes import PATIENCE, ended, lines_until
+
+ADDRESS = re.compile(r"console of (\S+) at (http://127\.0\.0\.1:\d+)/#token=(\S+) , Ctrl-C")
+
+
+def fetched(url: str, token: str = "") -> tuple[int, bytes]:
+    """Return the status and the body of an answer."""
+    headers = {"Authorization": f"Bearer {token}"} if token else {}
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers)) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as exc:
+        with exc:
+            return exc.code, b""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, SIGTERM])
+def test_the_page_and_the_actions_are_served_until_a_signal_comes(
+    started: Start, fibaction: Run, tcp: str, number: signal.Signals
+) -> None:
+    process = started("console", tcp, "--no-open")
+    found = ADDRESS.search(lines_until("console of", process)[-1])
+    assert found is not None
+    there, url, token = found.groups()
+    assert there == tcp
+    status, page = fetched(f"{url}/")
+    assert (status, b"fibaction console" in page) == (200, True)
+    assert fetched(f"{url}/actions")[0] == 401
+    names = [info["name"] for info in json.loads(fetched(f"{url}/actions", token)[1])]
+    assert "fibonacci" in names
+    done = fibaction("send_goal", "fibonacci", "order: 4", url=f"{url}?token={token}")
+    assert (done.code, done.lines[-1]) == (0, "Goal finished with status: SUCCEEDED")
+    process.send_signal(number)
+    assert ended(process).code == 0
+
+
+def test_actions_come_and_go_and_the_server_may_be_away(
+    tmp_path: Path, folder: Path, started: Start
+) -> None:
+    far = f"unix://{tmp_path}/far"
+    server = started("serve", "robot:several", far)
+    lines_until("serving", server)
+    process = started("console", far, "--no-open")
+    found = ADDRESS.search(lines_until("console of", process)[-1])
+    assert found is not None
+    _, url, token = found.groups()
+    server.send_signal(SIGKILL)
+    server.wait(PATIENCE)
+    server = started("serve", "robot:server", far)
+    lines_until("serving", server)
+
+    def names() -> list[str]:
+        return [info["name"] for info in json.loads(fetched(f"{url}/actions", token)[1])]
+
+    eventually(lambda: names() == ["count"])
+    process.send_signal(SIGTERM)
+    assert ended(process).code == 0
+
+
+def test_a_server_that_is_not_there_is_one_sentence(invoke: Invoke, nobody: str) -> None:
+    result = invoke("console", nobody)
+    assert result.exit_code == ExitCode.UNREACHABLE
+    assert result.stderr.startswith(f"Error: no server listens at {nobody} ")
+
+    result = invoke("console", "inproc://robot")
+    assert result.exit_code == ExitCode.USAGE
+
+
+@pytest.mark.parametrize(
+    ("environment", "platform", "can"),
+    [
+        ({"DISPLAY": ":0"}, "linux", True),
+        ({"WAYLAND_DISPLAY": "w"}, "linux", True),
+        ({"BROWSER": "x"}, "linux", True),
+        ({}, "linux", False),
+        ({}, "darwin", True),
+    ],
+)
+def test_a_browser_is_opened_where_there_are_windows(
+    environment: dict[str, str], platform: str, can: bool
+) -> None:
+    assert console.can_open(environment, platform) is can
+
+
+def test_no_browser_is_opened_where_none_is_wanted(
+    invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+
+    def tell_and_stop(text: str) -> None:
+        told.append(text)
+        signal.raise_signal(SIGTERM)
+
+    monkeypatch.setattr(console, "say", tell_and_stop)
+    monkeypatch.setattr(webbrowser, "open", told.append)
+    result = invoke("console", tcp, "--no-open")
+
+    assert result.exit_code == ExitCode.SUCCEEDED
+    assert [ADDRESS.search(text) is not None for text in told] == [True]
+
+
+def test_the_browser_gets_the_address_with_the_token(
+    invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[str] = []
+
+    def open_and_stop(address: str) -> None:
+        opened.append(address)
+        signal.raise_signal(SIGTERM)
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(webbrowser, "open", open_and_stop)
+    result = invoke("console", tcp)
+    assert result.exit_code == 0
+    found = ADDRESS.search(result.stdout)
+    assert found is not None
+    assert opened == [f"{found[2]}/#token={found[3]}"]
+
+
+# The actions
+
+
+class Asked(Served):
+    """A connection that counts how often it was asked for its actions."""
+
+    def __init__(self, *servers: Any) -> None:
+        super().__init__(*servers)
+        self._times = 0
+        self._news = Notifier()
+
+    async def actions(self) -> list[ActionInfo]:
+        self._times += 1
+        self._news.notify()
+        return await super().actions()
+
+    async def asked_again(self) -> None:
+        """Wait until an answer from now on was taken, which is before the next question."""
+        wanted = self._times + 2
+        with anyio.fail_after(PATIENCE):
+            while self._times < wanted:
+                await self._news.wait()
+
+
+@pytest.mark.asyncio
+async def test_what_is_served_follows_what_can_be_reached(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served = Asked(counter("one"))
+    found = console.Found(served)
+    found.take(await served.actions())
+    assert list(found.endpoints) == ["one"]
+    before = found.endpoints["one"]
+
+    monkeypatch.setattr(console, "PERIOD", 0.001)
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(found.follow)
+        served.unusable.add("broken")
+        served.servers |= {name: counter(name) for name in ("other", "broken")}
+        await served.asked_again()
+        assert set(found.endpoints) == {"one", "other"}
+        assert found.endpoints["one"] is before
+        served.error = TransportError("it is away")
+        await served.asked_again()
+        assert set(found.endpoints) == {"one", "other"}
+        served.error = None
+        del served.servers["one"]
+        await served.asked_again()
+        assert set(found.endpoints) == {"other"}
+        tasks.cancel_scope.cancel()
+    text = capsys.readouterr().err
+    assert text.count("/broken is left out: the type of broken is not installed") == 1

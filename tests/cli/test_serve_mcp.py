@@ -1,0 +1,278 @@
+"""`mcp`: as a process that a client of the SDK starts, over HTTP, and piece by piece here."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import json
+import os
+import re
+import signal
+import sys
+import urllib.error
+import urllib.request
+from pathlib import Path
+from signal import SIGINT, SIGKILL, SIGTERM
+from typing import Any
+
+import anyio
+import pytest
+from mcp import Client, StdioServerParameters
+from mcp_types import CallToolResult, ElicitResult, TextContent
+
+from fibaction.agents import McpBridge
+from fibaction.cli import serve_mcp
+from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.cli.serve_mcp import host_and_port, named_servers
+from tests.cli.conftest import Invoke, Start, command, environment
+from tests.processes import PATIENCE, ended, lines_until
+
+OWN = ["send_goal", "goal_status", "cancel_goal"]
+LONG = 50.0
+"""Seconds for a test with several processes, one after another."""
+ADDRESS = re.compile(r"over (http\S+) with the token (\S+), Ctrl-C stops it")
+
+
+def client(*arguments: str, answer: Any = None, mode: Any = "auto") -> Client:
+    """A client that starts the command, and whose user always answers so."""
+
+    async def ask(context: Any, params: Any) -> ElicitResult:
+        return ElicitResult(action=answer, content={})
+
+    python, *rest = command("mcp", *arguments)
+    process = StdioServerParameters(command=python, args=rest, env=environment(None))
+    return Client(process, mode=mode, elicitation_callback=ask if answer else None)
+
+
+def text_of(result: CallToolResult) -> str:
+    (content,) = result.content
+    assert isinstance(content, TextContent)
+    return content.text
+
+
+# Over stdio
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("mode", ["legacy", "auto"])
+async def test_a_client_starts_it_and_its_user_is_asked(tcp: str, mode: Any) -> None:
+    with anyio.fail_after(LONG):
+        async with client(tcp, answer="accept", mode=mode) as made:
+            tools = [tool.name for tool in (await made.list_tools()).tools]
+            assert tools[-3:] == OWN
+            assert "arm-pick" in tools
+            result = await made.call_tool("fibonacci", {"order": 3})
+            data: Any = result.structured_content
+            assert data["result"] == {"sequence": [0, 1, 1, 2]}
+            rejected = await made.call_tool("arm-pick", {"object_name": "sun"})
+            assert rejected.is_error
+            assert "the sun is too hot" in text_of(rejected)
+
+
+@pytest.mark.asyncio
+async def test_a_client_that_cannot_ask_sends_what_the_command_line_permits(tcp: str) -> None:
+    arguments = (tcp, "--allow", "fibonacci", "--allow", "wait", "--unasked", "fibonacci")
+    with anyio.fail_after(LONG):
+        async with client(*arguments) as made:
+            assert [tool.name for tool in (await made.list_tools()).tools] == [
+                "fibonacci",
+                "wait",
+                *OWN,
+            ]
+            assert "must agree" in text_of(await made.call_tool("wait", {}))
+            done = await made.call_tool("fibonacci", {"order": 3})
+            assert not done.is_error
+
+
+@pytest.mark.asyncio
+async def test_the_server_is_killed_and_comes_back_at_the_same_address(
+    tmp_path: Path, folder: Path, started: Start
+) -> None:
+    far = f"unix://{tmp_path}/far"
+    server = started("serve", "robot:server", far)
+    lines_until("serving", server)
+    with anyio.fail_after(LONG):
+        async with client(far, "--unasked", "*") as made:
+            assert not (await made.call_tool("count", {"goal": 1})).is_error
+            server.send_signal(SIGKILL)
+            await anyio.to_thread.run_sync(server.wait)
+            server = started("serve", "robot:server", far)
+            await anyio.to_thread.run_sync(lines_until, "serving", server)
+            # The call waits for the connection, which comes back.
+            assert not (await made.call_tool("count", {"goal": 1})).is_error
+
+
+@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
+def test_a_signal_ends_it_while_it_waits_for_a_line(
+    started: Start, tcp: str, number: signal.Signals
+) -> None:
+    process = started("mcp", tcp)
+    lines_until("serving the tools .* over stdin and stdout", process, errors=True)
+    process.send_signal(number)
+    assert process.wait(PATIENCE) == 0
+    assert process.stdout is not None
+    assert process.stdout.read() == ""
+
+
+def test_the_end_of_stdin_ends_it_and_nothing_else_is_on_stdout(
+    invoke: Invoke, nobody: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO()))
+    result = invoke("mcp", nobody)
+    assert result.exit_code == ExitCode.SUCCEEDED
+    assert result.stdout == ""
+    assert "serving the tools send_goal, goal_status, cancel_goal over" in result.stderr
+    assert "; the server cannot be reached yet: no server listens at" in result.stderr
+
+
+def test_a_signal_ends_it_in_this_process(nobody: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    read, write = os.pipe()
+
+    def note_and_stop(_: str) -> None:
+        signal.raise_signal(SIGTERM)
+
+    monkeypatch.setattr(serve_mcp, "note", note_and_stop)
+
+    class Waits:
+        """An input that nobody writes to, until the bridge has ended."""
+
+        def begin(self) -> None:
+            os.close(write)
+
+    async def run() -> int:
+        waits: Any = Waits()
+        with os.fdopen(read, "rb") as raw, io.TextIOWrapper(raw) as stdin:
+            monkeypatch.setattr(sys, "stdin", stdin)
+            return await serve_mcp.serve_stdio(McpBridge(nobody), waits)
+
+    assert anyio.run(run) == ExitCode.SUCCEEDED
+
+
+# Over HTTP
+
+
+def status_of(url: str, token: str = "") -> int:
+    """Return the status of the answer to a first request."""
+    hello = {"protocolVersion": "2025-11-25", "capabilities": {}}
+    hello["clientInfo"] = {"name": "test", "version": "1"}
+    body = json.dumps({"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": hello})
+    headers = {
+        "Content-Type": "application/json",
+        "Accept": "application/json, text/event-stream",
+        **({"Authorization": f"Bearer {token}"} if token else {}),
+    }
+    request = urllib.request.Request(url, body.encode(), headers)
+    try:
+        with urllib.request.urlopen(request) as answer:
+            return int(answer.status)
+    except urllib.error.HTTPError as exc:
+        with exc:
+            return exc.code
+
+
+def test_over_http_a_new_token_is_printed(started: Start, tcp: str) -> None:
+    process = started("mcp", tcp, "--http", ":0")
+    found = ADDRESS.search(lines_until("serving", process)[-1])
+    assert found is not None
+    url, token = found.groups()
+    assert url.startswith("http://127.0.0.1:")
+    assert len(token) >= 16
+    assert (status_of(url), status_of(url, "wrong"), status_of(url, token)) == (401, 401, 200)
+    process.send_signal(SIGTERM)
+    assert ended(process).code == 0
+
+
+def test_over_http_the_token_may_come_from_the_environment(
+    invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+
+    def say_and_stop(text: str) -> None:
+        told.append(text)
+        signal.raise_signal(SIGTERM)
+
+    monkeypatch.setattr(serve_mcp, "say", say_and_stop)
+    result = invoke("mcp", tcp, "--http", ":0", env={"FIBACTION_MCP_TOKEN": "s3cret"})
+    assert result.exit_code == 0
+    result = invoke("mcp", tcp, "--http", "127.0.0.1:0")
+    assert result.exit_code == 0
+    first, second = told
+    assert "with the token in FIBACTION_MCP_TOKEN, Ctrl-C" in first
+    assert "s3cret" not in first
+    assert ADDRESS.search(second)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "env", "text"),
+    [
+        (["--http", "0.0.0.0:0"], {}, "use TLS, with --cert and --key, or, if"),
+        (["--http", "no.invalid:0"], {}, "use TLS"),
+        (["--http", ":0"], {"FIBACTION_MCP_TOKEN": "x" * 5000}, "FIBACTION_MCP_TOKEN: token has"),
+        (["--http", "8090"], {}, "--http is like :8090 or 127.0.0.1:8090, not '8090'"),
+        (["--cert", "a.pem"], {}, "are settings of --http"),
+        (["--allow", ""], {}, "cannot be empty"),
+        (["--patience", "0"], {}, "0.0 is not in the range"),
+    ],
+)
+def test_what_cannot_be_used_is_one_sentence(
+    invoke: Invoke, tcp: str, arguments: list[str], env: dict[str, str], text: str
+) -> None:
+    result = invoke("mcp", tcp, *arguments, env=env)
+    assert result.exit_code == ExitCode.USAGE
+    assert text in result.stderr
+
+
+def test_without_the_library_it_says_how_to_install_it(
+    invoke: Invoke, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def find_none(_: str) -> None:
+        return None
+
+    monkeypatch.setattr(serve_mcp, "find_spec", find_none)
+    assert importlib.util.find_spec("mcp") is not None
+    result = invoke("mcp", "tcp://127.0.0.1:1")
+    assert result.exit_code == ExitCode.USAGE
+    assert "fibaction mcp needs mcp: pip install 'fibaction[mcp]'" in result.stderr
+
+
+# The arguments
+
+
+def test_a_server_may_have_a_name() -> None:
+    assert named_servers(["tcp://h:1?token=a=b"]) == {"": "tcp://h:1?token=a=b"}
+    assert named_servers(["left=tcp://h:1?token=a=b", "right=nats+tls://h/x"]) == {
+        "left": "tcp://h:1?token=a=b",
+        "right": "nats+tls://h/x",
+    }
+
+
+@pytest.mark.parametrize(
+    ("addresses", "text"),
+    [
+        (["robot"], "'robot' is not a URL, nor NAME=URL"),
+        (["tcp://h:1?token=s3cret", "tcp://h:2"], "need names, .*: left=tcp://h:1$"),
+        (["a=tcp://h:1", "a=tcp://h:2"], "two servers have the name a"),
+        (["inproc://robot"], "inproc://robot is for clients in the process"),
+    ],
+)
+def test_addresses_that_cannot_be_used_are_one_sentence(addresses: list[str], text: str) -> None:
+    with pytest.raises(Failure, match=text):
+        named_servers(addresses)
+
+
+@pytest.mark.parametrize(
+    ("address", "parts"),
+    [
+        (":8090", ("127.0.0.1", 8090)),
+        ("0.0.0.0:80", ("0.0.0.0", 80)),
+        ("[::1]:0", ("::1", 0)),
+    ],
+)
+def test_an_address_for_http_has_a_port(address: str, parts: tuple[str, int]) -> None:
+    assert host_and_port(address) == parts
+
+
+@pytest.mark.parametrize("address", ["", "8090", ":", ":x", ":65536", "h:²"])
+def test_an_address_for_http_without_a_port_is_an_error(address: str) -> None:
+    with pytest.raises(ValueError, match="--http is like"):
+        host_and_port(address)
