@@ -1,0 +1,128 @@
+"""The habits of a public project: the files that tools read are valid, and name what exists."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import fibaction
+
+ROOT = Path(__file__).resolve().parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+YAML = [
+    *sorted((ROOT / ".github").rglob("*.yml")),
+    ROOT / ".pre-commit-config.yaml",
+    ROOT / "CITATION.cff",
+]
+
+if not (ROOT / ".github").exists():
+    pytest.skip("an sdist has no files for GitHub", allow_module_level=True)
+
+
+def load(path: Path) -> Any:
+    return yaml.safe_load(path.read_text(encoding="utf-8"))
+
+
+def targets() -> set[str]:
+    """Return the targets of the Makefile, by their patterns."""
+    return set(re.findall(r"^([a-z-]+):", MAKEFILE, re.MULTILINE))
+
+
+def commands_of(workflow: Any) -> list[str]:
+    return [
+        step["run"] for job in workflow["jobs"].values() for step in job["steps"] if "run" in step
+    ]
+
+
+@pytest.mark.parametrize("path", YAML, ids=lambda path: path.name)
+def test_a_file_for_tools_is_yaml(path: Path) -> None:
+    assert isinstance(load(path), dict)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / ".github/workflows").iterdir()), ids=str)
+def test_a_workflow_makes_targets_that_exist_and_has_a_time_limit(path: Path) -> None:
+    workflow = load(path)
+    for command in commands_of(workflow):
+        if command.startswith("make "):
+            words = re.sub(r"\$\{\{.*?\}\}", "", command).split()[1:]
+            named = [word for word in words if "=" not in word]
+            assert set(named) <= targets()
+    assert workflow["permissions"] == {"contents": "read"}
+    for name, job in workflow["jobs"].items():
+        assert "timeout-minutes" in job or name == "publish"
+
+
+def test_every_supported_python_is_checked() -> None:
+    matrix = load(ROOT / ".github/workflows/check.yml")["jobs"]["test"]["strategy"]["matrix"]
+    promised = [
+        each.rpartition(" ")[2]
+        for each in PROJECT["classifiers"]
+        if re.fullmatch(r"Programming Language :: Python :: 3\.\d+", each)
+    ]
+    assert matrix["python"] == [*promised, "3.14"]
+
+
+def test_hooks_make_targets_that_exist() -> None:
+    for repository in load(ROOT / ".pre-commit-config.yaml")["repos"]:
+        for hook in repository["hooks"]:
+            tool, argument, *_ = hook["entry"].split()
+            assert argument in targets() if tool == "make" else tool == ".venv/bin/ruff"
+
+
+def test_the_container_makes_what_the_makefile_has() -> None:
+    container = json.loads((ROOT / ".devcontainer/devcontainer.json").read_text(encoding="utf-8"))
+
+    tool, target = container["postCreateCommand"].split()
+    assert tool == "make"
+    assert f"$(VENV){target.removeprefix('.venv')}:" in MAKEFILE
+
+
+def test_the_version_is_one_in_every_place() -> None:
+    citation = load(ROOT / "CITATION.cff")
+
+    assert fibaction.__version__ == PROJECT["version"] == str(citation["version"])
+    assert citation["repository-code"] == PROJECT["urls"]["Repository"]
+
+
+def test_every_url_of_the_project_is_in_its_repository() -> None:
+    urls = PROJECT["urls"]
+    assert set(urls) == {"Changelog", "Documentation", "Issues", "Repository"}
+    for url in (urls["Changelog"], urls["Issues"]):
+        assert url.startswith(f"{urls['Repository']}/")
+
+
+def test_the_description_for_the_package_index_has_absolute_links_to_files_that_exist() -> None:
+    spec = importlib.util.spec_from_file_location("index_readme", ROOT / "docs/index_readme.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    base = PROJECT["urls"]["Repository"]
+
+    text = module.with_absolute_links(README, base, PROJECT["version"])
+
+    links = re.findall(r"(!?)\[[^]]*\]\(([^)\s]+)\)", text)
+    assert len(links) > 30
+    for picture, target in links:
+        assert "://" in target or target.startswith("#")
+        kind, found, path = target.removeprefix(f"{base}/").partition(f"/v{PROJECT['version']}/")
+        if found:
+            assert kind == ("raw" if picture else "blob")
+            assert (ROOT / path.partition("#")[0]).is_file()
+    assert "<!--" not in text
+
+
+def test_readme_begins_with_a_short_program() -> None:
+    program = README.partition("```python\n")[2].partition("```")[0]
+
+    assert len(program.splitlines()) <= 25
+    assert "get_cancelled_exc_class" not in program
