@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import socket
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from importlib.util import find_spec
@@ -22,6 +21,7 @@ import anyio
 
 from fibaction.cli.serve import rare_collections
 from tests.benchmarks.contender import AT_ONCE, Contender
+from tests.ports import free_port
 
 REDIS = "FIBACTION_BENCH_REDIS"
 UNPACKED = Path(__file__).parents[2] / ".venv" / "redis" / "usr"
@@ -50,9 +50,7 @@ def redis(folder: Path) -> Iterator[str]:
     """Run a server of Redis that writes each second what has changed, and yield its URL."""
     program = redis_server()
     assert program is not None
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     command = [program, "--port", str(port), "--bind", "127.0.0.1", "--dir", str(folder)]
     command += ["--appendonly", "yes", "--save", ""]
     libraries = ":".join(str(path) for path in UNPACKED.glob("lib/*-linux-gnu"))

@@ -35,6 +35,8 @@ BESIDE = [
     ("tcp", "nats"),
     ("tls", "tcp"),
     ("unix", "tcp"),
+    ("ws", "tcp"),
+    ("http", "tcp"),
     ("ros2", "rclpy"),
     ("ros2", "rclpy_deep"),
 ]

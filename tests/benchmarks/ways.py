@@ -42,6 +42,8 @@ WAYS = {
     "tcp": Way("fibaction, tcp", BETWEEN, "fibaction"),
     "tls": Way("fibaction, tls", BETWEEN, "tls"),
     "unix": Way("fibaction, unix", BETWEEN, "unix"),
+    "ws": Way("fibaction, ws", BETWEEN, "ws"),
+    "http": Way("fibaction, http: REST", BETWEEN, "http"),
     "grpc": Way("grpc.aio", BETWEEN, "grpc", is_ours=False),
     "nats": Way("NATS", BETWEEN, "nats", is_ours=False),
     "sockets": Way("bare anyio sockets", BETWEEN, "sockets", is_ours=False),
