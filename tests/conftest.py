@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import signal
@@ -44,3 +45,13 @@ def log_is_left_as_it_was() -> Iterator[None]:
     after = _levels()
     changed = {name: after.get(name) for name, level in before.items() if after.get(name) != level}
     assert changed == {}  # modules imported for the first time may add loggers
+
+
+def pytest_collection_finish() -> None:
+    """Spare what stays to the end, modules and tests, all collections of garbage from now on.
+
+    Many tests collect garbage, so that what they leave open is found there. With some 14,000 tests
+    in memory each collection takes 0.4 s.
+    """
+    gc.collect()
+    gc.freeze()

@@ -72,8 +72,11 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "961001cb3ff0000000000000a6736563726574c410101112131415161718191a1b1c1d1e1fce00010000",
     ),
     (
-        SendGoal(1, "fibonacci", GOAL_ID, GOAL, 64, 5.0),
-        "971101a96669626f6e61636369c410000102030405060708090a0b0c0d0e0fc40881a56f726465720a40cb4014000000000000",
+        SendGoal(1, "fibonacci", GOAL_ID, GOAL, 64, 5.0, {"traceparent": "00-0af7-b7ad-01"}),
+        (
+            "981101a96669626f6e61636369c410000102030405060708090a0b0c0d0e0fc40881a56f72646572"
+            "0a40cb401400000000000081ab7472616365706172656e74af30302d306166372d623761642d3031"
+        ),
     ),
     (
         Follow(2, "fibonacci", GOAL_ID, 3, True, 64, 2),
@@ -120,8 +123,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "952001cb3ff0000000000000ce00010000cb402e000000000000",
     ),
     (
-        Following(1, STAMP, GoalStatus.ACCEPTED, False, 0, 1),
-        "972101cf17979cfe362a000001c20001",
+        Following(1, STAMP, GoalStatus.ACCEPTED, False, 0, 1, GOAL),
+        "982101cf17979cfe362a000001c20001c40881a56f726465720a",
     ),
     (
         Rejected(1, "the order is negative"),

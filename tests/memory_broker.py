@@ -24,7 +24,7 @@ from fibaction_transports.nats.broker import (
     Broker,
     BrokerAway,
     Message,
-    NobodyListens,
+    NoResponders,
     Note,
     OnMessage,
     PutError,
@@ -314,7 +314,7 @@ class MemoryBroker(Broker):
             if self._is_away:
                 return
             if not self.shared.deliver(Message(subject, data, reply)) and reply:
-                self.shared.deliver(Message(reply, b"", "", nobody_listens=True))
+                self.shared.deliver(Message(reply, b"", "", has_no_responders=True))
 
         self._send(deliver)
 
@@ -344,8 +344,8 @@ class MemoryBroker(Broker):
             inbox.close()
         if not answers:
             raise BrokerAway(f"no answer to {subject}")
-        if answers[0].nobody_listens:
-            raise NobodyListens
+        if answers[0].has_no_responders:
+            raise NoResponders
         return answers[0].data
 
     async def flush(self) -> None:

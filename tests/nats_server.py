@@ -15,6 +15,8 @@ from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from tests.ports import free_port
+
 PROGRAM = shutil.which("nats-server", path=str(Path(sys.executable).parent)) or shutil.which(
     "nats-server"
 )
@@ -144,7 +146,10 @@ def nats_server(config: str = "jetstream: {}", port: int = -1) -> Generator[Nats
 @contextmanager
 def nats_cluster(count: int = 3) -> Generator[list[NatsServer], None, None]:
     """Run brokers that keep records together, for as long as the block lasts."""
-    ports = _free_ports(2 * count)
+    chosen: set[int] = set()
+    while len(chosen) < 2 * count:
+        chosen.add(free_port())
+    ports = list(chosen)
     routes = ", ".join(f'"nats://127.0.0.1:{port}"' for port in ports[count:])
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
@@ -161,12 +166,3 @@ def nats_cluster(count: int = 3) -> Generator[list[NatsServer], None, None]:
         for server in servers:
             server.wait(count)
         yield servers
-
-
-def _free_ports(count: int) -> list[int]:
-    """Return ports that nothing listens at now; all routes are named before the first start."""
-    with ExitStack() as stack:
-        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
-        for one in sockets:
-            one.bind(("127.0.0.1", 0))
-        return [one.getsockname()[1] for one in sockets]

@@ -1,6 +1,6 @@
 """A soak: fifty connections with goals of all kinds, for some minutes, in one process.
 
-    make soak            # ten minutes; or: python -m tests.soak --seconds 60
+    make soak            # ten minutes; or: python -m tests.soak --seconds 60 --over ws
 
 It prints, once in a while, how much memory is in use, and how many tasks and files are open; at the
 end it fails if any of them has grown after the first tenth of the time.
@@ -69,11 +69,11 @@ def state() -> dict[str, int]:
     }
 
 
-async def soak(seconds: float) -> int:
+async def soak(seconds: float, scheme: str) -> int:
     ends: Counter[str] = Counter()
     nothing_open = state()
     server = ActionServer(FIBONACCI, work, max_results=100)
-    async with serve(server, "tcp://127.0.0.1:0", heartbeat=5) as (url,):
+    async with serve(server, f"{scheme}://127.0.0.1:0", heartbeat=5) as (url,):
         start = anyio.current_time()
         async with anyio.create_task_group() as tasks:
             for seed in range(CONNECTIONS):
@@ -101,12 +101,19 @@ def main() -> int:
     parser.add_argument(
         "--seconds", type=float, default=600.0, help="how long it takes; %(default)g if not given"
     )
-    seconds = parser.parse_args().seconds
+    parser.add_argument(
+        "--over",
+        choices=["tcp", "ws", "http"],
+        default="tcp",
+        help="the transport; %(default)s if not given",
+    )
+    arguments = parser.parse_args()
+    seconds = arguments.seconds
     if not 0 < seconds < math.inf:
         parser.error("--seconds is more than 0")
     # One goal in five goes wrong on purpose, and its traceback is not what is looked for here.
     logging.getLogger("fibaction.server").setLevel(logging.CRITICAL)
-    return anyio.run(soak, seconds)
+    return anyio.run(soak, seconds, arguments.over)
 
 
 if __name__ == "__main__":

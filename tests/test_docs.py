@@ -27,9 +27,17 @@ import fibaction
 import fibaction._notify
 import fibaction.abc
 import fibaction.action_files
+import fibaction.agents
 import fibaction.blocking
 import fibaction.json_payload
+import fibaction.log_records
+import fibaction.metrics
+import fibaction.metrics_server
 import fibaction.monitor
+import fibaction.otel
+import fibaction.recorder
+import fibaction.recording_file
+import fibaction.replay
 import fibaction.testing
 import fibaction.wire
 import fibaction.wire.channel
@@ -56,7 +64,19 @@ PAGES = [
     ROOT / "transports" / "README.md",
     *sorted(DOCS.rglob("*.md")),
 ]
-LANGUAGES = {"cmake", "console", "ini", "javascript", "python", "text", "toml", "xml"}
+LANGUAGES = {
+    "cmake",
+    "console",
+    "html",
+    "ini",
+    "javascript",
+    "json",
+    "python",
+    "text",
+    "toml",
+    "typescript",
+    "xml",
+}
 WITH_ROS = "it needs ROS 2, and is run where that is"
 """Why a block is not run here: tests/ros2/test_docs_ros.py runs it."""
 
@@ -381,9 +401,17 @@ def resolve(dotted: str) -> object:
     [
         (fibaction, "connect"),
         (fibaction.action_files, "load_action"),
+        (fibaction.agents, "McpBridge"),
         (fibaction.blocking, "BlockingGoal"),
         (fibaction.json_payload, "JsonCodec"),
+        (fibaction.log_records, "GoalFilter"),
+        (fibaction.metrics, "Metrics"),
+        (fibaction.metrics_server, "serve_metrics"),
         (fibaction.monitor, "Monitor"),
+        (fibaction.otel, "Tracing"),
+        (fibaction.recorder, "Recorder"),
+        (fibaction.recording_file, "read_records"),
+        (fibaction.replay, "replayed"),
         (fibaction.abc, "GoalStream"),
         (fibaction.testing, "Step"),
         (fibaction._notify, "Notifier"),

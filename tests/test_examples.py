@@ -33,6 +33,7 @@ from fibaction import (
 )
 from fibaction.testing import ScriptedServer, run_executor
 from tests.nats_server import IS_LEFT_OUT
+from tests.ports import free_port
 from tests.processes import PATIENCE, ended, lines_until
 
 # Examples are scripts beside each other, and import one another as such.
@@ -401,9 +402,7 @@ async def print_through(folder: Path, url: str, number: signal.Signals | None) -
 async def test_a_printer_that_was_ended_goes_on_with_the_next_layer(
     tmp_path: Path, number: signal.Signals | None
 ) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        url = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+    url = f"tcp://127.0.0.1:{free_port()}"
     with anyio.fail_after(PATIENCE):
         seen, gear, nut, begun = await print_through(tmp_path, url, number)
     assert (gear.layers, nut.layers) == (8, 2)

@@ -36,22 +36,29 @@ async def run_cell(code: str, names: dict[str, Any]) -> None:
         await made
 
 
+async def run_cells(page: str, url: str) -> dict[str, Any]:
+    """Run the cells of a page, each in a task, and return their names."""
+    names: dict[str, Any] = {}
+    blocks = blocks_of(page)
+    for block, following in pairwise([*blocks, Block("", "", 0, "")]):
+        if block.language != "python":
+            continue
+        output = io.StringIO()
+        with redirect_stdout(output):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(run_cell, block.code.replace(ADDRESS, url), names)
+        expected = following.code if following.language == "text" else ""
+        printed = f"{output.getvalue()}\n".split("\n")
+        # Not `splitlines`, which splits at the carriage returns, too.
+        shown = [line.rpartition("\r")[2] for line in printed]
+        assert "\n".join(shown).strip() == expected.strip()
+    return names
+
+
 @pytest.mark.asyncio
 async def test_each_cell_runs_in_a_task_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     robot: Any = ModuleType("my_robot")
     robot.DRIVE = DRIVE
     monkeypatch.setitem(sys.modules, "my_robot", robot)
-    names: dict[str, Any] = {}
     async with serve(ActionServer(DRIVE, drive), "tcp://127.0.0.1:0") as (url,):
-        blocks = blocks_of(PAGE.read_text(encoding="utf-8"))
-        for block, following in pairwise([*blocks, Block("", "", 0, "")]):
-            if block.language != "python":
-                continue
-            output = io.StringIO()
-            with redirect_stdout(output):
-                async with anyio.create_task_group() as tasks:
-                    tasks.start_soon(run_cell, block.code.replace(ADDRESS, url), names)
-            expected = following.code if following.language == "text" else ""
-            # Not `splitlines`, which splits at the carriage returns, too.
-            printed = output.getvalue().split("\n")[:-1]
-            assert [line.rpartition("\r")[2] for line in printed] == expected.splitlines()
+        await run_cells(PAGE.read_text(encoding="utf-8"), url)

@@ -10,9 +10,14 @@ SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/trans
 ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
 UNITS = {
     "fibaction/_action_error.py": ["tests/test_exceptions.py"],
+    "fibaction/_connection_counts.py": ["tests/test_metrics.py"],
+    "fibaction/_current_goal.py": ["tests/test_log_records.py"],
     "fibaction/_encodings.py": ["tests/test_action.py", "tests/test_pydantic_codec.py"],
+    "fibaction/_goal_span.py": ["tests/test_otel.py"],
+    "fibaction/_monitor_records.py": ["tests/test_monitor.py"],
     "fibaction/client_goal.py": ["tests/test_client.py", "tests/test_attempts.py"],
     "fibaction/streams.py": ["tests/test_abc.py"],
+    "fibaction/agents": ["tests/agents"],
     "fibaction/blocking": ["tests/test_blocking.py"],
     "fibaction/cli": ["tests/cli"],
     "transports/fibaction_transports/_command.py": ["tests/cli"],

@@ -13,7 +13,6 @@ import os
 import queue
 import re
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -24,6 +23,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tests.pages import Block, blocks_of
+from tests.ports import free_port
 
 PATIENCE = 60.0
 """The timeout for an expected line, in seconds: many times as long as any command takes."""
@@ -32,7 +32,7 @@ ENDING = 10.0
 ROOT = Path(__file__).resolve().parent.parent
 CLONE = "~/fibaction"
 """The folder of the repository in pages."""
-DEFAULT_PORT, BROKER_PORT = "7400", "4222"
+DEFAULT_PORT, BROKER_PORT, WEB_PORT = "7400", "4222", "8080"
 """The ports in pages, which other programs of this machine may use."""
 
 _TERMINAL = re.compile(
@@ -40,10 +40,12 @@ _TERMINAL = re.compile(
 )
 _FILE = re.compile(r"<!-- file: (?P<path>[\w./]+)(?P<ros>, where ROS 2 is)? -->\n\Z")
 _END = "--- the end of a command ---"
-# What is another one in each run, in this order: IDs, clients, ages of goals and how much feedback
-# they had by then. Columns are as wide as that.
+# What is another one in each run, in this order: IDs, stamps, processes, clients, ages of goals and
+# how much feedback they had by then. Columns are as wide as that.
 _CHANGING = {
     r"\b[0-9a-f]{32}\b": "ID",
+    r"\b\d{19}\b": "STAMP",
+    r"process \[\d+\]": "process [PID]",
     r"127\.0\.0\.1:\d{5}\b": "127.0.0.1:PORT",
     r"\b\d+\.\d s +\d+ ": "AGE COUNT ",
     r"\b\d+\.\d s\b": "AGE",
@@ -90,8 +92,10 @@ def walk(page: str, folder: Path, *, ros: bool = False) -> list[str]:
 
     With `ros`, that is the commands that need ROS 2; else it is all others.
     """
-    port = free_port()
-    page = page.replace(DEFAULT_PORT, port).replace(BROKER_PORT, free_port())
+    ports = {one: str(free_port()) for one in (DEFAULT_PORT, BROKER_PORT, WEB_PORT)}
+    port = ports[DEFAULT_PORT]
+    # All at once: a free port may contain the digits of another one.
+    page = re.sub("|".join(ports), lambda found: ports[found[0]], page)
     page = page.replace(CLONE, str(ROOT))
     terminals: dict[str, Terminal] = {}
     wrong: list[str] = []
@@ -131,16 +135,6 @@ def install(project: Path) -> None:
         for group, entries in described["entry-points"].items()
     ]
     (folder / "entry_points.txt").write_text("\n".join(lines), encoding="utf-8")
-
-
-def free_port() -> str:
-    """Return a free port with as many digits as the one that it replaces."""
-    while True:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = str(probe.getsockname()[1])
-        if len(port) == 5:
-            return port
 
 
 class Terminal:

@@ -9,19 +9,16 @@ returns frames or raises an `ActionError`, and can always say goodbye. Needs ath
 
 from __future__ import annotations
 
-import logging
-import sys
 from contextlib import suppress
-from importlib.util import find_spec
-from typing import Any
 
+from fibaction._http_rules import rules
 from fibaction.exceptions import ActionError
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.messages import Goodbye, Ping
 from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake
-from fibaction_transports.web._http_rules import rules
 from fibaction_transports.web._websocket_frames import WebSocketFraming
+from tests.fuzz.fuzzer import fuzz
 from tests.transports.web.upgrade import upgrade
 
 LIMIT = 2**16
@@ -54,15 +51,8 @@ def one_input(data: bytes) -> None:
         framing.close()
 
 
-def main() -> Any:
-    if find_spec("atheris") is None:
-        sys.exit("atheris is not installed: `make fuzz` installs it")
-    import atheris
-
-    logging.disable()
-    atheris.instrument_all()
-    atheris.Setup(sys.argv, one_input)
-    atheris.Fuzz()
+def main() -> None:
+    fuzz(one_input, logs=False)
 
 
 if __name__ == "__main__":

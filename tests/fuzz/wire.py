@@ -9,12 +9,8 @@ session with a real server behind it. Whatever it is, the session goes on or end
 
 from __future__ import annotations
 
-import logging
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from importlib.util import find_spec
-from typing import Any
 
 import anyio
 
@@ -31,6 +27,7 @@ from fibaction.wire.ownership import Owners
 from fibaction.wire.session import Session
 from fibaction.wire.settings import Limits, ServerSettings
 from tests.fibonacci import FIBONACCI, fibonacci
+from tests.fuzz.fuzzer import fuzz
 
 LIMIT = 2**16
 HELLO = encode(Hello(VERSION, 60.0))
@@ -102,15 +99,8 @@ def one_input(data: bytes) -> None:
     anyio.run(serve, data)
 
 
-def main() -> Any:
-    if find_spec("atheris") is None:
-        sys.exit("atheris is not installed: `make fuzz` installs it, and fuzzes")
-    import atheris
-
-    logging.disable()
-    atheris.instrument_all()
-    atheris.Setup(sys.argv, one_input)
-    atheris.Fuzz()
+def main() -> None:
+    fuzz(one_input, logs=False)
 
 
 if __name__ == "__main__":

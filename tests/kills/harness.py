@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import socket
 from collections import Counter
 from collections.abc import AsyncGenerator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -18,6 +17,7 @@ import msgspec
 from tests.kills.clients import Visitor, settle
 from tests.kills.ledger import Ledger, Rules, attempts_of, faults_of
 from tests.kills.victim import Setup, entries_of, run_victim
+from tests.ports import free_port
 
 LIFE = (0.0, 0.9)
 """The shortest and the longest life of a server, in seconds, from when clients can connect."""
@@ -97,9 +97,7 @@ async def serving(pipe: Connection) -> None:
 
 def free_url() -> str:
     """Return a URL where no server listens."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp://127.0.0.1:{free_port()}"
 
 
 async def run(folder: Path, seconds: float, clients: int, recovery: str, seed: int) -> Report:

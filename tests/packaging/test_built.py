@@ -23,6 +23,8 @@ FOLDERS = ("docs", "examples", "fibaction", "tests", "transports")
 FILES = {
     ".gitignore",  # says which files of a checkout are made, and so are no sources
     "CHANGELOG.md",
+    "CITATION.cff",
+    "CODE_OF_CONDUCT.md",
     "CONTRIBUTING.md",
     "LICENSE",
     "Makefile",
@@ -61,7 +63,11 @@ def test_the_wheel_has_the_modules_their_types_and_the_licence_and_nothing_else(
     wheel: Path,
 ) -> None:
     expected = {file for name, top in PACKAGES.items() for file in sources(top / name, top)}
-    assert {Path(file).suffix for file in expected} == {".py", ".typed"}
+    web = {file for file in expected if file.startswith("fibaction_transports/web/")}
+    assert {Path(file).suffix for file in expected - web} == {".py", ".typed"}
+    page = {".css", ".html", ".js", ".svg"}
+    client = {".js", ".json", ".md", ".ts"}
+    assert {Path(file).suffix for file in web} == {".py", *page, *client}
     expected |= {
         f"{NAME}.dist-info/{file}"
         for file in ("METADATA", "RECORD", "WHEEL", "entry_points.txt", "licenses/LICENSE")
@@ -113,9 +119,14 @@ def test_an_extra_requires_what_it_names(metadata: EmailMessage, extra: str) -> 
     assert sorted(found) == sorted(wanted)
 
 
-def test_the_readme_is_the_description(metadata: EmailMessage) -> None:
+def test_the_readme_is_the_description_with_links_into_the_repository(
+    metadata: EmailMessage,
+) -> None:
     assert metadata["Description-Content-Type"] == "text/markdown"
-    assert metadata.get_content() == (ROOT / "README.md").read_text()
+    description = metadata.get_content()
+    assert description.startswith("# fibaction\n")
+    assert f"]({PROJECT['urls']['Repository']}/blob/v{PROJECT['version']}/docs/" in description
+    assert "](docs/" not in description
 
 
 def test_the_entry_points_are_those_of_the_project(wheel: Path) -> None:
