@@ -63,6 +63,9 @@ if __name__ == "__main__":
     parser.add_argument(
         "--period", type=seconds, default=1.0, help="seconds per number (default: %(default)g)"
     )
+    parser.add_argument(
+        "--ros-args", nargs=argparse.REMAINDER, help="all that follows is for ROS 2, with ros2://"
+    )
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     options = {"use_uvloop": find_spec("uvloop") is not None}

@@ -1,0 +1,92 @@
+"""Pictures of the console for the pages, taken from a real browser.
+
+    python docs/console_pictures.py
+
+A robot is served, goals are sent by hand as it were, and docs/console/ gets the pictures. They
+differ each time by the IDs of the goals and the times, so look at them before you commit them.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+ROOT = Path(__file__).resolve().parent.parent
+FOLDER = ROOT / "docs" / "console"
+sys.path.insert(0, str(ROOT))
+
+from tests.browser.conftest import CHROMIUM  # noqa: E402  # the tests are not installed
+from tests.browser.served import RobotProcess  # noqa: E402
+
+
+def send(page: Page, action: str, fields: dict[str, str]) -> None:
+    """Send a goal by the form."""
+    page.get_by_role("navigation").get_by_role("link", name=action).click()
+    page.get_by_role("heading", name=action, exact=True).wait_for()
+    before = page.locator(".goals tbody tr").count()
+    for name, value in fields.items():
+        page.get_by_label(name, exact=True).fill(value)
+    page.get_by_role("button", name="Send goal").click()
+    page.locator(".goals tbody tr").nth(before).wait_for()
+
+
+def fill_history(page: Page) -> None:
+    """Send goals that end in all ways."""
+    send(page, "break", {"order": "3"})
+    page.locator(".goal .badge.aborted").wait_for()
+    for room in ("kitchen", "hall", "workshop"):
+        send(page, "clean", {"room": room, "minutes": "2"})
+    send(page, "arm/drive", {"x m": "1", "y m": "3"})
+    page.get_by_role("button", name="Cancel goal").click()
+    page.get_by_role("button", name="Cancel the goal").click()
+    page.locator(".goal .badge.canceled").wait_for()
+    page.get_by_label("gear").select_option("fast")
+    send(page, "arm/drive", {"x m": "1.5", "y m": "-0.5"})
+    page.locator(".goal .badge.succeeded").wait_for()
+    page.get_by_label("gear").select_option("normal")
+
+
+def until_message(page: Page, numbers: str) -> None:
+    """Wait until a feedback message has come, whose number is like that."""
+    wanted = re.compile(f"Feedback: ({numbers}) ")
+    expect(page.locator(".feedback h3")).to_have_text(wanted, timeout=10_000)
+
+
+def take(browser: Browser, robot: RobotProcess) -> None:
+    """Take all pictures."""
+    page = browser.new_page(viewport={"width": 1280, "height": 960}, device_scale_factor=1.25)
+    page.goto(robot.url)
+    fill_history(page)
+    for theme in ("light", "dark"):
+        page.emulate_media(color_scheme=theme)
+        send(page, "arm/drive", {"x m": "2", "y m": "1"})
+        until_message(page, r"3[5-9]")
+        page.screenshot(path=FOLDER / f"goal_{theme}.png")
+    page.emulate_media(color_scheme="light")
+    page.get_by_role("link", name="All actions").click()
+    page.locator(".goals .badge.executing").first.wait_for()
+    page.screenshot(path=FOLDER / "all_actions.png")
+    page.close()
+    phone = browser.new_page(viewport={"width": 390, "height": 800}, device_scale_factor=1.5)
+    phone.goto(f"{robot.url}/#/arm/drive")
+    phone.get_by_role("heading", name="arm/drive", exact=True).wait_for()
+    send(phone, "arm/drive", {"x m": "2", "y m": "1"})
+    until_message(phone, "3.")
+    phone.screenshot(path=FOLDER / "phone.png")
+    phone.close()
+
+
+def main() -> None:
+    """Take all pictures, and write them."""
+    FOLDER.mkdir(exist_ok=True)
+    with RobotProcess() as robot, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        take(browser, robot)
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()
