@@ -7,8 +7,15 @@ SCALE ?= 1
 VENV := .venv
 BIN := $(VENV)/bin
 
+# Many tests wait for timeouts, so three of them share two cores.
+export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell echo $$(( ($$(getconf _NPROCESSORS_ONLN) * 3 + 1) / 2 )))
+
 # mutmut has an environment of its own, since the tests must pass without its dependencies.
 MUTANTS_VENV := .venv-mutants
+
+# The libraries of JavaScript that tests use. Without Node these tests are left out, unless
+# FIBACTION_NODE is `required`.
+JAVASCRIPT := build/javascript
 
 # ROS 2 has a virtual environment of its own: its wheels start each Python of theirs twice.
 ROS_VENV := .venv-ros
@@ -29,13 +36,22 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test format lint types imports unit docs docs-serve bench simulate soak kills fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
+.PHONY: help demo check test format lint types imports unit promtool chromium docs docs-serve bench simulate soak kills fleet fuzz attack mutants test-ros test-wheel test-pythons test-lowest ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
 
 demo: $(VENV)/.installed  ## Run a Fibonacci goal: feedback, a cancel half-way, a result
 	@$(BIN)/python examples/fibonacci_demo.py
+
+check: lint imports $(VENV)/.tools  ## Run the quick checks, in less than a minute
+	$(BIN)/mypy fibaction transports
+	$(BIN)/python -m pytest -q -n auto --dist worksteal $(QUICK)
+
+# The rules without I/O, both ends of an action, and what the project says of itself.
+QUICK := tests/server tests/wire tests/interfaces tests/test_action.py tests/test_api.py \
+    tests/test_client.py tests/test_contributing.py tests/test_init.py tests/test_project.py \
+    tests/test_states.py tests/test_style.py tests/test_answers.py
 
 test: lint types imports unit docs  ## Run all checks, with ROS 2 if it is available
 	@why=$$($(PYTHON) examples/ros2/build_interfaces.py --platform); if [ -z "$$why" ]; \
@@ -45,19 +61,32 @@ format: $(VENV)/.tools  ## Format the code, and fix what ruff can fix
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-lint: $(VENV)/.tools
+lint: $(VENV)/.tools  ## Check the format of the code, and what ruff finds
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 
-types: $(VENV)/.tools
+types: $(VENV)/.tools  ## Check the types of the code, and of the programs in the pages
 	$(BIN)/mypy
 	$(BIN)/basedpyright
+	$(BIN)/python -m tests.typing.pages
 
-imports: $(VENV)/.tools
+imports: $(VENV)/.tools  ## Check that imports point one way
 	$(BIN)/lint-imports
 
-unit: $(VENV)/.tools
+unit: $(VENV)/.tools $(JAVASCRIPT)/.installed chromium promtool  ## Run the tests, each unit covered by its own
 	$(no_other_ros) $(BIN)/python -m pytest -p tests.own_coverage -n auto --dist worksteal
+
+# The checker of metrics. As a package it would start a service, so it is unpacked only.
+promtool: $(VENV)/.tools  ## Get the checker of metrics that tests use
+	@which promtool >/dev/null || [ -d $(VENV)/prometheus ] || ! which apt-get >/dev/null || \
+	    { cd $(VENV) && apt-get download -qq prometheus 2>/dev/null && \
+	    dpkg -x prometheus_*.deb prometheus && rm prometheus_*.deb; } || true
+
+# The browser of tests/browser, as `ros` has its compiler: where this user may install packages.
+chromium:  ## Install the browser that tests use, where this user may
+	@[ -x /usr/bin/chromium ] || [ "$$(id -u)" != 0 ] || ! which apt-get >/dev/null || \
+	    { apt-get update -qq && apt-get install -yqq --no-install-recommends chromium fonts-dejavu-core >/dev/null; } || true
+	@[ -x /usr/bin/chromium ] || echo "the tests in a browser are left out: /usr/bin/chromium is missing"
 
 docs: $(VENV)/.docs  ## Build the documentation into site/
 	$(BIN)/python docs/build.py
@@ -91,8 +120,11 @@ kills: $(VENV)/.tools  ## Kill a server that keeps its goals, for two minutes tw
 fleet: $(VENV)/.tools  ## Kill and freeze workers and brokers of a fleet, ten times each
 	$(BIN)/python -m tests.fleet all --times 10
 
-fuzz: $(VENV)/.fuzz  ## Send random bytes to a server for two minutes
-	$(BIN)/python -m tests.fuzz.wire -max_total_time=120
+fuzz: $(VENV)/.fuzz  ## Send random bytes to a server for two minutes in all
+	$(BIN)/python -m tests.fuzz.wire -max_total_time=30
+	$(BIN)/python -m tests.fuzz.websocket -max_total_time=30
+	$(BIN)/python -m tests.fuzz.web -max_total_time=30
+	$(BIN)/python -m tests.fuzz.rosbridge -max_total_time=30
 
 attack: $(VENV)/.tools  ## Attack a server in every way, for 20 seconds each, beside an honest client
 	$(BIN)/python -m tests.hostile
@@ -100,8 +132,8 @@ attack: $(VENV)/.tools  ## Attack a server in every way, for 20 seconds each, be
 mutants: $(MUTANTS_VENV)/.installed  ## Put small faults into the rules, and check that the tests find each
 	$(MUTANTS_VENV)/bin/python -m tests.mutants
 
-# The wheel is made from the sdist, as packagers do; and from the checkout, to compare. The attacks,
-# the kills and the fleet are left out: their servers are forked from a process that knows the checkout only.
+# The wheel is made from the sdist, as packagers do; and from the checkout, to compare. The code is
+# that of `make test`, so what runs against it is what a wheel can lack: modules, entry points, files.
 test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the tests against the wheel
 	rm -rf dist build/checkout build/consumer build/wheel
 	$(BIN)/python -m build --quiet --outdir dist .
@@ -113,16 +145,20 @@ test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the test
 	$(call new_venv,build/wheel)
 	$(call install,build/wheel) dist/*.whl --group test
 	cd build && $(no_other_ros) wheel/bin/python -m pytest -n auto --dist worksteal -c ../pyproject.toml --rootdir .. -o pythonpath= \
-	    -o cache_dir=build/.pytest_cache ../tests \
-	    --ignore=../tests/hostile --ignore=../tests/kills --ignore=../tests/fleet
+	    -o cache_dir=build/.pytest_cache $(trio_over_tcp) $(addprefix ../,$(OF_A_WHEEL))
+OF_A_WHEEL := tests/contract tests/test_examples.py tests/test_init.py tests/test_main.py tests/transports/web/test_assets.py
 
 # The versions in pyproject.toml that `make test` does not use.
 PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'),3.11 3.12 3.13)
-# Property tests need few examples to find differences between versions of Python and of libraries,
-# and coverage is measured in .venv only. The trials of fleets are of brokers and of processes.
+# Property tests need few examples to find differences between versions of Python and of libraries.
+# trio is tested over one transport there. What is about this repository, and what tries servers for
+# long or in a browser, is left to `make test`.
 test_elsewhere = FIBACTION_EXAMPLES=20 $(no_other_ros) $(1)/bin/python -m pytest -q -n auto --dist worksteal \
-    -o cache_dir=$(1)/.pytest_cache $(ELSEWHERE)
-ELSEWHERE := tests --ignore=tests/test_own_coverage.py --ignore=tests/fleet
+    -o cache_dir=$(1)/.pytest_cache $(trio_over_tcp) tests $(addprefix --ignore=tests/,$(NOT_ELSEWHERE))
+trio_over_tcp := -k "not trio or trio-tcp"
+NOT_ELSEWHERE := benchmarks browser fleet fleet_simulation fuzz hostile javascript kills packaging simulation \
+    test_answers.py test_contributing.py test_cookbook.py test_docs.py test_guarantees.py test_own_coverage.py \
+    test_style.py test_walks.py
 
 test-pythons:  ## Run the tests with each other version of Python that is installed
 	@for version in $(PYTHONS); do \
@@ -164,8 +200,18 @@ $(VENV)/.installed: $(VENV)/.made pyproject.toml
 	@touch $@
 
 $(VENV)/.tools: $(VENV)/.installed
-	$(call install,$(VENV)) --group test --group check
+	$(call install,$(VENV)) --group test --group browser --group check
 	@touch $@
+
+$(JAVASCRIPT)/.installed: tests/javascript/package.json tests/javascript/package-lock.json
+	@{ which node && which npm; } >/dev/null || [ "$$(id -u)" != 0 ] || ! which apt-get >/dev/null || \
+	    { apt-get update -qq && apt-get install -yqq --no-install-recommends nodejs npm; } || true
+	@mkdir -p $(@D)
+	@cp $^ $(@D)
+	@if which npm >/dev/null && cd $(@D) && npm ci --silent --ignore-scripts --no-audit --no-fund; \
+	    then touch $(CURDIR)/$@; else rm -rf $(CURDIR)/$(@D)/node_modules; \
+	    echo "tests with Node are left out: their libraries cannot be installed"; \
+	    [ "$$FIBACTION_NODE" != required ]; fi
 
 $(VENV)/.docs: $(VENV)/.tools
 	$(call install,$(VENV)) --group docs
@@ -212,6 +258,7 @@ $(ROS_VENV)/.made:
 	@touch $@
 
 $(ROS_VENV)/.installed: $(ROS_VENV)/.made pyproject.toml
+	@echo "installing ROS 2 from wheels into $(ROS_VENV): a minute or two"
 	$(call install,$(ROS_VENV)) -e . --group test --group ros
 	@cd $(ROS_VENV) && ls -d lib/python*/site-packages/ros_*.dist-info >.found && \
 	    { cmp -s .found .wheels || mv .found .wheels; }
@@ -225,5 +272,6 @@ $(ROS_VENV)/.interfaces: $(ROS_VENV)/.wheels examples/ros2/build_interfaces.py \
     $(shell find $(INTERFACES) -type f)
 	@which cc c++ >/dev/null || [ "$$(id -u)" != 0 ] || ! which apt-get >/dev/null || \
 	    { apt-get update -qq && apt-get install -yqq g++; }
+	@echo "building the interfaces $(notdir $(INTERFACES)): a minute"
 	$(no_other_ros) $(ROS_BIN)/python examples/ros2/build_interfaces.py $(INTERFACES)
 	@touch $@

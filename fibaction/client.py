@@ -16,12 +16,13 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from operator import index
-from typing import Generic
+from typing import TYPE_CHECKING, Generic
 
 import anyio
 from anyio import get_cancelled_exc_class
 
 from fibaction._attempts import Attempts, cancel_left, check_timeout
+from fibaction._goal_span import NO_SPAN
 from fibaction._kept_connection import KeptEndpoint
 from fibaction._own_thread import OwnThread
 from fibaction.abc import Endpoint
@@ -32,12 +33,20 @@ from fibaction.exceptions import ServerNotFound
 from fibaction.goals import CancelAnswer, GoalID, GoalInfo
 from fibaction.retry import Retry
 
+if TYPE_CHECKING:
+    from fibaction.otel import Tracing
+
 
 class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
     """A client of one action at one endpoint, which need not be closed.
 
     It belongs to one event loop: what waits raises `RuntimeError` in another thread, for this class
     as for `ClientGoal`.
+
+    For example:
+
+        async with connect("tcp://127.0.0.1:7400", DRIVE) as client:
+            print(await client.call(3, on_feedback=print))
     """
 
     def __init__(
@@ -45,13 +54,18 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         endpoint: Endpoint,
         action: Action[GoalT, FeedbackT, ResultT],
         blocks: Blocks | None = None,
+        *,
+        tracing: Tracing | None = None,
     ) -> None:
-        """Make a client; `blocks` are the open blocks of its connection, if it has one."""
+        """Make a client; `blocks` are the open blocks of its connection, if it has one. `tracing`
+        makes a span for each goal that is sent.
+        """
         self.endpoint = endpoint
         """The endpoint that the goals are sent to."""
         self.action = action
         self._thread = OwnThread()
         self._blocks: Blocks = {} if blocks is None else blocks
+        self._tracing = tracing
 
     def send_goal(
         self, goal: GoalT, *, goal_id: GoalID | None = None, timeout: float | None = None
@@ -257,16 +271,24 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
     ) -> ClientGoal[FeedbackT, ResultT]:
         self._thread.check()
         payload = self.action.goal.encode(goal)
-        if attempts is not None:
-            stream = await attempts.send(payload, feedback=feedback)
-            return ClientGoal(self.endpoint, self.action, stream, attempts)
+        span = NO_SPAN
+        if self._tracing is not None:
+            span = self._tracing.sending(self.action.name, goal_id)
         try:
-            stream = await self.endpoint.send_goal(goal_id, payload, feedback=feedback)
-        except get_cancelled_exc_class():
-            # The server may have accepted the goal, and it would run without a client.
-            await cancel_left(self.endpoint, goal_id)
+            if attempts is not None:
+                stream = await attempts.send(payload, feedback=feedback, meta=span.meta)
+            else:
+                stream = await self.endpoint.send_goal(
+                    goal_id, payload, feedback=feedback, meta=span.meta
+                )
+        except BaseException as exc:
+            span.failed(exc)
+            if attempts is None and isinstance(exc, get_cancelled_exc_class()):
+                # The server may have accepted the goal, and it would run without a client.
+                await cancel_left(self.endpoint, goal_id)
             raise
-        return ClientGoal(self.endpoint, self.action, stream)
+        span.accepted(stream)
+        return ClientGoal(self.endpoint, self.action, stream, attempts, span)
 
     # Python warns with this name if a goal is never awaited, and so never sent.
     _send.__qualname__ = "ActionClient.send_goal"

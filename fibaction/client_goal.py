@@ -34,11 +34,12 @@ from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeAlias, TypeVar
 import anyio
 
 from fibaction._attempts import Attempts, cancel_left
+from fibaction._goal_span import NO_SPAN, GoalSpan
 from fibaction._log import clean_logger
 from fibaction._own_thread import OwnThread
 from fibaction.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.action import Action, Codec, FeedbackT, ResultT
-from fibaction.exceptions import ConnectionLost, GoalAborted, GoalCanceled, UnknownGoal
+from fibaction.exceptions import ActionError, ConnectionLost, GoalAborted, GoalCanceled, UnknownGoal
 from fibaction.goals import CancelAnswer, GoalID, Outcome
 from fibaction.states import GoalStatus
 
@@ -65,8 +66,10 @@ class FeedbackReader(Generic[FeedbackT]):
         thread: OwnThread,
         attempts: Attempts | None = None,
         endpoint: Endpoint | None = None,
+        span: GoalSpan = NO_SPAN,
     ) -> None:
         self.stream = stream
+        self.span = span
         self._endpoint = endpoint  # of a connection that is not to be collected before its reader
         self._thread = thread
         self._codec = codec
@@ -178,10 +181,19 @@ class FeedbackReader(Generic[FeedbackT]):
     def __del__(self) -> None:
         # The executor must not wait for a reader that no longer exists.
         self.stream.close()
+        self.span.left(self.stream)
 
 
 class ClientGoal(Generic[FeedbackT, ResultT]):
-    """One accepted goal, as its client sees it."""
+    """One accepted goal, as its client sees it.
+
+    For example:
+
+        async with client.send_goal(3) as goal:
+            async for meters in goal.feedback:
+                print(meters)
+            print(await goal.result())
+    """
 
     def __init__(
         self,
@@ -189,9 +201,12 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
         action: Action[Any, FeedbackT, ResultT],
         stream: GoalStream,
         attempts: Attempts | None = None,
+        span: GoalSpan = NO_SPAN,
     ) -> None:
         self._thread = OwnThread()
-        self.feedback = FeedbackReader(stream, action.feedback, self._thread, attempts, endpoint)
+        self.feedback = FeedbackReader(
+            stream, action.feedback, self._thread, attempts, endpoint, span
+        )
         """The feedback, for `async for`. While it is not read, the server keeps the newest."""
         self._endpoint = endpoint
         self._codec = action.result
@@ -251,7 +266,12 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
         self._thread.check()
         if self._outcome is None:
             self.feedback.release()
-            raw = await self.feedback.wait(GoalStream.outcome)
+            try:
+                raw = await self.feedback.wait(GoalStream.outcome)
+            except ActionError as exc:
+                self.feedback.span.failed(exc)
+                raise
+            self.feedback.span.ended(raw)
             result = None if raw.result is None else self._codec.decode(raw.result)
             self._outcome = Outcome(raw.status, result, raw.reason)
         return self._outcome
@@ -344,6 +364,7 @@ class SendingGoal(Generic[FeedbackT, ResultT]):
     ) -> None:
         assert self._goal is not None
         self._goal.close()
+        self._goal.feedback.span.left(self._goal.feedback.stream, exc)
         if self in self._blocks:  # else `ActionClient.leave` has canceled the goal
             del self._blocks[self]
             if not self._goal.status.is_terminal:
