@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-import anyio
+from fibaction._asyncio_task import new_event
+
+if TYPE_CHECKING:
+    import asyncio  # noqa: TID251  # the type of an event
+
+    import anyio
 
 
 class Notifier:
@@ -13,7 +19,7 @@ class Notifier:
     __slots__ = ("_event", "on_next")
 
     def __init__(self) -> None:
-        self._event: anyio.Event | None = None
+        self._event: anyio.Event | asyncio.Event | None = None
         self.on_next: Callable[[], None] | None = None
         """The callback of the next `notify()`, called once; None for none.
 
@@ -33,5 +39,5 @@ class Notifier:
     async def wait(self) -> None:
         """Wait for the next `notify()`."""
         if self._event is None:
-            self._event = anyio.Event()
+            self._event = new_event()
         await self._event.wait()

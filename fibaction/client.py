@@ -166,7 +166,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
         after = None if after is None else index(after)
         self._thread.check()
         stream = await self.endpoint.feedback(goal_id, after=after, attempt=index(attempt))
-        return ClientGoal(self.endpoint, self.action, stream)
+        return ClientGoal(self.endpoint, self.action, stream, self._thread)
 
     async def cancel_goals(
         self, goal_id: GoalID | None = None, *, before: int | None = None
@@ -288,7 +288,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
                 await cancel_left(self.endpoint, goal_id)
             raise
         span.accepted(stream)
-        return ClientGoal(self.endpoint, self.action, stream, attempts, span)
+        return ClientGoal(self.endpoint, self.action, stream, self._thread, attempts, span)
 
     # Python warns with this name if a goal is never awaited, and so never sent.
     _send.__qualname__ = "ActionClient.send_goal"

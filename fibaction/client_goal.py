@@ -200,13 +200,13 @@ class ClientGoal(Generic[FeedbackT, ResultT]):
         endpoint: Endpoint,
         action: Action[Any, FeedbackT, ResultT],
         stream: GoalStream,
+        thread: OwnThread,
         attempts: Attempts | None = None,
         span: GoalSpan = NO_SPAN,
     ) -> None:
-        self._thread = OwnThread()
-        self.feedback = FeedbackReader(
-            stream, action.feedback, self._thread, attempts, endpoint, span
-        )
+        """Make a goal that belongs to the thread of its client."""
+        self._thread = thread
+        self.feedback = FeedbackReader(stream, action.feedback, thread, attempts, endpoint, span)
         """The feedback, for `async for`. While it is not read, the server keeps the newest."""
         self._endpoint = endpoint
         self._codec = action.result

@@ -21,6 +21,10 @@ from fibaction.wire.messages import AskPlaces, AwaitServer, Done, Follow, Places
 from fibaction.wire.remote_goal import RemoteGoal
 from fibaction.wire.remote_statuses import RemoteStatuses, StatusWatch
 
+BURST = 32
+"""Calls that are written at once, in the middle of a turn of the event loop: both ends then work at
+the same time. A write costs as much as opening one call or two."""
+
 
 class OpenCalls:
     """The open calls of one client, by their IDs, and those that wait to be sent."""
@@ -152,8 +156,10 @@ class OpenCalls:
         self._calls[call.id] = call
         if self._link is not None:
             self._unopened.append(call)
-            # Calls that are opened in the same turn of the event loop are written together.
-            self._link.wake_writer(at_once=len(self._calls) == 1)
+            # Calls that are opened in the same turn of the event loop are written together, but of
+            # very many the server begins with the first before the last is opened.
+            is_first = len(self._calls) == 1
+            self._link.wake_writer(at_once=is_first or len(self._unopened) >= BURST)
 
     @property
     def is_empty(self) -> bool:

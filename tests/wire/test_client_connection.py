@@ -30,6 +30,7 @@ from fibaction.exceptions import (
 from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
 from fibaction.states import GoalStatus
 from fibaction.wire.connection import open_connection
+from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.messages import (
     VERSION,
     Actions,
@@ -60,6 +61,7 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
+from fibaction.wire.open_calls import BURST, OpenCalls
 from fibaction.wire.settings import ClientSettings
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
@@ -878,3 +880,29 @@ async def test_the_result_of_a_goal_with_much_feedback_can_be_fetched_meanwhile(
             go.set()
             assert (await outcome_of(goal)).status is SUCCEEDED
             assert (await getting.answer(within=0.5)).status is SUCCEEDED
+
+
+async def test_of_many_goals_the_first_are_written_before_the_last_is_sent() -> None:
+    writes: list[int] = []
+
+    class Link:
+        def wake_writer(self, *, at_once: bool = False) -> None:
+            if at_once:
+                writes.append(len(calls.openings()))
+
+        def post(self, frame: bytes) -> None:
+            raise AssertionError(frame)
+
+    def opening(call_id: int, credit: int) -> SendGoal:
+        return SendGoal(call_id, "fibonacci", bytes(GOAL_ID), GOAL, credit)
+
+    calls = OpenCalls(WINDOW, 1, check=lambda: None)
+    calls.reopen(cast("Any", Link()), MAX_FRAME)
+    async with anyio.create_task_group() as tasks:
+        for _ in range(100):
+            tasks.start_soon(calls.follow, GOAL_ID, opening)
+        await anyio.wait_all_tasks_blocked()
+        calls.detach()
+        tasks.cancel_scope.cancel()
+
+    assert writes == [1, BURST, BURST, BURST]
