@@ -7,7 +7,7 @@ number is answered with as many frames.
 from __future__ import annotations
 
 import socket
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
 
 import anyio
@@ -52,28 +52,31 @@ ANSWER = framed(
 ) + framed(messages.Ended(CALL, GoalStatus.SUCCEEDED, ACTION.result.encode(Result(0)), "", 0))
 
 
-@asynccontextmanager
-async def serve() -> AsyncGenerator[str, None]:
-    async with (
-        await anyio.create_tcp_listener(local_host="127.0.0.1") as for_goals,
-        await anyio.create_tcp_listener(local_host="127.0.0.1") as for_feedback,
-        anyio.create_task_group() as tasks,
-    ):
-        tasks.start_soon(for_goals.serve, answer_goals)
-        tasks.start_soon(for_feedback.serve, send_feedback)
-        yield " ".join(
-            str(listener.extra(SocketAttribute.local_port))
-            for listener in (for_goals, for_feedback)
-        )
-        tasks.cancel_scope.cancel()
-
-
 async def answer_goals(stream: SocketStream) -> None:
     without_delay(stream)
     reader = FrameReader(MAX_FRAME)
     async with stream:
         async for data in stream:
             await stream.send(ANSWER * len(reader.feed(data)))
+
+
+@asynccontextmanager
+async def serve(
+    answer: Callable[[SocketStream], Awaitable[None]] = answer_goals,
+) -> AsyncGenerator[str, None]:
+    """Serve; `answer` takes the connections for goals."""
+    async with (
+        await anyio.create_tcp_listener(local_host="127.0.0.1") as for_goals,
+        await anyio.create_tcp_listener(local_host="127.0.0.1") as for_feedback,
+        anyio.create_task_group() as tasks,
+    ):
+        tasks.start_soon(for_goals.serve, answer)
+        tasks.start_soon(for_feedback.serve, send_feedback)
+        yield " ".join(
+            str(listener.extra(SocketAttribute.local_port))
+            for listener in (for_goals, for_feedback)
+        )
+        tasks.cancel_scope.cancel()
 
 
 async def send_feedback(stream: SocketStream) -> None:
@@ -106,13 +109,20 @@ def feedback_frame(number: int, feedback: Feedback) -> bytes:
 
 
 @asynccontextmanager
-async def connect(address: str) -> AsyncGenerator[Contender, None]:
+async def connected(address: str) -> AsyncGenerator[tuple[SocketStream, SocketStream], None]:
+    """Connect for goals, and for feedback."""
     goals, feedback = map(int, address.split())
     async with (
         await anyio.connect_tcp("127.0.0.1", goals) as for_goals,
         await anyio.connect_tcp("127.0.0.1", feedback) as for_feedback,
     ):
-        yield OverSockets(for_goals, for_feedback)
+        yield for_goals, for_feedback
+
+
+@asynccontextmanager
+async def connect(address: str) -> AsyncGenerator[Contender, None]:
+    async with connected(address) as streams:
+        yield OverSockets(*streams)
 
 
 class OverSockets(Contender):

@@ -31,6 +31,7 @@ ENOUGH = 10
 BESIDE = [
     ("inproc", "tasks"),
     ("tcp", "sockets"),
+    ("tcp", "task_sockets"),
     ("tcp", "grpc"),
     ("tcp", "nats"),
     ("tls", "tcp"),
