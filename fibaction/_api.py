@@ -18,7 +18,6 @@ from fibaction.client_goal import Blocks, leave_blocks
 from fibaction.exceptions import TransportError
 from fibaction.goal_store import GoalStore
 from fibaction.goals import ActionPeers, WorkerInfo
-from fibaction.server import ActionServer
 from fibaction.urls import transport_for, without_settings
 from fibaction.watchers import Watcher
 from fibaction.wire.settings import ClientKeywords, ServerKeywords
@@ -299,6 +298,8 @@ async def _served(
     watchers: tuple[Watcher, ...],
     settings: ServeKeywords,
 ) -> AsyncGenerator[tuple[str, ...], None]:
+    from fibaction.server import ActionServer  # here, since clients do not need it
+
     chosen = _chosen(endpoints)
     if not where:
         raise TypeError(
@@ -332,6 +333,8 @@ def _keep_in(store: GoalStore, endpoints: Iterable[Endpoint]) -> None:
     Raises:
         TransportError: A server has a store of its own, or was started before.
     """
+    from fibaction.server import ActionServer  # as above
+
     for one in endpoints:
         if not isinstance(one, ActionServer):
             continue

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+import ast
 import inspect
 import os
 import re
 import subprocess
 import sys
-import types
+from importlib import import_module
 
 import pytest
 
@@ -13,11 +14,16 @@ import fibaction
 import fibaction.blocking
 from fibaction import exceptions
 
-PUBLIC = sorted(
-    name
-    for name, value in vars(fibaction).items()
-    if name[0] != "_" and name != "annotations" and not isinstance(value, types.ModuleType)
-)
+
+def declared() -> dict[str, str]:
+    """The names that type checkers see, and the modules that they are from."""
+    body = ast.parse(inspect.getsource(fibaction)).body
+    block = next(statement for statement in body if isinstance(statement, ast.If))
+    imports = [one for one in block.body if isinstance(one, ast.ImportFrom)]
+    return {alias.name: str(one.module) for one in imports for alias in one.names}
+
+
+PUBLIC = sorted(declared())
 
 
 def modules_after(code: str) -> set[str]:
@@ -40,6 +46,27 @@ def test_the_list_of_public_names_is_sorted_and_has_no_name_twice() -> None:
 def test_the_list_of_public_names_is_complete() -> None:
     assert fibaction.__all__ == PUBLIC
     assert set(PUBLIC) <= set(dir(fibaction))
+
+
+@pytest.mark.parametrize(("name", "module"), declared().items())
+def test_a_name_is_what_type_checkers_take_it_for(name: str, module: str) -> None:
+    assert getattr(fibaction, name) is getattr(import_module(module), name)
+
+
+def test_a_name_that_there_is_not_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="module 'fibaction' has no attribute 'Robot'"):
+        print(fibaction.Robot)  # type: ignore[attr-defined]  # as a program may have it by mistake
+
+
+def test_a_client_does_not_import_the_server() -> None:
+    imported = modules_after("from fibaction import Action, connect")
+    assert "fibaction.client" in imported
+    assert not any(name.startswith(("fibaction.server", "fibaction.stores")) for name in imported)
+
+
+def test_an_import_of_the_package_alone_brings_no_other_module_of_it() -> None:
+    imported = modules_after("import fibaction")
+    assert {name for name in imported if name.startswith("fibaction")} == {"fibaction"}
 
 
 def test_an_import_does_not_bring_what_looks_for_installed_packages() -> None:

@@ -21,7 +21,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import AsyncGenerator, Callable, Generator, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager
-from typing import Any, ClassVar, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, Unpack
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from fibaction.abc import Connection, Endpoint, Transport
@@ -31,7 +31,9 @@ from fibaction.wire.channel import Line
 from fibaction.wire.connection import open_connection
 from fibaction.wire.settings import WireKeywords, client_settings, server_settings
 from fibaction.wire.tls_files import TlsFiles
-from fibaction.wire.wire_server import WireServer, open_server
+
+if TYPE_CHECKING:
+    from fibaction.wire.wire_server import WireServer
 
 T = TypeVar("T", bound="ConfiguredTransport")
 FromText = Callable[[str], Any]
@@ -139,6 +141,8 @@ class WireTransport(ConfiguredTransport):
     @asynccontextmanager
     async def serve(self, *endpoints: Endpoint) -> AsyncGenerator[str, None]:
         """See `Transport.serve`."""
+        from fibaction.wire.wire_server import open_server  # here, since clients do not need it
+
         served = {endpoint.info.name: endpoint for endpoint in endpoints}
         if len(served) < len(endpoints):
             raise TransportError("two of the endpoints serve actions of the same name")

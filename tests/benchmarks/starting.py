@@ -37,7 +37,20 @@ def _of_ros(code: str) -> tuple[str | Path, ...]:
 STARTS = {
     "nothing": Start("python -c pass", IN_FIBACTION, _of("pass")),
     "asyncio": Start("import asyncio", IN_FIBACTION, _of("import asyncio")),
+    "needed": Start("import anyio, msgspec", IN_FIBACTION, _of("import anyio, msgspec")),
     "fibaction": Start("import fibaction", IN_FIBACTION, _of("import fibaction"), True),
+    "client": Start(
+        "all that a client needs",
+        IN_FIBACTION,
+        _of("from fibaction import Action, connect"),
+        True,
+    ),
+    "server": Start(
+        "all that a server needs",
+        IN_FIBACTION,
+        _of("from fibaction import Action, ActionServer, GoalHandle, serve"),
+        True,
+    ),
     "help": Start(
         "fibaction --help",
         IN_FIBACTION,

@@ -6,7 +6,7 @@ import ssl
 from abc import abstractmethod
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import anyio
 from anyio.abc import Listener
@@ -24,9 +24,11 @@ from fibaction.exceptions import (
 from fibaction.wire.channel import Line
 from fibaction.wire.frames import Framing
 from fibaction.wire.transport import WireTransport
-from fibaction.wire.wire_server import WireServer
 from fibaction_transports._streams import _anyio, _asyncio
 from fibaction_transports._streams._tls import TlsListener, no_tls
+
+if TYPE_CHECKING:
+    from fibaction.wire.wire_server import WireServer
 
 ACCEPT_PAUSE = 0.1
 """Seconds without new connections after one could not be accepted: a lack of files passes."""

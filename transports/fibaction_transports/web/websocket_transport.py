@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ssl
 from collections.abc import Callable, Iterable
-from typing import Any, ClassVar, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 from urllib.parse import SplitResult, quote, unquote
 
 from fibaction._http_rules import HttpRules, rules
@@ -12,10 +12,12 @@ from fibaction.wire.frames import FrameReader, Framing
 from fibaction.wire.settings import WireKeywords
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import boolean, without_user
-from fibaction.wire.wire_server import WireServer
 from fibaction_transports._streams._host_transport import HostTransport, port_in
 from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake, http_answer
 from fibaction_transports.web._websocket_frames import WebSocketFraming
+
+if TYPE_CHECKING:
+    from fibaction.wire.wire_server import WireServer
 
 HOST = "127.0.0.1"
 """The default host: this machine only."""
