@@ -13,7 +13,7 @@ from fibaction.abc import Connection, Endpoint
 from fibaction.action import ActionInfo
 from fibaction.cli.action_names import names_of, no_action, shown
 from fibaction.cli.completion import ACTION
-from fibaction.cli.exit_codes import ExitCode, Failure, failure_of, message_of, run
+from fibaction.cli.exit_codes import ExitCode, Failure, advising, message_of, run
 from fibaction.cli.logs import log_events, log_with_time
 from fibaction.cli.namespace_option import namespace_option
 from fibaction.cli.namespaces import ROOT, Namespace
@@ -94,10 +94,8 @@ async def _all_at(connection: Connection) -> list[ActionInfo]:
     Raises:
         Failure: There is no server.
     """
-    try:
+    with advising("or name the actions to wait for"):
         return await connection.actions()
-    except ServerNotFound as exc:
-        raise failure_of(exc, "or name the actions to wait for") from exc
 
 
 async def _wait_for(
