@@ -79,13 +79,23 @@ async def follow_actions(
                 else:
                     text = f"it is not followed, because there are over {MOST_ACTIONS} actions"
                     listener.on_action_lost(info.name, text)
-            await anyio.sleep(PERIOD)
-            actions, reason = None, "it does not answer"
-            with anyio.move_on_after(PERIOD):
-                try:
-                    actions, reason = await connection.actions(), ""
-                except ActionError as exc:
-                    reason = str(exc)
+            actions, reason = await actions_after_pause(connection)
+
+
+async def actions_after_pause(
+    connection: ClientConnection,
+) -> tuple[list[ActionInfo] | None, str]:
+    """Wait for `PERIOD` seconds, and return the actions that are served then.
+
+    Without an answer in time, return None and the reason.
+    """
+    await anyio.sleep(PERIOD)
+    with anyio.move_on_after(PERIOD):
+        try:
+            return await connection.actions(), ""
+        except ActionError as exc:
+            return None, str(exc)
+    return None, "it does not answer"
 
 
 async def _follow_if_usable(

@@ -14,6 +14,7 @@ import anyio
 import msgspec
 from anyio.abc import TaskGroup
 
+from fibaction._action_listener import actions_after_pause
 from fibaction._api import ClientConnection
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint, FeedbackItem
@@ -24,8 +25,8 @@ from fibaction.recorder import Recorder
 
 __all__ = ["record_from"]
 
-PERIOD = 1.0
-"""Seconds between two looks for new actions, and for the end of the recording."""
+RETRY_PAUSE = 1.0
+"""Seconds before an action whose server has stopped is followed again."""
 MOST_FOLLOWED = 1000
 """Goals that are followed at the same time; others wait for their turn."""
 REMEMBERED = 10_000
@@ -45,18 +46,16 @@ async def record_from(connection: ClientConnection, recorder: Recorder) -> None:
         ActionError: The server is not found.
         OSError: The file cannot be written to any longer.
     """
-    actions = await connection.actions()
+    actions: list[ActionInfo] | None = await connection.actions()
     known: set[str] = set()
     async with Background() as tasks:
         observer = _Observer(connection, recorder, tasks)
         while recorder.error is None:
-            for info in actions:
+            for info in actions or ():
                 if info.name not in known:
                     known.add(info.name)
                     tasks.start_soon(observer.record_action, info)
-            await anyio.sleep(PERIOD)
-            with suppress(ActionError):
-                actions = await connection.actions()
+            actions, _ = await actions_after_pause(connection)
         raise recorder.error
 
 
@@ -79,7 +78,7 @@ class _Observer:
         while True:
             with suppress(ActionError):
                 await self._record_goals(endpoint)
-            await anyio.sleep(PERIOD)  # limits how often a permanent error is met
+            await anyio.sleep(RETRY_PAUSE)  # limits how often a permanent error is met
             await endpoint.wait_for_server()
 
     async def _record_goals(self, endpoint: Endpoint) -> None:

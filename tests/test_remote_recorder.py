@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
 import anyio
 import anyio.lowlevel
 import pytest
+from anyio.abc import TaskGroup
 
-from fibaction import Action, ActionServer, GoalHandle, GoalStatus, connect, remote_recorder, serve
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    ClientConnection,
+    GoalHandle,
+    GoalStatus,
+    _action_listener,
+    connect,
+    remote_recorder,
+    serve,
+)
 from fibaction.abc import Endpoint, ForwardingEndpoint, GoalStream
 from fibaction.action import ActionInfo
 from fibaction.exceptions import ConnectionLost, TransportError, UnknownGoal
@@ -20,6 +33,7 @@ from fibaction.recorder import Recorder
 from fibaction.recording_file import Record, read_records
 from fibaction.remote_recorder import record_from
 from fibaction.replay import replayed
+from tests.cli.served import Served, counter
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
@@ -35,6 +49,13 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "recording.jsonl"
+
+
+@pytest.fixture
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The recorder looks for new actions, and for its end, at once."""
+    monkeypatch.setattr(_action_listener, "PERIOD", 0.01)
+    monkeypatch.setattr(remote_recorder, "RETRY_PAUSE", 0.01)
 
 
 class Gated:
@@ -70,30 +91,63 @@ class Lines:
                 await anyio.sleep(0.01)  # the thread of the recorder notifies nobody
 
 
+class Robot(NamedTuple):
+    """A server, a client that sends it goals, and what records it from outside."""
+
+    gated: Gated
+    client: ActionClient[Goal, Feedback, Result]
+    observer: ClientConnection
+    recorder: Recorder
+    lines: Lines
+    tasks: TaskGroup
+
+    def record(self) -> None:
+        """Begin to record."""
+        self.tasks.start_soon(record_from, self.observer, self.recorder)
+
+
+RunRobot: TypeAlias = "Callable[..., AbstractAsyncContextManager[Robot]]"
+
+
+@pytest.fixture
+def robot(path: Path) -> RunRobot:
+    """Runs a robot for a block; `wrap` makes the endpoint that is served of its server."""
+
+    @asynccontextmanager
+    async def run(
+        wrap: Callable[[ActionServer[Any, Any, Any]], Endpoint] = lambda server: server,
+        **settings: Any,
+    ) -> AsyncGenerator[Robot, None]:
+        gated = Gated()
+        async with (
+            serve(wrap(ActionServer(FIBONACCI, gated, **settings)), URL),
+            connect(URL) as observer,
+            connect(URL, FIBONACCI) as client,
+            anyio.create_task_group() as tasks,
+        ):
+            with Recorder(path) as recorder:
+                yield Robot(gated, client, observer, recorder, Lines(path), tasks)
+                tasks.cancel_scope.cancel()
+
+    return run
+
+
 def of(goal_id: GoalID, records: list[Record]) -> list[tuple[str, object]]:
     return [(one.event, one.number or one.status) for one in records if one.goal_id == str(goal_id)]
 
 
 async def test_goals_of_other_clients_are_recorded_from_their_first_feedback_on(
-    path: Path,
+    robot: RunRobot,
 ) -> None:
-    gated = Gated()
-    async with (
-        serve(ActionServer(FIBONACCI, gated), URL),
-        connect(URL) as observer,
-        connect(URL, FIBONACCI) as client,
-        anyio.create_task_group() as tasks,
-    ):
-        before = await client.send_goal(Goal(2))
-        with Recorder(path) as recorder:
-            tasks.start_soon(record_from, observer, recorder)
-            await Lines(path).until("accepted", before.goal_id)
-            after = await client.send_goal(Goal(1))
-            await Lines(path).until("accepted", after.goal_id)
-            gated.go_on.set()
-            await Lines(path).until("end", before.goal_id)
-            records = await Lines(path).until("end", after.goal_id)
-            tasks.cancel_scope.cancel()
+    async with robot() as one:
+        before = await one.client.send_goal(Goal(2))
+        one.record()
+        await one.lines.until("accepted", before.goal_id)
+        after = await one.client.send_goal(Goal(1))
+        await one.lines.until("accepted", after.goal_id)
+        one.gated.go_on.set()
+        await one.lines.until("end", before.goal_id)
+        records = await one.lines.until("end", after.goal_id)
 
     assert [one.event for one in records].count("server") == 1
     assert next(one.data for one in records if one.goal_id == str(before.goal_id)) == {"order": 2}
@@ -104,44 +158,29 @@ async def test_goals_of_other_clients_are_recorded_from_their_first_feedback_on(
         assert found[-1] == ("end", GoalStatus.SUCCEEDED.name)
 
 
-async def test_what_is_recorded_from_outside_is_replayed(path: Path) -> None:
-    gated = Gated()
-    async with (
-        serve(ActionServer(FIBONACCI, gated), URL),
-        connect(URL) as observer,
-        connect(URL, FIBONACCI) as client,
-        anyio.create_task_group() as tasks,
-    ):
-        with Recorder(path) as recorder:
-            tasks.start_soon(record_from, observer, recorder)
-            goal = await client.send_goal(Goal(2))
-            await Lines(path).until("accepted")
-            gated.go_on.set()
-            await goal.outcome()
-            await Lines(path).until("end")
-            tasks.cancel_scope.cancel()
+async def test_what_is_recorded_from_outside_is_replayed(robot: RunRobot, path: Path) -> None:
+    async with robot() as one:
+        one.record()
+        goal = await one.client.send_goal(Goal(2))
+        await one.lines.until("accepted")
+        one.gated.go_on.set()
+        await goal.outcome()
+        await one.lines.until("end")
 
     async with serve(replayed(path), URL), connect(URL, FIBONACCI) as client:
         assert await client.call(Goal(2)) == Result([2])
 
 
-async def test_a_goal_that_had_ended_before_is_left_out(path: Path) -> None:
-    gated = Gated()
-    gated.go_on.set()
-    async with (
-        serve(ActionServer(FIBONACCI, gated), URL),
-        connect(URL) as observer,
-        connect(URL, FIBONACCI) as client,
-        anyio.create_task_group() as tasks,
-    ):
-        ended = await client.send_goal(Goal(1))
+async def test_a_goal_that_had_ended_before_is_left_out(robot: RunRobot) -> None:
+    async with robot() as one:
+        one.gated.go_on.set()
+        ended = await one.client.send_goal(Goal(1))
         await ended.outcome()
-        with Recorder(path) as recorder:
-            tasks.start_soon(record_from, observer, recorder)
-            await Lines(path).until("server")
-            later = await client.send_goal(Goal(1))
-            records = await Lines(path).until("end")
-            tasks.cancel_scope.cancel()
+        one.record()
+        await one.lines.until("server")
+        later = await one.client.send_goal(Goal(1))
+        records = await one.lines.until("end")
+
     assert {one.goal_id for one in records} == {"", str(later.goal_id)}
 
 
@@ -164,93 +203,79 @@ class Losing(ForwardingEndpoint):
     ],
 )
 async def test_a_goal_that_cannot_be_followed_is_said_to_be_left_unless_it_has_ended(
-    error: Exception, events: list[str], path: Path
+    error: Exception, events: list[str], robot: RunRobot, path: Path
 ) -> None:
-    gated = Gated()
-    endpoint = Losing(ActionServer(FIBONACCI, gated), error)
-    async with (
-        serve(endpoint, URL),
-        connect(URL) as observer,
-        connect(URL, FIBONACCI) as client,
-    ):
-        with Recorder(path) as recorder:
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(record_from, observer, recorder)
-                await Lines(path).until("server")
-                async with client.send_goal(Goal(1)):
-                    await anyio.wait_all_tasks_blocked()
-                tasks.cancel_scope.cancel()
+    async with robot(lambda server: Losing(server, error)) as one:
+        one.record()
+        await one.lines.until("server")
+        async with one.client.send_goal(Goal(1)):
+            await anyio.wait_all_tasks_blocked()
+
     assert [one.event for one in read_records(path)] == events
 
 
 async def test_goals_that_were_followed_are_forgotten_after_a_while(
-    path: Path, monkeypatch: pytest.MonkeyPatch
+    robot: RunRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(remote_recorder, "REMEMBERED", 1)
-    gated = Gated()
-    gated.go_on.set()
-    async with (
-        serve(ActionServer(FIBONACCI, gated), URL),
-        connect(URL) as observer,
-        connect(URL, FIBONACCI) as client,
-        anyio.create_task_group() as tasks,
-    ):
-        with Recorder(path) as recorder:
-            tasks.start_soon(record_from, observer, recorder)
-            await Lines(path).until("server")
-            for _ in range(3):
-                goal = await client.send_goal(Goal(1))
-                records = await Lines(path).until("end", goal.goal_id)
-            tasks.cancel_scope.cancel()
+    async with robot() as one:
+        one.gated.go_on.set()
+        one.record()
+        await one.lines.until("server")
+        for _ in range(3):
+            goal = await one.client.send_goal(Goal(1))
+            records = await one.lines.until("end", goal.goal_id)
+
     assert [one.event for one in records].count("end") == 3
 
 
-async def test_a_full_disk_ends_the_recording_with_its_error(
-    path: Path, monkeypatch: pytest.MonkeyPatch
+async def ends_with_its_error(connection: ClientConnection, recorder: Recorder) -> None:
+    """Record until the disk is full."""
+    with pytest.raises(OSError, match="No space left"), anyio.fail_after(5):
+        await record_from(connection, recorder)
+
+
+FULL = OSError(errno.ENOSPC, "No space left on device")
+
+
+async def test_a_full_disk_ends_the_recording_with_its_error(robot: RunRobot) -> None:
+    async with robot() as one, anyio.create_task_group() as tasks:
+        tasks.start_soon(ends_with_its_error, one.observer, one.recorder)
+        await one.lines.until("server")
+        one.recorder.error = FULL
+        await one.client.send_goal(Goal(1))
+
+
+@pytest.mark.usefixtures("soon")
+async def test_a_full_disk_ends_the_recording_also_of_a_server_that_does_not_answer(
+    path: Path,
 ) -> None:
-    gated = Gated()
-    async with (
-        serve(ActionServer(FIBONACCI, gated), URL),
-        connect(URL) as observer,
-        connect(URL, FIBONACCI) as client,
-    ):
-        with Recorder(path) as recorder:
-            async with anyio.create_task_group() as tasks:
-
-                async def full() -> None:
-                    with pytest.raises(OSError, match="No space left"):
-                        await record_from(observer, recorder)
-
-                tasks.start_soon(full)
-                await Lines(path).until("server")
-                recorder.error = OSError(errno.ENOSPC, "No space left on device")
-                await client.send_goal(Goal(1))
+    served = Served(counter("one"))
+    with Recorder(path) as recorder:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(ends_with_its_error, served.connection, recorder)
+            await anyio.wait_all_tasks_blocked()
+            served.silent = True
+            recorder.error = FULL
 
 
-async def test_each_change_of_the_status_is_recorded(path: Path) -> None:
-    gated = Gated()
-    async with (
-        serve(ActionServer(FIBONACCI, gated, interrupt_on_cancel=False), URL),
-        connect(URL) as observer,
-        connect(URL, FIBONACCI) as client,
-        anyio.create_task_group() as tasks,
-    ):
-        with Recorder(path) as recorder:
-            tasks.start_soon(record_from, observer, recorder)
-            goal = await client.send_goal(Goal(1))
-            await Lines(path).until("accepted")
-            await goal.cancel()
-            await Lines(path).until("status")
-            gated.go_on.set()
-            records = await Lines(path).until("end")
-            tasks.cancel_scope.cancel()
+async def test_each_change_of_the_status_is_recorded(robot: RunRobot) -> None:
+    async with robot(interrupt_on_cancel=False) as one:
+        one.record()
+        goal = await one.client.send_goal(Goal(1))
+        await one.lines.until("accepted")
+        await goal.cancel()
+        await one.lines.until("status")
+        one.gated.go_on.set()
+        records = await one.lines.until("end")
+
     assert ("status", "CANCELING") in of(goal.goal_id, records)
 
 
+@pytest.mark.usefixtures("soon")
 async def test_a_server_that_starts_again_is_recorded_again_and_so_are_new_actions(
-    path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path,
 ) -> None:
-    monkeypatch.setattr(remote_recorder, "PERIOD", 0.01)
     other = Action("other", goal=int, feedback=str, result=int)
 
     async def count(goal: GoalHandle[int]) -> AsyncGenerator[int, None]:
@@ -288,10 +313,8 @@ class WithoutTypes:
         raise TransportError("the ROS type is not installed")
 
 
-async def test_an_action_that_cannot_be_used_here_is_left_out(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(remote_recorder, "PERIOD", 0)
+@pytest.mark.usefixtures("soon")
+async def test_an_action_that_cannot_be_used_here_is_left_out(path: Path) -> None:
     connection: Any = WithoutTypes()
     with Recorder(path) as recorder:
         async with anyio.create_task_group() as tasks:

@@ -12,8 +12,11 @@ from fibaction._api import connect, serve
 from fibaction.abc import Connection, Endpoint
 from fibaction.action import ActionInfo
 from fibaction.cli.action_names import names_of, no_action, shown
-from fibaction.cli.exit_codes import ExitCode, Failure, failure_of, message_of, run
+from fibaction.cli.completion import ACTION
+from fibaction.cli.exit_codes import ExitCode, Failure, advising, message_of, run
 from fibaction.cli.logs import log_events, log_with_time
+from fibaction.cli.namespace_option import namespace_option
+from fibaction.cli.namespaces import ROOT, Namespace
 from fibaction.cli.options import reject_inproc
 from fibaction.cli.output import note, say
 from fibaction.cli.signals import stop_signals
@@ -29,16 +32,23 @@ LOOK_PAUSE = 0.2
     epilog="""\b
 Examples:
   fibaction bridge ros2:// tcp://127.0.0.1:7400
-  fibaction bridge tcp://127.0.0.1:7400 ros2:// fibonacci""",
+  fibaction bridge tcp://127.0.0.1:7400 ros2:// fibonacci
+  fibaction bridge ros2:// tcp://127.0.0.1:7400 -n /robot1""",
 )
 @click.argument("from_url", metavar="FROM_URL")
 @click.argument("to_url", metavar="TO_URL")
-@click.argument("names", metavar="[NAME]...", nargs=-1)
-def bridge_command(from_url: str, to_url: str, names: tuple[str, ...]) -> None:
+@click.argument("names", metavar="[NAME]...", nargs=-1, type=ACTION)
+@namespace_option
+def bridge_command(
+    from_url: str, to_url: str, names: tuple[str, ...], namespace: Namespace
+) -> None:
     """Serve at TO_URL the actions that are served at FROM_URL.
 
-    Without a NAME, the bridge serves all actions that there are when it starts. It waits for an
-    action that is named. If the server is away for a while, the bridge continues when it is back.
+    Without a NAME, the bridge serves all actions that there are when it starts, or all of those in
+    a namespace. It waits for an action that is named. If the server is away for a while, the bridge
+    continues when it is back.
+
+    With --namespace, a NAME without a slash in front is relative to the namespace.
 
     Ctrl-C or SIGTERM ends the bridge; the goals go on at their server. A second one ends at once.
     """
@@ -47,17 +57,23 @@ def bridge_command(from_url: str, to_url: str, names: tuple[str, ...]) -> None:
     reject_inproc(from_url)
     reject_inproc(to_url)
     with log_with_time():
-        run(bridge, from_url, to_url, names, uvloop=True)
+        full_names = list(map(namespace.absolute, names))
+        run(bridge, from_url, to_url, full_names, namespace, uvloop=True)
 
 
-async def bridge(from_url: str, to_url: str, names: Sequence[str]) -> int:
-    """Serve at one URL the actions of another, until a signal comes.
+async def bridge(
+    from_url: str, to_url: str, names: Sequence[str], namespace: Namespace = ROOT
+) -> int:
+    """Serve at one URL actions of another, until a signal comes.
+
+    They are those that are named, or else all in the namespace.
 
     Raises:
         Failure: There is no action to serve, and none to wait for is named.
     """
     async with stop_signals() as stop, connect(from_url) as connection:
-        infos = await (_wait_for(names, connection, stop) if names else _all_at(connection))
+        there_now = namespace.narrow(connection)
+        infos = await (_wait_for(names, connection, stop) if names else _all_at(there_now))
         if stop.is_set():
             return ExitCode.SUCCEEDED
         endpoints = list(_endpoints(connection, infos, choose=not names))
@@ -78,10 +94,8 @@ async def _all_at(connection: Connection) -> list[ActionInfo]:
     Raises:
         Failure: There is no server.
     """
-    try:
+    with advising("or name the actions to wait for"):
         return await connection.actions()
-    except ServerNotFound as exc:
-        raise failure_of(exc, "or name the actions to wait for") from exc
 
 
 async def _wait_for(

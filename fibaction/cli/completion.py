@@ -25,6 +25,7 @@ from fibaction.cli.action_names import shown
 from fibaction.cli.exit_codes import Failure
 from fibaction.cli.goal_lookup import ActionClients, goals_of
 from fibaction.cli.goal_template import GoalTemplate
+from fibaction.cli.namespaces import ROOT, Namespace
 from fibaction.cli.options import url_of
 from fibaction.exceptions import ActionError
 
@@ -48,8 +49,12 @@ class _ActionName(click.ParamType[str]):
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        slash = incomplete.startswith("/")
-        names = [shown(info.name) if slash else info.name for info in _actions(ctx)]
+        names = [info.name for info in actions_for(ctx)]
+        if incomplete.startswith("/"):
+            names = list(map(shown, names))
+        else:
+            namespace: Namespace = ctx.params.get("namespace") or ROOT
+            names = [namespace.relative(name) for name in names if namespace.holds(name)]
         return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
@@ -102,7 +107,7 @@ GOAL_ID = _GoalIDOf(actions=False)
 ACTION_OR_GOAL_ID = _GoalIDOf(actions=True)
 
 
-def _actions(ctx: click.Context) -> list[ActionInfo]:
+def actions_for(ctx: click.Context) -> list[ActionInfo]:
     """Return the actions that can be completed; none if the server is not known."""
     try:
         return reachable(url_of(ctx))
@@ -113,7 +118,7 @@ def _actions(ctx: click.Context) -> list[ActionInfo]:
 def _named(ctx: click.Context) -> list[ActionInfo]:
     """Return the action that is named before the incomplete word; all if none is."""
     named = ctx.params.get("name")
-    infos = _actions(ctx)
+    infos = actions_for(ctx)
     return [info for info in infos if named is None or shown(info.name) == shown(named)]
 
 

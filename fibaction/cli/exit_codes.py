@@ -104,6 +104,19 @@ def failure_of(
     return Failure(message_of(error, advice), code)
 
 
+@contextmanager
+def advising(advice: str) -> Generator[None, None, None]:
+    """Give the user this advice if the block finds no server.
+
+    Raises:
+        Failure: There is no server.
+    """
+    try:
+        yield
+    except ServerNotFound as exc:
+        raise failure_of(exc, advice) from exc
+
+
 def message_of(error: ActionError | str, advice: str = "") -> str:
     """Return the message of an error without its hints for Python code.
 

@@ -10,7 +10,7 @@ from fibaction._api import connect
 from fibaction._typescript import typescript_source
 from fibaction.action import ActionInfo
 from fibaction.action_files import action_source, load_action
-from fibaction.cli.exit_codes import ExitCode, Failure, run
+from fibaction.cli.exit_codes import ExitCode, Failure, advising, run
 from fibaction.cli.import_target import import_servers
 
 
@@ -104,7 +104,8 @@ async def write_types_of_server(source: str, output: Path | None) -> int:
     actions: list[ActionInfo]
     if "://" in source:
         async with connect(source) as connection:
-            actions = await connection.actions()
+            with advising("or give another URL"):
+                actions = await connection.actions()
     else:
         actions = [server.info for server in import_servers(source)]
     if not actions:

@@ -16,6 +16,8 @@ from fibaction.cli.echo import EventPrinter, print_events
 from fibaction.cli.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.goal_lookup import ActionClients, goals_of
 from fibaction.cli.goal_table import GoalRow, in_color, in_columns, picture
+from fibaction.cli.namespace_option import namespace_option
+from fibaction.cli.namespaces import ROOT, Namespace
 from fibaction.cli.options import json_option, url_option
 from fibaction.cli.outcomes import Outcomes
 from fibaction.cli.output import console, note, on_terminal, say, say_json
@@ -36,7 +38,7 @@ TIMEOUT = 1.0
 Examples:
   fibaction goals
   fibaction goals fibonacci --watch
-  fibaction goals --json
+  fibaction goals -n /robot1 --json
   fibaction goals --store goals.db""",
 )
 @click.argument("name", type=ACTION, required=False)
@@ -46,36 +48,55 @@ Examples:
     metavar="FILE",
     help="List the goals in the file of a store, whether its server runs or not.",
 )
+@namespace_option
 @json_option
 @url_option
 def goals_command(
-    name: str | None, watch: bool, store: str | None, as_json: bool, url: str
+    name: str | None,
+    watch: bool,
+    store: str | None,
+    namespace: Namespace,
+    as_json: bool,
+    url: str,
 ) -> None:
     """List the goals of the action NAME, or of all actions: those that are active, and those that
     have ended and that the server remembers.
 
+    With --namespace, a NAME without a slash in front is relative to the namespace.
+
     With --watch the list is kept up to date on a terminal; elsewhere each change is a line.
     """
+    name = None if name is None else namespace.absolute(name)
     if store is None:
-        run(list_goals, url, name, watch=watch, as_json=as_json)
+        run(list_goals, url, name, namespace, watch=watch, as_json=as_json)
     if watch:
         raise Failure("--store lists what is in the file now: leave out --watch", ExitCode.USAGE)
-    run(list_stored, store, name, as_json=as_json)
+    run(list_stored, store, name, namespace, as_json=as_json)
 
 
-async def list_stored(path: str, name: str | None, *, as_json: bool) -> int:
-    """Print the goals in the file of a store."""
-    _print_once(await rows_of_store(path, name), name, as_json=as_json)
+async def list_stored(path: str, name: str | None, namespace: Namespace, *, as_json: bool) -> int:
+    """Print the goals in the file of a store, of one action or of those in a namespace."""
+    rows = await rows_of_store(path, name)
+    if name is None:
+        rows = [row for row in rows if namespace.holds(row.action)]
+    _print_once(rows, name, namespace, as_json=as_json)
     return ExitCode.SUCCEEDED
 
 
-async def list_goals(url: str, name: str | None, *, watch: bool, as_json: bool) -> int:
-    """Print the goals, once or until Ctrl-C."""
-    async with connect(url) as connection:
+async def list_goals(
+    url: str, name: str | None, namespace: Namespace = ROOT, *, watch: bool, as_json: bool
+) -> int:
+    """Print the goals of one action, or of those in a namespace, once or until Ctrl-C.
+
+    Raises:
+        Failure: The action is not served, or the namespace has no actions.
+    """
+    async with connect(url) as whole:
+        connection = namespace.narrow(whole) if name is None else whole
         if not watch:
             clients = await ActionClients(connection, name).now()
             rows = await Outcomes().of(clients, await goals_of(clients))
-            _print_once(rows, name, as_json=as_json)
+            _print_once(rows, name, namespace, as_json=as_json)
         elif as_json or not on_terminal():
             printer = EventPrinter(as_json)
             await until_interrupted(
@@ -86,12 +107,15 @@ async def list_goals(url: str, name: str | None, *, watch: bool, as_json: bool) 
     return ExitCode.SUCCEEDED
 
 
-def _print_once(rows: list[GoalRow], name: str | None, *, as_json: bool) -> None:
+def _print_once(
+    rows: list[GoalRow], name: str | None, namespace: Namespace, *, as_json: bool
+) -> None:
     if as_json:
         for row in rows:
             say_json(row.json())
     elif not rows:
-        note(f"There are no goals{f' of {shown(name)}' if name else ''}.")
+        where = "" if namespace == ROOT else f" in {namespace.path}"
+        note(f"There are no goals{f' of {shown(name)}' if name else where}.")
     elif on_terminal():
         screen = console()
         for line in in_color(rows, in_columns(rows, actions=name is None, width=screen.width)):

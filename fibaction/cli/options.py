@@ -16,12 +16,13 @@ URL = "tcp://127.0.0.1:7400"
 
 
 def url_of(context: click.Context) -> str:
-    """Return the URL that counts for a verb: its own --url, or what is said before the verb.
+    """Return the URL that counts for a verb: its own --url or FROM_URL, or what is said before the
+    verb.
 
     Raises:
         Failure: The named address is not known.
     """
-    if own := context.params.get("url"):
+    if own := context.params.get("url") or context.params.get("from_url"):
         return str(own)
     before = context.find_root().params
     if name := before.get("address"):

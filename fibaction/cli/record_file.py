@@ -7,7 +7,7 @@ from functools import partial
 import click
 
 from fibaction._api import ClientConnection, connect
-from fibaction.cli.exit_codes import ExitCode, Failure, run
+from fibaction.cli.exit_codes import ExitCode, Failure, advising, run
 from fibaction.cli.logs import log_connection
 from fibaction.cli.options import reject_inproc
 from fibaction.cli.output import say
@@ -40,10 +40,11 @@ async def record(url: str, file: str) -> int:
     """Record until a signal comes.
 
     Raises:
-        Failure: The file cannot be written to.
+        Failure: There is no server, or the file cannot be written to.
     """
     async with connect(url) as connection:
-        await connection.actions()  # an error comes before the file is made
+        with advising("or give another URL"):
+            await connection.actions()  # an error comes before the file is made
         log_connection()
         await until_interrupted(partial(_record, connection, url, file))
     return ExitCode.SUCCEEDED

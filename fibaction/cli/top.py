@@ -14,6 +14,8 @@ import click
 from fibaction._api import ClientConnection, connect
 from fibaction._tasks import Background
 from fibaction.cli.exit_codes import ExitCode, Failure, run
+from fibaction.cli.namespace_option import namespace_option
+from fibaction.cli.namespaces import ROOT, Namespace
 from fibaction.cli.options import url_option
 from fibaction.cli.signals import until_interrupted
 from fibaction.exceptions import ActionError
@@ -27,15 +29,17 @@ MOST_LINES = 100
 @click.command(
     "top",
     epilog="""\b
-Example:
+Examples:
   fibaction top
+  fibaction top -n /robot1
 
 \b
 Keys: c cancels the goal under the cursor, after a question; f or Enter shows the goal, its
 feedback and its end; / filters; s sorts; q quits.""",
 )
+@namespace_option
 @url_option
-def top_command(url: str) -> None:
+def top_command(namespace: Namespace, url: str) -> None:
     """Watch all actions and goals on a live screen: progress, rates, the latest feedback, ends."""
     if find_spec("textual") is None:
         raise Failure("fibaction top needs textual: pip install 'fibaction[tui]'", ExitCode.USAGE)
@@ -45,23 +49,28 @@ def top_command(url: str) -> None:
             "fibaction top needs a terminal, on stderr as well; fibaction goals --watch does not",
             ExitCode.USAGE,
         )
-    run(top, url)
+    run(top, url, namespace)
 
 
-async def top(url: str) -> int:
+async def top(url: str, namespace: Namespace) -> int:
     """Show the screen until the user quits.
 
     Raises:
+        Failure: The namespace has no actions.
         ActionError: The server cannot be reached; or the connection is lost and is not reopened.
     """
-    async with connect(url) as connection:
+    where = without_settings(url)
+    if namespace != ROOT:
+        where += f"  {namespace.path}"
+    async with connect(url) as whole:
+        connection = namespace.narrow(whole)
         await connection.actions()  # raises an error before the screen is taken
-        await show(connection, url)
+        await show(connection, where)
     return ExitCode.SUCCEEDED
 
 
-async def show(connection: ClientConnection, url: str) -> None:
-    """Show the actions of a connection.
+async def show(connection: ClientConnection, where: str) -> None:
+    """Show the actions of a connection. `where` is the server, for the first line.
 
     Raises:
         ActionError: It is lost and is not reopened.
@@ -70,7 +79,7 @@ async def show(connection: ClientConnection, url: str) -> None:
     from fibaction.cli.screen_tables import FeedbackText
 
     monitor = Monitor(summarize=FeedbackText.of)
-    screen = TopScreen(monitor, without_settings(url))
+    screen = TopScreen(monitor, where)
     lost: list[BaseException] = []
 
     async def feed() -> None:

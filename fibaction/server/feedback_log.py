@@ -198,22 +198,24 @@ class FeedbackLog:
 
         A cursor that was not read by then stops making the executor wait, until it has caught up.
         """
-        slow = self._slow()
-        patient = [cursor.patience for cursor in slow if cursor.patience is not None]
-        began = anyio.current_time()
-        if await self._has_room_within(min([seconds, *(one.left() for one in patient)])):
-            for one in patient:
-                one.spend(anyio.current_time() - began)
-            return
-        waited = anyio.current_time() - began
-        for cursor in self._slow():
-            is_patient = cursor.patience is None or cursor.patience.spend(waited)
-            if waited >= seconds or not is_patient:
-                cursor.stall()
-                self._holders = without_member(self._holders, cursor)
-        self.make_room()
-        if self.is_full:
-            await self.wait_for_room(seconds - waited)
+        while True:
+            slow = self._slow()
+            patient = [cursor.patience for cursor in slow if cursor.patience is not None]
+            began = anyio.current_time()
+            if await self._has_room_within(min([seconds, *(one.left() for one in patient)])):
+                for one in patient:
+                    one.spend(anyio.current_time() - began)
+                return
+            waited = anyio.current_time() - began
+            for cursor in self._slow():
+                is_patient = cursor.patience is None or cursor.patience.spend(waited)
+                if waited >= seconds or not is_patient:
+                    cursor.stall()
+                    self._holders = without_member(self._holders, cursor)
+            self.make_room()
+            if not self.is_full:
+                return
+            seconds -= waited
 
     def _slow(self) -> list[FeedbackCursor]:
         """Return the cursors for which the executor waits now, if the log is full."""

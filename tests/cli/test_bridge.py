@@ -49,6 +49,17 @@ def test_a_bridge_serves_all_that_there_is_until_a_signal_comes(
     assert "Traceback" not in err
 
 
+@pytest.mark.parametrize("names", [(), ("pick",), ("/arm/pick",)], ids=" ".join)
+def test_a_bridge_serves_a_namespace_and_names_relative_to_it(
+    tmp_path: Path, started: Start, fibaction: Run, tcp: str, names: tuple[str, ...]
+) -> None:
+    near = f"unix://{tmp_path}/socket"
+    bridge = started("bridge", tcp, near, *names, "-n", "/arm")
+    lines_until(f"bridging /arm/pick from {tcp}", bridge)
+
+    assert fibaction("list", url=near).lines == ["/arm/pick"]
+
+
 def test_programs_of_rosbridge_find_a_bridge_in_place_of_their_server(
     started: Start, tcp: str
 ) -> None:

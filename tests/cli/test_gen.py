@@ -110,6 +110,13 @@ def test_typescript_that_cannot_be_written_is_one_sentence(
     assert done.stderr.startswith(f"Error: {error}")
 
 
+def test_without_a_server_another_url_is_advised_and_no_option(invoke: Invoke, nobody: str) -> None:
+    done = invoke("gen", "--ts", nobody)
+
+    assert done.stderr.startswith(f"Error: no server listens at {nobody} ")
+    assert done.stderr.endswith(": start the server, or give another URL\n")
+
+
 def test_a_server_without_actions_has_no_types(
     invoke: Invoke, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 
 from fibaction import Action, ActionServer, serve
 from fibaction.cli.list import list_actions
+from fibaction.cli.namespaces import Namespace
 from tests.cli.conftest import Invoke, Run
 from tests.cli.robot import words
+from tests.cli.served import counter
 
 NAMES = ["/arm/pick", "/fibonacci", "/many", "/stubborn", "/wait", "/words"]
 
@@ -62,3 +66,47 @@ async def test_names_are_in_order(capsys: pytest.CaptureFixture[str]) -> None:
         await list_actions("inproc://order", show_types=True, count=False, as_json=False)
 
     assert capsys.readouterr().out == "/a\n/b\n/c\n"
+
+
+def test_list_limits_itself_to_a_namespace(here: Run, url: str) -> None:
+    for namespace in ("/arm", "arm/"):
+        assert here("list", "-n", namespace, url=url).lines == ["/arm/pick"]
+    assert here("list", "-c", "--namespace", "/arm", url=url).lines == ["1"]
+    assert here("list", "-n", "/", url=url).lines == NAMES
+
+
+@pytest.mark.asyncio
+async def test_a_group_is_a_namespace_with_its_actions_below_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    names = ("robot2/navigate", "/robot1/navigate", "robot2/arm/pick", "look", "robot10/navigate")
+    url = "inproc://grouped"
+    show = partial(list_actions, url, group=True, show_types=False)
+
+    async with serve(list(map(counter, names)), url):
+        await show(count=False, as_json=False)
+        grouped = capsys.readouterr().out
+        await show(count=True, as_json=False)
+        counts = capsys.readouterr().out
+        await show(Namespace("/robot2"), count=False, as_json=True)
+        values = capsys.readouterr().out
+        await show(Namespace("/robot1"), count=True, as_json=True)
+        value = capsys.readouterr().out
+
+    assert grouped.splitlines() == [
+        *("/", "    look"),
+        *("/robot1", "    navigate"),
+        *("/robot10", "    navigate"),
+        *("/robot2", "    navigate"),
+        *("/robot2/arm", "    pick"),
+    ]
+    assert counts == "/: 1\n/robot1: 1\n/robot10: 1\n/robot2: 1\n/robot2/arm: 1\n"
+    assert values.splitlines() == [
+        '{"namespace":"/robot2","name":"robot2/navigate","type":""}',
+        '{"namespace":"/robot2/arm","name":"robot2/arm/pick","type":""}',
+    ]
+    assert value == '{"namespace":"/robot1","count":1}\n'
+
+
+def test_groups_can_have_types(here: Run, tcp: str) -> None:
+    assert here("list", "-gt", "-n", "arm", url=tcp).lines == ["/arm", "    pick [arm/action/Pick]"]

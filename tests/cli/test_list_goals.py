@@ -17,6 +17,7 @@ from fibaction import ActionClient, ConnectionLost, GoalID, connect, serve
 from fibaction.cli import list_goals
 from fibaction.cli.exit_codes import ExitCode
 from fibaction.cli.goal_table import picture
+from fibaction.cli.namespaces import Namespace
 from fibaction.cli.output import note
 from fibaction.monitor import AnyClient
 from tests.cli.conftest import Open, Robot, Run, Start, detached, interrupt
@@ -64,6 +65,26 @@ def test_goals_as_json_has_all_that_is_known(here: Run, url: str) -> None:
         "queue_length": 0,
         "attempt": 1,
     }
+
+
+def test_goals_limits_itself_to_a_namespace(here: Run, url: str) -> None:
+    inside = detached(here, url, "arm/pick", "object_name: cup")
+    outside = detached(here, url, "fibonacci", "order: 1")
+    found = here("goals", "--namespace", "/arm", url=url)
+
+    assert inside in found.out
+    assert outside not in found.out
+    assert {line.split()[1] for line in found.lines[1:]} == {"/arm/pick"}
+
+
+def test_a_name_is_relative_to_the_namespace_unless_it_has_a_slash(here: Run, tcp: str) -> None:
+    inside = detached(here, tcp, "arm/pick", "object_name: cup")
+    outside = detached(here, tcp, "fibonacci", "order: 1")
+
+    assert inside in here("goals", "pick", "-n", "arm", url=tcp).out
+    assert outside in here("goals", "/fibonacci", "-n", "arm", url=tcp).out
+    error = here("goals", "fibonacci", "-n", "arm", url=tcp).err
+    assert error.startswith("Error: the action /arm/fibonacci is not served; did you mean ")
 
 
 @pytest.mark.parametrize("columns", [80, 160])
@@ -150,6 +171,21 @@ async def test_without_goals_there_is_a_remark(capsys: pytest.CaptureFixture[str
     out, err = capsys.readouterr()
     assert out == ""
     assert err == "There are no goals.\nThere are no goals of /one.\n"
+
+
+@pytest.mark.asyncio
+async def test_without_goals_in_a_namespace_there_is_a_remark(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    list_those = partial(list_goals.list_goals, "inproc://goals", watch=False, as_json=False)
+    async with serve([counter("robot1/one"), counter("robot2/one")], "inproc://goals"):
+        async with connect("inproc://goals", counter("robot2/one").action) as client:
+            await client.send_goal(1)
+            assert await list_those(None, Namespace("/robot1")) == 0
+            assert await list_those("/robot1/one", Namespace("/robot1")) == 0
+
+    err = capsys.readouterr().err
+    assert err == "There are no goals in /robot1.\nThere are no goals of /robot1/one.\n"
 
 
 @pytest.fixture
@@ -261,6 +297,20 @@ async def test_elsewhere_each_change_is_a_line(monkeypatch: pytest.MonkeyPatch) 
 
     assert plain[0].endswith(f"  {ID}  EXECUTING  /one  1  -")
     assert json.loads(events[0])["status"] == "EXECUTING"
+
+
+@pytest.mark.asyncio
+async def test_a_watched_namespace_has_no_changes_of_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robots, url = [counter("robot1/one"), counter("robot10/one")], "inproc://goals"
+    async with serve(robots, url), connect(url) as connection:
+        for robot in reversed(robots):
+            await connection.client(robot.action).send_goal(1)
+        watch = partial(list_goals.list_goals, url, None, Namespace("/robot1"), watch=True)
+        lines = await echoed(monkeypatch, partial(watch, as_json=True), "EXECUTING")
+
+    assert {json.loads(line)["action"] for line in lines} == {"robot1/one"}
 
 
 @pytest.mark.anyio

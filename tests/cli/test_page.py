@@ -7,10 +7,11 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import ROOT, Run
+from tests.cli.conftest import ROOT, Run, Start
 from tests.pages import blocks_of
 from tests.processes import ended, lines_until
 from tests.walks import Step, steps_of
@@ -23,13 +24,30 @@ CHANGING = {
     r"\b127\.0\.0\.1:\d+": "ADDRESS",
     r'"stamp":\d+': "STAMP",
 }
-STEPS = [
+ALL = [
     step
     for block in blocks_of(PAGE)
     if block.language == "console"
     for step in steps_of(block.code)
-    if TYPED.match(step.command)
 ]
+STEPS = [step for step in ALL if TYPED.match(step.command)]
+IN_A_FLEET = [step for step in ALL if step.command.startswith("fibaction -c fleet ")]
+FLEET = """
+from fibaction import Action, ActionServer
+
+
+async def run(goal):
+    yield goal.request
+
+
+servers = [
+    ActionServer(Action(name, goal=int, feedback=int, result=str), run)
+    for name in (
+        *("robot1/navigate", "robot2/navigate", "robot10/navigate"),
+        *("robot2/arm/pick", "look"),
+    )
+]
+"""
 
 
 @pytest.fixture(scope="module")
@@ -70,3 +88,20 @@ def test_a_command_prints_what_the_page_says(fibaction: Run, server: str, step: 
 def test_each_of_these_verbs_is_on_the_page() -> None:
     verbs = {step.command.split()[1] for step in STEPS}
     assert verbs == {"list", "type", "find", "info", "send_goal"}
+
+
+def test_the_commands_with_namespaces_print_what_the_page_says(
+    fibaction: Run, started: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "fleet.py").write_text(FLEET)
+    url = f"unix://{tmp_path}/socket"
+    config = tmp_path / "config.toml"
+    config.write_text(f'[addresses]\nfleet = "{url}"\n')
+    monkeypatch.chdir(tmp_path)
+    lines_until("serving", started("serve", "fleet:servers", url))
+
+    for step in IN_A_FLEET:
+        _, *arguments = shlex.split(step.command)
+        done = fibaction(*arguments, env={"FIBACTION_CONFIG": str(config)})
+        assert same([*done.lines, *done.err.splitlines()]) == same(step.expected), step.command
+    assert len(IN_A_FLEET) == 7

@@ -221,6 +221,8 @@ def test_the_messages_that_are_exported_are_counted(folder: Path, invoke: Invoke
 
 def test_a_server_that_is_not_there_leaves_no_file(folder: Path, invoke: Invoke) -> None:
     file = folder / "today.jsonl"
-    assert invoke("record", f"unix://{folder}/nobody", str(file)).exit_code == ExitCode.UNREACHABLE
+    result = invoke("record", f"unix://{folder}/nobody", str(file))
+    assert result.exit_code == ExitCode.UNREACHABLE
+    assert result.stderr.endswith(": start the server, or give another URL\n")
     assert invoke("record", "inproc://robot", str(file)).exit_code == ExitCode.USAGE
     assert not file.exists()

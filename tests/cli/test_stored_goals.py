@@ -51,6 +51,18 @@ def test_the_goals_of_a_store_are_listed_as_those_of_a_server(here: Run, path: P
     assert [goal[-2:] for goal in goals] == [["done", "1"], ["done", "2"], ["done", "3"]]
 
 
+def test_the_goals_of_a_namespace_are_listed_and_names_are_relative_to_it(
+    here: Run, path: Path
+) -> None:
+    store = ("goals", "--store", str(path))
+
+    (arm,) = here(*store, "-n", "/arm").lines[1:]
+    assert arm.split()[1] == "/arm/drive"
+    assert len(here(*store, "-n", "arm", "drive").lines) == 2
+    assert len(here(*store, "-n", "arm", "/paint").lines) == 3
+    assert here(*store, "-n", "/leg").err == "There are no goals in /leg.\n"
+
+
 def test_the_goals_of_one_action_are_listed_as_json(here: Run, path: Path) -> None:
     found = here("goals", "/paint", "--store", str(path), "--json")
 

@@ -16,7 +16,7 @@ from fibaction.cli import top
 from fibaction.cli.exit_codes import ExitCode
 from fibaction.cli.output import LogHandler
 from fibaction.cli.screen import TopScreen
-from tests.cli.conftest import Invoke, Open, Robot, Run
+from tests.cli.conftest import Invoke, Open, Robot, Run, detached
 from tests.cli.served import Served, counter
 
 NEEDS_TERMINAL = (
@@ -48,6 +48,21 @@ def test_goals_can_be_watched_followed_and_canceled(
 
     assert shown.ends() == 0
     assert not shown.cursor_hidden
+
+
+def test_a_namespace_limits_the_screen_and_is_in_its_first_line(
+    terminal: Open, fibaction: Run, tcp: str
+) -> None:
+    outside = detached(fibaction, tcp, "fibonacci", "order: 1")
+    inside = detached(fibaction, tcp, "arm/pick", "object_name: cup")
+    shown = terminal("top", "-n", "arm", url=tcp, columns=160)
+    shown.until(rf"{tcp}  /arm  0 active, ")
+    shown.until(rf"{inside[:8]}\w* +/arm/pick +SUCCEEDED")
+    assert outside[:8] not in shown.text
+    assert "/fibonacci" not in shown.text
+    shown.press("q")
+
+    assert shown.ends() == 0
 
 
 def test_a_server_that_is_away_is_shown_and_ctrl_c_leaves(

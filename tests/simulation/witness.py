@@ -81,7 +81,7 @@ def recorded(
         if record.scenario.server.store is not None:
             wrap(GoalSubscription, "next_frames", lambda real: _telling(real, record))
             wrap(Session, "_say", lambda real: _answering(real, record))
-        wrap(FeedbackLog, "wait_for_room", lambda real: _holding(real, on_hold))
+        wrap(FeedbackLog, "_has_room_within", lambda real: _holding(real, on_hold))
         yield
 
 
@@ -233,11 +233,12 @@ def _handling(real: Any, on_message: Callable[[Session], None]) -> Any:
 
 
 def _holding(real: Any, on_hold: Callable[[FeedbackLog], None]) -> Any:
-    async def wait_for_room(self: FeedbackLog, seconds: float) -> None:
+    async def has_room_within(self: FeedbackLog, seconds: float) -> bool:
         on_hold(self)
-        await real(self, seconds)
+        found: bool = await real(self, seconds)
+        return found
 
-    return wait_for_room
+    return has_room_within
 
 
 def _telling(real: Any, record: Record) -> Any:

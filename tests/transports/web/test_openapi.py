@@ -39,6 +39,15 @@ def test_it_is_valid_openapi(tokens: bool) -> None:
     assert "/actions/%2Fleft%2Farm/goals/{goal_id}/events" in made["paths"]
 
 
+@pytest.mark.parametrize("names", [("arm", "arm/goals"), ("arm/goals", "arm")], ids=" ".join)
+def test_a_list_of_goals_comes_before_an_action_of_the_same_address(names: tuple[str, ...]) -> None:
+    paths = described(*map(ActionInfo, names))["paths"]
+
+    assert set(paths["/actions/arm/goals"]) == {"get", "post", "delete"}
+    assert paths["/actions/arm/goals"]["get"]["operationId"] == "list.arm"
+    assert "post" in paths["/actions/arm/goals/goals"]
+
+
 def test_references_lead_to_where_the_definitions_are() -> None:
     schemas = described(ARM.info)["components"]["schemas"]
     assert schemas[".left.arm.goal"] == {"$ref": "#/components/schemas/.left.arm.goal.Arm"}

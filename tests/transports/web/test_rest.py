@@ -565,6 +565,22 @@ async def test_an_action_with_slashes_has_its_address() -> None:
             assert (await fetch(url, "GET", answer.headers["location"])).json["result"] == 7
 
 
+@pytest.mark.parametrize("names", [["arm/goals"], ["arm/goals", "arm"]], ids=" ".join)
+async def test_an_action_may_be_called_goals(names: list[str]) -> None:
+    async def echo(goal: GoalHandle[int]) -> AsyncGenerator[Any, None]:
+        yield goal.request
+
+    servers: list[Any] = [
+        ActionServer(Action(name, goal=int, feedback=str, result=int), echo) for name in names
+    ]
+    async with serve(servers, HTTP) as (url,):
+        answer = await fetch(url, "POST", "/actions/arm/goals/goals?wait=5", 7)
+        assert answer.json["result"] == 7
+        assert (await fetch(url, "GET", answer.headers["location"])).json["result"] == 7
+        at_both_names = (await fetch(url, "GET", "/actions/arm/goals")).json
+        assert at_both_names == [] if "arm" in names else at_both_names["name"] == "arm/goals"
+
+
 async def test_a_schema_that_changes_is_read_again() -> None:
     class Changing(ForwardingEndpoint):
         schema: ClassVar[dict[str, Any]] = {}

@@ -23,7 +23,34 @@ ID = "0123456789abcdef0123456789abcdef"
     ],
 )
 def test_a_path_is_read_from_its_right_end(path: str, route: Route) -> None:
-    assert route_of("GET", path) == route
+    assert route_of("GET", path, ()) == route
+
+
+@pytest.mark.parametrize(
+    ("path", "served", "route"),
+    [
+        ("arm/goals", ["arm/goals"], Route(Resource.ACTION, "arm/goals")),
+        ("arm/goals", ["arm", "arm/goals"], Route(Resource.GOALS, "arm")),
+        ("arm/goals/goals", ["arm", "arm/goals"], Route(Resource.GOALS, "arm/goals")),
+        ("arm/goals/goals", ["arm", "arm/goals/goals"], Route(Resource.ACTION, "arm/goals/goals")),
+        ("arm/goals/x", ["arm", "arm/goals/x"], Route(Resource.ACTION, "arm/goals/x")),
+        ("arm/goals/events", ["arm/goals/events"], Route(Resource.ACTION, "arm/goals/events")),
+        (
+            f"arm/goals/goals/{ID}",
+            ["arm", "arm/goals"],
+            Route(Resource.GOAL, "arm/goals", GoalID.parse(ID)),
+        ),
+        (
+            f"arm/goals/{ID}/events",
+            ["arm", "arm/goals"],
+            Route(Resource.EVENTS, "arm", GoalID.parse(ID)),
+        ),
+    ],
+)
+def test_the_first_way_to_read_a_path_whose_action_is_served_counts(
+    path: str, served: list[str], route: Route
+) -> None:
+    assert route_of("GET", f"/actions/{path}", served) == route
 
 
 @pytest.mark.parametrize(
@@ -31,7 +58,7 @@ def test_a_path_is_read_from_its_right_end(path: str, route: Route) -> None:
 )
 def test_elsewhere_there_is_nothing(path: str) -> None:
     with pytest.raises(Refused, match=r"see /openapi\.json") as refused:
-        route_of("GET", path)
+        route_of("GET", path, ())
     assert refused.value.status == 404
 
 
@@ -48,7 +75,7 @@ def test_another_method_gets_the_list_of_those_that_are(
     method: str, path: str, allowed: str
 ) -> None:
     with pytest.raises(Refused) as refused:
-        route_of(method, path)
+        route_of(method, path, ())
     assert refused.value.status == 405
     assert refused.value.headers == (("Allow", allowed),)
     assert str(refused.value).isprintable()
@@ -59,5 +86,5 @@ def test_another_method_gets_the_list_of_those_that_are(
 )
 def test_an_id_that_is_none_is_told(text: str, problem: str) -> None:
     with pytest.raises(Refused, match=problem) as refused:
-        route_of("DELETE", f"/actions/a/goals/{text}")
+        route_of("DELETE", f"/actions/a/goals/{text}", ["a"])
     assert refused.value.status == 400

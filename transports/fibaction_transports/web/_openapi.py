@@ -118,9 +118,8 @@ def _add(info: ActionInfo, paths: Json, schemas: Json) -> None:
     goals = {"type": "array", "items": _ref("Goal")}
     listed = {"description": "Goals.", "content": {"application/json": {"schema": goals}}}
     base = f"/actions/{info.name.replace('/', '%2F') if info.name[0] in '/~' else info.name}"
-    paths[base] = {
-        "get": _operation("Describe the action.", f"describe.{name}", _anything("The action."))
-    }
+    described = _operation("Describe the action.", f"describe.{name}", _anything("The action."))
+    paths.setdefault(base, {"get": described})  # a list of goals at this address comes before it
     paths[f"{base}/goals"] = {
         "get": _operation("List the goals.", f"list.{name}", {"200": listed}),
         "post": _operation("Send a goal.", f"send.{name}", {"201": sent}, _WAIT)

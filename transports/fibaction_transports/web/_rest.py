@@ -73,7 +73,7 @@ class RestInterface:
             ActionError: It cannot be answered.
         """
         client = self.admit(exchange)
-        route = route_of(exchange.method, exchange.path)
+        route = route_of(exchange.method, exchange.path, self._endpoints)
         await self._handlers[route.resource, exchange.method](exchange, client, route)
 
     def admit(self, exchange: Exchange) -> SessionClient:

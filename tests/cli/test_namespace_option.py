@@ -1,0 +1,94 @@
+"""The option `--namespace`: the same in each verb that has it, and completed by the shell."""
+
+from __future__ import annotations
+
+import pytest
+from click.shell_completion import BashComplete
+
+from fibaction import ActionInfo
+from fibaction.cli import completion, top
+from fibaction.cli.app import cli
+from fibaction.cli.exit_codes import ExitCode
+from tests.cli.conftest import Run
+from tests.cli.test_top import sys_with_terminals
+
+VERBS = [["list"], ["goals"], ["goals", "-w"], ["top"], ["bridge", "URL", "unix:///tmp/never"]]
+
+
+@pytest.fixture(autouse=True)
+def in_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`top` finds a terminal, which it does not come to use."""
+    monkeypatch.setattr(top, "sys", sys_with_terminals())
+
+
+@pytest.mark.parametrize("option", ["-n", "--namespace"])
+@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
+def test_every_verb_suggests_the_near_namespace(
+    here: Run, tcp: str, verb: list[str], option: str
+) -> None:
+    words = [tcp if word == "URL" else word for word in verb]
+    code, out, err = here(*words, option, "/amr", url=tcp)
+
+    assert (code, out) == (ExitCode.UNREACHABLE, "")
+    assert err == "Error: there is no action in the namespace /amr; did you mean /arm?\n"
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
+def test_every_verb_rejects_what_is_not_a_namespace(here: Run, tcp: str, verb: list[str]) -> None:
+    words = [tcp if word == "URL" else word for word in verb]
+    code, out, err = here(*words, "-n", "/robot 1", url=tcp)
+
+    assert (code, out) == (ExitCode.USAGE, "")
+    assert err == "Error: a namespace is like /robot1 or /robot1/arm, unlike '/robot 1'\n"
+
+
+# Completion
+
+FLEET = {
+    "tcp://fleet": ["robot1/navigate", "robot2/navigate", "robot2/arm/pick", "look"],
+    "tcp://other": ["other/look"],
+}
+
+
+def offered(words: str) -> list[str]:
+    """What the shell offers for the last word."""
+    *before, incomplete = words.split(" ")
+    shell = BashComplete(cli, {}, "fibaction", "_FIBACTION_COMPLETE")
+    return [item.value for item in shell.get_completions(before, incomplete)]
+
+
+@pytest.fixture
+def fleet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two servers with namespaces, as completion sees them."""
+
+    async def actions_at(url: str) -> list[ActionInfo]:
+        return list(map(ActionInfo, FLEET[url]))
+
+    monkeypatch.setattr(completion, "actions_at", actions_at)
+    monkeypatch.setenv("FIBACTION_URL", "tcp://fleet")
+
+
+@pytest.mark.usefixtures("fleet")
+def test_namespaces_are_completed_as_they_are_begun() -> None:
+    for verb in ("list", "goals", "top"):
+        assert offered(f"{verb} -n ") == ["/robot1", "/robot2", "/robot2/arm"]
+    assert offered("list -n /robot2") == ["/robot2", "/robot2/arm"]
+    assert offered("list --namespace robot2/") == ["robot2/arm"]
+    assert offered("list -n /nowhere") == []
+    assert offered("list -u tcp://other -n ") == ["/other"]
+
+
+@pytest.mark.usefixtures("fleet")
+def test_a_bridge_completes_from_the_url_that_it_bridges() -> None:
+    assert offered("bridge tcp://other tcp://fleet -n ") == ["/other"]
+    assert offered("bridge tcp://other --namespace=/o") == ["/other"]
+    assert offered("bridge -n ") == []
+    assert offered("bridge tcp://fleet tcp://other -n /robot2 ") == ["navigate", "arm/pick"]
+
+
+@pytest.mark.usefixtures("fleet")
+def test_names_are_completed_relative_to_the_namespace() -> None:
+    assert offered("goals -n /robot2 ") == ["navigate", "arm/pick"]
+    assert offered("goals -n robot2 a") == ["arm/pick"]
+    assert offered("goals -n robot2 /robot1") == ["/robot1/navigate"]
+    assert offered("goals -n /2 robot1") == ["robot1/navigate"]  # the namespace is rejected later
