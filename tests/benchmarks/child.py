@@ -84,6 +84,12 @@ ORDERS: dict[str, Callable[[Contender, int], Awaitable[Any]]] = {
 }
 
 
+LOOPS: dict[str, dict[str, Any]] = {
+    "asyncio": {},
+    "uvloop": {"backend_options": {"use_uvloop": True}},
+    "trio": {"backend": "trio"},
+}
+"""The event loops, as settings of `anyio.run`."""
 NAMES = sorted(path.stem.removeprefix("over_") for path in Path(__file__).parent.glob("over_*.py"))
 """The names of the contenders."""
 
@@ -107,11 +113,12 @@ if __name__ == "__main__":
     parser.add_argument("end", choices=["server", "client"])
     parser.add_argument("name", help="of a module: what follows over_")
     parser.add_argument("address", nargs="?", default="", help="for a client: what a server gave")
+    parser.add_argument("--loop", choices=LOOPS, default="asyncio", help="%(default)s by default")
     arguments = parser.parse_args()
     if arguments.name not in NAMES:
         parser.error(f"unknown contender {arguments.name!r}; the contenders are {', '.join(NAMES)}")
     module = import_module(f"tests.benchmarks.over_{arguments.name}")
     if arguments.end == "server":
-        anyio.run(server, module)
+        anyio.run(server, module, **LOOPS[arguments.loop])
     else:
-        anyio.run(client, module, arguments.address)
+        anyio.run(client, module, arguments.address, **LOOPS[arguments.loop])

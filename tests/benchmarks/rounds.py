@@ -34,6 +34,8 @@ BESIDE = [
     ("tcp", "task_sockets"),
     ("tcp", "grpc"),
     ("tcp", "nats"),
+    ("tcp_uvloop", "tcp"),
+    ("tcp_trio", "tcp"),
     ("tls", "tcp"),
     ("unix", "tcp"),
     ("ws", "tcp"),

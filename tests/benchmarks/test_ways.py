@@ -62,7 +62,7 @@ def test_the_versions_of_what_is_left_out_are_not_asked_for() -> None:
 @pytest.mark.asyncio
 @pytest.mark.parametrize(
     "key",
-    ["inproc", "tasks", "tcp", "tls", "unix", "ws", "http", "sockets", "task_sockets"],
+    [key for key, way in WAYS.items() if way.group != ROS and key not in ("grpc", "nats")],
 )
 async def test_a_way_does_all_that_is_measured(key: str) -> None:
     async with started(WAYS[key]) as pair:

@@ -34,12 +34,16 @@ class Way(NamedTuple):
     is_ours: bool = True
     has_server: bool = True
     """True if the server has a process of its own."""
+    loop: str = "asyncio"
+    """The event loop of both ends."""
 
 
 WAYS = {
     "inproc": Way("fibaction, inproc", IN_ONE, "inproc", has_server=False),
     "tasks": Way("anyio tasks and streams", IN_ONE, "tasks", is_ours=False, has_server=False),
     "tcp": Way("fibaction, tcp", BETWEEN, "fibaction"),
+    "tcp_uvloop": Way("fibaction, tcp, uvloop", BETWEEN, "fibaction", loop="uvloop"),
+    "tcp_trio": Way("fibaction, tcp, trio", BETWEEN, "fibaction", loop="trio"),
     "tls": Way("fibaction, tls", BETWEEN, "tls"),
     "unix": Way("fibaction, unix", BETWEEN, "unix"),
     "ws": Way("fibaction, ws", BETWEEN, "ws"),
@@ -125,7 +129,7 @@ async def started(
         RuntimeError: One of them did not start.
     """
     python = ROS_PYTHON if way.group == ROS else Path(sys.executable)
-    child = ("-m", "tests.benchmarks.child")
+    child = ("-m", "tests.benchmarks.child", "--loop", way.loop)
     if not way.has_server:
         async with program(python, *child, "client", way.module, "") as client:
             await client.line()
