@@ -23,7 +23,7 @@ from fibaction_transports.web.websocket_transport import HOST, WebSocketTranspor
 ROSBRIDGE_PORT = 9090
 """The default port, which is that of rosbridge_server."""
 HEARTBEAT = 5.0
-"""Seconds between two pings: a robot that is busy answers late."""
+"""Seconds between signs of life: a robot that is busy answers late."""
 ACCEPTED_AFTER = 1.5
 """Seconds without an answer after which a goal counts as accepted. A server looks for the action
 for a second, and then rejects the goal."""
@@ -80,8 +80,8 @@ class RosbridgeTransport(WebSocketTransport):
             tls: The files to make TLS from, or a context.
             token: The access token, sent in the header `Authorization`: rosbridge itself asks for
                 none, but a proxy in front of it may.
-            heartbeat: The seconds between two pings; after four without a sign of life the
-                connection is lost.
+            heartbeat: The seconds between signs of life of the server, which is pinged twice as
+                often; after four times that without one the connection is lost.
             window: The feedback messages of a goal that wait to be read; the oldest is dropped for
                 one more.
             limits: `frame` is the size of the largest message of the server, in bytes.

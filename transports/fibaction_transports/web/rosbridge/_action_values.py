@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from fibaction._json_schema import Schema, SchemaError
+from fibaction._json_schema import Schema
 from fibaction._plain_data import is_list, is_map
 from fibaction.action import ActionInfo
 from fibaction.json_payload import JsonCodec, PayloadError
@@ -69,8 +69,8 @@ class MessageValues:
             values = values[DATA]
         try:
             return self._codec.encode(self._with_nans(values, self._schema.root))
-        except (RecursionError, SchemaError) as exc:
-            raise PayloadError(f"the values cannot be read: {exc}") from exc
+        except RecursionError as exc:
+            raise PayloadError("the values are nested too deeply") from exc
 
     def _with_nans(self, value: Any, part: Any) -> Any:
         part = target_of(self._schema, part)

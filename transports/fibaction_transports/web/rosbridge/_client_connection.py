@@ -71,7 +71,7 @@ class ClientTerms(msgspec.Struct, frozen=True):
     """The settings of a client of rosbridge."""
 
     heartbeat: float
-    """Seconds between two pings."""
+    """Seconds between signs of life of the server, which is pinged twice as often."""
     window: int
     """Feedback messages of a goal that wait to be read."""
     max_frame: int

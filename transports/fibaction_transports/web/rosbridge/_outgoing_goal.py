@@ -164,8 +164,7 @@ class OutgoingGoal(FeedbackLog):
         self.finish()
 
     def lose(self, error: ActionError) -> None:
-        """End the goal with an error, unless it has ended."""
-        if not self.is_over:
-            self.error = error
-            self.fail(error)
-            self._is_decided.set()
+        """End the goal, which has not ended, with an error."""
+        self.error = error
+        self.fail(error)
+        self._is_decided.set()

@@ -10,7 +10,8 @@ Requests are written in their order. `send` returns when its message has been wr
 server makes its callers wait, and nothing piles up here. What arrives is handled at once: feedback
 goes into the log of its goal, which keeps a limited number of messages.
 
-The server is asked for a pong at each heartbeat, and is dead after four of them without a byte.
+The server is asked for a pong twice in each heartbeat, and is dead after four heartbeats without a
+byte.
 
 *What is wrong.* Text that is not JSON, or a message that is too large, ends the connection.
 Everything else concerns one goal or call, if it says which; otherwise it is ignored, and logged
@@ -81,7 +82,7 @@ class ServerLink:
 
         Args:
             line: The line; its messages are frames of a `RosbridgeClientFraming`.
-            heartbeat: The seconds between two pings.
+            heartbeat: The seconds between signs of life of the server.
             limit: The bytes of the largest message of the server.
             fate: The sentence about goals whose connection is lost.
         """
@@ -213,7 +214,12 @@ class ServerLink:
         async with create_task_group() as tasks:
             tasks.start_soon(move)
             tasks.start_soon(watch)
-        return errors[0]
+        return self._named(errors[0])
+
+    def _named(self, error: ActionError) -> ActionError:
+        """Return the error with the address of the server in its text."""
+        text, peer = str(error), self._line.peer
+        return error if peer in text else type(error)(f"{peer}: {text}")
 
     async def _watch(self) -> None:
         """Ask for signs of life.
@@ -228,11 +234,11 @@ class ServerLink:
             is_stuck = self._written < self._taken and self._line.progress == progress
             progress = self._line.progress
             heard, self._has_heard = self._has_heard, False
-            # Only a ping makes the server say anything.
-            if self._heartbeat.tick(step, has_heard=heard, has_said=False, is_stuck=is_stuck):
-                if PING not in self._waiting:
-                    self._waiting.append(PING)
-                    self._asked += 1
+            self._heartbeat.tick(step, has_heard=heard, has_said=False, is_stuck=is_stuck)
+            # Nothing else makes a server say anything, so it is asked at each step.
+            if PING not in self._waiting:
+                self._waiting.append(PING)
+                self._asked += 1
                 self._line.wake_writer()
 
     def close(self, error: ActionError) -> None:
