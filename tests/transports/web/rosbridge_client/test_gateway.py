@@ -78,6 +78,16 @@ async def test_a_rejected_goal_has_the_reason_of_the_server() -> None:
         assert caught.value.reason == "order is negative"
 
 
+async def test_a_goal_that_was_rejected_may_be_sent_again() -> None:
+    robot, goal_id = Robot(), GoalID.random()
+    async with client_of(robot) as client:
+        for _ in range(2):
+            with pytest.raises(GoalRejected, match="order is negative"):
+                await client.send_goal(Goal(-1), goal_id=goal_id)
+        goal = await client.send_goal(Goal(3), goal_id=goal_id)
+        assert await goal.result() == Result([3])
+
+
 async def test_aborted_goals_have_their_reason_and_their_result() -> None:
     async with client_of(Robot()) as client:
         with pytest.raises(GoalAborted, match="six is too many") as caught:
@@ -195,7 +205,7 @@ async def test_the_same_goal_is_sent_once() -> None:
         goal_id = GoalID.random()
         goal = await client.send_goal(Goal(50), goal_id=goal_id)
         again = await client.send_goal(Goal(50), goal_id=goal_id)
-        with pytest.raises(GoalRejected, match="another goal has this ID"):
+        with pytest.raises(GoalRejected, match="its ID is in use by another goal"):
             await client.send_goal(Goal(51), goal_id=goal_id)
         followed = await client.attach(goal_id, after=1)
         robot.go_on.set()

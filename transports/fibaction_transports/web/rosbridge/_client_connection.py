@@ -181,6 +181,11 @@ class RosbridgeConnection(Connection):
         if len(self._sent) > MOST_SENT:
             del self._sent[next(iter(self._sent))]
 
+    def forget(self, goal_id: GoalID) -> None:
+        """Forget a goal that was not accepted."""
+        self._sent.pop(goal_id, None)
+        self.goals.pop(goal_id, None)
+
     def opened_link(self) -> ServerLink | None:
         """Return the link that is open; None if none is."""
         return self._link
@@ -275,7 +280,8 @@ class RosbridgeEndpoint(Endpoint):
         meta: Meta | None = None,
     ) -> FeedbackCursor:
         """See `Endpoint.send_goal`. rosbridge has no fields for the timeout and the meta, and no
-        answer for an acceptance: see `accepted_after`.
+        answer for an acceptance: see `accepted_after`. The server is asked for feedback in any case,
+        which is the first sign that the goal runs.
 
         Raises:
             TransportError: The goal was sent before by this ID, and its stream is not in use.
@@ -283,15 +289,19 @@ class RosbridgeEndpoint(Endpoint):
         connection = self._connection
         sent = connection.goals.get(goal_id)
         if sent is not None and sent.goal.digest != digest_of(goal):
-            raise GoalRejected("another goal has this ID", goal_id=goal_id)
+            raise GoalRejected("its ID is in use by another goal", goal_id=goal_id)
         if sent is None:
-            sent = await self._send(goal_id, goal, feedback)
-        with anyio.move_on_after(connection.terms.accepted_after):
-            await sent.decided()
+            sent = await self._send(goal_id, goal)
+        try:
+            with anyio.move_on_after(connection.terms.accepted_after):
+                await sent.decided()
+        except (GoalRejected, ServerNotFound):
+            connection.forget(goal_id)  # nothing was run, so it may be sent again
+            raise
         sent.accept()
         return sent.stream(feedback=feedback)
 
-    async def _send(self, goal_id: GoalID, goal: bytes, feedback: bool) -> OutgoingGoal:
+    async def _send(self, goal_id: GoalID, goal: bytes) -> OutgoingGoal:
         connection = self._connection
         if connection.was_sent(goal_id):
             raise TransportError(
@@ -311,7 +321,6 @@ class RosbridgeEndpoint(Endpoint):
             self._name,
             self._type_name,
             args,
-            feedback=feedback,
             cancel_on_disconnect=connection.terms.cancel_on_disconnect,
         )
         if len(message) > LARGEST_GOAL:

@@ -98,17 +98,16 @@ def send_goal_message(
     type_name: str,
     args: str,
     *,
-    feedback: bool,
     cancel_on_disconnect: bool,
 ) -> bytes:
-    """Return the message that sends a goal, whose arguments are JSON text."""
+    """Return the message that sends a goal with feedback; its arguments are JSON text."""
     members = {
         "op": "send_action_goal",
         "id": request,
         "action": action,
         "action_type": type_name,
         "args": msgspec.Raw(args.encode()),
-        "feedback": feedback,
+        "feedback": True,
     }
     if cancel_on_disconnect:
         members["cancel_on_disconnect"] = True
