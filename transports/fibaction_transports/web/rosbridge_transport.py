@@ -16,8 +16,9 @@ from fibaction.wire.settings import Limits, WireKeywords
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import boolean
 from fibaction_transports.web._handshake import ClientHandshake
-from fibaction_transports.web.rosbridge._client_connection import ClientTerms, RosbridgeConnection
+from fibaction_transports.web.rosbridge._client_connection import RosbridgeConnection
 from fibaction_transports.web.rosbridge._client_frames import RosbridgeClientFraming
+from fibaction_transports.web.rosbridge._link_keeper import ClientTerms, LinkKeeper
 from fibaction_transports.web.websocket_transport import HOST, WebSocketTransport
 
 ROSBRIDGE_PORT = 9090
@@ -129,8 +130,8 @@ class RosbridgeTransport(WebSocketTransport):
     async def connect(self) -> AsyncGenerator[Connection, None]:
         """See `Transport.connect`. The first request opens the connection."""
         async with Background() as tasks:
-            connection = RosbridgeConnection(self.url, self.open_line, tasks, self._terms)
+            keeper = LinkKeeper(self.url, self.open_line, tasks, self._terms)
             try:
-                yield connection
+                yield RosbridgeConnection(keeper)
             finally:
-                connection.close()
+                keeper.close()

@@ -31,7 +31,7 @@ from fibaction import (
     connect,
 )
 from fibaction_transports.web import RosbridgeTransport
-from fibaction_transports.web.rosbridge import _client_connection
+from fibaction_transports.web.rosbridge import _client_endpoint, _link_keeper
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.hearing import Hearing
 from tests.transports.web.rosbridge_client.servers import Peer, SilentServer, serving
@@ -385,7 +385,7 @@ async def test_a_server_that_answers_pings_lives_and_one_that_does_not_is_dead()
 async def test_a_server_that_does_not_accept_the_websocket_is_not_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_client_connection, "HANDSHAKE", 0.05)
+    monkeypatch.setattr(_link_keeper, "HANDSHAKE", 0.05)
 
     async def say_nothing(stream: Any) -> None:
         async with stream:
@@ -414,7 +414,7 @@ async def test_a_host_that_does_not_answer_is_not_found(monkeypatch: pytest.Monk
     async def never(self: RosbridgeTransport) -> None:
         await anyio.sleep_forever()
 
-    monkeypatch.setattr(_client_connection, "HANDSHAKE", 0.01)
+    monkeypatch.setattr(_link_keeper, "HANDSHAKE", 0.01)
     monkeypatch.setattr(RosbridgeTransport, "open_line", never)
     async with connect("rosbridge://robot", FIBONACCI) as client:
         with pytest.raises(ServerNotFound, match=r"rosbridge://robot:9090 cannot be reached"):
@@ -507,7 +507,7 @@ async def test_an_answer_to_a_cancel_that_is_not_one_is_an_error(values: Any) ->
 async def test_an_action_is_waited_for_until_rosapi_lists_it(
     log: Hearing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_client_connection, "PAUSE", 0.01)
+    monkeypatch.setattr(_client_endpoint, "PAUSE", 0.01)
     said: list[Any] = ["no rosapi", "no rosapi", [], None, ["/fibonacci"]]
 
     class Starting(SilentServer):
@@ -560,7 +560,7 @@ async def test_schemas_that_cannot_be_used_are_an_error() -> None:
 async def test_a_connection_remembers_a_limited_number_of_goals(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_client_connection, "MOST_SENT", 2)
+    monkeypatch.setattr(_link_keeper, "MOST_SENT", 2)
     async with robot() as (_, client):
         ids = [GoalID.random() for _ in range(3)]
         for goal_id in ids:
