@@ -179,6 +179,14 @@ async def test_a_goal_that_a_server_leaves_without_an_answer_counts_as_accepted(
             await client.call(Goal(-1), timeout=0.05)
 
 
+async def test_a_goal_is_accepted_at_its_first_feedback() -> None:
+    async with robot(settings={"accepted_after": 60}) as (_, client):
+        goal = await client.send_goal(Goal(50))
+        assert goal.status is GoalStatus.EXECUTING
+        await goal.cancel()
+        assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
 async def test_a_rejection_that_comes_late_aborts_the_goal() -> None:
     async with open_goal() as (peer, names, goal):
         text = "Action goal was rejected"
@@ -382,16 +390,19 @@ async def test_a_server_that_answers_pings_lives_and_one_that_does_not_is_dead()
             await goal.outcome()
 
 
+@pytest.mark.parametrize("half", [b"", b"HTTP/1.1 101 Switching"])
 async def test_a_server_that_does_not_accept_the_websocket_is_not_found(
-    monkeypatch: pytest.MonkeyPatch,
+    half: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(_link_keeper, "HANDSHAKE", 0.05)
 
-    async def say_nothing(stream: Any) -> None:
+    async def say_half(stream: Any) -> None:
         async with stream:
+            if half:
+                await stream.send(half)
             await anyio.sleep_forever()
 
-    async with serving(SilentServer, say_nothing) as server:
+    async with serving(SilentServer, say_half) as server:
         async with connect(server.url, FIBONACCI) as client:
             for _ in range(2):
                 with pytest.raises(ServerNotFound, match=r"not accepted the WebSocket within 0.05"):
