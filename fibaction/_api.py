@@ -38,7 +38,13 @@ class _RosKeywords(TypedDict, total=False):
     discovery_timeout: float
 
 
-class ConnectKeywords(ClientKeywords, _RosKeywords, total=False):
+class _RosbridgeKeywords(TypedDict, total=False):
+    accepted_after: float
+    answer_timeout: float
+    cancel_on_disconnect: bool
+
+
+class ConnectKeywords(ClientKeywords, _RosKeywords, _RosbridgeKeywords, total=False):
     """The settings that `connect` passes on to the transport of a URL."""
 
     tls: TlsFiles | SSLContext | None

@@ -58,6 +58,8 @@ _IN_CODE = ("tokens", "authorize", "limits")
 class ConfiguredTransport(Transport):
     """A transport with the settings of the wire protocol, and with a URL."""
 
+    wire_settings: ClassVar[tuple[str, ...]] = tuple(WireKeywords.__annotations__)
+    """Names of the keyword arguments of `WireKeywords` that the subclass has."""
     own_settings: ClassVar[tuple[str, ...]] = ()
     """Names of keyword arguments that the subclass has beside those of `WireKeywords`."""
     own_url_settings: ClassVar[Mapping[str, FromText]] = {}
@@ -73,7 +75,7 @@ class ConfiguredTransport(Transport):
             ValueError: A number is out of range, `orphans` is another word, or a token is not
                 valid text.
         """
-        known = (*WireKeywords.__annotations__, *self.own_settings)
+        known = (*self.wire_settings, *self.own_settings)
         check_settings(type(self).__name__, settings, known)
         self.client_settings = client_settings(settings)
         self.server_settings = server_settings(settings)
@@ -106,7 +108,8 @@ class ConfiguredTransport(Transport):
         """
         parts, query = _split(url)
         files = _TLS_FILES if parts.scheme in cls.tls_schemes else ()
-        readers = {**_FROM_TEXT, **cls.own_url_settings}
+        shared = {name: _FROM_TEXT[name] for name in _FROM_TEXT if name in cls.wire_settings}
+        readers = {**shared, **cls.own_url_settings}
         readers.update((name, str) for name in files)
         found = _settings_in(url, query, readers)
         if files:

@@ -1,8 +1,17 @@
-"""Actions for web clients: `http://host:port`, `ws://host:port`, and an ASGI application."""
+"""Actions for web clients: `http://host:port`, `ws://host:port`, and an ASGI application; and
+`rosbridge://host:port`, for clients of a robot with rosbridge.
+"""
 
 from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports.web.http_transport import HttpTransport
+from fibaction_transports.web.rosbridge_transport import RosbridgeTransport
 from fibaction_transports.web.web_transport import WebTransport
 from fibaction_transports.web.websocket_transport import WebSocketTransport
 
-__all__ = ["HttpTransport", "TlsFiles", "WebSocketTransport", "WebTransport"]
+__all__ = [
+    "HttpTransport",
+    "RosbridgeTransport",
+    "TlsFiles",
+    "WebSocketTransport",
+    "WebTransport",
+]

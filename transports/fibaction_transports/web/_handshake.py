@@ -162,12 +162,17 @@ class ServerHandshake:
 class ClientHandshake:
     """Makes a request, and reads its answer."""
 
-    def __init__(self, host: str, target: str) -> None:
+    def __init__(
+        self, host: str, target: str, subprotocol: str = SUBPROTOCOL, token: str = ""
+    ) -> None:
         """Ask for a target at a host, which has the port if it is not the scheme's own.
+
+        Speak that subprotocol; none if it is empty. A token goes into the header `Authorization`.
 
         Raises:
             InvalidURL, UnicodeError: The host cannot be part of a request.
         """
+        self._subprotocol = subprotocol
         self._http = h11.Connection(h11.CLIENT, max_incomplete_event_size=LONGEST_HEAD)
         self._key = generate_nonce()
         headers = [
@@ -176,8 +181,11 @@ class ClientHandshake:
             (b"Connection", b"Upgrade"),
             (b"Sec-WebSocket-Key", self._key),
             (b"Sec-WebSocket-Version", VERSION.encode()),
-            (b"Sec-WebSocket-Protocol", SUBPROTOCOL.encode()),
         ]
+        if subprotocol:
+            headers.append((b"Sec-WebSocket-Protocol", subprotocol.encode()))
+        if token:
+            headers.append((b"Authorization", b"Bearer " + token.encode()))
         try:
             request = h11.Request(method="GET", target=target, headers=headers)
         except h11.LocalProtocolError as exc:
@@ -212,8 +220,9 @@ class ClientHandshake:
         accept = generate_accept_token(self._key)
         if headers.get(b"sec-websocket-accept") != accept:
             raise ProtocolError("it does not speak WebSocket: its Sec-WebSocket-Accept is wrong")
-        if headers.get(b"sec-websocket-protocol") != SUBPROTOCOL.encode():
-            raise ProtocolError(f"it does not speak the subprotocol {SUBPROTOCOL}")
+        if headers.get(b"sec-websocket-protocol", b"") != self._subprotocol.encode():
+            spoken = f"the subprotocol {self._subprotocol}" if self._subprotocol else "rosbridge"
+            raise ProtocolError(f"it does not speak {spoken}")
         return self._http.trailing_data[0]
 
     def give_up(self, waiting: Iterable[bytes]) -> bytes:

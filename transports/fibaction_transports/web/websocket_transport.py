@@ -46,6 +46,8 @@ class WebSocketTransport(HostTransport):
     plain_scheme = "ws"
     tls_schemes: ClassVar[tuple[str, ...]] = ("wss",)
     speaks_tls = http_answer(400, "this server speaks TLS: use wss://")
+    own_ports: ClassVar[tuple[int, int]] = PORT, TLS_PORT
+    """The ports of URLs without one: without TLS, and with it."""
 
     def __init__(
         self,
@@ -83,7 +85,7 @@ class WebSocketTransport(HostTransport):
             ValueError: A number is out of range, `orphans` is another word, the path does not
                 begin with `/`, or a token is not valid text.
         """
-        self._own_port = PORT if tls is None else TLS_PORT
+        self._own_port = self.own_ports[tls is not None]
         super().__init__(
             host,
             self._own_port if port is None else port,
@@ -100,7 +102,7 @@ class WebSocketTransport(HostTransport):
     @classmethod
     def address_of(cls, parts: SplitResult) -> dict[str, Any]:
         """Return the host, the port and the path in a URL."""
-        own = TLS_PORT if parts.scheme in cls.tls_schemes else PORT
+        own = cls.own_ports[parts.scheme in cls.tls_schemes]
         host = without_user(parts) or HOST
         return {"host": host, "port": port_in(parts, own), "path": unquote(parts.path) or "/"}
 

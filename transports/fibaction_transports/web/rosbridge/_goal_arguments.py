@@ -17,6 +17,18 @@ from fibaction_transports.web.rosbridge._operations import Arguments
 DATA = "data"
 """The field of a message that is not an object."""
 
+_any = JsonCodec({}, "message")
+
+
+def values_text(payload: bytes) -> str:
+    """Return a message of an action as JSON text, which is an object.
+
+    Raises:
+        PayloadError: JSON cannot express it.
+    """
+    text = _any.to_text(payload)
+    return text if text.startswith("{") else f'{{"{DATA}":{text}}}'
+
 
 class GoalArguments:
     """The arguments of the goals of one action."""

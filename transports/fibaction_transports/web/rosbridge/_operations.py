@@ -9,7 +9,8 @@ what.
 from __future__ import annotations
 
 import json
-from typing import Annotated, Any, TypeAlias, cast
+from contextlib import suppress
+from typing import Annotated, Any, TypeAlias, Union, cast
 
 import msgspec
 
@@ -100,42 +101,64 @@ Operation: TypeAlias = (
     SendActionGoal | CancelActionGoal | CallService | Fragment | Auth | Wrong | Ignored
 )
 
-_SERVED = SendActionGoal | CancelActionGoal | CallService | Fragment | Auth
-_NAMES = frozenset({"send_action_goal", "cancel_action_goal", "call_service", "fragment", "auth"})
-_decoder: msgspec.json.Decoder[Any] = msgspec.json.Decoder(_SERVED)
 _id_type: Any = ClientID
 
 
+class OperationReader:
+    """A reader of the operations that one side serves."""
+
+    def __init__(self, *served: type[msgspec.Struct], accepts_nan: bool = False) -> None:
+        """Serve these operations; with `accepts_nan`, also with values that are not numbers, as
+        Python's JSON writes them.
+        """
+        self._type: Any = Union[served]  # noqa: UP007  # it is not written out here
+        self._decoder: msgspec.json.Decoder[Any] = msgspec.json.Decoder(self._type)
+        self._names = frozenset(one.__struct_config__.tag for one in served)
+        self._accepts_nan = accepts_nan
+
+    def read(self, text: str) -> Any:
+        """Return the operation in a message; `Wrong` or `Ignored` if it cannot be served.
+
+        Raises:
+            ProtocolError: The message is not JSON.
+        """
+        try:
+            return self._decoder.decode(text)
+        except (ValueError, RecursionError) as exc:
+            why = str(exc)
+        # Python's own parser takes NaN as well, which roslibpy writes: such a call gets its answer.
+        # Raised behind the block, so that the error does not keep the message.
+        try:
+            data = json.loads(text)
+        except (ValueError, RecursionError):
+            data = _NOT_JSON
+        if data is _NOT_JSON:
+            raise ProtocolError(f"it sent a message that is not JSON: {excerpt(why)}")
+        if self._accepts_nan:
+            with suppress(ValueError, RecursionError):
+                return msgspec.convert(data, self._type)
+        return self._wrong(data, why)
+
+    def _wrong(self, data: object, why: str) -> Wrong | Ignored:
+        if not is_map(data) or data.get("op") not in self._names:
+            op = data.get("op") if is_map(data) else None
+            return Ignored(excerpt(op) if isinstance(op, str) else "")
+        name = data.get("action", data.get("service"))
+        text = sendable(name) if isinstance(name, str) else ""
+        return Wrong(data["op"], _id_in(data), text, why)
+
+
+_NOT_JSON = object()
+_of_clients = OperationReader(SendActionGoal, CancelActionGoal, CallService, Fragment, Auth)
+
+
 def read(text: str) -> Operation:
-    """Return the operation in a message.
+    """Return the operation in a message of a client.
 
     Raises:
         ProtocolError: The message is not JSON.
     """
-    try:
-        return cast("Operation", _decoder.decode(text))
-    except (ValueError, RecursionError) as exc:
-        why = str(exc)
-    # Python's own parser takes NaN as well, which roslibpy writes: such a call gets its answer.
-    # Raised behind the block, so that the error does not keep the message.
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError):
-        data = _NOT_JSON
-    if data is _NOT_JSON:
-        raise ProtocolError(f"it sent a message that is not JSON: {excerpt(why)}")
-    return _wrong(data, why)
-
-
-_NOT_JSON = object()
-
-
-def _wrong(data: object, why: str) -> Wrong | Ignored:
-    if not is_map(data) or data.get("op") not in _NAMES:
-        op = data.get("op") if is_map(data) else None
-        return Ignored(excerpt(op) if isinstance(op, str) else "")
-    name = data.get("action", data.get("service"))
-    return Wrong(data["op"], _id_in(data), sendable(name) if isinstance(name, str) else "", why)
+    return cast("Operation", _of_clients.read(text))
 
 
 def _id_in(data: dict[Any, Any]) -> ClientID:

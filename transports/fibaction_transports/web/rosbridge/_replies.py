@@ -17,28 +17,17 @@ from typing import Any
 import msgspec
 
 from fibaction.goals import GoalID
-from fibaction.json_payload import JsonCodec, PayloadError
+from fibaction.json_payload import PayloadError
 from fibaction.states import GoalStatus
 from fibaction.wire.messages import Ended
 from fibaction_transports.web.rosbridge._fragments import in_fragments
-from fibaction_transports.web.rosbridge._goal_arguments import DATA
+from fibaction_transports.web.rosbridge._goal_arguments import values_text
 from fibaction_transports.web.rosbridge._operations import (
     ClientID,
     FragmentSize,
 )
 
 _encode = msgspec.json.Encoder().encode
-_codec = JsonCodec({}, "message")
-
-
-def _values_of(payload: bytes) -> str:
-    """Return a message of an action as JSON text, which is an object.
-
-    Raises:
-        PayloadError: JSON cannot express it.
-    """
-    text = _codec.to_text(payload)
-    return text if text.startswith("{") else f'{{"{DATA}":{text}}}'
 
 
 def _named(op: str, client_id: ClientID, kind: str, name: str) -> dict[str, Any]:
@@ -63,12 +52,12 @@ class GoalReplies:
         Raises:
             PayloadError: JSON cannot express it.
         """
-        return self._fitting(f"{self._feedback}{_values_of(payload)}}}")
+        return self._fitting(f"{self._feedback}{values_text(payload)}}}")
 
     def ended(self, end: Ended) -> list[str]:
         """Return the end of the goal."""
         try:
-            values = None if end.result is None else msgspec.Raw(_values_of(end.result).encode())
+            values = None if end.result is None else msgspec.Raw(values_text(end.result).encode())
         except PayloadError as exc:
             return self.failed(str(exc), end.status)
         if values is None and end.status not in (GoalStatus.SUCCEEDED, GoalStatus.CANCELED):

@@ -14,8 +14,11 @@ import msgspec
 
 from fibaction._json_schema import SchemaError
 from fibaction._plain_data import is_list, is_map
-from fibaction._text import excerpt
+from fibaction._text import REASON, excerpt
 from fibaction.action import ActionInfo
+from fibaction.exceptions import ProtocolError
+from fibaction.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.states import GoalStatus
 from fibaction.wire.messages import LARGEST, CancelAnswered
 from fibaction_transports.web.rosbridge._operations import Arguments
 from fibaction_transports.web.rosbridge._type_details import definitions
@@ -165,3 +168,35 @@ def cancel_response(answer: CancelAnswered) -> Values:
     ]
     values: Values = {"return_code": answer.return_code, "goals_canceling": goals}
     return values | ({"reason": answer.reason} if answer.reason else {})
+
+
+# The same, as a client has it
+
+
+def cancel_arguments(stamp: int | None) -> Values:
+    """Return the arguments of the cancel of all goals up to a time; of all goals if it is None."""
+    sec, nanosec = divmod(stamp or 0, SECOND)
+    time = {"sec": min(sec, 2**31 - 1), "nanosec": nanosec}
+    return {"goal_info": {"goal_id": {"uuid": [0] * 16}, "stamp": time}}
+
+
+def cancel_answer(values: object) -> CancelAnswer:
+    """Return the answer in the values of a server.
+
+    Raises:
+        ProtocolError: They are not an answer to a cancel.
+    """
+    try:
+        code = CancelCode(_member(values, "return_code"))
+        goals = tuple(map(_canceling, _member(values, "goals_canceling")))
+    except (ServiceFailed, TypeError, ValueError) as exc:
+        raise ProtocolError(f"invalid answer to a cancel: {excerpt(str(exc))}") from exc
+    reason = _member(values, "reason")
+    return CancelAnswer(code, goals, excerpt(reason, REASON) if isinstance(reason, str) else "")
+
+
+def _canceling(info: object) -> GoalInfo:
+    uuid = _uuid(_member(_member(info, "goal_id"), "uuid"))
+    stamp = _member(info, "stamp")
+    nanoseconds = int(_member(stamp, "sec")) * SECOND + int(_member(stamp, "nanosec"))
+    return GoalInfo(GoalID(uuid), nanoseconds, GoalStatus.CANCELING)

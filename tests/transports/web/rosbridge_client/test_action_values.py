@@ -1,0 +1,79 @@
+"""`fibaction_transports.web.rosbridge._action_values`: values as rosbridge has them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+import pytest
+
+from fibaction.action import ActionInfo
+from fibaction.json_payload import PayloadError
+from fibaction_transports.web.rosbridge._action_values import (
+    ActionValues,
+    MessageValues,
+    arguments_text,
+)
+
+POSE = {
+    "type": "object",
+    "properties": {
+        "raw": {"type": "string", "contentEncoding": "base64", "default": ""},
+        "xs": {"type": "array", "items": {"$ref": "#/$defs/x"}, "default": []},
+        "name": {"anyOf": [{"type": "string"}, {"type": "null"}], "default": None},
+    },
+    "$defs": {"x": {"type": "number"}},
+}
+
+
+def decoded(payload: bytes | None) -> Any:
+    assert payload is not None
+    return msgspec.msgpack.decode(payload)
+
+
+def test_bytes_are_base64_text_or_numbers_and_null_is_nan_where_a_number_is() -> None:
+    pose = MessageValues(POSE, "feedback")
+    found = decoded(pose.encode({"raw": "AAH/", "xs": [1, None]}))
+    assert (found["raw"], found["xs"][0], found["name"]) == (b"\0\1\xff", 1, None)
+    assert math.isnan(found["xs"][1])
+    assert decoded(pose.encode({"raw": [1, 2]}))["raw"] == b"\1\2"
+
+
+def test_a_message_without_a_schema_stays_as_it_is() -> None:
+    values = {"data": [None, 1.5, "AAH/"]}
+    assert decoded(MessageValues({}, "feedback").encode(values)) == values
+
+
+def test_a_value_that_is_not_an_object_is_in_a_field() -> None:
+    number = MessageValues({"type": "number"}, "feedback")
+    assert decoded(number.encode({"data": 3})) == decoded(number.encode(3)) == 3
+    assert math.isnan(decoded(number.encode({"data": None})))
+
+
+def test_values_that_do_not_fit_are_an_error() -> None:
+    with pytest.raises(PayloadError, match=r"feedback\.xs"):
+        MessageValues(POSE, "feedback").encode({"xs": ["a"]})
+    nested: Any = []
+    for _ in range(5000):
+        nested = [nested]
+    deep = {"$ref": "#/$defs/n", "$defs": {"n": {"type": "array", "items": {"$ref": "#/$defs/n"}}}}
+    with pytest.raises(PayloadError, match="nested too deeply"):
+        MessageValues(deep, "feedback").encode(nested)
+
+
+def test_a_goal_that_ends_early_has_a_result_only_if_it_has_another_than_an_empty_one() -> None:
+    values = ActionValues(ActionInfo("a", result=POSE))
+    whole: dict[str, Any] = {"raw": "", "xs": [], "name": None}
+    for empty in (None, {}, whole):
+        assert values.partial_result(empty) is None
+    assert decoded(values.partial_result({"xs": [1]}))["xs"] == [1]
+    assert decoded(values.result(None)) == decoded(values.result(whole))
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+def test_a_goal_with_a_number_that_json_does_not_have_is_an_error(number: float) -> None:
+    for goal in (number, {"a": [1, {"b": number}]}):
+        with pytest.raises(PayloadError, match="NaN or infinite, which rosbridge cannot carry"):
+            arguments_text(msgspec.msgpack.encode(goal))
+    assert arguments_text(msgspec.msgpack.encode({"a": [None]})) == '{"a":[null]}'

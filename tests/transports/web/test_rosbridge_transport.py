@@ -1,0 +1,107 @@
+"""`fibaction_transports.web.rosbridge_transport`: its addresses, its settings, and TLS."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from fibaction import (
+    AuthenticationFailed,
+    InvalidURL,
+    ProtocolError,
+    TransportError,
+    connect,
+    serve,
+)
+from fibaction.urls import transport_for
+from fibaction_transports.web import RosbridgeTransport, TlsFiles
+from tests.certificates import pems
+from tests.fibonacci import FIBONACCI, Goal, Result
+from tests.transports.web.rosbridge.robot import Robot
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(params=["asyncio", "trio"])
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+@pytest.mark.parametrize(
+    ("url", "shown", "line"),
+    [
+        ("rosbridge://", "rosbridge://127.0.0.1:9090", "Host: 127.0.0.1:9090"),
+        ("rosbridge://robot", "rosbridge://robot:9090", "Host: robot:9090"),
+        ("rosbridge://robot:80/arm", "rosbridge://robot:80/arm", "GET /arm HTTP/1.1"),
+        ("rosbridges://robot?ca=x", "rosbridges://robot:9090", "Host: robot:9090"),
+        ("rosbridge://robot?token=a%20b", "rosbridge://robot:9090", "Authorization: Bearer a b"),
+    ],
+)
+def test_a_url_has_a_host_a_port_and_a_path(url: str, shown: str, line: str) -> None:
+    made = transport_for(url)
+    assert isinstance(made, RosbridgeTransport)
+    assert made.url == shown
+    request = made._client_framing().encode([]).decode().split("\r\n")
+    assert line in request
+    assert not [one for one in request if "Sec-WebSocket-Protocol" in one]
+
+
+def test_a_url_has_settings() -> None:
+    url = (
+        "rosbridges://robot?ca=x&heartbeat=2&window=3&accepted_after=0&answer_timeout=4"
+        "&cancel_on_disconnect=true"
+    )
+    made = RosbridgeTransport.from_url(url)
+    assert made._tls == TlsFiles(ca="x")
+    terms = made._terms
+    assert (terms.heartbeat, terms.window, terms.accepted_after) == (2, 3, 0)
+    assert (terms.answer_timeout, terms.cancel_on_disconnect) == (4, True)
+
+
+@pytest.mark.parametrize(
+    ("url", "problem"),
+    [
+        ("rosbridge://user@robot", "it has a user"),
+        ("rosbridge://robot:x", "invalid port: "),
+        ("rosbridge://robot?ca=x", "has no setting 'ca'"),
+        ("rosbridge://robot?orphans=cancel", "has no setting 'orphans'"),
+        ("rosbridge://robot?origins=x", "has no setting 'origins'"),
+        ("rosbridge://robot?tokens=x", "cannot have the setting 'tokens'"),
+        ("rosbridge://robot?accepted_after=soon", "'accepted_after' cannot be 'soon'"),
+        ("rosbridge://robot?accepted_after=-1", "accepted_after is at least 0 seconds"),
+        ("rosbridge://robot?heartbeat=0", "heartbeat is between"),
+    ],
+)
+def test_what_is_wrong_in_a_url_is_told(url: str, problem: str) -> None:
+    with pytest.raises(InvalidURL, match=problem):
+        RosbridgeTransport.from_url(url)
+
+
+def test_what_is_wrong_in_code_is_told() -> None:
+    with pytest.raises(ValueError, match="answer_timeout is at least 0 seconds and finite"):
+        RosbridgeTransport(answer_timeout=math.inf)
+    with pytest.raises(TypeError, match="orphans"):
+        transport_for("rosbridge://robot", orphans="keep")
+
+
+async def test_nothing_is_served_there() -> None:
+    with pytest.raises(TransportError, match="rosbridge://robot:9090 is for clients: serve at htt"):
+        async with serve(Robot().server, "rosbridge://robot"):
+            pass
+
+
+async def test_a_robot_can_be_behind_tls() -> None:
+    async with serve(Robot().server, f"https://127.0.0.1:0?cert={pems().cert}") as (url,):
+        where = url.replace("https", "rosbridges")
+        async with connect(f"{where}?ca={pems().ca}", FIBONACCI) as client:
+            assert await client.call(Goal(3)) == Result([3])
+        async with connect(where.replace("rosbridges", "rosbridge"), FIBONACCI) as client:
+            with pytest.raises(ProtocolError, match=r"rosbridge://.*: this server speaks TLS"):
+                await client.call(Goal(3))
+    async with serve(Robot().server, "http://127.0.0.1:0") as (url,):
+        where = url.replace("http", "rosbridges")
+        async with connect(f"{where}?ca={pems().ca}", FIBONACCI) as client:
+            with pytest.raises(AuthenticationFailed, match=r"does not speak TLS.*use rosbridge://"):
+                await client.call(Goal(3))
