@@ -29,11 +29,11 @@ async def launched(path: Path) -> AsyncIterator[Callable[[int], Awaitable[Any]]]
         }
     )
 
-    @DBOS.step()  # type: ignore[untyped-decorator]  # DBOS is not installed for checks
+    @DBOS.step()  # type: ignore[untyped-decorator, unused-ignore]  # DBOS is not installed for checks
     async def step(number: int) -> str:
         return f"done {number}"
 
-    @DBOS.workflow()  # type: ignore[untyped-decorator]  # as above
+    @DBOS.workflow()  # type: ignore[untyped-decorator, unused-ignore]  # as above
     async def workflow(number: int) -> str:
         done: str = await step(number)
         return done

@@ -71,7 +71,7 @@ def _task(*, is_worker: bool) -> tuple[Any, Any]:
     broker = RedisStreamBroker(url, xread_block=100).with_result_backend(backend)
     broker.is_worker_process = is_worker
 
-    @broker.task(task_name="count")  # type: ignore[untyped-decorator]  # not installed for checks
+    @broker.task(task_name="count")  # type: ignore[untyped-decorator, unused-ignore]  # not installed for checks
     async def count(number: int) -> int:
         return number
 
