@@ -45,6 +45,8 @@ PROFILE = f"""\
   </builtin></rtps></participant>
 </profiles>
 """
+PROFILES_FILE = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+"""The variables that name the file: of Fast DDS 3, which Kilted has, and of Fast DDS 2 of Jazzy."""
 SOON, LEASE_OF_OURS = 3.0, 8.0
 """Seconds that are several times the usual 0.3 and 2.5."""
 IMPATIENT = "ros2://?reconnect_timeout=0.5"
@@ -62,7 +64,7 @@ def server_with_lease(folder: Path, *program: str) -> AbstractAsyncContextManage
     """
     profile = folder / "profile.xml"
     profile.write_text(PROFILE)
-    return peer(*(program or ("server",)), FASTDDS_DEFAULT_PROFILES_FILE=str(profile))
+    return peer(*(program or ("server",)), **dict.fromkeys(PROFILES_FILE, str(profile)))
 
 
 @asynccontextmanager
