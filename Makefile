@@ -17,8 +17,12 @@ MUTANTS_VENV := .venv-mutants
 # FIBACTION_NODE is `required`.
 JAVASCRIPT := build/javascript
 
-# ROS 2 has a virtual environment of its own: its wheels start each Python of theirs twice.
-ROS_VENV := .venv-ros
+# ROS 2 has a virtual environment of its own: its wheels start each Python of theirs twice. The release
+# is Kilted, in .venv-ros with the dependency group `ros`, or with ROS=jazzy Jazzy, in .venv-ros-jazzy
+# with the group `ros-jazzy`.
+ROS ?= kilted
+ROS_GROUP := $(if $(filter kilted,$(ROS)),ros,ros-$(ROS))
+ROS_VENV := .venv-$(ROS_GROUP)
 ROS_BIN := $(ROS_VENV)/bin
 INTERFACES := examples/ros2/arduinobot_msgs tests/ros2/fibaction_test_msgs
 # The tests use this environment, and not a ROS that was sourced in the shell.
@@ -175,7 +179,7 @@ test-lowest: build/lowest/.installed  ## Run the tests with the lowest versions 
 
 # `timeout` ends a process that hangs despite the timeouts of the tests. The tests wait for other
 # processes half of the time, so two of them run at once.
-test-ros: $(ROS_VENV)/.interfaces  ## Test the ROS 2 transport with ROS 2, from wheels
+test-ros: $(ROS_VENV)/.interfaces  ## Test the ROS 2 transport with ROS 2 Kilted, or with ROS=jazzy
 	rm -f .coverage-ros .coverage-ros.*
 	FIBACTION_ROS=required COVERAGE_PROCESS_START=tests/ros2/coverage.toml COVERAGE_FILE=.coverage-ros \
 	    $(no_other_ros) timeout --foreground --kill-after=10 1200 \
@@ -185,10 +189,10 @@ test-ros: $(ROS_VENV)/.interfaces  ## Test the ROS 2 transport with ROS 2, from 
 	$(ROS_BIN)/python -m coverage report --data-file=.coverage-ros \
 	    --include='*/fibaction_transports/ros2/*' --fail-under=100
 
-ros: $(ROS_VENV)/.interfaces  ## Make .venv-ros: ROS 2 from wheels, and the interfaces used here
+ros: $(ROS_VENV)/.interfaces  ## Make .venv-ros, or with ROS=jazzy .venv-ros-jazzy: ROS 2 and interfaces
 
 clean:  ## Remove all generated files
-	rm -rf $(VENV) $(MUTANTS_VENV) $(ROS_VENV) .cache build dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(MUTANTS_VENV) .venv-ros .venv-ros-* .cache build dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -r {} +
 
 $(VENV)/.made:
@@ -259,7 +263,7 @@ $(ROS_VENV)/.made:
 
 $(ROS_VENV)/.installed: $(ROS_VENV)/.made pyproject.toml
 	@echo "installing ROS 2 from wheels into $(ROS_VENV): a minute or two"
-	$(call install,$(ROS_VENV)) -e . --group test --group ros
+	$(call install,$(ROS_VENV)) -e . --group test --group $(ROS_GROUP)
 	@cd $(ROS_VENV) && ls -d lib/python*/site-packages/ros_*.dist-info >.found && \
 	    { cmp -s .found .wheels || mv .found .wheels; }
 	@touch $@

@@ -5,15 +5,19 @@ from __future__ import annotations
 import uuid
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
+from functools import cache
+from queue import Queue
 from typing import Any
 
 import anyio
 
 from fibaction import ActionClient, ActionServer, GoalHandle, GoalID, connect, serve
+from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.action_client import RosActionClient
 from fibaction_transports.ros2.goal_stream import GoalDecoder, RosGoalStream
-from fibaction_transports.ros2.rcl import uuid_of
+from fibaction_transports.ros2.rcl import GoalInfoMessage, uuid_of
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.ros2.spun import spun_node
 
 Items = AsyncGenerator[Feedback | Result, None]
 PATIENCE = 10.0
@@ -53,6 +57,21 @@ async def raw_client(
         async with serve(server, url), connect(url) as connection:
             await connection.endpoint(FIBONACCI).wait_for_server()
             yield client_of(connection.endpoint(FIBONACCI))
+
+
+@cache
+def tells_publishers() -> bool:
+    """Return whether rclpy tells the publisher of a message, as it does since Kilted."""
+    infos: Queue[Any] = Queue()
+    profile = qos.subscribed_status()  # a message that is sent before the subscription arrives, too
+
+    def take(message: Any, info: Any) -> None:
+        infos.put(info)
+
+    with spun_node(f"/t{uuid.uuid4().hex}") as node:
+        node.create_publisher(GoalInfoMessage, "told", profile).publish(GoalInfoMessage())
+        node.create_subscription(GoalInfoMessage, "told", take, profile)
+        return "publisher_gid" in infos.get(timeout=PATIENCE)
 
 
 def client_of(endpoint: Any) -> RosActionClient:

@@ -420,8 +420,21 @@ async def test_a_result_that_cannot_be_read_ends_the_wait_for_it_and_for_no_othe
 async def test_an_endpoint_rejects_invalid_feedback(url: str) -> None:
     async with connect(url, FIBONACCI) as client:
         assert client.endpoint.info == FIBONACCI.info
-        with pytest.raises(ProtocolError, match="invalid feedback of 3 bytes"):
-            client.endpoint._decoder.feedback(b"abc")  # type: ignore[attr-defined]  # RosEndpoint
+        cut_off = b"\0\1\0\0" + bytes(10)
+        with pytest.raises(ProtocolError, match="invalid feedback of 14 bytes"):
+            client.endpoint._decoder.feedback(cut_off)  # type: ignore[attr-defined]  # RosEndpoint
+
+
+async def test_feedback_after_the_result_is_logged_once_for_its_goal(
+    url: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with both_ends(url) as client:
+        goal = await client.send_goal(Goal(1))
+        await goal.result()
+        for goal_id in (goal.goal_id, GoalID.random(), goal.goal_id):
+            client_of(client.endpoint)._take_feedback((b"\0\1\0\0" + bytes(goal_id), b""))
+    late = f"feedback of goal {goal.goal_id} arrived after its result, and is lost"
+    assert [record.getMessage() for record in caplog.records] == [f"fibonacci: {late}"]
 
 
 @pytest.mark.promise("CANCEL-14")

@@ -23,6 +23,7 @@ from fibaction import (
     UnknownGoal,
     connect,
 )
+from fibaction_transports.ros2.rcl import middleware
 from tests.fibonacci import Feedback, Goal, Result
 from tests.ros2.ends import client_of
 from tests.ros2.stock import orders
@@ -33,7 +34,7 @@ from tests.ros2.stock.waiting import eventually
 pytestmark = pytest.mark.anyio
 
 LEASE = 3
-"""Seconds after which Fast DDS takes a process for dead, by `PROFILE`; the default is 20."""
+"""Seconds after which the middleware takes a process for dead. The default of Fast DDS is 20."""
 PROFILE = f"""\
 <?xml version="1.0" encoding="UTF-8" ?>
 <profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
@@ -45,6 +46,13 @@ PROFILE = f"""\
   </builtin></rtps></participant>
 </profiles>
 """
+PROFILES_FILE = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+"""The variables that name the file: of Fast DDS 3, which Kilted has, and of Fast DDS 2 of Jazzy."""
+CYCLONE_CONFIG = (
+    f"<CycloneDDS><Domain><Discovery><LeaseDuration>{LEASE}s</LeaseDuration></Discovery></Domain>"
+    "</CycloneDDS>"
+)
+"""The same for Cyclone DDS, whose default is 10."""
 SOON, LEASE_OF_OURS = 3.0, 8.0
 """Seconds that are several times the usual 0.3 and 2.5."""
 IMPATIENT = "ros2://?reconnect_timeout=0.5"
@@ -57,12 +65,13 @@ def anyio_backend() -> str:
 
 
 def server_with_lease(folder: Path, *program: str) -> AbstractAsyncContextManager[Peer]:
-    """A server, by default a stock one, that Fast DDS takes for dead `LEASE` seconds after its last
-    message.
+    """A server, by default a stock one, that the middleware takes for dead `LEASE` seconds after
+    its last message.
     """
     profile = folder / "profile.xml"
     profile.write_text(PROFILE)
-    return peer(*(program or ("server",)), FASTDDS_DEFAULT_PROFILES_FILE=str(profile))
+    leases = {**dict.fromkeys(PROFILES_FILE, str(profile)), "CYCLONEDDS_URI": CYCLONE_CONFIG}
+    return peer(*(program or ("server",)), **leases)
 
 
 @asynccontextmanager
@@ -242,7 +251,9 @@ async def test_a_client_with_a_longer_lease_does_not_notice_a_short_silence(
         ):
             server.signal(signal.SIGSTOP)
             await noted(caplog, SILENT)
-            assert client_of(patient.endpoint).presence.is_there()
+            # With Cyclone DDS, the lease of the server counts, not that of the client.
+            leases_differ = middleware() != "rmw_cyclonedds_cpp"
+            assert client_of(patient.endpoint).presence.is_there() is leases_differ
             assert not client_of(client.endpoint).presence.is_there()
             server.signal(signal.SIGCONT)
 

@@ -31,8 +31,8 @@ after `LAST_WORDS` seconds for what is still on its way. A server that was start
 ID (GID) in the graph: goals that were accepted by servers that are all gone end likewise.
 
 *A loss on the way* is noticed only by what is missing: by a timeout (`ServiceClient`), or by the
-status list (`FollowedGoals`). Feedback that is lost is not noticed at all, as in every client of
-ROS.
+status list (`FollowedGoals`). Feedback that is lost is not noticed, as in every client of ROS;
+feedback that arrives after the result is logged.
 """
 
 from __future__ import annotations
@@ -264,7 +264,11 @@ class RosActionClient:
 
     def _take_feedback(self, item: tuple[bytes, bytes]) -> None:
         message, publisher = item
-        for stream in self._followed.of(goal_of_feedback(message)):
+        goal_id = goal_of_feedback(message)
+        streams = self._followed.of(goal_id)
+        if not streams:
+            self._followed.warn_of_late_feedback(goal_id)
+        for stream in streams:
             stream.add_feedback(message, publisher)
 
     def _take_statuses(self, item: tuple[bytes, bytes]) -> None:

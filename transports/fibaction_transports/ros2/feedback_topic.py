@@ -21,6 +21,12 @@ from fibaction_transports.ros2.rcl import raw, uuid_of
 MATCH_TIMEOUT, MATCH_PAUSE = 0.5, 0.01
 """Seconds that the first feedback of a goal waits for subscribers that are in the graph and not yet
 connected; and seconds between two looks, since ROS offers nothing to wait for."""
+SETTLE = 0.1
+"""Seconds that the first feedback waits for a reader that is new: after two ends are connected,
+they still exchange greetings, with Fast DDS for up to 0.07 s. What is published before that is
+delivered later, often after the result, and then it is lost."""
+LOOK_PAUSE = 0.05
+"""Seconds after which readers are looked up again although their number has not changed."""
 PACE = 0.1
 """The least number of seconds for half a queue of feedback: 5,000 messages in a second with the
 default depth. A reader of fibaction may be late by some 0.2 s."""
@@ -59,7 +65,11 @@ class FeedbackTopic:
         self._count = 0  # messages of the piece
         self._due = -math.inf
         self._to_new = 0  # messages that are still sent at the first pace
-        self._matched = 0
+        self._count_then, self._looked = 0, -math.inf
+        self._known: frozenset[bytes] = frozenset()
+        """The readers at the last look, as ROS identifies them (by GIDs)."""
+        self._settled = -math.inf
+        """The time at which the newest of them is ready."""
 
     def of(self, goal_id: GoalID) -> Callable[[bytes], Awaitable[None]]:
         """Return a function that publishes a goal's feedback.
@@ -85,23 +95,40 @@ class FeedbackTopic:
                 return
             if not begun:
                 begun = True
-                await self._all_matched()
+                await self._all_ready()
             await self._keep_pace()
             self._ros.attempt(self._publisher.publish, message)
 
         return publish
 
-    async def _all_matched(self) -> None:
-        """Wait for new subscribers to be connected. They never get what is published before."""
+    async def _all_ready(self) -> None:
+        """Wait for new subscribers to be connected, and to be ready. They never get what is
+        published before, or get it late.
+        """
         deadline = current_time() + MATCH_TIMEOUT
         while (missing := self._ros.attempt(self._missing, otherwise=0)) > self._unmatched:
             if current_time() >= deadline:
                 self._unmatched = missing  # they have another quality of service, and never match
                 break
             await anyio.sleep(MATCH_PAUSE)
-        before, self._matched = self._matched, self._ros.attempt(self._readers, otherwise=0)
-        if self._matched > before:
+        self._note_readers()
+        await anyio.sleep_until(self._settled)
+
+    def _note_readers(self) -> None:
+        """Note when new readers will be ready. A number alone does not tell of a new one if another
+        has left.
+        """
+        now = current_time()
+        count = self._ros.attempt(self._readers, otherwise=0)
+        if count == self._count_then and now - self._looked < LOOK_PAUSE:
+            return
+        self._count_then, self._looked = count, now
+        look = self._ros.node.get_subscriptions_info_by_topic
+        found = self._ros.attempt(look, self._names.feedback, otherwise=())
+        before, self._known = self._known, frozenset(bytes(one.endpoint_gid) for one in found)
+        if not self._known <= before:
             self._to_new = self._half
+            self._settled = now + SETTLE
 
     def _missing(self) -> int:
         node = self._ros.node

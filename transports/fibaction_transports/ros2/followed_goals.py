@@ -8,6 +8,7 @@ request follows after a longer pause, so that requests do not pile up at a busy 
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -28,6 +29,9 @@ LATE = 0.5
 FAILED_REQUESTS = 2
 """Failed requests for a goal's result after which an unreadable response is attributed to it."""
 
+ENDED = 1000
+"""Ended goals that are remembered, to tell of feedback that arrives too late."""
+
 logger = clean_logger("fibaction.ros2")
 
 
@@ -44,6 +48,7 @@ class FollowedGoals:
         self._streams: dict[bytes, list[RosGoalStream]] = {}
         self._requested: dict[int, RosGoalStream] = {}
         self._overdue: dict[GoalID, float] = {}
+        self._ended: deque[bytes] = deque(maxlen=ENDED)
         self.source = Responses(handle, service_type, self._take_result, self._take_unreadable)
         """The source of the results."""
 
@@ -71,6 +76,16 @@ class FollowedGoals:
         if not streams:
             self._streams.pop(stream.goal_id, None)
             self._overdue.pop(stream.goal_id, None)
+
+    def warn_of_late_feedback(self, goal_id: bytes) -> None:
+        """Log once that feedback of a goal has arrived after its result, and is lost."""
+        if goal_id in self._ended:
+            self._ended.remove(goal_id)
+            logger.warning(
+                "%s: feedback of goal %s arrived after its result, and is lost",
+                self._action,
+                GoalID(goal_id),
+            )
 
     def request_result(self, stream: RosGoalStream) -> None:
         """Request the result of the stream's goal.
@@ -134,6 +149,8 @@ class FollowedGoals:
                 self.expect_result(stream.goal_id, LATE)
                 return
             ended = [stream]
+        if any(one.reads for one in ended):
+            self._ended.append(bytes(stream.goal_id))
         for one in ended:
             try:
                 one.end(one.decoder.outcome(response))

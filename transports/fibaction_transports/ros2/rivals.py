@@ -3,7 +3,7 @@
 ROS does not tell a client which of them has answered. But each server publishes the stamp of the
 goal by its own clock, and the client was told the stamp in the acceptance. So the server whose
 status list has that stamp, or the nearest one, has accepted the goal. Messages of topics have the
-ID (GID) of their publisher, where the middleware tells it.
+ID (GID) of their publisher, where the middleware and rclpy tell it: rclpy of Jazzy does not.
 """
 
 from __future__ import annotations
@@ -54,6 +54,8 @@ class Rivals:
         self._since = math.inf
         """The time since which there are several servers."""
         self._warned = False
+        self._has_publishers = True
+        """False if the status lists have no ID of their publisher."""
         self._servers: frozenset[bytes] = frozenset()
         self._stamps: dict[bytes, dict[bytes, int]] = {}
         self._feedback: dict[bytes, frozenset[bytes]] = {}
@@ -72,15 +74,22 @@ class Rivals:
         self._since = min(self._since, current_time())
         if not self._warned and current_time() - self._since >= PATIENCE * self._lease:
             self._warned = True
+            feedback = (
+                "is taken of one server" if self._has_publishers else "comes from all of them"
+            )
             logger.warning(
                 "%s: there are %d servers of this name, and each of them runs every goal; the first"
-                " answer counts, and feedback is taken of one server: stop the others",
+                " answer counts, and feedback %s: stop the others",
                 self._action,
                 count,
+                feedback,
             )
 
     def note_list(self, server: bytes, message: bytes) -> None:
-        """Note the stamps in a status list of one of several servers."""
+        """Note the stamps in a status list of one of several servers. `server` is empty if it is
+        not known which of them has sent the list.
+        """
+        self._has_publishers = bool(server)
         if len(self._servers) > 1 and server in self._servers:
             self._stamps[server] = stamps_of(message)
 

@@ -1,0 +1,149 @@
+"""The feedback topic: a new reader gets the time to be ready before the first feedback."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import GoalID
+from fibaction_transports.ros2 import feedback_topic
+from fibaction_transports.ros2.end_settings import EndSettings
+from fibaction_transports.ros2.feedback_topic import LOOK_PAUSE, SETTLE, FeedbackTopic
+from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+
+pytestmark = pytest.mark.anyio
+
+
+class Reader:
+    def __init__(self, gid: bytes) -> None:
+        self.endpoint_gid = gid
+
+
+class Message:
+    def __init__(self) -> None:
+        self.goal_id = self
+        self.uuid: Any = None
+        self.feedback: Any = None
+
+
+class Ros:
+    """A node, its graph and a publisher, with the readers that a test gives it."""
+
+    def __init__(self) -> None:
+        self.node = self
+        self.readers: list[bytes] = []
+        self.looks = 0
+
+    def make(self, *_: object) -> Ros:
+        return self
+
+    def attempt(self, call: Callable[..., Any], *arguments: Any, otherwise: Any = None) -> Any:
+        return call(*arguments)
+
+    def count_subscribers(self, topic: str) -> int:
+        return len(self.readers)
+
+    count_clients = count_subscribers
+
+    def get_subscription_count(self) -> int:
+        return len(self.readers)
+
+    def get_subscriptions_info_by_topic(self, topic: str) -> list[Reader]:
+        self.looks += 1
+        return [Reader(gid) for gid in self.readers]
+
+    def publish(self, message: Message) -> None:
+        """Do nothing."""
+
+
+class Names:
+    feedback, send_goal = "feedback", "send_goal"
+
+
+class Codec:
+    def to_ros(self, payload: bytes) -> bytes:
+        return payload
+
+
+class Time:
+    """A clock that is set by those who wait."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    async def sleep_until(self, when: float) -> None:
+        self.now = max(self.now, when)
+
+
+@pytest.fixture
+def time(monkeypatch: pytest.MonkeyPatch) -> Time:
+    time = Time()
+    monkeypatch.setattr(feedback_topic, "current_time", lambda: time.now)
+    monkeypatch.setattr(anyio, "sleep_until", time.sleep_until)
+    return time
+
+
+@pytest.fixture
+def ros() -> Ros:
+    return Ros()
+
+
+@pytest.fixture
+def waited(ros: Ros, time: Time) -> Callable[[], Any]:
+    """Publish the first feedback of a goal, and return the seconds that it waited."""
+    node: Any = ros
+    names: Any = Names()
+    codec: Any = Codec()
+    topic = FeedbackTopic(node, "arm", names, Message, codec, EndSettings())
+
+    async def publish() -> float:
+        before = time.now
+        await topic.of(GoalID.random())(b"feedback")
+        return time.now - before
+
+    return publish
+
+
+async def test_the_first_feedback_waits_until_a_new_reader_is_ready(
+    ros: Ros, time: Time, waited: Callable[[], Any]
+) -> None:
+    assert await waited() == 0.0  # nobody reads
+
+    ros.readers = [b"one"]
+    assert await waited() == pytest.approx(SETTLE)
+    time.now += 1.0
+    assert await waited() == 0.0
+
+
+async def test_a_new_reader_is_noticed_although_another_has_left(
+    ros: Ros, time: Time, waited: Callable[[], Any]
+) -> None:
+    ros.readers = [b"one"]
+    await waited()
+    time.now += 1.0
+
+    ros.readers = [b"two"]
+    assert await waited() == pytest.approx(SETTLE)
+
+    time.now += 1.0
+    ros.readers = []
+    assert await waited() == 0.0
+
+
+async def test_readers_are_looked_up_once_for_many_goals(
+    ros: Ros, time: Time, waited: Callable[[], Any]
+) -> None:
+    ros.readers = [b"one"]
+    await waited()
+    time.now += 1.0
+    before = ros.looks
+
+    for _ in range(10):
+        assert await waited() == 0.0
+    assert ros.looks == before + 1
+    time.now += 2 * LOOK_PAUSE
+    await waited()
+    assert ros.looks == before + 2
