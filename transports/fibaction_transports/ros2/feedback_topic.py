@@ -21,10 +21,6 @@ from fibaction_transports.ros2.rcl import raw, uuid_of
 MATCH_TIMEOUT, MATCH_PAUSE = 0.5, 0.01
 """Seconds that the first feedback of a goal waits for subscribers that are in the graph and not yet
 connected; and seconds between two looks, since ROS offers nothing to wait for."""
-SETTLE = 0.1
-"""Seconds that the first feedback waits for a reader that is new: after two ends are connected,
-they still exchange greetings, with Fast DDS for up to 0.07 s. What is published before that is
-delivered later, often after the result, and then it is lost."""
 LOOK_PAUSE = 0.05
 """Seconds after which readers are looked up again although their number has not changed."""
 PACE = 0.1
@@ -68,8 +64,6 @@ class FeedbackTopic:
         self._count_then, self._looked = 0, -math.inf
         self._known: frozenset[bytes] = frozenset()
         """The readers at the last look, as ROS identifies them (by GIDs)."""
-        self._settled = -math.inf
-        """The time at which the newest of them is ready."""
 
     def of(self, goal_id: GoalID) -> Callable[[bytes], Awaitable[None]]:
         """Return a function that publishes a goal's feedback.
@@ -95,16 +89,14 @@ class FeedbackTopic:
                 return
             if not begun:
                 begun = True
-                await self._all_ready()
+                await self._all_matched()
             await self._keep_pace()
             self._ros.attempt(self._publisher.publish, message)
 
         return publish
 
-    async def _all_ready(self) -> None:
-        """Wait for new subscribers to be connected, and to be ready. They never get what is
-        published before, or get it late.
-        """
+    async def _all_matched(self) -> None:
+        """Wait for new subscribers to be connected. They never get what is published before."""
         deadline = current_time() + MATCH_TIMEOUT
         while (missing := self._ros.attempt(self._missing, otherwise=0)) > self._unmatched:
             if current_time() >= deadline:
@@ -112,11 +104,10 @@ class FeedbackTopic:
                 break
             await anyio.sleep(MATCH_PAUSE)
         self._note_readers()
-        await anyio.sleep_until(self._settled)
 
     def _note_readers(self) -> None:
-        """Note when new readers will be ready. A number alone does not tell of a new one if another
-        has left.
+        """Begin slowly if there is a new reader. A number alone does not tell of it if another has
+        left.
         """
         now = current_time()
         count = self._ros.attempt(self._readers, otherwise=0)
@@ -128,7 +119,6 @@ class FeedbackTopic:
         before, self._known = self._known, frozenset(bytes(one.endpoint_gid) for one in found)
         if not self._known <= before:
             self._to_new = self._half
-            self._settled = now + SETTLE
 
     def _missing(self) -> int:
         node = self._ros.node
