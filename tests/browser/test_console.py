@@ -144,6 +144,18 @@ def test_a_goal_can_be_edited_as_json_and_used_again(page: Page, robot: RobotPro
     expect(page.locator(".goal header code")).not_to_have_text(first)
 
 
+def test_no_button_of_a_goal_moves_when_the_goal_ends(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot)
+    send(page, order="200")
+    again = goal(page).get_by_role("button", name="Use as new goal")
+    before = again.bounding_box()
+    goal(page).get_by_role("button", name="Cancel goal").click()
+    page.get_by_role("button", name="Cancel the goal").click()
+    expect(goal(page).locator(".badge")).to_have_text("⊘ canceled")
+    expect(goal(page).get_by_role("button", name="Cancel goal")).to_have_count(0)
+    assert again.bounding_box() == before
+
+
 def test_the_feedback_is_drawn_by_the_schema_and_told_as_text(
     page: Page, robot: RobotProcess
 ) -> None:
