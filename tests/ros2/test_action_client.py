@@ -352,6 +352,29 @@ async def test_a_server_that_has_left_is_missed_at_once(url: str) -> None:
                         await client.cancel_goals()
 
 
+async def test_a_server_that_seems_to_be_gone_for_a_moment_keeps_its_goals(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with both_ends(url, forever) as client:
+        goal = await client.send_goal(Goal(1))
+        looks: list[bool] = []
+        seen_again = anyio.Event()
+        look = presence.Presence._look
+
+        def misses_once(self: presence.Presence) -> bool:
+            looks.append(bool(looks) and look(self))
+            if len(looks) > 2:
+                seen_again.set()
+            return looks[-1]
+
+        monkeypatch.setattr(presence.Presence, "_look", misses_once)
+        with anyio.fail_after(PATIENCE):
+            await seen_again.wait()
+            assert (await goal.cancel()).accepted
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+        assert not looks[0]
+
+
 # Answers that do not fit
 
 

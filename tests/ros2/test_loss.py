@@ -300,10 +300,15 @@ async def test_a_stock_server_that_was_killed_is_missed_although_another_has_tak
 ) -> None:
     async with server_with_lease(tmp_path) as first:
         async with waiting_for(first, "stock") as (client, goal):
-            node = client_of(client.endpoint).presence._ros.node
+            presence = client_of(client.endpoint).presence
+            parts = [
+                f"/stock/_action/{part}" for part in ("send_goal", "cancel_goal", "get_result")
+            ]
 
             async def servers() -> int:
-                return int(node.count_publishers("/stock/_action/status"))
+                """The servers that the client has found with all their parts."""
+                topics = [one.get_publisher_count() for one in presence._subscriptions]
+                return min(*topics, *map(presence._ros.node.count_services, parts))
 
             with await client.endpoint.status() as statuses:
                 async with peer("server"):  # it is there before the graph misses the other

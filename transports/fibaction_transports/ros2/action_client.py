@@ -315,8 +315,11 @@ class RosActionClient:
         else:
             self._was_silent = False
             await anyio.sleep(LAST_WORDS)
-            self._fail(self._gone())
-            self.known.clear()
+            # Of two servers one may have left: its parts leave the graph one after another, and
+            # meanwhile their numbers do not match, as if none was there.
+            if not self.presence.is_there():
+                self._fail(self._gone())
+                self.known.clear()
 
     def _resume(self) -> None:
         """Request again what may have been lost while the server was silent. If it was started
