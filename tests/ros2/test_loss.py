@@ -308,7 +308,7 @@ async def test_a_stock_server_that_was_killed_is_missed_although_another_has_tak
             async def servers() -> int:
                 """The servers that the client has found with all their parts."""
                 topics = [one.get_publisher_count() for one in presence._subscriptions]
-                return min(*topics, *map(presence._ros.node.count_services, parts))
+                return int(min(*topics, *map(presence._ros.node.count_services, parts)))
 
             with await client.endpoint.status() as statuses:
                 async with peer("server"):  # it is there before the graph misses the other
