@@ -23,7 +23,7 @@ def asyncio_task() -> asyncio.Task[Any] | None:
 def new_event() -> anyio.Event | asyncio.Event:
     """Return an event for the tasks of this event loop.
 
-    anyio's takes seven times as long to make, and there are two for each goal that is sent.
+    On asyncio it is asyncio's own: anyio's takes longer to make, and a goal that is sent needs two.
     """
     import asyncio  # noqa: TID251  # as above
 

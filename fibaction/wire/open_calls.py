@@ -23,7 +23,7 @@ from fibaction.wire.remote_statuses import RemoteStatuses, StatusWatch
 
 BURST = 32
 """Calls that are written at once, in the middle of a turn of the event loop: both ends then work at
-the same time. A write costs as much as opening one call or two."""
+the same time."""
 
 
 class OpenCalls:

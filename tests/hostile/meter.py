@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 SLOW = 0.02
 """Seconds of a turn from which on it is counted as slow."""
 PIECE = range(50_000)
-"""What is summed up to know how fast the processor is: some milliseconds."""
+"""What is summed up to know how fast the processor is: about a millisecond."""
 
 
 class Reading(NamedTuple):
