@@ -22,6 +22,7 @@ from fibaction.wire.messages import (
     Ended,
     Failed,
     Feedback,
+    FeedbackBatch,
     Finished,
     Follow,
     Following,
@@ -68,8 +69,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "9301bd74686520636c69656e742068617320776861742069742077616e74656400",
     ),
     (
-        Hello(1, 1.0, "secret", bytes(range(16, 32)), 65536),
-        "961001cb3ff0000000000000a6736563726574c410101112131415161718191a1b1c1d1e1fce00010000",
+        Hello(1, 1.0, "secret", bytes(range(16, 32)), 65536, True),
+        "971001cb3ff0000000000000a6736563726574c410101112131415161718191a1b1c1d1e1fce00010000c3",
     ),
     (
         SendGoal(1, "fibonacci", GOAL_ID, GOAL, 64, 5.0, {"traceparent": "00-0af7-b7ad-01"}),
@@ -182,5 +183,13 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
     (
         Places(8, [(GOAL_ID, 2, 5)]),
         "932e089193c410000102030405060708090a0b0c0d0e0f0205",
+    ),
+    (
+        FeedbackBatch(1, 2, [FEEDBACK, FEEDBACK]),
+        (
+            "9430010292"
+            "c41681b07061727469616c5f73657175656e636593000101"
+            "c41681b07061727469616c5f73657175656e636593000101"
+        ),
     ),
 ]

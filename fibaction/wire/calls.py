@@ -133,15 +133,15 @@ class Credits:
         self._allowed = self._window - unread
         return self._allowed
 
-    def spend(self) -> None:
-        """Count a message that has arrived.
+    def spend(self, count: int = 1) -> None:
+        """Count messages that have arrived.
 
         Raises:
-            ProtocolError: There was no credit for it.
+            ProtocolError: There was not enough credit for them.
         """
-        if self._allowed <= 0:
+        if self._allowed < count:
             raise ProtocolError("there were more messages than credit for them")
-        self._allowed -= 1
+        self._allowed -= count
 
     def grant(self, count: int = 1) -> None:
         """Count messages that were read: as many more may come."""

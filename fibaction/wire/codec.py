@@ -25,6 +25,7 @@ from fibaction.wire.messages import (
     Ended,
     Failed,
     Feedback,
+    FeedbackBatch,
     Finished,
     Follow,
     Following,
@@ -66,6 +67,7 @@ FromServer: TypeAlias = (
     | Rejected
     | Failed
     | Feedback
+    | FeedbackBatch
     | StatusChanged
     | Ended
     | CancelAnswered

@@ -160,7 +160,12 @@ class RemoteConnection(Connection):
             link = self._link = Link(line, settings.heartbeat)
             link.first_ping = FIRST_PING
             hello = Hello(
-                VERSION, settings.heartbeat, settings.token, self._session, settings.max_frame
+                VERSION,
+                settings.heartbeat,
+                settings.token,
+                self._session,
+                settings.max_frame,
+                batches=True,
             )
             link.post(encode(hello))
             error = await link.run(self._handle, self.calls.openings)

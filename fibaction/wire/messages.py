@@ -77,6 +77,8 @@ class Hello(_Message, tag=16):
     one."""
     max_frame: FrameSize = MAX_FRAME
     """Length of the largest frame that the client accepts, in bytes; at least 1024."""
+    batches: bool = False
+    """True if the client accepts `FeedbackBatch`."""
 
     def __repr__(self) -> str:
         return f"Hello(version={self.version})"  # a token has no place in a log
@@ -278,6 +280,21 @@ class Feedback(_Message, tag=36):
     id: ID
     number: Stamp
     payload: bytes
+
+
+@final
+class FeedbackBatch(_Message, tag=48):
+    """Feedback messages of a goal with consecutive numbers. Uses up one credit for each of them.
+
+    It is sent only to a client whose `Hello` says that it accepts it, in place of as many
+    `Feedback`.
+    """
+
+    id: ID
+    number: Stamp
+    """Number of the first feedback message; the next ones follow without a gap."""
+    payloads: Annotated[list[bytes], msgspec.Meta(min_length=1)]
+    """The feedback messages, at least one, each a payload."""
 
 
 @final

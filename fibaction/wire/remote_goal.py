@@ -44,6 +44,7 @@ from fibaction.wire.messages import (
     Ended,
     Failed,
     Feedback,
+    FeedbackBatch,
     Follow,
     Following,
     Received,
@@ -209,7 +210,9 @@ class RemoteGoal(Call, GoalStream):
         # Where most messages pass: for a class of msgspec's, `isinstance` takes ten times as long.
         kind = message.__class__
         if kind is Feedback and self._is_answered:
-            self._take_feedback(message)
+            self._take_feedback(message.number, (message.payload,))
+        elif kind is FeedbackBatch and self._is_answered:
+            self._take_feedback(message.number, message.payloads)
         elif kind is Following:
             self._take_following(message)
         elif kind is StatusChanged and self._is_answered:
@@ -322,18 +325,25 @@ class RemoteGoal(Call, GoalStream):
             if self.reads and status.is_active:
                 self._statuses.append(status)
 
-    def _take_feedback(self, message: Feedback) -> None:
-        if message.number <= self._last:
-            raise ProtocolError(f"feedback {message.number} came after {self._last}")
-        self._credit.spend()
-        self._last = message.number
-        if self.reads:
-            if self.latest:
-                self._forget_unread()
-                self._credit.grant()
-            self._items.append(FeedbackItem(message.number, message.payload, self._newest))
-            if not self._holds:
-                self._make_room()
+    def _take_feedback(self, first: int, payloads: Sequence[bytes]) -> None:
+        """Take feedback with consecutive numbers."""
+        if first <= self._last:
+            raise ProtocolError(f"feedback {first} came after {self._last}")
+        count = len(payloads)
+        self._credit.spend(count)
+        self._last = first + count - 1
+        if not self.reads:
+            return
+        if self.latest:
+            self._forget_unread()
+            self._credit.grant(count)
+            first, payloads = self._last, payloads[-1:]
+        attempt = self._newest
+        self._items += [
+            FeedbackItem(number, payload, attempt) for number, payload in enumerate(payloads, first)
+        ]
+        if not self._holds:
+            self._make_room()
 
     def _end(self, outcome: Outcome[bytes], place: int) -> None:
         self._outcome = outcome

@@ -38,6 +38,8 @@ class SessionClient:
         """The client as the sender of its goals."""
         self.max_frame = MAX_FRAME
         """Bytes of the largest message that the client accepts."""
+        self.takes_batches = False
+        """True if the client accepts several feedback messages in one."""
         self.actions: set[str] = set()
         """The actions that the client has named."""
 
@@ -92,6 +94,7 @@ class SessionClient:
         owner = self.session or os.urandom(len(digest_of(b"")))
         self.sender = Sender(self._peer.name, owner, self._address)
         self.max_frame = message.max_frame
+        self.takes_batches = message.batches
         return message
 
     async def endpoint(self, action: str, permission: Permission) -> Endpoint:

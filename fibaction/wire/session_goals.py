@@ -106,7 +106,14 @@ class SessionGoals:
 
     def begin(self, message: GoalRequest) -> None:
         """Send or follow a goal for the client."""
-        subscription = GoalSubscription(message, self._held, self._on_news, self._client.max_frame)
+        client = self._client
+        subscription = GoalSubscription(
+            message,
+            self._held,
+            self._on_news,
+            client.max_frame,
+            takes_batches=client.takes_batches,
+        )
         self._open[message.id] = subscription
         self._follows[message.goal_id] = self._follows.get(message.goal_id, 0) + 1
         if type(message) is Follow:

@@ -5,7 +5,8 @@ They do not know connections: the owner is told that a subscription is ready, an
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import cast
 
 from anyio import CancelScope
 
@@ -21,6 +22,7 @@ from fibaction.wire.errors import failed, failure_of, fitting, sendable
 from fibaction.wire.messages import (
     Ended,
     Feedback,
+    FeedbackBatch,
     Follow,
     Following,
     SendGoal,
@@ -125,6 +127,7 @@ class GoalSubscription(Subscription):
         "_piece",
         "_place",
         "_ready",
+        "_takes_batches",
         "endpoint",
         "goal_id",
         "held",
@@ -140,6 +143,8 @@ class GoalSubscription(Subscription):
         held: HeldGoals,
         ready: Callable[[GoalSubscription], None],
         max_frame: int,
+        *,
+        takes_batches: bool,
     ) -> None:
         super().__init__(message.id, message.credit)
         self.goal_id = message.goal_id
@@ -156,6 +161,7 @@ class GoalSubscription(Subscription):
         self._is_follow = isinstance(message, Follow)
         self._ready = ready
         self._max_frame = max_frame
+        self._takes_batches = takes_batches
         self._opening: Following | None = None
         self._attempt = 1
         self._piece = PIECE
@@ -254,25 +260,45 @@ class GoalSubscription(Subscription):
         updates = stream.take(min(self.credit, self._piece))
         # The numbers of the feedback may begin anew, at a gateway whose server was started again.
         begins = self._begin_attempt(stream) if stream.attempt != self._attempt else []
+        if not updates:
+            return begins
+        first = updates[0]
+        if isinstance(first, GoalStatus):
+            return [*begins, encode(StatusChanged(request, first))]
+        if not isinstance(first, FeedbackItem):
+            return [*begins, *self._end(stream, first)]
+        return begins + self._feedback(stream, cast("Sequence[FeedbackItem]", updates))
+
+    def _feedback(self, stream: GoalStream, items: Sequence[FeedbackItem]) -> list[bytes]:
+        """Return the frames of feedback that was taken, as far as it fills one write."""
+        if self._takes_batches and len(items) > 1 and (batch := self._batch(items)) is not None:
+            self.credit -= len(items)
+            return [batch]
         frames: list[bytes] = []
         size = 0
-        for update in updates:
-            if isinstance(update, FeedbackItem):
-                frame = encode(Feedback(request, update.number, update.payload))
-                frames.append(frame)
-                size += len(frame)
-                if size >= CHUNK and self._goes_back(stream, update.number):
-                    break
-            elif isinstance(update, GoalStatus):
-                return [*begins, encode(StatusChanged(request, update))]
-            else:
-                return [*begins, *self._end(stream, update)]
+        for item in items:
+            frame = encode(Feedback(self.request, item.number, item.payload))
+            frames.append(frame)
+            size += len(frame)
+            if size >= CHUNK and self._goes_back(stream, item.number):
+                break
         # A stream that cannot go back gives large messages one at a time from now on.
         self._piece = 1 if size >= CHUNK else PIECE
-        if max(map(len, frames), default=0) > self._max_frame:
+        if max(map(len, frames)) > self._max_frame:
             frames = self._fitting(frames)
         self.credit -= len(frames)
-        return begins + frames
+        return frames
+
+    def _batch(self, items: Sequence[FeedbackItem]) -> bytes | None:
+        """Return one frame with all items; None if numbers are missing or it would be too large."""
+        first = items[0].number
+        if items[-1].number - first >= len(items):
+            return None
+        payloads = [item.payload for item in items]
+        if sum(map(len, payloads)) > CHUNK:
+            return None
+        frame = encode(FeedbackBatch(self.request, first, payloads))
+        return frame if len(frame) <= self._max_frame else None
 
     def _begin_attempt(self, stream: GoalStream) -> list[bytes]:
         """Return the frame that begins another attempt of the stream, from its first feedback."""

@@ -174,10 +174,11 @@ class Served:
         *,
         name: str = "the client",
         heartbeat: float = LONG,
+        batches: bool = False,
     ) -> Client:
         """A client that was let in."""
         client = self.connect(name)
-        hello = Hello(VERSION, heartbeat, token, session, max_frame)
+        hello = Hello(VERSION, heartbeat, token, session, max_frame, batches)
         assert (await client.ask(hello, Welcome)).max_frame == self._frame
         return client
 

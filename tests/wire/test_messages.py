@@ -37,6 +37,7 @@ from fibaction.wire.messages import (
     Ended,
     Failed,
     Feedback,
+    FeedbackBatch,
     Finished,
     Follow,
     Following,
@@ -190,7 +191,7 @@ builds = strategies.builds
 MESSAGES: dict[type, SearchStrategy[Any]] = {
     Ping: builds(Ping),
     Goodbye: builds(Goodbye, TEXT, NUMBERS),
-    Hello: builds(Hello, NUMBERS, SECONDS, TEXT, BYTES, FRAME_SIZES),
+    Hello: builds(Hello, NUMBERS, SECONDS, TEXT, BYTES, FRAME_SIZES, strategies.booleans()),
     SendGoal: builds(
         *(SendGoal, IDS, TEXT, GOAL_IDS, BYTES, COUNTS),
         strategies.none() | strategies.floats(0, 1e9, exclude_min=True),
@@ -235,6 +236,7 @@ MESSAGES: dict[type, SearchStrategy[Any]] = {
     Watching: builds(Watching, IDS, STAMPS),
     Peers: builds(Peers, IDS, strategies.lists(TEXT)),
     Places: builds(Places, IDS, strategies.lists(strategies.tuples(GOAL_IDS, STAMPS, STAMPS))),
+    FeedbackBatch: builds(FeedbackBatch, IDS, STAMPS, strategies.lists(BYTES, min_size=1)),
 }
 ANY = strategies.recursive(
     strategies.none() | strategies.booleans() | NUMBERS | strategies.floats() | TEXT | BYTES,
@@ -604,7 +606,7 @@ def test_any_bytes_are_a_message_or_a_protocol_error(data: bytes) -> None:
     check(data)
 
 
-@given(strategies.integers(0, 43), strategies.lists(ANY, max_size=7))
+@given(strategies.integers(0, 48), strategies.lists(ANY, max_size=7))
 def test_any_array_is_a_message_or_a_protocol_error(tag: int, items: list[Any]) -> None:
     check(packed(tag, *items))
 
