@@ -1,30 +1,37 @@
-"""The costs of the two kinds of lines over TCP, beside each other.
+"""The costs of the two kinds of lines over TCP, with and without TLS, beside each other.
 
     python -m tests.benchmarks.lines
 
 A program sends frames to itself over a loopback connection: first each is answered before the next
-is sent, then many at once. Both kinds take turns in one process, so that a busy machine slows both.
-It prints the median time of a frame there and back, and the ratio of the two.
+is sent, then many at once. All kinds take turns in one process, so that a busy machine slows both.
+It prints the median time of a frame there and back, and the ratio of each kind to that of asyncio.
 """
 
 from __future__ import annotations
 
 import socket
 import statistics
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from time import perf_counter
+from typing import Any
 
 import anyio
-from anyio.abc import SocketAttribute, SocketStream
+from anyio.abc import Listener, SocketAttribute
+from anyio.streams.tls import TLSStream
 
 from fibaction._notify import Notifier
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.frames import FrameReader
+from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports._streams import _anyio, _asyncio
+from fibaction_transports._streams._tls import TlsChannel, TlsListener
+from fibaction_transports._streams._tls_lines import accept_tls, dial_tls
+from tests.certificates import HOST, pems
 
 FRAME = bytes(100)
 TURNS = 7
+KINDS = ("asyncio", "anyio", "asyncio, TLS", "anyio, TLS")
 
 
 class End:
@@ -70,7 +77,9 @@ class End:
 @asynccontextmanager
 async def ends(kind: str) -> AsyncGenerator[End, None]:
     """Open a connection whose other end echoes."""
-    accept = {"asyncio": _asyncio.accept, "anyio": _anyio.accept}[kind]
+    accept: Callable[..., Coroutine[Any, Any, None]] = _anyio.accept
+    if kind.startswith("asyncio"):
+        accept = accept_tls if kind.endswith("TLS") else _asyncio.accept
     async with (
         await anyio.create_tcp_listener(local_host="127.0.0.1") as listener,
         anyio.create_task_group() as tasks,
@@ -80,37 +89,44 @@ async def ends(kind: str) -> AsyncGenerator[End, None]:
             await End(line, echoes=True).run()
 
         # For one host, it is a list of one listener.
+        one: Listener[Any]
         (one,) = listener.listeners
+        if kind.endswith("TLS"):
+            one = TlsListener(one, TlsFiles(cert=pems().cert).server())
         tasks.start_soon(accept, one, FrameReader, serve, tasks)
-        port = listener.extra(SocketAttribute.local_port)
-        line: Line
-        if kind == "asyncio":
-            line = await _asyncio.dial_tcp("127.0.0.1", port, FrameReader(), "here")
-        else:
-            stream: SocketStream = await anyio.connect_tcp("127.0.0.1", port)
-            stream.extra(SocketAttribute.raw_socket).setsockopt(
-                socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
-            )
-            line = StreamChannel(stream, "here", FrameReader())
-        end = End(line, echoes=False)
+        end = End(await dial(kind, listener.extra(SocketAttribute.local_port)), echoes=False)
         tasks.start_soon(end.run)
         yield end
         tasks.cancel_scope.cancel()
 
 
+async def dial(kind: str, port: int) -> Line:
+    """Connect to a port of this machine."""
+    context = TlsFiles(ca=pems().ca).client()
+    if kind == "asyncio":
+        return await _asyncio.dial_tcp(HOST, port, FrameReader(), "here")
+    if kind == "asyncio, TLS":
+        return await dial_tls(HOST, port, FrameReader(), "here", context)
+    stream = await anyio.connect_tcp(HOST, port)
+    stream.extra(SocketAttribute.raw_socket).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if kind == "anyio":
+        return StreamChannel(stream, "here", FrameReader())
+    tls = await TLSStream.wrap(stream, hostname=HOST, ssl_context=context)
+    return TlsChannel(tls, "here", FrameReader())
+
+
 async def main() -> None:
     for at_once, count in ((1, 2000), (64, 20_000)):
-        times: dict[str, list[float]] = {"asyncio": [], "anyio": []}
+        times: dict[str, list[float]] = {kind: [] for kind in KINDS}
         for _ in range(TURNS):
             for kind, taken in times.items():
                 async with ends(kind) as end:
                     await end.round_trips(count // 10, at_once)
                     taken.append(await end.round_trips(count, at_once))
         medians = {kind: statistics.median(taken) * 1e6 for kind, taken in times.items()}
-        print(
-            f"{at_once:3} at once: _asyncio {medians['asyncio']:.1f} us, _anyio"
-            f" {medians['anyio']:.1f} us a frame, ratio {medians['anyio'] / medians['asyncio']:.2f}"
-        )
+        for kind, median in medians.items():
+            ratio = median / medians["asyncio"]
+            print(f"{at_once:3} at once: {kind:12} {median:6.1f} us a frame, ratio {ratio:.2f}")
 
 
 if __name__ == "__main__":

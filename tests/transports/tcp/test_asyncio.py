@@ -532,6 +532,90 @@ async def test_the_last_word_waits_until_it_is_written_or_the_connection_is_lost
                     peer.close()
 
 
+class Leaving(FrameReader):
+    """A form that has a goodbye, and expects one of the peer."""
+
+    is_closed = False
+
+    def goodbye(self) -> bytes:
+        return bytes(2**22)
+
+    def discard(self, data: bytes) -> None:
+        self.is_closed = self.is_closed or data.endswith(b"goodbye")
+
+
+async def test_the_goodbye_of_a_peer_that_reads_ours_slowly_is_waited_for() -> None:
+    async with listening() as (address, ends):
+        with socket.create_connection(address) as peer:
+            peer.setblocking(False)
+            await until(lambda: ends)
+            line, leaving = ends[0].line, Leaving()
+            line.begin(leaving, b"")
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(line.aclose)
+                await until(lambda: line._is_full)
+                left = 2**22
+                with anyio.fail_after(5):
+                    while left:
+                        await anyio.wait_readable(peer)
+                        left -= len(peer.recv(2**20))
+                await until(lambda: not line._is_full)
+                peer.send(framed([b"news"]) + b"goodbye")
+            assert leaving.is_closed
+            ends[0].ended.set()
+
+
+async def test_bytes_are_read_before_it_runs_until_the_peer_closes() -> None:
+    async with listening() as (address, ends):
+        with socket.create_connection(address) as peer:
+            await until(lambda: ends)
+            line = ends[0].line
+            with anyio.fail_after(5):
+                for number in (b"1", b"2"):
+                    peer.send(number)
+                    assert await line.receive_bytes() == number
+                await line.send_bytes(b"answer")
+                peer.setblocking(False)
+                await anyio.wait_readable(peer)
+                assert peer.recv(10) == b"answer"
+                peer.send(b"last")
+                await until(lambda: line._early)
+                peer.close()
+                assert await line.receive_bytes() == b"last"
+                with pytest.raises(anyio.BrokenResourceError):
+                    await line.receive_bytes()
+                assert not line._transport.is_closing()
+            ends[0].ended.set()
+
+
+async def test_bytes_that_came_before_the_connection_was_lost_are_read_first() -> None:
+    async with listening() as (address, ends):
+        with socket.create_connection(address) as peer:
+            await until(lambda: ends)
+            line = ends[0].line
+            peer.send(b"last")
+            await until(lambda: line._early)
+            line._transport.abort()
+            assert await line.receive_bytes() == b"last"
+            with anyio.fail_after(5), pytest.raises(anyio.BrokenResourceError):
+                await line.receive_bytes()
+            ends[0].ended.set()
+
+
+async def test_what_was_read_of_the_frames_is_handled_before_what_has_arrived_meanwhile() -> None:
+    async with listening() as (address, ends):
+        with socket.create_connection(address) as peer:
+            one, two = framed([b"one"]), framed([b"two"])
+            peer.send(one[3:] + two)
+            await until(lambda: ends and ends[0].line._early)
+            ends[0].line.begin(FrameReader(), one[:3])
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(ends[0].run)
+                await until(lambda: len(ends[0].heard) == 2)
+                assert ends[0].heard == [b"one", b"two"]
+                ends[0].stop()
+
+
 async def test_a_line_is_closed_also_by_who_is_being_canceled() -> None:
     async with beside_a_socket() as (end, peer):
         with anyio.CancelScope() as scope:

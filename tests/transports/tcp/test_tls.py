@@ -15,7 +15,6 @@ import anyio
 import anyio.lowlevel
 import pytest
 from anyio.abc import SocketAttribute, SocketStream
-from anyio.streams.tls import TLSStream
 
 from fibaction import (
     AuthenticationFailed,
@@ -42,6 +41,20 @@ async def test_a_client_that_knows_the_authority_is_served_over_tls() -> None:
         assert url == f"tls://127.0.0.1:{port_of(url)}"
         assert await works(url, tls=TlsFiles(ca=pems().ca))
         assert await works(f"{url}?ca={pems().ca}")
+
+
+async def test_a_host_with_several_addresses_is_served_over_tls_at_each_of_them() -> None:
+    try:
+        addresses = {str(one[4][0]) for one in socket.getaddrinfo("localhost", 0)}
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        pytest.skip("this machine has no IPv6")
+    transport = TcpTransport("localhost", 0, tls=TlsFiles(cert=pems().cert))
+    context = TlsFiles(ca=pems().ca).client()
+    context.check_hostname = False
+    async with serve(new_server(), transport) as (url,):
+        for host in addresses:
+            assert await works(TcpTransport(host, port_of(url), tls=context))
 
 
 async def test_contexts_of_ones_own_are_used_as_they_are() -> None:
@@ -186,6 +199,14 @@ async def test_what_a_server_says_instead_of_its_first_message_is_a_refusal_or_a
     assert caught.value.__cause__ is error
 
 
+async def test_a_connection_that_is_lost_below_tls_is_a_loss() -> None:
+    error = ConnectionResetError("reset")
+    stream: Any = _Failing(socket.AF_INET, None, error)
+    with pytest.raises(ConnectionLost, match="the connection to robot broke") as caught:
+        await TlsChannel(stream, "robot", FrameReader()).receive()
+    assert caught.value.__cause__ is error
+
+
 async def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     nonsense = tmp_path / "nonsense.pem"
     nonsense.write_text("nonsense")
@@ -316,13 +337,13 @@ async def test_a_server_can_stop_while_somebody_begins_with_tls(
     monkeypatch: pytest.MonkeyPatch, heard: Hearing
 ) -> None:
     begun = anyio.Event()
-    wrap: Callable[..., Awaitable[TLSStream]] = TLSStream.wrap
+    shake_hands: Callable[..., Awaitable[object]] = TlsListener.shake_hands
 
-    async def wraps(*arguments: Any, **settings: Any) -> TLSStream:
+    async def shakes_hands(*arguments: Any) -> object:
         begun.set()
-        return await wrap(*arguments, **settings)
+        return await shake_hands(*arguments)
 
-    monkeypatch.setattr(TLSStream, "wrap", wraps)
+    monkeypatch.setattr(TlsListener, "shake_hands", shakes_hands)
     with anyio.fail_after(5):
         async with AsyncExitStack() as stack:
             async with serve(new_server(), tls_server(cert=pems().cert)) as (url,):

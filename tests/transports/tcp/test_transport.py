@@ -42,7 +42,7 @@ from fibaction_transports._streams import _asyncio, _stream_transport
 from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport
 from tests.certificates import pems
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
-from tests.transports.hearing import Hearing, port_of
+from tests.transports.hearing import Hearing, port_of, raw
 from tests.transports.tcp.servers import SECRET, new_server, tls_server, works
 
 pytestmark = pytest.mark.anyio
@@ -247,6 +247,17 @@ def test_a_client_sends_small_messages_at_once(scheme: str) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(anyio, "connect_tcp", connect_slowly)
         anyio.run(main, backend="trio")
+
+
+def test_on_trio_too_who_hangs_up_while_shaking_hands_keeps_no_other_out(heard: Hearing) -> None:
+    async def main() -> None:
+        async with serve(new_server(), tls_server(cert=pems().cert)) as (url,):
+            async with raw(url) as peer:
+                await peer.stream.send(b"\x16\x03\x01")  # how TLS begins
+            await heard.until(": no TLS: it hung up while shaking hands")
+            assert await works(f"{url}?ca={pems().ca}")
+
+    anyio.run(main, backend="trio")
 
 
 def test_unix_sockets_are_served_on_trio_too(tmp_path: Path) -> None:

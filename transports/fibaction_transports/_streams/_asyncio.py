@@ -1,4 +1,4 @@
-"""Lines without TLS on asyncio, which need no tasks to read and to write.
+"""Lines on asyncio, which need no tasks to read and to write. `_tls_lines` adds TLS.
 
 The event loop calls a `ProtocolLine` with each piece of data, and that hands over the frames at
 once. anyio's streams, which `_anyio` uses on trio, have a task for each direction, and begin and
@@ -106,13 +106,40 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         raise self._error
 
     async def send(self, frames: Sequence[bytes]) -> None:
-        data = self._framing.encode(frames)
+        await self.send_bytes(self._framing.encode(frames))
+
+    async def send_bytes(self, data: bytes) -> None:
+        """Send bytes that belong to no frame, before the line runs.
+
+        Raises:
+            ConnectionLost: The connection has ended.
+        """
         self._written += len(data)
         self._transport.write(data)
         while self._is_full and not self._transport.is_closing():
             await self._changed.wait()
         if self._transport.is_closing():
             raise ConnectionLost(f"the connection to {self.peer} broke")
+
+    async def receive_bytes(self) -> bytes:
+        """Return the next bytes that have arrived, before the line runs.
+
+        Raises:
+            anyio.BrokenResourceError: The connection has ended.
+        """
+        while not self._early:
+            if self._error is not None:
+                raise anyio.BrokenResourceError from self._error
+            await self._changed.wait()
+        data, self._early = self._early, b""
+        if not self._transport.is_closing():
+            self._transport.resume_reading()
+        return data
+
+    def begin(self, framing: Framing, early: bytes) -> None:
+        """Change the form of the frames, before the line runs, and take what was read of them."""
+        self._framing = framing
+        self._early = early + self._early
 
     async def aclose(self) -> None:
         try:
@@ -224,6 +251,7 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
         elif self._on_frames is None:
             self._early += data
             self._transport.pause_reading()
+            self._changed.notify()
         elif self._error is None:
             self._handle(data)
 
@@ -244,7 +272,6 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
 
     def resume_writing(self) -> None:
         self._is_full = False
-        self._is_leaving = self._is_at_end = False
         self._changed.notify()
         self.wake_writer()
 
@@ -328,14 +355,25 @@ async def accept(
     lines = LineMaker()
 
     async def begin(accepted: socket.socket) -> None:
-        try:
-            line = await lines.make(accepted, new_framing())
-        except Exception as exc:
-            logger.warning("a connection was lost as it was accepted: %s", exc)
-        else:
-            await serve(line)
+        await serve_socket(accepted, lines, new_framing(), serve)
 
     await accept_sockets(listener, begin, tasks)
+
+
+async def serve_socket(
+    accepted: socket.socket,
+    lines: LineMaker,
+    framing: Framing,
+    serve: Callable[[Line], Coroutine[Any, Any, None]],
+    early: bytes = b"",
+) -> None:
+    """Serve the line over a socket, unless the connection was lost meanwhile."""
+    try:
+        line = await lines.make(accepted, framing, early)
+    except Exception as exc:
+        logger.warning("a connection was lost as it was accepted: %s", exc)
+    else:
+        await serve(line)
 
 
 def _buffer() -> memoryview:

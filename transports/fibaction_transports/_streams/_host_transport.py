@@ -21,7 +21,7 @@ from fibaction.wire.frames import FrameReader, Framing
 from fibaction.wire.settings import WireKeywords
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import boolean
-from fibaction_transports._streams import _asyncio
+from fibaction_transports._streams import _asyncio, _tls_lines
 from fibaction_transports._streams._stream_transport import StreamTransport
 from fibaction_transports._streams._tls import SPEAKS_TLS, TlsChannel, TlsListener, telling
 
@@ -75,19 +75,20 @@ class HostTransport(StreamTransport):
         return FrameReader(self.client_settings.max_frame)
 
     async def _connect(self) -> Line:
-        framing = self._client_framing()
-        if self._tls is None and asyncio_task() is not None:
-            return await _asyncio.dial_tcp(self._host, self._port, framing, self.url)
+        framing, given = self._client_framing(), self._tls
+        context = telling(given.client()) if isinstance(given, TlsFiles) else given
+        if asyncio_task() is not None:
+            if context is None:
+                return await _asyncio.dial_tcp(self._host, self._port, framing, self.url)
+            return await _tls_lines.dial_tls(self._host, self._port, framing, self.url, context)
         stream = await anyio.connect_tcp(self._host, self._port)
         stream.extra(SocketAttribute.raw_socket).setsockopt(
             socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
         )
-        if self._tls is None:
+        if context is None:
             return StreamChannel(stream, self.url, framing)
         async with AsyncExitStack() as on_failure:
             on_failure.push_async_callback(anyio.aclose_forcefully, stream)
-            given = self._tls
-            context = telling(given.client()) if isinstance(given, TlsFiles) else given
             tls = await TLSStream.wrap(stream, hostname=self._host, ssl_context=context)
             on_failure.pop_all()
         return TlsChannel(tls, self.url, framing)

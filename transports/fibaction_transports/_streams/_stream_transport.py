@@ -24,7 +24,7 @@ from fibaction.exceptions import (
 from fibaction.wire.channel import Line
 from fibaction.wire.frames import Framing
 from fibaction.wire.transport import WireTransport
-from fibaction_transports._streams import _anyio, _asyncio
+from fibaction_transports._streams import _anyio, _asyncio, _tls_lines
 from fibaction_transports._streams._tls import TlsListener, no_tls
 
 if TYPE_CHECKING:
@@ -80,6 +80,8 @@ class StreamTransport(WireTransport):
                 parts: Sequence[Listener[Any]] = [listener]
                 if isinstance(listener, MultiListener):  # a host with several addresses
                     parts = listener.listeners
+                elif isinstance(listener, TlsListener):
+                    parts = listener.parts()
                 for one in parts:
                     accepting.start_soon(self._accept, one, server)
                 yield url
@@ -94,9 +96,13 @@ class StreamTransport(WireTransport):
         Raises:
             OSError: A connection could not be accepted.
         """
-        plain = asyncio_task() is not None and not isinstance(listener, TlsListener)
-        accept = _asyncio.accept if plain else _anyio.accept
-        await accept(listener, self._new_framing(server), server.serve, server.tasks)
+        new_framing = self._new_framing(server)
+        if asyncio_task() is None:
+            await _anyio.accept(listener, new_framing, server.serve, server.tasks)
+        elif isinstance(listener, TlsListener):
+            await _tls_lines.accept_tls(listener, new_framing, server.serve, server.tasks)
+        else:
+            await _asyncio.accept(listener, new_framing, server.serve, server.tasks)
 
     async def _accept(self, listener: Listener[Any], server: WireServer) -> None:
         while True:

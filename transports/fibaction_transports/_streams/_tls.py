@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import ssl
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import anyio
 from anyio.abc import AnyByteStream, ByteStream, TaskGroup
+from anyio.streams.stapled import MultiListener
 from anyio.streams.tls import TLSListener, TLSStream
 
 from fibaction._log import clean_logger
-from fibaction.exceptions import AuthenticationFailed, ConnectionLost, text_of
+from fibaction.exceptions import AuthenticationFailed, ConnectionLost, TransportError, text_of
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import framed
@@ -26,6 +27,8 @@ SPEAKS_TLS = framed([encode(Goodbye("this server speaks TLS: use tls://", Why.PR
 """The answer to a client that does not begin with TLS. OpenSSL has no alert for it."""
 
 logger = clean_logger("fibaction.wire")
+
+Made = TypeVar("Made")
 
 
 def telling(context: ssl.SSLContext) -> ssl.SSLContext:
@@ -67,41 +70,60 @@ class TlsListener(TLSListener):
     most: int = 1000
     speaks_tls: bytes = SPEAKS_TLS
     """The answer to a client that does not begin with TLS."""
+    shaking: dict[anyio.CancelScope, None] = field(default_factory=dict)
+    """The handshakes that are not done, the oldest first."""
+
+    def parts(self) -> list[TlsListener]:
+        """Return a listener for each address of the host; together they have one limit."""
+        assert isinstance(self.listener, MultiListener)
+        return [replace(self, listener=one) for one in self.listener.listeners]
 
     async def serve(
         self, handler: Callable[[TLSStream], Any], task_group: TaskGroup | None = None
     ) -> None:
-        shaking: dict[anyio.CancelScope, None] = {}
-
         async def begin(stream: AnyByteStream) -> None:
-            peer = peer_of(stream)
-            if len(shaking) >= self.most:
-                oldest = next(iter(shaking))
-                del shaking[oldest]
-                oldest.cancel()
-            wrapped: TLSStream | None = None
-            with anyio.CancelScope() as scope:
-                shaking[scope] = None
-                try:
-                    with anyio.fail_after(self.handshake_timeout):
-                        wrapped = await TLSStream.wrap(
-                            stream,
-                            ssl_context=self.ssl_context,
-                            standard_compatible=self.standard_compatible,
-                        )
-                except BaseException as exc:
-                    await self.handle_handshake_error(exc, stream, self.speaks_tls)
-                finally:
-                    shaking.pop(scope, None)
-            if scope.cancelled_caught:
-                logger.warning(
-                    "%s: no TLS: it took too long while %d others began", peer, self.most
+            async def wrap() -> TLSStream:
+                return await TLSStream.wrap(
+                    stream,
+                    ssl_context=self.ssl_context,
+                    standard_compatible=self.standard_compatible,
                 )
-            if wrapped is None:
-                return
-            await handler(wrapped)
+
+            await self.shake_hands(stream, wrap, handler)
 
         await self.listener.serve(begin, task_group)
+
+    async def shake_hands(
+        self,
+        stream: AnyByteStream,
+        handshake: Callable[[], Awaitable[Made]],
+        handler: Callable[[Made], Awaitable[None]],
+    ) -> None:
+        """Give what a handshake makes to the handler.
+
+        If the handshake fails, or exceeds the limits, the stream is closed, and the peer and the
+        log are told why.
+        """
+        peer, shaking = peer_of(stream), self.shaking
+        if len(shaking) >= self.most:
+            oldest = next(iter(shaking))
+            del shaking[oldest]
+            oldest.cancel()
+        made: Made | None = None
+        with anyio.CancelScope() as scope:
+            shaking[scope] = None
+            try:
+                with anyio.fail_after(self.handshake_timeout):
+                    made = await handshake()
+            except BaseException as exc:
+                await self.handle_handshake_error(exc, stream, self.speaks_tls)
+            finally:
+                shaking.pop(scope, None)
+        if scope.cancelled_caught:
+            logger.warning("%s: no TLS: it took too long while %d others began", peer, self.most)
+        if made is None:
+            return
+        await handler(made)
 
     @staticmethod
     async def handle_handshake_error(
@@ -162,10 +184,18 @@ class TlsChannel(StreamChannel):
             return await super().receive()
         except ConnectionLost as exc:
             if isinstance(exc.__cause__, ssl.SSLError):
-                text = rejection(self.peer, exc.__cause__)
-                if text:
-                    raise AuthenticationFailed(text) from exc.__cause__
+                raise lost_over_tls(self.peer, exc.__cause__) from exc.__cause__
             raise
+
+
+def lost_over_tls(peer: str, exc: ssl.SSLError) -> TransportError:
+    """Return the error of a connection on which TLS has failed after the handshake."""
+    text = rejection(peer, exc)
+    error = (
+        AuthenticationFailed(text) if text else ConnectionLost(f"the connection to {peer} broke")
+    )
+    error.__cause__ = exc
+    return error
 
 
 def rejection(server: str, exc: ssl.SSLError) -> str:

@@ -1,0 +1,70 @@
+"""Lines with TLS on asyncio: the lines of `_asyncio`, whose frames are inside TLS."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from anyio.abc import TaskGroup
+
+from fibaction.wire.channel import Line
+from fibaction.wire.frames import FrameReader, Framing
+from fibaction_transports._streams import _asyncio
+from fibaction_transports._streams._anyio import peer_of
+from fibaction_transports._streams._sockets import SocketStream, accept_sockets
+from fibaction_transports._streams._tls import TlsListener
+from fibaction_transports._streams._tls_frames import TlsEnd, TlsFraming, shake_hands
+
+
+async def dial_tls(
+    host: str, port: int, framing: Framing, where: str, context: ssl.SSLContext
+) -> Line:
+    """Connect to a server, and shake hands.
+
+    Raises:
+        ssl.SSLError: The server does not speak TLS, or one side rejects the other.
+        OSError, anyio.BrokenResourceError: The server does not answer, or has closed.
+    """
+    line = await _asyncio.dial_tcp(
+        host, port, FrameReader(), where
+    )  # frames come after the handshake
+    try:
+        end = TlsEnd(context, host)
+        early = await shake_hands(end, line.receive_bytes, line.send_bytes)
+    except BaseException:
+        await line.aclose()
+        raise
+    line.begin(TlsFraming(framing, end, where), early)
+    return line
+
+
+async def accept_tls(
+    listener: TlsListener,
+    new_framing: Callable[[], Framing],
+    serve: Callable[[Line], Coroutine[Any, Any, None]],
+    tasks: TaskGroup,
+) -> None:
+    """Serve the line of each client that connects and shakes hands in a task of its own, until
+    accepting fails.
+
+    Raises:
+        OSError: A connection could not be accepted.
+    """
+    lines = _asyncio.LineMaker()
+
+    async def begin(accepted: socket.socket) -> None:
+        stream = SocketStream(accepted)
+        end = TlsEnd(listener.ssl_context)
+        peer = peer_of(stream)
+
+        async def begin_line(early: bytes) -> None:
+            framing = TlsFraming(new_framing(), end, peer)
+            await _asyncio.serve_socket(stream.detach(), lines, framing, serve, early)
+
+        await listener.shake_hands(
+            stream, lambda: shake_hands(end, stream.receive, stream.send), begin_line
+        )
+
+    await accept_sockets(listener.listener, begin, tasks)
