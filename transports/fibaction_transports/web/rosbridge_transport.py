@@ -6,10 +6,10 @@ import math
 import ssl
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from typing import ClassVar, NoReturn
+from typing import TYPE_CHECKING, ClassVar, NoReturn
 
 from fibaction._tasks import Background
-from fibaction.abc import Connection, Endpoint
+from fibaction.abc import Connection
 from fibaction.exceptions import TransportError
 from fibaction.wire.frames import Framing
 from fibaction.wire.settings import Limits, WireKeywords
@@ -20,6 +20,9 @@ from fibaction_transports.web.rosbridge._client_connection import RosbridgeConne
 from fibaction_transports.web.rosbridge._client_frames import RosbridgeClientFraming
 from fibaction_transports.web.rosbridge._link_keeper import ClientTerms, LinkKeeper
 from fibaction_transports.web.websocket_transport import HOST, WebSocketTransport
+
+if TYPE_CHECKING:
+    from fibaction.wire.wire_server import WireServer
 
 ROSBRIDGE_PORT = 9090
 """The default port, which is that of rosbridge_server."""
@@ -43,11 +46,13 @@ class RosbridgeTransport(WebSocketTransport):
         "tls",
         "accepted_after",
         "answer_timeout",
+        "schemas",
         "cancel_on_disconnect",
     )
     own_url_settings: ClassVar = {
         "accepted_after": float,
         "answer_timeout": float,
+        "schemas": boolean,
         "cancel_on_disconnect": boolean,
     }
     plain_scheme = "rosbridge"
@@ -67,6 +72,7 @@ class RosbridgeTransport(WebSocketTransport):
         limits: Limits | None = None,
         accepted_after: float = ACCEPTED_AFTER,
         answer_timeout: float = ANSWER_TIMEOUT,
+        schemas: bool = True,
         cancel_on_disconnect: bool = False,
     ) -> None:
         """Take an address, and the settings of a client.
@@ -89,6 +95,8 @@ class RosbridgeTransport(WebSocketTransport):
             accepted_after: The seconds after which a goal counts as accepted if the server has said
                 nothing: rosbridge answers rejections only.
             answer_timeout: The seconds for an answer of rosapi.
+            schemas: Ask rosapi for the types of the actions that are listed, so that goals are
+                checked before they are sent. rosapi ends with some types: see the page.
             cancel_on_disconnect: Ask the server to cancel goals whose connection is lost. Most
                 servers do not know it yet.
 
@@ -107,6 +115,7 @@ class RosbridgeTransport(WebSocketTransport):
             self.client_settings.max_frame,
             accepted_after,
             answer_timeout,
+            schemas,
             cancel_on_disconnect,
         )
 
@@ -116,7 +125,7 @@ class RosbridgeTransport(WebSocketTransport):
         )
         return RosbridgeClientFraming(self.url, self.client_settings.max_frame, handshake)
 
-    def serve(self, *endpoints: Endpoint) -> NoReturn:
+    def accept_lines(self, server: WireServer) -> NoReturn:
         """Raise an error: a rosbridge server is elsewhere.
 
         Raises:

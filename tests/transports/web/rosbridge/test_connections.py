@@ -140,6 +140,7 @@ async def test_operations_that_are_not_served_are_ignored_and_logged_once(
             await client.say([1])
             await client.say(op=5)
             await client.say(op=None, id={})
+            await client.say(op=["auth"])
         assert await works(client)
         for number in range(100):
             await client.say(op=f"op{number}")

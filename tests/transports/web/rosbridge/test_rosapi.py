@@ -43,6 +43,11 @@ class Anything(msgspec.Struct):
     pairs: list[tuple[int, str]] = []
 
 
+class Point(msgspec.Struct):
+    x: float
+    y: float = 0.0
+
+
 class Nested(msgspec.Struct):
     inner: list[Nested] = []
 
@@ -129,6 +134,22 @@ async def test_types_are_described(serving: Serving) -> None:
             ("fast", "boolean", -1, "False"),
         ]
         assert (move["constnames"], move["constvalues"]) == ([], [])
+        assert "required" not in move
+
+
+async def test_the_defaults_of_fields_are_told_and_the_fields_without_one(serving: Serving) -> None:
+    goal = made("Turn_Goal", ("angle", float, -0.5), ("fast", bool, True), ("name", str, "arm"))
+    turn = Action("turn", goal=goal, feedback=Point, result=float, type_name="arm_msgs/action/Turn")
+    async with serving(ActionServer(turn, fibonacci)) as served, served.connect() as client:
+        details = {"type": "arm_msgs/action/Turn"}
+        (found,) = (await call(client, "/rosapi/action_goal_details", details))["typedefs"]
+        assert found["examples"] == ["-0.5", "True", "arm"]
+        (found,) = (await call(client, "/rosapi/action_feedback_details", details))["typedefs"]
+        assert (found["fieldnames"], found["required"]) == (["x", "y"], ["x"])
+        # A value that is not an object is in a field `data`.
+        (found,) = (await call(client, "/rosapi/action_result_details", details))["typedefs"]
+        assert (found["type"], found["fieldnames"]) == ("arm_msgs/Turn_Result", ["data"])
+        assert (found["fieldtypes"], found["required"]) == (["float64"], ["data"])
 
 
 async def test_types_that_ros_does_not_have_are_described_as_far_as_they_go(

@@ -7,6 +7,7 @@ and `call_service`, the class `SendGoal`, and `fragmentation`.
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 from collections.abc import AsyncGenerator, Awaitable, Callable
@@ -36,6 +37,7 @@ PATIENCE = 10.0
 REJECTED = "Action goal was rejected"
 NO_SERVER = "No action server available"
 FIBONACCI = "arduinobot_msgs/action/Fibonacci"
+SHOW = "camera_msgs/action/Show"
 
 
 class Peer:
@@ -51,6 +53,7 @@ class Peer:
         self.closed: int | None = None
         """The code of the close of the client."""
         self._socket = WSConnection(ConnectionType.SERVER)
+        self._pieces: list[str] = []
         self.news = Notifier()
 
     async def read(self) -> AsyncGenerator[Any, None]:
@@ -66,8 +69,11 @@ class Peer:
                     self.request = event
                     await self.send(AcceptConnection())
                 elif isinstance(event, TextMessage):
-                    self.texts.append(json.loads(event.data))
-                    yield self.texts[-1]
+                    self._pieces.append(event.data)
+                    if event.message_finished:
+                        self.texts.append(json.loads("".join(self._pieces)))
+                        self._pieces.clear()
+                        yield self.texts[-1]
                 elif isinstance(event, Ping):
                     self.pings += 1
                     if self.answers_pings:
@@ -141,11 +147,62 @@ class SilentServer:
         """Answer a message of a client."""
 
 
-class RosbridgeServer(SilentServer):
-    """A rosbridge_server with one action, `/fibonacci`, and with rosapi.
+def typedef(name: str, *fields: tuple[str, str, int, str]) -> dict[str, Any]:
+    """A definition of rosapi, as rosbridge_suite makes it from the classes of ROS."""
+    names, kinds, lengths, examples = map(list, zip(*fields, strict=True)) if fields else [[]] * 4
+    return {
+        "type": name,
+        "fieldnames": names,
+        "fieldtypes": kinds,
+        "fieldarraylen": lengths,
+        "examples": examples,
+        "constnames": ["SLOT_TYPES", *names],
+        "constvalues": ["(<rosidl_parser.definition.BasicType object at 0x7f>,)", *examples],
+    }
 
-    Its goals end as their order says: a negative one is rejected, one of 50 or more goes on until
-    it is canceled, and 6 is aborted.
+
+POSE = [
+    typedef("geometry_msgs/Point", *[(one, "double", -1, "0.0") for one in "xyz"]),
+    typedef(
+        "geometry_msgs/Quaternion",
+        *[(one, "double", -1, "1.0" if one == "w" else "0.0") for one in "xyzw"],
+    ),
+]
+DETAILS = {
+    ("/rosapi/action_goal_details", FIBONACCI): [
+        typedef("arduinobot_msgs/Fibonacci_Goal", ("order", "int32", -1, "0"))
+    ],
+    ("/rosapi/action_feedback_details", FIBONACCI): [
+        typedef("arduinobot_msgs/Fibonacci_Feedback", ("partial_sequence", "int32", 0, "[]"))
+    ],
+    ("/rosapi/action_result_details", FIBONACCI): [
+        typedef("arduinobot_msgs/Fibonacci_Result", ("sequence", "int32", 0, "[]"))
+    ],
+    ("/rosapi/action_goal_details", SHOW): [
+        typedef(
+            "camera_msgs/Show_Goal",
+            ("pixels", "uint8", 0, "[]"),
+            ("mask", "octet", 0, "[]"),
+            ("few", "arra/array", 0, "[]"),
+            ("at", "geometry_msgs/Point", -1, "{}"),
+            ("turned", "geometry_msgs/Quaternion", -1, "{}"),
+        ),
+        *POSE,
+    ],
+    ("/rosapi/action_feedback_details", SHOW): [typedef("camera_msgs/Show_Feedback")],
+    ("/rosapi/action_result_details", SHOW): [
+        typedef("camera_msgs/Show_Result", ("pixels", "uint8", 0, "[]"), ("few", "uint8", 0, "[]"))
+    ],
+}
+"""What rosapi tells of the types of the actions. The bound of `few` is not told: old ones have
+`arra/array` for it, and new ones `uint8`."""
+
+
+class RosbridgeServer(SilentServer):
+    """A rosbridge_server with the actions `/fibonacci` and `/show`, and with rosapi.
+
+    The goals of `/fibonacci` end as their order says: a negative one is rejected, one of 50 or more
+    goes on until it is canceled, and 6 is aborted. Those of `/show` come back as their results.
     """
 
     tasks: TaskGroup
@@ -158,6 +215,8 @@ class RosbridgeServer(SilentServer):
     logs_to_client = False
     """True for servers that tell errors as a `status`, as that of ROS 1 did."""
     has_rosapi = True
+    describes_types = True
+    """False for servers before 2025, whose rosapi tells no details of actions."""
 
     def __init__(self, url: str) -> None:
         super().__init__(url)
@@ -182,6 +241,8 @@ class RosbridgeServer(SilentServer):
             text = "send_action_goal: The type string is empty"
             await self.send(peer, {"op": "status", "level": "error", "msg": text}, message)
             return None
+        if message["action"] == "/show":
+            return await self._show(peer, message)
         if message["action"] != "/fibonacci" or message["action_type"] != FIBONACCI:
             return await self._fail(peer, message, NO_SERVER)
         wrong = set(message["args"]) - {"order"}
@@ -208,6 +269,17 @@ class RosbridgeServer(SilentServer):
             answer["status"] = status
         return await self.send(peer, answer, message)
 
+    async def _show(self, peer: Peer, message: Any) -> None:
+        args = message["args"]
+        pixels, mask, few = (args.get(name, []) for name in ("pixels", "mask", "few"))
+        if not (isinstance(mask, list) and isinstance(few, list)):
+            text = "camera_msgs/Show_Goal message requires a sequence<octet> for field mask"
+            return await self._fail(peer, message, text)
+        data = base64.b64decode(pixels) if isinstance(pixels, str) else bytes(pixels)
+        values = {"pixels": base64.b64encode(data).decode(), "few": few}
+        answer = {"op": "action_result", "values": values, "status": 4, "result": True}
+        return await self.send(peer, answer, message)
+
     async def _cancel(self, peer: Peer, message: Any) -> None:
         if message["id"] in self.handlers:
             self.handlers[message["id"]].set()
@@ -217,21 +289,25 @@ class RosbridgeServer(SilentServer):
         await self.send(peer, answer, message)
 
     async def _call(self, peer: Peer, message: Any) -> None:
+        service, args = message["service"], message["args"]
+        names = {"/fibonacci": FIBONACCI, "/show": SHOW}
         values: Any = {
-            "/rosapi/action_servers": {"action_servers": ["/fibonacci", "/arm/pick"]},
-            "/rosapi/action_type": {
-                "type": FIBONACCI if message["args"].get("action") == "/fibonacci" else ""
-            },
+            "/rosapi/action_servers": {"action_servers": ["/fibonacci", "/arm/pick", "/show"]},
+            "/rosapi/action_type": {"type": names.get(args.get("action"), "")},
             "/fibonacci/_action/cancel_goal": {
                 "return_code": 0,
                 "goals_canceling": [
                     {"goal_id": {"uuid": [7] * 16}, "stamp": {"sec": 5, "nanosec": 6}}
                 ],
             },
-        }.get(message["service"])
-        is_there = values is not None and (self.has_rosapi or "rosapi" not in message["service"])
+        }.get(service)
+        if self.describes_types and service == "/rosapi/interfaces":
+            values = {"interfaces": ["geometry_msgs/msg/Point", *names.values()]}
+        elif self.describes_types and service.endswith("_details"):
+            values = {"typedefs": DETAILS[service, args["type"]]}  # of others rosapi may end
+        is_there = values is not None and (self.has_rosapi or "rosapi" not in service)
         if not is_there:
-            values = f"Service {message['service']} does not exist"
+            values = f"Service {service} does not exist"
         await self.send(
             peer, {"op": "service_response", "values": values, "result": is_there}, message
         )

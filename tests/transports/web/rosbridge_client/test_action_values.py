@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 import msgspec
@@ -11,6 +12,7 @@ import pytest
 from fibaction.action import ActionInfo
 from fibaction.json_payload import PayloadError
 from fibaction_transports.web.rosbridge._action_values import (
+    LONGEST_LIST,
     ActionValues,
     MessageValues,
     arguments_text,
@@ -77,3 +79,27 @@ def test_a_goal_with_a_number_that_json_does_not_have_is_an_error(number: float)
         with pytest.raises(PayloadError, match="NaN or infinite, which rosbridge cannot carry"):
             arguments_text(msgspec.msgpack.encode(goal))
     assert arguments_text(msgspec.msgpack.encode({"a": [None]})) == '{"a":[null]}'
+
+
+def test_bytes_of_a_goal_are_numbers_unless_they_are_many() -> None:
+    goal = msgspec.msgpack.encode({"raw": b"\0\xff", "parts": [{"x": b""}], "n": 1})
+    assert arguments_text(goal) == '{"raw":[0,255],"parts":[{"x":[]}],"n":1}'
+    assert arguments_text(msgspec.msgpack.encode(b"\1")) == '{"data":[1]}'
+    for length, begin in ((LONGEST_LIST, '{"raw":[7,7,'), (LONGEST_LIST + 1, '{"raw":"BwcH')):
+        assert arguments_text(msgspec.msgpack.encode({"raw": b"\7" * length})).startswith(begin)
+
+
+def test_a_goal_that_is_nested_too_deeply_is_an_error() -> None:
+    # How deep is too deep, and for whom first, differs between versions of Python.
+    errors = {_error_of_nested(depth) for depth in range(100, 20 * sys.getrecursionlimit(), 200)}
+    assert None in errors
+    assert "the goal is nested too deeply" in errors
+    assert _error_of_nested(20 * sys.getrecursionlimit()) is not None
+
+
+def _error_of_nested(depth: int) -> str | None:
+    try:
+        arguments_text(b"\x91" * depth + b"\xc0")
+    except PayloadError as exc:
+        return str(exc)
+    return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from fibaction import (
     Action,
     ActionClient,
+    ActionInfo,
     ActionServer,
     AuthenticationFailed,
     CancelCode,
@@ -31,6 +33,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction.json_payload import JsonCodec, PayloadError
 from fibaction.ros_types import array, struct
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.web.rosbridge.robot import Robot
@@ -172,6 +175,39 @@ async def test_the_actions_are_listed_with_their_types() -> None:
         assert await untyped.call({"order": 4}) == {"sequence": [4]}
 
 
+async def test_the_actions_are_listed_with_their_schemas() -> None:
+    async with connected(Robot().server) as connection:
+        (info,) = await connection.actions()
+        with pytest.raises(PayloadError, match=r"goal\.order must be a whole number"):
+            JsonCodec(info.goal).encode({"order": "many"})
+        with pytest.raises(PayloadError, match=r"order is missing"):
+            JsonCodec(info.goal).encode({})
+        assert JsonCodec(info.feedback).complete({"partial_sequence": [1]})
+        assert JsonCodec(info.result).complete({"sequence": [1]})
+
+
+async def test_an_action_whose_type_is_not_known_is_listed_without_schemas() -> None:
+    untyped = Action("idle", goal=Goal, feedback=Feedback, result=Result)
+    async with connected(ActionServer(untyped, Robot())) as connection:
+        assert await connection.actions() == [ActionInfo("idle")]
+
+
+async def test_values_that_are_not_objects_have_the_schema_of_a_field() -> None:
+    text = Action("say", goal=bytes, feedback=int, result=list[str], type_name="a/action/Say")
+
+    async def say(goal: GoalHandle[bytes]) -> AsyncGenerator[int | list[str], None]:
+        yield 1
+        yield [goal.request.decode()]
+
+    async with connected(ActionServer(text, say)) as connection:
+        (info,) = await connection.actions()
+        payload = JsonCodec(info.goal).complete({"data": "aGVsbG8="})
+        assert payload == {"data": b"hello"}
+        async with connection.client(Action.untyped(info)).send_goal(payload) as goal:
+            assert [one async for one in goal.feedback] == [{"data": 1}]
+            assert await goal.result() == {"data": ["hello"]}
+
+
 async def test_a_server_is_waited_for() -> None:
     async with client_of(Robot()) as client:
         await client.wait_for_server()
@@ -254,6 +290,33 @@ async def test_a_goal_of_more_bytes_than_rosbridge_takes_is_not_sent() -> None:
         goal = await client.send_goal("hello")
         assert [one async for one in goal.feedback] == [1]
         assert await goal.result() == "hello"
+
+
+async def test_bytes_cross_both_ways_for_a_client_without_types() -> None:
+    look = Action("look", goal=Shot, feedback=int, result=Shot, type_name="a/action/Look")
+
+    async def run(goal: GoalHandle[Shot]) -> AsyncGenerator[Any, None]:
+        yield 1
+        yield goal.request
+
+    async with connected(ActionServer(look, run)) as connection:
+        (info,) = await connection.actions()
+        client = connection.client(Action.untyped(info))
+        for pixels in ("", "AAH/", base64.b64encode(bytes(100_000)).decode()):
+            goal = JsonCodec(info.goal).complete({"pixels": pixels, "parts": [{"raw": "/w=="}]})
+            assert await client.call(goal) == {
+                "pixels": base64.b64decode(pixels),
+                "parts": [{"raw": b"\xff"}],
+            }
+
+
+class Part(msgspec.Struct):
+    raw: bytes = b""
+
+
+class Shot(msgspec.Struct):
+    pixels: bytes
+    parts: list[Part] = []
 
 
 class Pixels(msgspec.Struct):

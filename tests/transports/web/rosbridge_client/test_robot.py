@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 import anyio
+import msgspec
 import pytest
 from wsproto.events import CloseConnection
 
@@ -22,6 +23,7 @@ from fibaction import (
     GoalRejected,
     GoalStatus,
     GoalTimeout,
+    InvalidMessage,
     Limits,
     Outcome,
     ProtocolError,
@@ -30,11 +32,19 @@ from fibaction import (
     TransportError,
     connect,
 )
+from fibaction.json_payload import JsonCodec
+from fibaction.ros_types import Int32, array
 from fibaction_transports.web import RosbridgeTransport
 from fibaction_transports.web.rosbridge import _client_endpoint, _link_keeper
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.hearing import Hearing
-from tests.transports.web.rosbridge_client.servers import Peer, SilentServer, serving
+from tests.transports.web.rosbridge_client.servers import (
+    SHOW,
+    Peer,
+    RosbridgeServer,
+    SilentServer,
+    serving,
+)
 
 pytestmark = pytest.mark.anyio
 
@@ -294,11 +304,11 @@ async def test_a_message_that_is_not_of_its_type_ends_its_goal_only(
 @pytest.mark.parametrize(
     ("garbage", "code", "problem"),
     [
-        ("{not JSON", 1000, "not JSON"),
+        ("{not JSON", 1007, "it sent a message that is not JSON"),
         ("x" * 2000, 1009, "exceeds the limit of 1024 bytes"),
         (b"\0\1", 1003, "binary message"),
-        ('{"op":"fragment","id":1,"data":"x","num":3,"total":2.9}', 1000, "number that cannot be"),
-        (json.dumps({**FRAGMENT, "data": json.dumps(FRAGMENT)}), 1000, "fragment within fragments"),
+        ('{"op":"fragment","id":1,"data":"x","num":3,"total":2.9}', 1007, "number that cannot be"),
+        (json.dumps({**FRAGMENT, "data": json.dumps(FRAGMENT)}), 1007, "fragment within fragments"),
     ],
 )
 async def test_garbage_ends_the_connection_and_its_goals(
@@ -312,6 +322,29 @@ async def test_garbage_ends_the_connection_and_its_goals(
             while peer.closed is None:
                 await peer.news.wait()
         assert peer.closed == code
+
+
+async def test_garbage_while_a_list_is_waited_for_is_one_sentence() -> None:
+    class Odd(SilentServer):
+        async def handle(self, peer: Peer, message: Any) -> None:
+            await peer.say("<html>\n")
+
+    async with serving(Odd) as server, connect(server.url) as connection:
+        with pytest.raises(ProtocolError) as caught:
+            await connection.actions()
+    assert str(caught.value).startswith(f"{server.url}: it sent a message that is not JSON: ")
+    assert "\n" not in str(caught.value)
+
+
+async def test_a_connection_that_is_closed_here_ends_as_a_normal_one() -> None:
+    async with serving() as server:
+        async with connect(server.url) as connection:
+            await connection.actions()
+        peer = await server.peer()
+        with anyio.fail_after(5):
+            while peer.closed is None:
+                await peer.news.wait()
+        assert peer.closed == 1000
 
 
 async def test_what_is_not_known_is_ignored(log: Hearing) -> None:
@@ -448,10 +481,155 @@ async def test_a_server_that_reads_nothing_is_dead() -> None:
 # rosapi
 
 
+def fields(schema: dict[str, Any]) -> Any:
+    """The fields of a message, by its schema."""
+    return schema["$defs"][schema["$ref"].rpartition("/")[2]]["properties"]
+
+
 async def test_the_actions_of_a_robot_are_listed_with_their_types() -> None:
     async with serving() as server, connect(server.url) as connection:
         listed = [(info.name, info.type_name) for info in await connection.actions()]
-        assert listed == [("fibonacci", "arduinobot_msgs/action/Fibonacci"), ("arm/pick", "")]
+        assert listed == [("fibonacci", FIBONACCI.type_name), ("arm/pick", ""), ("show", SHOW)]
+
+
+async def test_the_actions_of_a_robot_are_listed_with_their_schemas() -> None:
+    async with serving() as server, connect(server.url) as connection:
+        fibonacci_info, unknown, show = await connection.actions()
+        assert (unknown.goal, unknown.feedback, unknown.result) == ({}, {}, {})
+        assert fields(fibonacci_info.goal) == {
+            "order": {**msgspec.json.schema(Int32), "default": 0}
+        }
+        assert fields(fibonacci_info.feedback) == {
+            "partial_sequence": msgspec.json.schema(array(Int32))
+        }
+        assert fields(fibonacci_info.result) == {"sequence": msgspec.json.schema(array(Int32))}
+        assert fields(show.feedback) == {}
+        client = connection.client(Action.untyped(fibonacci_info))
+        assert await client.call({"order": 3}) == {"sequence": [3]}
+        template = JsonCodec(show.goal).complete({"turned": {}, "at": {"x": 1}})
+        assert template == {
+            "turned": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+            "at": {"x": 1, "y": 0.0, "z": 0.0},
+        }
+
+
+async def test_types_are_asked_for_once_in_a_connection() -> None:
+    async with serving() as server, connect(server.url) as connection:
+        for _ in range(2):
+            found = await connection.actions()
+            assert found[0].goal
+        peer = await server.peer()
+        asked = [one["service"] for one in peer.texts]
+        assert asked.count("/rosapi/action_servers") == 2
+        assert asked.count("/rosapi/interfaces") == 1
+        assert len([one for one in asked if one.endswith("_details")]) == 6
+        await peer.stream.aclose()
+        with anyio.fail_after(5):
+            while len(server.peers) < 2:
+                with suppress(ConnectionLost):
+                    await connection.actions()
+        assert (await connection.actions())[0].goal
+        assert (await server.peer(2)).texts[-1]["service"] != "/rosapi/interfaces"
+
+
+@pytest.mark.parametrize("part", ["goal", "feedback", "result"])
+@pytest.mark.parametrize("answer", [{"typedefs": 3}, {}, "no such type", {"typedefs": []}])
+async def test_a_message_that_rosapi_does_not_describe_has_no_schema(
+    part: str, answer: Any
+) -> None:
+    class Forgetful(RosbridgeServer):
+        async def handle(self, peer: Peer, message: Any) -> None:
+            if message.get("service") != f"/rosapi/action_{part}_details":
+                return await super().handle(peer, message)
+            is_there = not isinstance(answer, str)
+            values = {"op": "service_response", "values": answer, "result": is_there}
+            return await self.send(peer, values, message)
+
+    async with serving(Forgetful) as server, connect(server.url) as connection:
+        info, *_ = await connection.actions()
+        schemas = {"goal": info.goal, "feedback": info.feedback, "result": info.result}
+        assert [name for name, found in schemas.items() if not found] == [part]
+        assert await connection.client(Action.untyped(info)).call({"order": 3}) == {"sequence": [3]}
+
+
+async def test_a_rosapi_that_knows_no_types_leaves_the_actions_without_schemas() -> None:
+    async with serving(describes_types=False) as server, connect(server.url) as connection:
+        info, *_ = await connection.actions()
+        assert info == ActionInfo("fibonacci", FIBONACCI.type_name)
+        assert await connection.client(Action.untyped(info)).call({"order": 3}) == {"sequence": [3]}
+
+
+async def test_a_rosapi_that_ends_while_it_is_asked_is_not_waited_for_again() -> None:
+    class Ending(RosbridgeServer):
+        async def handle(self, peer: Peer, message: Any) -> None:
+            if message.get("service") != "/rosapi/action_goal_details":
+                await super().handle(peer, message)
+
+    async with serving(Ending) as server:
+        async with connect(server.url, answer_timeout=0.05) as connection:
+            infos = await connection.actions()
+            assert [info.goal for info in infos] == [{}, {}, {}]
+            peer = await server.peer()
+            asked = [one["service"] for one in peer.texts]
+            assert asked.count("/rosapi/action_goal_details") == 1
+            assert "/rosapi/action_result_details" not in asked
+
+
+async def test_rosapi_is_not_asked_for_a_type_that_it_does_not_know() -> None:
+    class Elsewhere(RosbridgeServer):
+        async def handle(self, peer: Peer, message: Any) -> None:
+            if message.get("service") != "/rosapi/interfaces":
+                return await super().handle(peer, message)
+            values = {"interfaces": [FIBONACCI.type_name]}
+            answer = {"op": "service_response", "values": values, "result": True}
+            return await self.send(peer, answer, message)
+
+    async with serving(Elsewhere) as server, connect(server.url) as connection:
+        infos = await connection.actions()
+        assert [bool(info.goal) for info in infos] == [True, False, False]
+        peer = await server.peer()
+        asked = [one["args"]["type"] for one in peer.texts if one["service"].endswith("_details")]
+        assert set(asked) == {FIBONACCI.type_name}
+
+
+async def test_rosapi_is_not_asked_for_types_if_that_is_set() -> None:
+    async with serving() as server, connect(f"{server.url}?schemas=false") as connection:
+        info, *_ = await connection.actions()
+        assert info == ActionInfo("fibonacci", FIBONACCI.type_name)
+        asked = [one["service"] for one in (await server.peer()).texts]
+        assert set(asked) == {"/rosapi/action_servers", "/rosapi/action_type"}
+
+
+async def test_bytes_cross_both_ways_by_the_schemas_of_a_robot() -> None:
+    async with serving() as server, connect(server.url) as connection:
+        *_, info = await connection.actions()
+        client = connection.client(Action.untyped(info))
+        # Text of base64 is what a form or a file has.
+        goal = JsonCodec(info.goal).complete({"pixels": "AAH/", "mask": [1, 2], "few": [3]})
+        assert (goal["pixels"], goal["mask"]) == (b"\0\1\xff", b"\1\2")
+        assert await client.call(goal) == {"pixels": b"\0\1\xff", "few": b"\3"}
+        sent = await (await server.peer()).hear("send_action_goal")
+        assert (sent["args"]["pixels"], sent["args"]["mask"]) == ([0, 1, 255], [1, 2])
+        many = bytes(range(256)) * 1000
+        assert (await client.call({"pixels": many}))["pixels"] == many
+        with pytest.raises(InvalidMessage, match="as JSON, and rosbridge takes"):
+            await client.call({"pixels": bytes(8_000_000)})
+
+
+class Show(msgspec.Struct):
+    pixels: bytes
+    mask: bytes
+
+
+class Shown(msgspec.Struct):
+    pixels: bytes
+    few: bytes
+
+
+async def test_bytes_of_a_typed_client_cross_without_rosapi() -> None:
+    show = Action("show", goal=Show, feedback=int, result=Shown, type_name=SHOW)
+    async with serving(has_rosapi=False) as server, connect(server.url, show) as client:
+        assert await client.call(Show(b"\0\xff", b"\1")) == Shown(b"\0\xff", b"")
 
 
 async def test_without_rosapi_there_is_no_list() -> None:

@@ -27,8 +27,10 @@ class RosbridgeConnection(Connection):
         )
 
     async def actions(self) -> list[ActionInfo]:
-        """See `Connection.actions`. rosapi tells names and types; the schemas are empty."""
-        return [
-            ActionInfo(name.removeprefix("/"), await self._keeper.type_of(name))
-            for name in await self._keeper.action_names()
-        ]
+        """See `Connection.actions`. The schemas are those that rosapi tells, or empty."""
+        return [await self._described(name) for name in await self._keeper.action_names()]
+
+    async def _described(self, name: str) -> ActionInfo:
+        type_name = await self._keeper.type_of(name)
+        schemas = await self._keeper.schemas_of(type_name)
+        return ActionInfo(name.removeprefix("/"), type_name, *schemas)

@@ -1,7 +1,8 @@
 """`RosbridgeClientFraming`: messages of rosbridge over WebSocket, as a client has them.
 
-A frame is the text of one message. Two frames are signs: `OPENED` is received first, once the
-server has accepted the WebSocket, and `PING` is sent as a ping.
+A frame is the text of one message. Three frames are signs: `OPENED` is received first, once the
+server has accepted the WebSocket; `PING` is sent as a ping; `INVALID` is sent last, after a message
+of the server that cannot be read, and goes into the code of the close.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from wsproto.events import BytesMessage, Ping, TextMessage
+from wsproto.events import BytesMessage, Event, Ping, TextMessage
 from wsproto.frame_protocol import CloseReason
 
 from fibaction._budget import ByteBudget
@@ -23,6 +24,8 @@ from fibaction_transports.web.rosbridge._fragments import PartialMessages
 
 OPENED = b""
 """The frame that says that the server has accepted the WebSocket."""
+INVALID = b"\0"
+"""The frame that says that a message of the server is invalid. It is not JSON, as messages are."""
 
 
 def partial_messages(limit: int) -> PartialMessages:
@@ -58,10 +61,15 @@ class RosbridgeClientFraming(WebSocketFraming):
         return [] if text is None else [text.encode()]
 
     def _message(self, frames: Sequence[bytes]) -> bytes:
-        return b"".join(
-            self._socket.send(Ping() if frame == PING else TextMessage(data=frame.decode()))
-            for frame in frames
-        )
+        return b"".join(map(self._socket.send, filter(None, map(self._event, frames))))
+
+    def _event(self, frame: bytes) -> Event | None:
+        """Return what is sent for a frame; None for a sign that changes the close only."""
+        if frame == INVALID:
+            if self._code == CloseReason.NORMAL_CLOSURE:  # or the text itself was not one
+                self._code = CloseReason.INVALID_FRAME_PAYLOAD_DATA
+            return None
+        return Ping() if frame == PING else TextMessage(data=frame.decode())
 
     def close(self) -> None:
         super().close()

@@ -26,7 +26,11 @@ def values_text(payload: bytes) -> str:
     Raises:
         PayloadError: JSON cannot express it.
     """
-    text = _any.to_text(payload)
+    return object_text(_any.to_text(payload))
+
+
+def object_text(text: str) -> str:
+    """Return the JSON text of an object with a value in it; that of an object as it is."""
     return text if text.startswith("{") else f'{{"{DATA}":{text}}}'
 
 

@@ -27,6 +27,11 @@ from fibaction.exceptions import (
 )
 from fibaction.goals import GoalID
 from fibaction.wire.channel import Line
+from fibaction_transports.web.rosbridge._described_types import (
+    UNKNOWN,
+    ActionSchemas,
+    DescribedTypes,
+)
 from fibaction_transports.web.rosbridge._outgoing_goal import OutgoingGoal
 from fibaction_transports.web.rosbridge._server_link import CallFailed, ServerLink
 
@@ -51,6 +56,8 @@ class ClientTerms(msgspec.Struct, frozen=True):
     """Seconds without an answer after which a goal counts as accepted."""
     answer_timeout: float
     """Seconds for the answer to a call of a service."""
+    schemas: bool
+    """True if rosapi is asked for the types of the actions that are listed."""
     cancel_on_disconnect: bool
     """True if the server is asked to cancel goals whose connection is lost."""
 
@@ -81,6 +88,7 @@ class LinkKeeper:
         self._tasks = tasks
         self._dialing = anyio.Lock()
         self._link: ServerLink | None = None
+        self._types = DescribedTypes(self.call)
         self._closed: ActionError | None = None
 
     async def action_names(self) -> list[str]:
@@ -109,6 +117,14 @@ class LinkKeeper:
         except CallFailed:
             return ""
         return _converted(values, _ActionType).type
+
+    async def schemas_of(self, type_name: str) -> ActionSchemas:
+        """Return the schemas of an action type; empty ones if rosapi does not describe it.
+
+        Raises:
+            TransportError, ProtocolError: The server cannot be asked.
+        """
+        return await self._types.schemas_of(type_name) if self.terms.schemas else UNKNOWN
 
     async def call(self, service: str, args: dict[str, Any]) -> Any:
         """Call a service of ROS, and return the values of its answer.
@@ -158,6 +174,7 @@ class LinkKeeper:
                 raise copy_of(self._closed)
             if self._link is None or self._link.error is not None:
                 self._link = await self._dial()
+                self._types = DescribedTypes(self.call)
             link = self._link
         with anyio.move_on_after(HANDSHAKE):
             await link.opened()

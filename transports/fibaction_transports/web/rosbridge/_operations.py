@@ -140,12 +140,12 @@ class OperationReader:
         return self._wrong(data, why)
 
     def _wrong(self, data: object, why: str) -> Wrong | Ignored:
-        if not is_map(data) or data.get("op") not in self._names:
-            op = data.get("op") if is_map(data) else None
+        op = data.get("op") if is_map(data) else None
+        if not is_map(data) or not isinstance(op, str) or op not in self._names:
             return Ignored(excerpt(op) if isinstance(op, str) else "")
         name = data.get("action", data.get("service"))
         text = sendable(name) if isinstance(name, str) else ""
-        return Wrong(data["op"], _id_in(data), text, why)
+        return Wrong(op, _id_in(data), text, why)
 
 
 _NOT_JSON = object()

@@ -13,7 +13,8 @@ goes into the log of its goal, which keeps a limited number of messages.
 The server is asked for a pong twice in each heartbeat, and is dead after four heartbeats without a
 byte.
 
-*What is wrong.* Text that is not JSON, or a message that is too large, ends the connection.
+*What is wrong.* Text that is not JSON, or a message that is too large, ends the connection, with
+the code of WebSocket that says so.
 Everything else concerns one goal or call, if it says which; otherwise it is ignored, and logged
 once.
 """
@@ -21,6 +22,7 @@ once.
 from __future__ import annotations
 
 from collections import deque
+from contextlib import suppress
 from itertools import count
 from typing import Any
 
@@ -38,10 +40,10 @@ from fibaction.exceptions import (
     TransportError,
     copy_of,
 )
-from fibaction.wire.channel import Line
+from fibaction.wire.channel import LEAVE, Line
 from fibaction.wire.heartbeat import Heartbeat
 from fibaction.wire.link import PING
-from fibaction_transports.web.rosbridge._client_frames import OPENED, partial_messages
+from fibaction_transports.web.rosbridge._client_frames import INVALID, OPENED, partial_messages
 from fibaction_transports.web.rosbridge._operations import ClientID, Fragment, Ignored, Wrong
 from fibaction_transports.web.rosbridge._outgoing_goal import OutgoingGoal
 from fibaction_transports.web.rosbridge._server_operations import (
@@ -63,6 +65,10 @@ logger = clean_logger("fibaction.web")
 
 class CallFailed(TransportError):
     """An error for a call of a service that the server has answered with an error."""
+
+
+class NoAnswer(ServerNotFound):
+    """An error for a call of a service without an answer in time."""
 
 
 class _Call:
@@ -143,7 +149,7 @@ class ServerLink:
 
         Raises:
             CallFailed: The answer is an error.
-            ServerNotFound: There is no answer within `timeout` seconds.
+            NoAnswer: There is no answer within `timeout` seconds.
             ActionError: The connection has ended.
         """
         request = f"call_service:{service}:{next(self._numbers)}"
@@ -155,7 +161,7 @@ class ServerLink:
         finally:
             del self._calls[request]
         if not call.is_answered.is_set():
-            raise ServerNotFound(
+            raise NoAnswer(
                 f"{self._line.peer} has not answered a call of {service} within {timeout:g} s"
             )
         if call.error is not None:
@@ -192,7 +198,14 @@ class ServerLink:
         finally:
             self._end(error)
             with CancelScope(shield=True):
-                await self._line.aclose()
+                await self._leave(error)
+
+    async def _leave(self, error: ActionError) -> None:
+        """Close the line; the close says it if a message of the server was the error."""
+        if isinstance(error, ProtocolError):
+            with anyio.move_on_after(LEAVE), suppress(ConnectionLost):
+                await self._line.send([INVALID])
+        await self._line.aclose()
 
     async def _run_parts(self) -> ActionError:
         errors: list[ActionError] = []

@@ -9,7 +9,7 @@ import msgspec
 
 from fibaction._json_schema import Schema
 from fibaction._plain_data import is_map
-from fibaction_transports.web.rosbridge._goal_arguments import target_of
+from fibaction_transports.web.rosbridge._goal_arguments import DATA, target_of
 
 NOT_AN_ARRAY = -1
 ANY_LENGTH = 0
@@ -25,6 +25,8 @@ _INTEGERS: Mapping[tuple[Any, Any], str] = {
 }
 """The types of integers, by their limits; all others are `int64`."""
 _EXAMPLES = {"boolean": "False", "float64": "0.0", "string": ""}
+_VALUES = frozenset({"integer", "number", "boolean", "string"})
+"""The kinds of values that are no parts of a message of their own."""
 
 
 class TypeDefinition(msgspec.Struct):
@@ -37,32 +39,50 @@ class TypeDefinition(msgspec.Struct):
     examples: list[str] = []
     constnames: list[str] = []
     constvalues: list[str] = []
+    required: list[str] | msgspec.UnsetType = msgspec.UNSET
+    """The fields without defaults, which ROS does not have: only servers of fibaction tell them."""
 
 
 def definitions(schema: dict[str, Any], name: str) -> list[TypeDefinition]:
-    """Return the definition of a message, which has that name, and those of its parts.
+    """Return the definition of a message, which has that name, and those of its parts; none if the
+    message may be any object.
 
     Raises:
         SchemaError: The schema cannot be used.
     """
     known = Schema(schema)
     found: dict[str, TypeDefinition] = {}
-    waiting: list[tuple[str, Any]] = [(name, schema)]
+    waiting: list[tuple[str, Any]] = [(name, _message(target_of(known, schema)))]
     while waiting:
         name, part = waiting.pop(0)
         part = target_of(known, part)
         if name in found or not is_map(part):
             continue
         definition = found[name] = TypeDefinition(name)
+        if part.get("required"):
+            definition.required = list(part["required"])
         for field, of_field in part.get("properties", {}).items():
             kind, length, nested = _field(known, of_field, f"{name}/{field}")
             definition.fieldnames.append(field)
             definition.fieldtypes.append(kind)
             definition.fieldarraylen.append(length)
-            definition.examples.append(_example(kind, length, is_nested=nested is not None))
+            default = of_field.get("default") if is_map(of_field) else None
+            definition.examples.append(
+                _example(kind, length, default, is_nested=nested is not None)
+            )
             if nested is not None:
                 waiting.append((kind, nested))
     return list(found.values())
+
+
+def _message(root: Any) -> Any:
+    """Return the schema of a message, which has a field `data` if `root` is that of a value.
+
+    It is None for a message of which nothing is known.
+    """
+    if is_map(root) and (root.get("type") == "array" or root.get("type") in _VALUES):
+        return {"properties": {DATA: root}, "required": [DATA]}
+    return root if is_map(root) and "properties" in root else None
 
 
 def _field(schema: Schema, part: Any, name: str) -> tuple[str, int, Any]:
@@ -93,9 +113,12 @@ def _field(schema: Schema, part: Any, name: str) -> tuple[str, int, Any]:
     return "any", NOT_AN_ARRAY, None
 
 
-def _example(kind: str, length: int, *, is_nested: bool) -> str:
+def _example(kind: str, length: int, default: object, *, is_nested: bool) -> str:
+    """Return the default of a field as text, as rosapi does; the empty value if it has none."""
     if length != NOT_AN_ARRAY:
         return "[]"
     if is_nested:
         return "{}"
+    if kind != "any" and isinstance(default, (bool, int, float, str)):
+        return str(default)
     return _EXAMPLES.get(kind, "0")
