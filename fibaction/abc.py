@@ -354,6 +354,8 @@ class Transport(ABC):
 
     shares_event_loop: ClassVar[bool] = False
     """True if clients must be on the event loop of their server."""
+    shares_address: ClassVar[bool] = False
+    """True if several blocks of `serve` can be open at one address at once, with other actions."""
 
     @classmethod
     @abstractmethod

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 
 import anyio
 import click
 
-from fibaction._api import connect, serve
+from fibaction._api import ClientConnection, connect, serve
+from fibaction._tasks import Background
 from fibaction.abc import Connection, Endpoint
 from fibaction.action import ActionInfo
 from fibaction.cli.action_names import names_of, no_action, shown
+from fibaction.cli.bridge_ends import open_end
+from fibaction.cli.bridged_actions import BridgedActions
 from fibaction.cli.completion import ACTION
-from fibaction.cli.exit_codes import ExitCode, Failure, advising, message_of, run
+from fibaction.cli.exit_codes import ExitCode, Failure, advising, run
 from fibaction.cli.logs import log_events, log_with_time
-from fibaction.cli.namespace_option import namespace_option
-from fibaction.cli.namespaces import ROOT, Namespace
+from fibaction.cli.namespace_option import NAMESPACE, namespace_option
+from fibaction.cli.namespaces import Namespace
 from fibaction.cli.options import reject_inproc
 from fibaction.cli.output import note, say
+from fibaction.cli.renames import AS_THEY_ARE, Renames
 from fibaction.cli.signals import stop_signals
-from fibaction.exceptions import ServerNotFound, TransportError
+from fibaction.exceptions import ServerNotFound
 from fibaction.urls import without_settings
 
 LOOK_PAUSE = 0.2
@@ -33,22 +37,43 @@ LOOK_PAUSE = 0.2
 Examples:
   fibaction bridge ros2:// tcp://127.0.0.1:7400
   fibaction bridge tcp://127.0.0.1:7400 ros2:// fibonacci
-  fibaction bridge ros2:// tcp://127.0.0.1:7400 -n /robot1""",
+  fibaction bridge ros2:// tcp://127.0.0.1:7400 -n /robot1
+  fibaction bridge tcp://robot1:7400 ros2:// --into /robot1
+  fibaction bridge ros2:// tcp://127.0.0.1:7400 pick --rename pick=grasp""",
 )
 @click.argument("from_url", metavar="FROM_URL")
 @click.argument("to_url", metavar="TO_URL")
 @click.argument("names", metavar="[NAME]...", nargs=-1, type=ACTION)
 @namespace_option
+@click.option(
+    "--into",
+    metavar="NAMESPACE",
+    type=NAMESPACE,
+    help="Serve the actions in this namespace, in place of that of --namespace.",
+)
+@click.option(
+    "--rename",
+    "rules",
+    metavar="OLD=NEW",
+    multiple=True,
+    help="Serve the action OLD under the name NEW. Can be given several times.",
+)
 def bridge_command(
-    from_url: str, to_url: str, names: tuple[str, ...], namespace: Namespace
+    from_url: str,
+    to_url: str,
+    names: tuple[str, ...],
+    namespace: Namespace,
+    into: Namespace | None,
+    rules: tuple[str, ...],
 ) -> None:
     """Serve at TO_URL the actions that are served at FROM_URL.
 
-    Without a NAME, the bridge serves all actions that there are when it starts, or all of those in
-    a namespace. It waits for an action that is named. If the server is away for a while, the bridge
-    continues when it is back.
+    Without a NAME, the bridge serves all actions, or all of those in a namespace; also those that
+    come later, and no longer those that leave. With NAMEs it serves these actions, and waits for
+    them first. If the server is away for a while, the bridge continues when it is back.
 
-    With --namespace, a NAME without a slash in front is relative to the namespace.
+    With --namespace, a NAME or OLD without a slash in front is relative to the namespace, and with
+    --into, NEW is relative to that one.
 
     Ctrl-C or SIGTERM ends the bridge; the goals go on at their server. A second one ends at once.
     """
@@ -56,36 +81,91 @@ def bridge_command(
         raise Failure("FROM_URL and TO_URL are the same: a bridge needs two", ExitCode.USAGE)
     reject_inproc(from_url)
     reject_inproc(to_url)
+    renames = Renames.parse(rules, namespace, into)
+    full_names = list(map(namespace.absolute, names))
+    if full_names:
+        _check_names(full_names, renames)
     with log_with_time():
-        full_names = list(map(namespace.absolute, names))
-        run(bridge, from_url, to_url, full_names, namespace, uvloop=True)
+        run(bridge, from_url, to_url, full_names, renames, uvloop=True)
+
+
+def _check_names(names: Sequence[str], renames: Renames) -> None:
+    """Check the rules for actions that are named.
+
+    Raises:
+        Failure: A rule is about another action, or two actions get the same name.
+    """
+    if old := renames.unknown(names):
+        text = f"the action {old} is renamed, and is not among those to bridge: name it as well"
+        raise Failure(text, ExitCode.USAGE)
+    renames.check(dict.fromkeys(map(shown, names)))
 
 
 async def bridge(
-    from_url: str, to_url: str, names: Sequence[str], namespace: Namespace = ROOT
+    from_url: str, to_url: str, names: Sequence[str], renames: Renames = AS_THEY_ARE
 ) -> int:
     """Serve at one URL actions of another, until a signal comes.
 
-    They are those that are named, or else all in the namespace.
+    They are those that are named, or else all in the namespace from which `renames` takes them.
 
     Raises:
-        Failure: There is no action to serve, and none to wait for is named.
+        Failure: There is no action to serve, and none to wait for is named; or a rule is about an
+            action that is not there, or gives two actions the same name.
     """
     async with stop_signals() as stop, connect(from_url) as connection:
-        there_now = namespace.narrow(connection)
-        infos = await (_wait_for(names, connection, stop) if names else _all_at(there_now))
-        if stop.is_set():
-            return ExitCode.SUCCEEDED
-        endpoints = list(_endpoints(connection, infos, choose=not names))
-        if not endpoints:
-            text = f"there is no action to bridge at {without_settings(from_url)}"
-            raise Failure(text, ExitCode.UNREACHABLE)
-        async with serve(endpoints, to_url) as (where,):
-            log_events()
-            there = without_settings(from_url)
-            say(f"bridging {names_of(endpoints)} from {there} to {where}, Ctrl-C stops it")
-            await stop.wait()
+        if names:
+            await _bridge_named(connection, from_url, to_url, names, renames, stop)
+        else:
+            await _bridge_all(connection, from_url, to_url, renames, stop)
     return ExitCode.SUCCEEDED
+
+
+async def _bridge_named(
+    connection: Connection,
+    from_url: str,
+    to_url: str,
+    names: Sequence[str],
+    renames: Renames,
+    stop: anyio.Event,
+) -> None:
+    infos = await _wait_for(names, connection, stop)
+    if stop.is_set():
+        return
+    endpoints = [renames.endpoint(connection.endpoint(info)) for info in infos]
+    async with serve(endpoints, to_url) as (where,):
+        _say_bridging(endpoints, from_url, where)
+        await stop.wait()
+
+
+async def _bridge_all(
+    connection: ClientConnection, from_url: str, to_url: str, renames: Renames, stop: anyio.Event
+) -> None:
+    there_now = renames.source.narrow(connection)
+    infos = await _all_at(there_now)
+    if infos and (old := renames.unknown(info.name for info in infos)):
+        raise no_action(old, infos)
+    renames.check(info.name for info in infos)
+    nothing = Failure(
+        f"there is no action to bridge at {without_settings(from_url)}", ExitCode.UNREACHABLE
+    )
+    if not infos:
+        raise nothing
+    async with open_end(to_url) as end, Background() as tasks:
+        bridged = BridgedActions(there_now, renames, end)
+        await bridged.take(infos)
+        if not bridged.endpoints:
+            raise nothing
+        await end.begin()
+        _say_bridging(bridged.endpoints, from_url, end.where)
+        if end.can_change:
+            tasks.start_soon(bridged.follow)
+        await stop.wait()
+
+
+def _say_bridging(endpoints: Iterable[Endpoint], from_url: str, where: str) -> None:
+    log_events()
+    there = without_settings(from_url)
+    say(f"bridging {names_of(endpoints)} from {there} to {where}, Ctrl-C stops it")
 
 
 async def _all_at(connection: Connection) -> list[ActionInfo]:
@@ -118,20 +198,3 @@ async def _wait_for(
         with anyio.move_on_after(LOOK_PAUSE):
             await stop.wait()
     return []
-
-
-def _endpoints(
-    connection: Connection, infos: Iterable[ActionInfo], *, choose: bool
-) -> Generator[Endpoint, None, None]:
-    """Yield the endpoints of actions; with `choose` without those that cannot be used here.
-
-    Raises:
-        TransportError: One cannot be used: its ROS type is not installed.
-    """
-    for info in infos:
-        try:
-            yield connection.endpoint(info)
-        except TransportError as exc:
-            if not choose:
-                raise
-            note(f"{shown(info.name)} is left out: {message_of(exc)}")

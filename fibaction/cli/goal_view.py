@@ -50,7 +50,8 @@ class GoalView:
         self._orders: Sequence[str] = tuple(ORDERS)
         self._settling = SETTLING
         self.filter = ""
-        """The words that a goal must have, in its action, ID, status or client."""
+        """The words that a goal must have, in its action, ID, status or client. One that begins
+        with `/` is one or several whole parts of the action's name."""
         self.keys: list[GoalKey] = []
         """The goals of the last snapshot, from above."""
 
@@ -71,8 +72,11 @@ class GoalView:
             if not words:
                 return True
             row = GoalRow(goal.action, goal.info)
-            text = f"{row.goal_id} {shown(row.action)} {row.status} {row.client}".lower()
-            return all(word in text for word in words)
+            action = shown(row.action).lower()
+            text = f"{row.goal_id} {action} {row.status} {row.client}".lower()
+            return all(
+                _has_parts(action, word) if word.startswith("/") else word in text for word in words
+            )
 
         found = self._monitor.snapshot(self._most, matches=matches, order=ORDERS[self.order])
         self.keys = [goal.key for goal in found.goals]
@@ -93,3 +97,8 @@ class GoalView:
         if selected is None or selected not in self.keys:
             return 0
         return self.keys.index(selected)
+
+
+def _has_parts(name: str, parts: str) -> bool:
+    """Return whether a name has these parts, one after another: `/robot1` is not `/robot10`."""
+    return f"{parts.rstrip('/')}/" in f"{name}/"

@@ -36,13 +36,17 @@ class _NamespaceType(click.ParamType[Namespace]):
         return [CompletionItem(path) for path in paths if path.startswith(incomplete)]
 
 
+NAMESPACE = _NamespaceType()
+"""The type of an option with a namespace."""
+
+
 def namespace_option(function: FunctionT) -> FunctionT:
     """Add `--namespace` to a verb. The function gets `namespace`: by default that of all."""
     return click.option(
         "-n",
         "--namespace",
         metavar="NAMESPACE",
-        type=_NamespaceType(),
+        type=NAMESPACE,
         default=ROOT.path,
         help="Only the actions in this namespace, for example /robot1.",
     )(function)

@@ -17,8 +17,11 @@ import pytest
 from fibaction import Action, ActionInfo, ActionServer, GoalID, connect, serve
 from fibaction.abc import Connection, Endpoint
 from fibaction.cli import bridge
+from fibaction.cli.bridged_actions import BridgedActions
 from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.cli.renames import Renames
 from fibaction.exceptions import ServerNotFound, TransportError
+from fibaction_transports.inprocess import InProcessTransport
 from tests.cli.conftest import Invoke, Run, Start, eventually
 from tests.fibonacci import FIBONACCI, fibonacci
 from tests.processes import PATIENCE, ended, lines_until
@@ -167,9 +170,10 @@ async def test_a_signal_ends_a_bridge_that_waits(
             assert await bridge.bridge(far, f"unix://{tmp_path}/near", ["fibonacci"]) == 0
 
 
+@pytest.mark.parametrize("names", [(), ("fibonacci",)])
 @pytest.mark.asyncio
 async def test_a_bridge_keeps_the_tokens_in_its_urls_to_itself(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    names: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     far, near = f"unix://{tmp_path}/far", f"unix://{tmp_path}/near"
 
@@ -185,7 +189,7 @@ async def test_a_bridge_keeps_the_tokens_in_its_urls_to_itself(
         async with serve(ActionServer(FIBONACCI, fibonacci), far):
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(stop)
-                assert await bridge.bridge(f"{far}?token=secret", f"{near}?heartbeat=1", ()) == 0
+                assert await bridge.bridge(f"{far}?token=secret", f"{near}?heartbeat=1", names) == 0
 
     assert caught.value.message == f"there is no action to bridge at {far}"
     said = f"bridging /fibonacci from {far} to {near}, Ctrl-C stops it\n"
@@ -193,16 +197,13 @@ async def test_a_bridge_keeps_the_tokens_in_its_urls_to_itself(
 
 
 class House(Connection):
-    """A connection that knows some actions, and has lost some more."""
+    """A connection that knows some actions, and then others."""
 
-    def __init__(self, *lists: list[str], lost: str = "") -> None:
+    def __init__(self, *lists: list[str]) -> None:
         self._lists = list(lists)
-        self._lost = lost
         self.server = ActionServer(FIBONACCI, fibonacci)
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
-        if action.name == self._lost:
-            raise TransportError("its type is not known")
         return self.server
 
     async def actions(self) -> list[ActionInfo]:
@@ -227,17 +228,6 @@ async def test_what_is_named_is_waited_for_and_the_near_name_suggested(
     )
 
 
-def test_what_has_no_type_here_is_left_out_unless_it_was_named(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    house, infos = House(lost="b\x1b"), [ActionInfo("a"), ActionInfo("b\x1b")]
-
-    assert list(bridge._endpoints(house, infos, choose=True)) == [house.server]
-    assert capsys.readouterr().err == "/b\\x1b is left out: its type is not known\n"
-    with pytest.raises(TransportError, match="its type is not known"):
-        list(bridge._endpoints(house, infos, choose=False))
-
-
 @pytest.mark.asyncio
 async def test_where_no_action_is_there_is_nothing_to_bridge(
     monkeypatch: pytest.MonkeyPatch,
@@ -247,3 +237,142 @@ async def test_where_no_action_is_there_is_nothing_to_bridge(
             await bridge.bridge(url, "unix:///tmp/never", ())
 
     assert caught.value.exit_code == ExitCode.UNREACHABLE
+
+
+# Actions that come and go
+
+
+def test_actions_that_come_later_are_bridged_and_those_that_leave_are_not(
+    tmp_path: Path, folder: Path, started: Start, fibaction: Run
+) -> None:
+    far, near = f"unix://{tmp_path}/far", f"unix://{tmp_path}/near"
+    server = started("serve", "robot:server", far)
+    lines_until("serving", server)
+    bridge = started("bridge", far, near, "--into", "/lab/arm")
+    lines_until("bridging /lab/arm/count from", bridge)
+    server.send_signal(SIGTERM)
+    assert ended(server).code == 0
+    server = started("serve", "robot:several", far)
+    lines_until("serving", server)
+
+    eventually(lambda: len(fibaction("list", url=near).lines) > 1)
+    many = fibaction("list", url=near).lines
+    assert all(name.startswith("/lab/arm/") for name in many)
+    client = fibaction("send_goal", "lab/arm/count", "3", url=near)
+    assert (client.code, client.lines[-1]) == (0, "Goal finished with status: SUCCEEDED")
+    server.send_signal(SIGKILL)
+    server.wait(PATIENCE)
+    server = started("serve", "robot:server", far)
+    lines_until("serving", server)
+    eventually(lambda: fibaction("list", url=near).lines == ["/lab/arm/count"])
+    bridge.send_signal(SIGTERM)
+    code, _, err = ended(bridge)
+    assert code == 0
+    assert "has come, and is bridged as /lab/arm/" in err
+    assert "has gone" in err
+
+
+@pytest.mark.asyncio
+async def test_where_no_action_can_be_used_there_is_nothing_to_bridge(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(self: Renames, endpoint: Endpoint) -> Endpoint:
+        raise TransportError("its type is not installed")
+
+    monkeypatch.setattr(Renames, "endpoint", refuse)
+    far, near = f"unix://{tmp_path}/far", f"unix://{tmp_path}/near"
+    async with serve(ActionServer(FIBONACCI, fibonacci), far):
+        with pytest.raises(Failure, match="there is no action to bridge"):
+            await bridge.bridge(far, near, ())
+        assert capsys.readouterr().err == "/fibonacci is left out: its type is not installed\n"
+        with pytest.raises(TransportError, match="its type is not installed"):
+            await bridge.bridge(far, near, ["fibonacci"])
+
+
+@pytest.mark.asyncio
+async def test_where_actions_stay_the_same_changes_are_not_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(InProcessTransport, "shares_address", False)
+    far, near = f"unix://{tmp_path}/far", "inproc://bridge_fixed"
+
+    async def stop() -> None:
+        async with connect(near, FIBONACCI) as client:
+            await client.wait_for_server()
+        os.kill(os.getpid(), SIGINT)
+
+    def followed(self: BridgedActions) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(BridgedActions, "follow", followed)
+    with anyio.fail_after(PATIENCE):
+        async with serve(ActionServer(FIBONACCI, fibonacci), far):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(stop)
+                assert await bridge.bridge(far, near, ()) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (("--into", "/robot1", "-n", "/arm"), ["/robot1/pick"]),
+        (("--into", "/", "-n", "arm"), ["/pick"]),
+        (("fibonacci", "--into", "/robot1"), ["/robot1/fibonacci"]),
+        (("fibonacci", "arm/pick", "--rename", "arm/pick=grasp"), ["/fibonacci", "/grasp"]),
+        (("pick", "-n", "/arm", "--rename", "pick:=grasp"), ["/arm/grasp"]),
+        (("pick", "-n", "/arm", "--into", "/a", "--rename", "pick=b/grasp"), ["/a/b/grasp"]),
+        (("pick", "-n", "/arm", "--into", "/a", "--rename", "/arm/pick=/b"), ["/b"]),
+    ],
+)
+def test_actions_get_the_names_that_the_options_say(
+    options: tuple[str, ...],
+    expected: list[str],
+    tmp_path: Path,
+    started: Start,
+    fibaction: Run,
+    tcp: str,
+) -> None:
+    near = f"unix://{tmp_path}/socket"
+    bridge = started("bridge", tcp, near, *options)
+    lines_until("bridging", bridge)
+
+    assert sorted(fibaction("list", url=near).lines) == expected
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (("--rename", "pick"), "a rename is like OLD=NEW, for example pick=grasp, unlike 'pick'"),
+        (("--rename", "pick=2x"), "a rename is like OLD=NEW"),
+        (("--rename", "=x"), "a rename is like OLD=NEW"),
+        (("--rename", "a=b", "--rename", "/a=c"), "the action /a is renamed twice"),
+        (("--into", "2x"), "a namespace is like /robot1"),
+        (("pick", "--rename", "a=b"), "the action /a is renamed, and is not among those to bridge"),
+        (
+            ("pick", "wait", "--rename", "pick=wait"),
+            "/pick and /wait cannot both be served as /wait: give one another name",
+        ),
+        (
+            ("a/pick", "b/pick", "--rename", "a/pick=x", "--rename", "b/pick=x"),
+            "/a/pick and /b/pick cannot both be served as /x",
+        ),
+    ],
+)
+def test_names_that_cannot_be_are_one_sentence(
+    options: tuple[str, ...], text: str, invoke: Invoke, nobody: str
+) -> None:
+    result = invoke("bridge", nobody, "unix:///tmp/never", *options)
+    assert result.exit_code == ExitCode.USAGE
+    assert result.stderr.startswith(f"Error: {text}")
+    assert result.stderr.count("\n") == 1
+
+
+def test_a_rename_of_what_is_not_served_names_the_nearest(invoke: Invoke, tcp: str) -> None:
+    result = invoke("bridge", tcp, "unix:///tmp/never", "--rename", "fibonaci=x")
+    assert result.exit_code == ExitCode.UNREACHABLE
+    text = "Error: the action /fibonaci is not served; did you mean /fibonacci?\n"
+    assert result.stderr == text
+
+    result = invoke("bridge", tcp, "unix:///tmp/never", "--rename", "fibonacci=wait")
+    assert result.exit_code == ExitCode.USAGE
+    assert result.stderr.startswith("Error: /fibonacci and /wait cannot both be served as /wait")

@@ -80,6 +80,33 @@ def test_a_goal_must_have_all_words_of_the_filter(words: str, expected: list[int
     assert numbers(view) == expected
 
 
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("/robot1", ["/robot1/arm/pick", "robot1/drive"]),
+        ("/robot1/", ["/robot1/arm/pick", "robot1/drive"]),
+        ("/ROBOT1 pick", ["/robot1/arm/pick"]),
+        ("/robot1/arm", ["/robot1/arm/pick"]),
+        ("/drive", ["robot1/drive", "robot10/drive"]),
+        ("/robot", []),
+        ("/1", []),
+        ("robot1/", ["/robot1/arm/pick", "robot1/drive"]),
+        ("robot1", ["/robot1/arm/pick", "robot1/drive", "robot10/drive"]),
+        ("/", ["/robot1/arm/pick", "robot1/drive", "robot10/drive"]),
+    ],
+)
+def test_a_word_with_a_slash_in_front_is_whole_parts_of_a_name(
+    words: str, expected: list[str]
+) -> None:
+    monitor = Monitor()
+    for number, name in enumerate(("/robot1/arm/pick", "robot1/drive", "robot10/drive"), 1):
+        monitor.on_event(name, GoalInfo(goal_id(number), number, GoalStatus.EXECUTING))
+    view = GoalView(monitor, 10)
+    view.filter = words
+
+    assert sorted(goal.action for goal in view.snapshot().goals) == expected
+
+
 def test_the_filter_finds_goals_beyond_those_that_are_shown() -> None:
     view, _, _ = a_view(most=1)
     assert numbers(view) == [3]

@@ -55,6 +55,7 @@ class InProcessTransport(Transport):
     """
 
     shares_event_loop = True
+    shares_address = True
 
     def __init__(self, name: str | None = None) -> None:
         url = f"inproc://{name or uuid.uuid4().hex}"

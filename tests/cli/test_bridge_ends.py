@@ -1,0 +1,88 @@
+"""The serving end of a bridge, of each of its two kinds."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import anyio
+import pytest
+
+from fibaction import Action, ActionServer, ClientConnection, connect
+from fibaction.cli.bridge_ends import open_end
+from fibaction.exceptions import ServerNotFound, TransportError
+from fibaction_transports.inprocess import InProcessTransport
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+
+pytestmark = pytest.mark.asyncio
+
+
+async def names(connection: ClientConnection) -> list[str]:
+    return sorted(info.name for info in await connection.actions())
+
+
+def named(name: str) -> Action[Goal, Feedback, Result]:
+    return Action(name, goal=Goal, feedback=Feedback, result=Result)
+
+
+@pytest.fixture(params=["inproc://bridge_end", "unix"])
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    return f"unix://{tmp_path}/socket" if request.param == "unix" else request.param
+
+
+async def test_actions_are_added_and_removed_while_others_run(url: str) -> None:
+    action = named("one")
+    one, other = ActionServer(action, fibonacci), ActionServer(named("other"), fibonacci)
+    with anyio.fail_after(10):
+        async with one, other, open_end(url) as end:
+            await end.add(one)
+            await end.begin()
+            assert end.can_change
+            assert end.where == url
+            async with connect(url) as connection:
+                client = connection.client(action)
+                goal = await client.send_goal(Goal(3))
+                await end.add(other)
+                assert await names(connection) == ["one", "other"]
+                await end.remove("other")
+                assert await names(connection) == ["one"]
+                assert (await goal.result()).sequence == [0, 1, 1, 2]
+                await end.remove("one")
+                with pytest.raises((ServerNotFound, TransportError)):
+                    await client.call(Goal(1))
+        with suppress(TransportError):
+            async with connect(url) as connection:
+                assert await names(connection) == []
+
+
+async def test_an_action_that_cannot_be_served_leaves_the_others() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    with anyio.fail_after(10):
+        async with server, open_end("inproc://bridge_end") as end:
+            await end.add(server)
+            with pytest.raises(TransportError):
+                await end.add(server)
+            async with connect("inproc://bridge_end") as connection:
+                assert await names(connection) == ["fibonacci"]
+
+
+async def test_a_server_whose_actions_stay_begins_with_all_of_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(InProcessTransport, "shares_address", False)
+    one, other = (ActionServer(named(name), fibonacci) for name in ("one", "other"))
+    with anyio.fail_after(10):
+        async with open_end("inproc://bridge_end") as end:
+            assert not end.can_change
+            await end.add(one)
+            await end.add(other)
+            await end.remove("other")
+            await end.begin()
+            async with connect(end.where) as connection:
+                assert await names(connection) == ["one"]
+
+
+async def test_an_address_that_cannot_be_used_is_an_error() -> None:
+    with pytest.raises(TransportError, match="is for clients: serve at http://"):
+        async with open_end("rosbridge://127.0.0.1:9090"):
+            pass
