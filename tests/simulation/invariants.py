@@ -187,8 +187,7 @@ class Record:
                 lost = any(one.losses for one in self.clients.values() if goal_id in one.goals)
                 how = "again, after its connection was lost" if lost else "twice"
                 self.fail("once", f"goal {short(goal_id)} was accepted {how}")
-        if goal_id in self.copied and self.truth(goal_id, None) is not None:
-            self.sent_again.add(goal_id)  # it runs again: its server has forgotten it
+        self._note_copy(goal_id)
         truth = life.goals[goal_id, stamp] = Truth(goal_id, stamp, life, now, sender)
         self.places.accepted(truth)
 
@@ -196,6 +195,8 @@ class Record:
         """Note a goal that a server has taken from its store."""
         self.tell(f"server {life.number} restores {short(goal.goal_id)} as {goal.status.name}")
         before = self.truth(goal.goal_id, goal.stamp)
+        if before is None:  # its first server has failed before it could tell the acceptance
+            self._note_copy(goal.goal_id)
         at = self.now() if before is None else before.accepted_at
         truth = Truth(goal.goal_id, goal.stamp, life, at, str(goal.sender))
         truth.goal, truth.is_restored, truth.statuses = goal, True, [goal.status]
@@ -207,6 +208,11 @@ class Record:
             life.ended.append(truth)
         else:
             self.places.accepted(truth)
+
+    def _note_copy(self, goal_id: GoalID) -> None:
+        """Note that a goal runs again, if it is a copied one that its server has forgotten."""
+        if goal_id in self.copied and self.truth(goal_id, None) is not None:
+            self.sent_again.add(goal_id)
 
     def _may_run_again(self, truth: Truth, now: float) -> bool:
         if not self._has_expired(truth, now):

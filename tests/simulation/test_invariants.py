@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from fibaction import CancelAnswer, CancelCode, GoalID, GoalInfo, GoalStatus, Outcome
+from fibaction import CancelAnswer, CancelCode, GoalID, GoalInfo, GoalStatus, Outcome, Sender
+from fibaction.server.goal_record import GoalRecord, digest_of
 from fibaction.server.registry import GoalRegistry
 from tests.simulation.facts import Life
 from tests.simulation.generator import scenario_of
@@ -98,6 +99,21 @@ def test_feedback_that_comes_again_or_was_never_yielded_is_found() -> None:
     known.view.feedback(Step(1), None)
     known.view.feedback(Step(2), None)
     assert known.found() == ["feedback", "feedback"]
+
+
+def test_feedback_of_a_goal_may_be_read_after_a_copy_of_it_was_restored() -> None:
+    # The server that has accepted the copy has failed before it could tell that.
+    known = Known()
+    known.truth.count = 2
+    known.view = View(known.record, known.client, GOAL, None, start=0)
+    known.record.copied.add(GOAL)
+    known.record.lives.append(Life(2, known.now, GoalRegistry()))
+    copy = GoalRecord(GOAL, digest_of(b""), 2, Sender())
+    known.record.restored(known.record.lives[1], copy)
+    known.record.lives[1].goals[GOAL, 2].starts = 1
+    known.view.feedback(Step(1), None)
+    known.view.feedback(Step(2), None)
+    assert known.found() == []
 
 
 def test_feedback_that_is_missing_at_the_end_is_found() -> None:
