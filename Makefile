@@ -114,8 +114,9 @@ bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparis
 simulate: $(VENV)/.tools  ## Run random scenarios in virtual time for ten minutes
 	$(BIN)/python -m tests.simulation --seconds 600
 
-soak: $(VENV)/.tools  ## Run fifty connections for ten minutes, and check that nothing grows
-	$(BIN)/python -m tests.soak
+soak: $(VENV)/.tools  ## Run fifty connections for ten minutes, alone and beside load: nothing grows
+	$(BIN)/python -m tests.soak --keep
+	$(BIN)/python -m tests.soak --load 4 --keep
 
 kills: $(VENV)/.tools  ## Kill a server that keeps its goals, for two minutes twice, and start it again
 	$(BIN)/python -m tests.kills --seconds 120 --clients 20
@@ -124,6 +125,7 @@ kills: $(VENV)/.tools  ## Kill a server that keeps its goals, for two minutes tw
 fleet: $(VENV)/.tools  ## Kill and freeze workers and brokers of a fleet, ten times each
 	$(BIN)/python -m tests.fleet all --times 10
 
+# It begins with the inputs in tests/fuzz/corpus; `-merge=1` adds to them what was found.
 fuzz: $(VENV)/.fuzz  ## Send random bytes to a server for two minutes in all
 	$(BIN)/python -m tests.fuzz.wire -max_total_time=30
 	$(BIN)/python -m tests.fuzz.websocket -max_total_time=30
@@ -134,7 +136,7 @@ attack: $(VENV)/.tools  ## Attack a server in every way, for 20 seconds each, be
 	$(BIN)/python -m tests.hostile
 
 mutants: $(MUTANTS_VENV)/.installed  ## Put small faults into the rules, and check that the tests find each
-	$(MUTANTS_VENV)/bin/python -m tests.mutants
+	$(MUTANTS_VENV)/bin/python -m tests.mutants --keep
 
 # The wheel is made from the sdist, as packagers do; and from the checkout, to compare. The code is
 # that of `make test`, so what runs against it is what a wheel can lack: modules, entry points, files.
@@ -160,7 +162,7 @@ PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.ver
 test_elsewhere = FIBACTION_EXAMPLES=20 $(no_other_ros) $(1)/bin/python -m pytest -q -n auto --dist worksteal \
     -o cache_dir=$(1)/.pytest_cache $(trio_over_tcp) tests $(addprefix --ignore=tests/,$(NOT_ELSEWHERE))
 trio_over_tcp := -k "not trio or trio-tcp"
-NOT_ELSEWHERE := benchmarks browser fleet fleet_simulation fuzz hostile javascript kills packaging simulation \
+NOT_ELSEWHERE := benchmarks browser fleet fleet_simulation fuzz hostile javascript kills packaging simulation soak \
     test_answers.py test_contributing.py test_cookbook.py test_docs.py test_guarantees.py test_own_coverage.py \
     test_style.py test_walks.py
 

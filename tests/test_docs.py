@@ -7,6 +7,7 @@ import importlib
 import importlib.util
 import inspect
 import io
+import logging
 import re
 import sys
 import tomllib
@@ -104,6 +105,7 @@ def run_page(page: str, name: str, *, ros: bool = False) -> list[str]:
     module = ModuleType(f"page_{name}")
     sys.modules[module.__name__] = module  # where msgspec looks names up
     wrong: list[str] = []
+    before = _loggers()
     try:
         for block, following in pairwise([*blocks, Block("", "", 0, "the end")]):
             marked = NOT_RUN.search(block.before)
@@ -122,7 +124,17 @@ def run_page(page: str, name: str, *, ros: bool = False) -> list[str]:
             anyio.run(test)
     finally:
         del sys.modules[module.__name__]
+        for logger in _loggers():  # other tests have loggers of the same names
+            level, handlers = before.get(logger, (logging.NOTSET, []))
+            logger.setLevel(level)
+            logger.handlers[:] = handlers
     return wrong
+
+
+def _loggers() -> dict[logging.Logger, tuple[int, list[logging.Handler]]]:
+    """Return the level and the handlers of each logger."""
+    known = [logging.root, *logging.root.manager.loggerDict.values()]
+    return {one: (one.level, one.handlers[:]) for one in known if isinstance(one, logging.Logger)}
 
 
 def _printed_by(block: Block, module: ModuleType, name: str) -> str:

@@ -139,7 +139,7 @@ def decode_row(number: int, row: bytes) -> list[Record]:
         raise DamagedRow(f"row {number} is not what was written")
     try:
         return _decode(data)
-    except (msgspec.MsgspecError, ValueError) as exc:
+    except ValueError as exc:  # as the errors of decoding are
         raise DamagedRow(f"row {number} cannot be read: {exc}") from None
 
 

@@ -24,7 +24,6 @@ async def launched(path: Path) -> AsyncIterator[Callable[[int], Awaitable[Any]]]
         config={
             "name": "benchmark",
             "system_database_url": f"sqlite:///{path}",
-            "run_admin_server": False,
             "log_level": "ERROR",
         }
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from tests.benchmarks.drawing import Bar, Panel, Range, Row, bars, ranges
+from tests.drawing import Bar, Panel, Range, Row, bars, ranges
 
 SPREAD = "The thin line is from the lowest round to the highest. A cut bar is far longer."
 

@@ -10,11 +10,11 @@ from xml.etree import ElementTree
 import pytest
 
 from tests.benchmarks import pages, suite
-from tests.benchmarks.drawing import Bar, Panel, bars
 from tests.benchmarks.growing import MEASURED
 from tests.benchmarks.pictures import PICTURES, picture
 from tests.benchmarks.starting import STARTS
 from tests.benchmarks.ways import WAYS
+from tests.drawing import Bar, Panel, bars
 
 REPORTS = suite.read()
 LONGEST_LABEL = 30

@@ -61,7 +61,7 @@ def one_input(data: bytes) -> None:
 
 
 def main() -> None:
-    fuzz(one_input)
+    fuzz("rosbridge", one_input)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The fuzz targets, without what they need."""
+"""The fuzz targets, without the fuzzer: each kept input once, and random ones."""
 
 from __future__ import annotations
 
@@ -20,6 +20,31 @@ def test_without_atheris_it_says_what_to_type(
 
     with pytest.raises(SystemExit, match="atheris is not installed: `make fuzz` installs it"):
         target.main()
+
+
+@pytest.mark.parametrize("target", [wire, websocket, web, rosbridge])
+def test_each_kept_input_is_taken_again(target: ModuleType) -> None:
+    kept = fuzzer.kept(target.__name__.rpartition(".")[2])
+    assert 10 <= len(kept) <= 100
+    assert sum(path.stat().st_size for path in kept) <= 200_000
+    for path in kept:
+        target.one_input(path.read_bytes())
+
+
+def test_the_fuzzer_begins_with_the_kept_inputs_and_writes_elsewhere() -> None:
+    command = fuzzer.command("wire", ["-max_total_time=30"])
+    assert command[2:4] == ["build/fuzz/wire", "tests/fuzz/corpus/wire"]
+    assert command[4:] == ["-artifact_prefix=build/fuzz/wire/"]
+
+
+def test_a_merge_adds_to_the_kept_inputs() -> None:
+    command = fuzzer.command("wire", ["-merge=1"])
+    assert command[2:4] == ["tests/fuzz/corpus/wire", "build/fuzz/wire"]
+
+
+def test_folders_of_the_command_line_count_instead() -> None:
+    command = fuzzer.command("wire", ["-artifact_prefix=a/", "crash-1"])
+    assert command[1:] == ["-artifact_prefix=a/", "crash-1"]
 
 
 def test_the_target_of_websocket_takes_any_input() -> None:

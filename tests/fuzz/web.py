@@ -72,7 +72,7 @@ def one_input(data: bytes) -> None:
 
 
 def main() -> None:
-    fuzz(one_input)
+    fuzz("web", one_input)
 
 
 if __name__ == "__main__":

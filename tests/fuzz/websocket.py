@@ -52,7 +52,7 @@ def one_input(data: bytes) -> None:
 
 
 def main() -> None:
-    fuzz(one_input, logs=False)
+    fuzz("websocket", one_input, logs=False)
 
 
 if __name__ == "__main__":

@@ -100,7 +100,7 @@ def one_input(data: bytes) -> None:
 
 
 def main() -> None:
-    fuzz(one_input, logs=False)
+    fuzz("wire", one_input, logs=False)
 
 
 if __name__ == "__main__":

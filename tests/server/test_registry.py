@@ -752,6 +752,32 @@ def test_a_goal_that_is_over_the_bytes_is_to_be_rejected_unless_results_can_make
     assert registry.budget.used == 0
 
 
+def test_the_sentence_about_bytes_does_not_count_results() -> None:
+    registry = GoalRegistry(max_bytes=10)
+    for one in (A, B):
+        ended(registry, one)  # b"done", four bytes
+    registry.admit(C, bytes(20), now=0.0)
+    assert registry.busy == "busy: goals and feedback would take 20 bytes, the limit is 10"
+
+
+def test_results_of_any_number_are_not_counted_as_goals() -> None:
+    registry = GoalRegistry(max_bytes=3)
+    for one in (A, B):
+        ended(registry, one)
+    assert not registry.has_too_many_bytes
+    restored = GoalRegistry(max_bytes=3)
+    for number in (1, 2):
+        restored.restore(stored(number, status=GoalStatus.ABORTED, result=b"done"), until=5.0)
+    assert restored.budget.used == 8
+    assert not restored.has_too_many_bytes
+
+
+def test_a_goal_keeps_the_deadline_that_its_client_gave() -> None:
+    registry = GoalRegistry()
+    registry.admit(A, b"", now=0.0)
+    assert registry.prepare(A, stamp=1, sender=UNKNOWN_SENDER, deadline=5.0).deadline == 5.0
+
+
 def test_the_oldest_results_give_way_until_the_rest_is_within_the_bytes() -> None:
     registry = GoalRegistry(max_bytes=8)
     for number in (B, A, C):
@@ -1133,6 +1159,70 @@ def test_an_ended_goal_is_restored_with_its_outcome_until_its_time_is_over() -> 
     assert registry.find(goal.goal_id, now=5.0) is None
     assert registry.expire(5.0) == [goal.goal_id]
     assert registry.budget.used == 0
+
+
+def test_a_restored_goal_is_that_of_the_earlier_process() -> None:
+    registry = GoalRegistry()
+    sender = Sender("robot", b"owner", "here")
+    kept = StoredGoal(A, 7, sender, digest_of(b"goal"), b"goal")
+    goal = registry.restore(kept, deadline=5.0)
+    assert registry.admit(A, b"goal", now=0.0) is Verdict.REPEAT
+    assert (goal.stamp, goal.sender, goal.deadline) == (7, sender, 5.0)
+    assert goal.stored is kept
+    assert registry.restore(stored(2)).deadline == math.inf
+
+
+@pytest.mark.parametrize(
+    ("fields", "size"),
+    [
+        ({"goal": b"12345"}, 5),
+        ({"status": GoalStatus.SUCCEEDED, "result": b"1234567"}, 7),
+        ({"status": GoalStatus.ABORTED, "reason": "123"}, 3),
+    ],
+)
+def test_a_restored_goal_takes_the_bytes_of_what_is_kept(fields: dict[str, Any], size: int) -> None:
+    registry = GoalRegistry()
+    kept = stored(1)
+    for name, value in fields.items():
+        setattr(kept, name, value)
+    registry.restore(kept, until=5.0)
+    assert registry.budget.used == size
+
+
+def test_the_list_of_goals_follows_those_that_are_restored_and_released() -> None:
+    registry = GoalRegistry()
+    assert registry.goals() == ()
+    active = registry.restore(stored(1))
+    assert registry.goals() == (active,)
+    ended = registry.restore(stored(2, status=GoalStatus.ABORTED), until=5.0)
+    assert [(goal, goal.info.status) for goal in registry.goals()] == [
+        (ended, GoalStatus.ABORTED),
+        (active, GoalStatus.ACCEPTED),
+    ]
+    registry.release(active)
+    assert registry.goals() == (ended,)
+
+
+def test_a_goal_that_is_released_holds_no_bytes_while_it_is_still_listed() -> None:
+    registry = GoalRegistry()
+    goal = accepted(registry, A, payload=b"12")
+    registry.release(goal)
+    assert goal.held is None
+    assert registry.budget.used == 0
+
+
+def test_an_outcome_without_a_time_is_not_remembered() -> None:
+    registry = GoalRegistry()
+    goal = registry.restore(stored(1, status=GoalStatus.ABORTED))
+    assert registry.find(goal.goal_id, now=0.0) is None
+
+
+def test_the_end_of_a_restored_goal_is_remembered_at_least_until_its_time() -> None:
+    registry = GoalRegistry(result_timeout=1.0)
+    goal = registry.restore(stored(1, attempt=1), until=50.0)
+    finish(registry, goal, Ending(EndKind.RESULT, b"done"), now=0.0)
+    assert registry.find(goal.goal_id, now=49.0) is goal
+    assert registry.find(goal.goal_id, now=50.0) is None
 
 
 def test_stamps_go_on_behind_those_of_restored_goals() -> None:

@@ -171,6 +171,22 @@ class Fleet(RuleBasedStateMachine):
             orders = self.scheduler.offer(new, key=key, urgency=self.urgency[new][0], now=self.now)
             assert orders == expected
 
+    @rule(key=st.integers(0, 2), urgency=st.integers(0, 2))
+    def restore(self, key: int, urgency: int) -> None:
+        self.count += 1
+        new = goal(self.count)
+        self.key[new] = key
+        self.urgency[new] = (urgency if self.limits.priority else 0, self.count)
+        self.since[new] = self.now
+        expected = []
+        if self.has_place(key):
+            self.start(new)
+            expected.append(Order(Act.START, new))
+        else:
+            self.queue.append(new)  # beyond any limit
+        urgency = int(self.urgency[new][0])
+        assert self.scheduler.restore(new, key=key, urgency=urgency, now=self.now) == expected
+
     def place(self, new: GoalID) -> list[Order] | None:
         """Give a new goal its place in the model, and return the orders; None if it has none."""
         key = self.key[new]
@@ -403,3 +419,148 @@ def test_a_goal_that_preempts_starts_in_any_place_that_becomes_free() -> None:
     assert scheduler.leave(TWO, 0) == [Order(Act.START, THREE)]
     assert scheduler.successor(ONE) is None
     assert scheduler.leave(ONE, 0) == []
+
+
+def test_a_start_has_no_reason() -> None:
+    assert Scheduler(Schedule()).offer(ONE, now=0) == [(Act.START, ONE, "")]
+
+
+def test_a_goal_without_an_urgency_is_as_urgent_as_zero() -> None:
+    scheduler = Scheduler(Schedule(concurrency=1, queue=4, priority=lambda _: 0))
+    scheduler.offer(ONE, now=0)
+    scheduler.offer(TWO, urgency=0.5, now=0)
+    scheduler.offer(THREE, now=0)
+    scheduler.restore(goal(4), now=0)
+    assert list(scheduler.places()) == [THREE, goal(4), TWO]
+
+
+def test_a_successor_runs_from_the_time_at_which_it_starts() -> None:
+    scheduler = Scheduler(Schedule(concurrency=1, when_full="preempt", run_timeout=7))
+    scheduler.offer(ONE, now=0)
+    scheduler.offer(TWO, now=1)
+    assert scheduler.leave(ONE, 5) == [Order(Act.START, TWO)]
+    assert scheduler.next_due == 12
+
+
+def told(handover: float, **rules: Any) -> Scheduler:
+    """Return a scheduler in which ONE was told of its successor TWO, at 1."""
+    schedule = Schedule(concurrency=1, when_full="preempt", handover=handover, **rules)
+    scheduler = Scheduler(schedule, kill_after=KILL_AFTER)
+    scheduler.offer(ONE, now=0)
+    assert scheduler.offer(TWO, now=1) == [Order(Act.TELL, ONE)]
+    return scheduler
+
+
+def test_a_successor_that_another_goal_pushes_away_waits_in_the_queue_if_there_is_room() -> None:
+    by_priority: dict[str, Any] = {"when_full": "preempt", "priority": lambda _: 0}
+    scheduler = Scheduler(Schedule(concurrency=1, queue=1, handover=math.inf, **by_priority))
+    scheduler.offer(ONE, urgency=2, now=0)
+    assert scheduler.offer(TWO, urgency=1, now=1) == [Order(Act.TELL, ONE)]
+    assert scheduler.offer(THREE, urgency=0, now=2) == []
+    assert scheduler.leave(ONE, 3) == [Order(Act.START, THREE)]
+    assert list(scheduler.places()) == [TWO]
+
+
+def test_a_goal_that_does_not_hand_over_in_time_is_interrupted_and_then_killed() -> None:
+    scheduler = told(2)
+    assert scheduler.next_due == 3
+    assert scheduler.due(2.9) == []
+    assert scheduler.due(3) == [Order(Act.INTERRUPT, ONE, f"preempted by {TWO}")]
+    assert scheduler.take_over(ONE, 3) is None
+    assert scheduler.next_due == 3 + KILL_AFTER
+    assert scheduler.due(5.9) == []
+    assert scheduler.due(6) == [Order(Act.KILL, ONE)]
+    assert scheduler.due(6) == []
+    assert scheduler.next_due == math.inf
+
+
+def test_a_goal_that_takes_its_successor_over_gives_it_all_its_time() -> None:
+    scheduler = told(2, run_timeout=7)
+    assert scheduler.take_over(ONE, 2) == TWO
+    assert scheduler.next_due == 9
+    assert scheduler.due(9) == [Order(Act.INTERRUPT, TWO, "took longer than 7 s")]
+
+
+def test_a_goal_that_is_lost_is_told_and_ordered_nothing_more() -> None:
+    scheduler = told(2, run_timeout=7)
+    scheduler.lose(ONE)
+    assert scheduler.successor(ONE) is None
+    assert scheduler.next_due == math.inf
+    assert scheduler.due(100) == []
+    assert scheduler.leave(ONE, 100) == [Order(Act.START, TWO)]
+
+
+def test_an_id_that_is_used_again_has_its_own_successor() -> None:
+    scheduler = Scheduler(Schedule(concurrency=2, when_full="preempt", handover=math.inf))
+    three, four, five = map(goal, (3, 4, 5))
+    scheduler.offer(ONE, now=0)
+    scheduler.offer(three, now=0)
+    scheduler.offer(TWO, now=0)
+    assert scheduler.take_over(ONE, 0) == TWO
+    scheduler.leave(three, 0)
+    scheduler.offer(ONE, now=0)
+    assert scheduler.offer(four, now=0) == [Order(Act.TELL, TWO)]
+    assert scheduler.offer(five, now=0) == [Order(Act.TELL, ONE)]
+    assert scheduler.leave(TWO, 0) == [Order(Act.START, four)]
+    assert scheduler.successor(ONE) == five
+
+
+@pytest.mark.parametrize(
+    ("rules", "running", "waiting"),
+    [
+        (Schedule(), math.inf, 0),
+        (Schedule(concurrency=3, queue=4), 1, 4),
+        (Schedule(total=5), 3, 0),
+        (Schedule(concurrency=3, total=2, queue=1), 0, 1),
+        (Schedule(concurrency=4, total=3), 1, 0),
+        (Schedule(concurrency=2, when_full="preempt"), 0, math.inf),
+        (Schedule(concurrency=2, queue=1, when_full="replace"), 0, math.inf),
+        (Schedule(concurrency=1, queue=1, key=lambda _: None), math.inf, math.inf),
+        (Schedule(concurrency=1, key=lambda _: None), math.inf, 0),
+    ],
+)
+def test_the_room_for_more_is_that_of_the_limits(
+    rules: Schedule, running: float, waiting: float
+) -> None:
+    scheduler = Scheduler(rules)
+    for number in (1, 2):
+        scheduler.offer(goal(number), key=number if rules.key else None, now=0)
+    assert scheduler.room() == (running, waiting)
+
+
+def test_there_is_no_room_where_more_goals_were_restored_than_the_limits_allow() -> None:
+    scheduler = Scheduler(Schedule(concurrency=1, queue=1))
+    assert scheduler.room() == (1, 1)
+    for number in range(1, 5):
+        scheduler.restore(goal(number), now=0)
+    assert scheduler.waiting == 3
+    assert scheduler.room() == (0, 0)
+
+
+def test_the_order_of_keys_does_not_grow_with_goals_that_have_left() -> None:
+    scheduler = Scheduler(Schedule(concurrency=1, queue=100, priority=lambda _: 0))
+    scheduler.offer(ONE, now=0)
+    for number in range(2, 1000):  # each is more urgent than all before it
+        scheduler.offer(goal(number), urgency=-number, now=0)
+        if number > 50:
+            scheduler.leave(goal(number), 0)
+    (group,) = scheduler._groups.values()
+    assert len(scheduler._heads) < 50
+    assert len(group._heap) < 2 * len(group.queue) + 20
+    assert scheduler.leave(ONE, 0) == [Order(Act.START, goal(50))]
+
+
+def test_the_queue_of_a_key_does_not_grow_with_goals_that_have_left_behind_its_first() -> None:
+    scheduler = Scheduler(Schedule(concurrency=1, queue=100, priority=lambda _: 0))
+    scheduler.offer(ONE, now=0)
+    scheduler.offer(TWO, urgency=-1, now=0)
+    for number in range(3, 1000):
+        scheduler.offer(goal(number), urgency=1 / number, now=0)  # each before those that wait
+        if 5 < number < 998:
+            scheduler.leave(goal(number), 0)
+    (group,) = scheduler._groups.values()
+    assert len(group._heap) < 50
+    ended = [ONE]
+    while orders := scheduler.leave(ended[-1], 0):
+        ended.append(orders[0].goal_id)
+    assert ended == [ONE, TWO, *map(goal, (999, 998, 5, 4, 3))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from copy import copy
 
 import pytest
@@ -56,6 +57,11 @@ class Model:
             return None
         if what == "end":
             ends.append(number)
+            goal.attempt, goal.lost, goal.feedback_count = (
+                goal.attempt + 1,
+                goal.lost + 1,
+                self.stamp + 1,
+            )
             record = ended(action, after_end(goal, result=data, reason="ü", keep_until=len(data)))
             as_kept(goal)
             return record
@@ -147,10 +153,11 @@ def test_goals_that_are_written_down_and_later_rows_add_up_to_all(
     assert_same(read([anew, *later_rows], 50), [model, *later_models][-1])
 
 
-def test_many_goals_are_written_down_in_several_rows() -> None:
+@pytest.mark.parametrize("field", ["result", "checkpoint"])
+def test_many_goals_are_written_down_in_several_rows(field: str) -> None:
     goals = KeptGoals()
     for number in range(10):
-        goals.of("paint").add(WholeRecord("paint", a_goal(number, result=b"x" * (ROW // 4))))
+        goals.of("paint").add(WholeRecord("paint", a_goal(number, **{field: b"x" * (ROW // 4)})))
 
     rows = list(goals.rows(7))
 
@@ -167,7 +174,7 @@ def test_goals_that_fill_a_row_leave_no_empty_one() -> None:
 
 def test_ended_goals_are_forgotten_when_their_time_has_passed() -> None:
     goals = ActionGoals()
-    for number, until in enumerate([10, 0, 30, 20], 1):
+    for number, until in enumerate([10, 0, 30, 20, 1], 1):
         goals.add(WholeRecord("paint", a_goal(number, status=GoalStatus.ABORTED, keep_until=until)))
 
     goals.drop_expired(100, 20)
@@ -186,6 +193,14 @@ def test_the_oldest_of_too_many_ended_goals_are_forgotten() -> None:
     assert [goal.stamp for goal in goals.in_order()] == [2, 3, 1, 5]
     goals.drop_expired(0, 0)
     assert [goal.stamp for goal in goals.in_order()] == [1, 5]
+
+
+def test_a_goal_that_is_written_again_as_ended_is_there_once() -> None:
+    goals = ActionGoals()
+    goals.add(WholeRecord("paint", a_goal()))
+    goals.add(WholeRecord("paint", after_end(a_goal())))
+
+    assert goals.in_order() == [after_end(a_goal())]
 
 
 def test_an_end_is_final() -> None:
@@ -229,6 +244,37 @@ def test_a_row_of_another_format_is_damage() -> None:
 
     with pytest.raises(DamagedRow, match="row 5 cannot be read: Expected"):
         decode_row(5, row)
+
+
+def test_a_row_that_is_cut_off_before_its_checksum_was_made_is_damage() -> None:
+    data = encode_row(5, [StartRecord(), StartRecord()])[4:-1]
+    row = zlib.crc32(data, 5).to_bytes(4, "big") + data
+
+    with pytest.raises(DamagedRow, match="row 5 cannot be read: Input data was truncated"):
+        decode_row(5, row)
+
+
+@pytest.mark.parametrize("size", [1, 4096, 10_000])
+def test_a_row_begins_with_the_checksum_of_its_number_and_its_bytes(size: int) -> None:
+    row = encode_row(5, [WholeRecord("paint", a_goal(result=bytes(range(256)) * (size // 256)))])
+
+    assert row[:4] == zlib.crc32(row[4:], 5).to_bytes(4, "big")
+
+
+def test_records_are_written_as_they_were_by_earlier_versions() -> None:
+    end = ended("paint", after_end(a_goal(), reason="why", feedback_count=3, keep_until=9))
+    records: list[Record] = [
+        StartRecord(),
+        moved("paint", a_goal()),
+        CheckpointRecord("paint", b"id", None),
+        end,
+    ]
+
+    assert encode_row(1, records).hex() == (
+        "a5bd8b989491009702a57061696e74c4100000000000000000000000000000000101c200009403a5"
+        "7061696e74c4026964c09b04a57061696e74c41000000000000000000000000000000001040000c4"
+        "06726573756c74a3776879030509"
+    )
 
 
 @pytest.mark.parametrize("missing", [0, 1, 2])

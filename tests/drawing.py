@@ -154,10 +154,11 @@ def _picture(
             parts.append(f'<g transform="translate(0,{middle:g})">{"".join(row)}</g>')
             y += ROW
     height = round(y + FOOT - 10)
-    return "\n".join((*_head(title, subtitle, height), *parts, "</svg>")) + "\n"
+    return "\n".join((*head(title, subtitle, height), *parts, "</svg>")) + "\n"
 
 
-def _head(title: str, subtitle: str, height: int) -> Iterator[str]:
+def head(title: str, subtitle: str, height: int) -> Iterator[str]:
+    """Draw what every picture begins with: its frame, its title and the line below."""
     yield (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" width="{WIDTH}"'
         f' height="{height}" role="img" aria-labelledby="title">'

@@ -1,0 +1,58 @@
+"""A soak: fifty connections with goals of all kinds, for some minutes, between two processes.
+
+    make soak            # ten minutes alone, and ten beside load, for docs/shown_to_hold.md
+    python -m tests.soak --seconds 60 --over ws --load 4
+
+It records, 120 times, how much memory the server and the clients use, and how many tasks, open
+files and threads they have. At the end it fails if memory has grown after the first tenth of the
+time, or if anything else was left.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+
+import anyio
+
+from tests import figures
+from tests.soak.trial import Soak, faults, run
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.soak",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=600.0, help="how long it takes; %(default)g if not given"
+    )
+    parser.add_argument(
+        "--over",
+        choices=["tcp", "ws", "http"],
+        default="tcp",
+        help="the transport; %(default)s if not given",
+    )
+    parser.add_argument(
+        "--load", type=int, default=0, help="busy processes beside it; %(default)d if not given"
+    )
+    parser.add_argument(
+        "--keep", action="store_true", help="write the report, its picture and the page of the docs"
+    )
+    arguments = parser.parse_args()
+    if not 0 < arguments.seconds < math.inf:
+        parser.error("--seconds is more than 0")
+    if arguments.load < 0:
+        parser.error("--load is 0 or more")
+    report = anyio.run(run, Soak(arguments.seconds, arguments.over, arguments.load))
+    found = faults(report)
+    if arguments.keep and not found:
+        figures.keep(report)
+    print(*(found or [f"{report['goals']:,} goals; nothing has grown"]), sep="\n")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

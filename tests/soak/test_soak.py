@@ -1,0 +1,99 @@
+"""The soak: what it says of itself, what it records, and which growth it finds."""
+
+from __future__ import annotations
+
+import copy
+import json
+import sys
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+from tests import figures
+from tests.soak import __main__ as program
+from tests.soak.trial import COUNTED, SAMPLES, USED, Soak, faults, run
+
+REPORTS = figures.read()
+every_soak = pytest.mark.parametrize("name", figures.SOAKS)
+
+
+def test_the_help_is_laid_out_and_says_what_there_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["soak", "--help"])
+
+    with pytest.raises(SystemExit) as exit:
+        program.main()
+
+    assert exit.value.code == 0
+    out = capsys.readouterr().out
+    assert program.__doc__ is not None
+    assert program.__doc__.strip() in out
+    assert "how long it takes; 600 if not given" in " ".join(out.split())
+
+
+@pytest.mark.asyncio
+async def test_a_soak_beside_load_records_both_processes_over_the_time() -> None:
+    report = await run(Soak(seconds=2, load=1))
+
+    assert report["goals"] > 0
+    assert len(report["at"]) == SAMPLES
+    for end in ("server", "client"):
+        assert all(len(report[end][what]) == SAMPLES for what in USED)
+        assert max(report[end]["files"]) >= report["connections"]
+        assert all(report["after"][end][what] <= report["before"][end][what] for what in COUNTED)
+    assert 0 <= report["others_share"] <= 1
+    assert json.loads(json.dumps(report)) == report
+
+
+def test_the_command_of_a_report_is_the_one_that_was_given() -> None:
+    assert Soak(600).command == "python -m tests.soak --keep"
+    asked = "python -m tests.soak --seconds 60 --over ws --load 2 --keep"
+    assert Soak(60, "ws", 2).command == asked
+
+
+def broken(**changed: Any) -> list[str]:
+    """Return the faults of the kept report with changes in the server's part."""
+    report = copy.deepcopy(REPORTS["soak"])
+    report["server"] |= changed.pop("server", {})
+    report["after"]["server"] |= changed.pop("after", {})
+    return faults(report | changed)
+
+
+def test_growth_and_remains_are_faults() -> None:
+    assert broken() == []
+    growing = [50_000_000 + 100_000 * number for number in range(SAMPLES)]
+    (grown,) = broken(server={"memory": growing})
+    assert grown.startswith("the memory of the server has grown from ")
+    assert broken(after={"tasks": 2}) == ["the server has 2 tasks at the end, and had 1 before"]
+    assert broken(ends={}) == ["no goal has ended"]
+
+
+# What docs/shown_to_hold.md shows of it
+
+
+@every_soak
+def test_the_picture_is_made_of_the_report_and_shows_all_that_was_recorded(name: str) -> None:
+    kept = (figures.FOLDER / f"{name}.svg").read_text(encoding="utf-8")
+    assert kept == figures.picture(REPORTS[name])
+    root = ElementTree.fromstring(kept)
+    paths = [one for one in root.iter("{http://www.w3.org/2000/svg}path") if one.get("stroke")]
+    assert len(paths) == len(USED) * 2
+    assert all((one.get("d") or "").count(",") == SAMPLES for one in paths)
+
+
+@every_soak
+def test_the_kept_report_is_of_ten_minutes_and_found_no_growth(name: str) -> None:
+    assert REPORTS[name]["seconds"] == 600
+    assert faults(REPORTS[name]) == []
+
+
+def test_the_page_is_made_of_the_reports() -> None:
+    page = figures.PAGE.read_text(encoding="utf-8")
+    assert figures.with_parts(page, REPORTS) == page
+
+
+def test_a_page_without_the_marks_is_an_error() -> None:
+    with pytest.raises(ValueError, match="no part for 'soak'"):
+        figures.with_parts("# Shown to hold\n", REPORTS)
