@@ -110,6 +110,11 @@ bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparis
 	$(no_other_ros) $(BIN)/python -m tests.benchmarks all --scale $(SCALE)
 	$(BIN)/python -m tests.benchmarks.durable
 	$(BIN)/python -m tests.benchmarks.fleet
+	@for version in $(PYTHONS); do \
+	    if python=$$(tests/find_python.sh $$version); \
+	    then $(MAKE) --no-print-directory build/python$$version/.installed PYTHON=$$python || exit; fi; \
+	done
+	$(BIN)/python -m tests.benchmarks.pythons --write
 
 simulate: $(VENV)/.tools  ## Run random scenarios in virtual time for ten minutes
 	$(BIN)/python -m tests.simulation --seconds 600
