@@ -4,7 +4,8 @@
 
 A program sends frames to itself over a loopback connection: first each is answered before the next
 is sent, then many at once. All kinds take turns in one process, so that a busy machine slows both.
-It prints the median time of a frame there and back, and the ratio of each kind to that of asyncio.
+It prints the median time of a frame there and back, and the ratio of each kind to that of asyncio;
+before that, what a connection with TLS costs, with a new session and with one that is resumed.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from __future__ import annotations
 import socket
 import statistics
 from collections.abc import AsyncGenerator, Callable, Coroutine
-from contextlib import asynccontextmanager
-from time import perf_counter
+from contextlib import asynccontextmanager, suppress
+from time import perf_counter, process_time
 from typing import Any
 
 import anyio
@@ -21,16 +22,19 @@ from anyio.abc import Listener, SocketAttribute
 from anyio.streams.tls import TLSStream
 
 from fibaction._notify import Notifier
+from fibaction.exceptions import ConnectionLost
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports._streams import _anyio, _asyncio
+from fibaction_transports._streams._client_tls import ClientTls
 from fibaction_transports._streams._tls import TlsChannel, TlsListener
 from fibaction_transports._streams._tls_lines import accept_tls, dial_tls
 from tests.certificates import HOST, pems
 
 FRAME = bytes(100)
 TURNS = 7
+CONNECTIONS = 100
 KINDS = ("asyncio", "anyio", "asyncio, TLS", "anyio, TLS")
 
 
@@ -106,7 +110,7 @@ async def dial(kind: str, port: int) -> Line:
     if kind == "asyncio":
         return await _asyncio.dial_tcp(HOST, port, FrameReader(), "here")
     if kind == "asyncio, TLS":
-        return await dial_tls(HOST, port, FrameReader(), "here", context)
+        return await dial_tls(HOST, port, FrameReader(), "here", ClientTls(context))
     stream = await anyio.connect_tcp(HOST, port)
     stream.extra(SocketAttribute.raw_socket).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     if kind == "anyio":
@@ -115,7 +119,52 @@ async def dial(kind: str, port: int) -> Line:
     return TlsChannel(tls, "here", FrameReader())
 
 
+@asynccontextmanager
+async def tls_port() -> AsyncGenerator[int, None]:
+    """Serve TLS, and give the port."""
+    async with (
+        await anyio.create_tcp_listener(local_host=HOST) as listener,
+        anyio.create_task_group() as tasks,
+    ):
+
+        async def serve(line: Line) -> None:
+            with suppress(ConnectionLost):
+                await End(line, echoes=True).run()
+            await line.aclose()
+
+        one = TlsListener(listener.listeners[0], TlsFiles(cert=pems().cert).server())
+        tasks.start_soon(accept_tls, one, FrameReader, serve, tasks)
+        yield listener.extra(SocketAttribute.local_port)
+        tasks.cancel_scope.cancel()
+
+
+async def connections(port: int, count: int, *, resume: bool) -> float:
+    """Return the processor's seconds of both ends for a connection that is opened and closed."""
+    given = TlsFiles(ca=pems().ca)
+    tls = ClientTls(given)
+    begun = process_time()
+    for _ in range(count):
+        line = await dial_tls(HOST, port, FrameReader(), "here", tls)
+        end = End(line, echoes=False)
+        # The server tells the session with its first bytes.
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(end.run)
+            await end.round_trips(1, 1)
+            tasks.cancel_scope.cancel()
+        await line.aclose()
+        if not resume:
+            tls = ClientTls(given)
+    return (process_time() - begun) / count
+
+
 async def main() -> None:
+    async with tls_port() as port:
+        ways: dict[bool, list[float]] = {False: [], True: []}
+        for _ in range(TURNS):
+            for resume, taken in ways.items():
+                taken.append(await connections(port, CONNECTIONS, resume=resume))
+        anew, resumed = (statistics.median(taken) * 1e3 for taken in ways.values())
+        print(f"a connection with TLS: {anew:.2f} ms, resumed {resumed:.2f} ms of the processor")
     for at_once, count in ((1, 2000), (64, 20_000)):
         times: dict[str, list[float]] = {kind: [] for kind in KINDS}
         for _ in range(TURNS):

@@ -402,3 +402,50 @@ async def test_what_is_to_end_python_itself_goes_on_from_a_handshake_that_is_clo
         await TlsListener.handle_handshake_error(KeyboardInterrupt(), stream)
     assert stream.closed
     assert heard.records == []
+
+
+# Sessions
+
+
+def counting() -> ssl.SSLContext:
+    """The context of a server, which counts the sessions that were resumed."""
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.load_cert_chain(pems().cert)
+    return context
+
+
+@pytest.mark.parametrize("newest", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
+async def test_the_next_connection_of_a_client_resumes_its_session(newest: ssl.TLSVersion) -> None:
+    context = counting()
+    context.maximum_version = newest
+    async with serve(new_server(), TcpTransport(port=0, tls=context)) as (url,):
+        transport = TcpTransport(port=port_of(url), tls=TlsFiles(ca=pems().ca))
+        for resumed in range(3):
+            assert await works(transport)
+            assert context.session_stats()["hits"] == resumed
+
+
+async def test_a_server_that_does_not_know_the_session_is_talked_to_like_a_new_one() -> None:
+    first, second = counting(), counting()
+    async with serve(new_server(), TcpTransport(port=0, tls=first)) as (url,):
+        transport = TcpTransport(port=port_of(url), tls=TlsFiles(ca=pems().ca))
+        assert await works(transport)
+    async with serve(new_server(), TcpTransport(port=port_of(url), tls=second)):
+        assert await works(transport)
+        assert second.session_stats()["hits"] == 0
+
+
+async def test_files_that_have_changed_are_read_anew_and_no_session_is_resumed(
+    tmp_path: Path,
+) -> None:
+    authority = tmp_path / "ca.pem"
+    authority.write_bytes(Path(pems().ca).read_bytes())
+    async with serve(new_server(), tls_server(cert=pems().cert)) as (url,):
+        transport = TcpTransport(port=port_of(url), tls=TlsFiles(ca=str(authority)))
+        assert await works(transport)
+        authority.write_bytes(Path(pems("other.test").ca).read_bytes())
+        with pytest.raises(AuthenticationFailed, match="certificate"):
+            await works(transport)
+        authority.unlink()
+        with pytest.raises(TransportError, match=f"cannot load TLS files {authority}"):
+            await works(transport)

@@ -22,6 +22,7 @@ from fibaction.wire.settings import WireKeywords
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import boolean
 from fibaction_transports._streams import _asyncio, _tls_lines
+from fibaction_transports._streams._client_tls import ClientTls
 from fibaction_transports._streams._stream_transport import StreamTransport
 from fibaction_transports._streams._tls import SPEAKS_TLS, TlsChannel, TlsListener, telling
 
@@ -52,6 +53,7 @@ class HostTransport(StreamTransport):
         self._host = host
         self._port = port
         self._tls = tls
+        self._client_tls = None if tls is None else ClientTls(tls)
         self._insecure = insecure
 
     @property
@@ -75,23 +77,22 @@ class HostTransport(StreamTransport):
         return FrameReader(self.client_settings.max_frame)
 
     async def _connect(self) -> Line:
-        framing, given = self._client_framing(), self._tls
-        context = telling(given.client()) if isinstance(given, TlsFiles) else given
+        framing, tls = self._client_framing(), self._client_tls
         if asyncio_task() is not None:
-            if context is None:
+            if tls is None:
                 return await _asyncio.dial_tcp(self._host, self._port, framing, self.url)
-            return await _tls_lines.dial_tls(self._host, self._port, framing, self.url, context)
+            return await _tls_lines.dial_tls(self._host, self._port, framing, self.url, tls)
         stream = await anyio.connect_tcp(self._host, self._port)
         stream.extra(SocketAttribute.raw_socket).setsockopt(
             socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
         )
-        if context is None:
+        if tls is None:
             return StreamChannel(stream, self.url, framing)
         async with AsyncExitStack() as on_failure:
             on_failure.push_async_callback(anyio.aclose_forcefully, stream)
-            tls = await TLSStream.wrap(stream, hostname=self._host, ssl_context=context)
+            wrapped = await TLSStream.wrap(stream, hostname=self._host, ssl_context=tls.context())
             on_failure.pop_all()
-        return TlsChannel(tls, self.url, framing)
+        return TlsChannel(wrapped, self.url, framing)
 
     async def _listen(self) -> tuple[Listener[Any], str]:
         if not (self._insecure or self._tls or is_loopback(self._host)):

@@ -38,12 +38,23 @@ MOST_ANSWERS = CHUNK
 class TlsEnd:
     """One end of a connection with TLS, and the bytes on their way into it and out of it."""
 
-    def __init__(self, context: ssl.SSLContext, host: str | None = None) -> None:
-        """Begin: at a client with the host whose certificate is expected."""
+    def __init__(
+        self,
+        context: ssl.SSLContext,
+        host: str | None = None,
+        session: ssl.SSLSession | None = None,
+    ) -> None:
+        """Begin: at a client with the host whose certificate is expected, and the session of an
+        earlier connection, to be resumed.
+        """
         self.incoming = ssl.MemoryBIO()
         self.outgoing = ssl.MemoryBIO()
         self.tls = context.wrap_bio(
-            self.incoming, self.outgoing, server_side=host is None, server_hostname=host
+            self.incoming,
+            self.outgoing,
+            server_side=host is None,
+            server_hostname=host,
+            session=session,
         )
 
 

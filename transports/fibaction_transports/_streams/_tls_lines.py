@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import ssl
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -13,29 +12,29 @@ from fibaction.wire.channel import Line
 from fibaction.wire.frames import FrameReader, Framing
 from fibaction_transports._streams import _asyncio
 from fibaction_transports._streams._anyio import peer_of
+from fibaction_transports._streams._client_tls import ClientTls
 from fibaction_transports._streams._sockets import SocketStream, accept_sockets
 from fibaction_transports._streams._tls import TlsListener
 from fibaction_transports._streams._tls_frames import TlsEnd, TlsFraming, shake_hands
 
 
-async def dial_tls(
-    host: str, port: int, framing: Framing, where: str, context: ssl.SSLContext
-) -> Line:
+async def dial_tls(host: str, port: int, framing: Framing, where: str, tls: ClientTls) -> Line:
     """Connect to a server, and shake hands.
 
     Raises:
+        TransportError: The files for TLS cannot be used.
         ssl.SSLError: The server does not speak TLS, or one side rejects the other.
         OSError, anyio.BrokenResourceError: The server does not answer, or has closed.
     """
-    line = await _asyncio.dial_tcp(
-        host, port, FrameReader(), where
-    )  # frames come after the handshake
+    end = tls.begin(host)
+    # The line gets the form of its frames after the handshake.
+    line = await _asyncio.dial_tcp(host, port, FrameReader(), where)
     try:
-        end = TlsEnd(context, host)
         early = await shake_hands(end, line.receive_bytes, line.send_bytes)
     except BaseException:
         await line.aclose()
         raise
+    tls.keep(end)
     line.begin(TlsFraming(framing, end, where), early)
     return line
 
