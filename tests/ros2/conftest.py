@@ -10,8 +10,10 @@ import atexit
 import faulthandler
 import os
 import socket
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
+from contextlib import suppress
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
@@ -71,6 +73,33 @@ else:
 def ros_log_files(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Keep the files of ROS's log out of the home folder."""
     os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
+
+
+@pytest.fixture
+def alone() -> Iterator[str]:
+    """A domain with no other process."""
+    domain, claim = claim_domain(500)
+    with claim:
+        yield str(domain)
+
+
+def participants() -> int:
+    """Return the number of participants in the graph that this process has, with Fast DDS: each of
+    them has one thread of this name.
+    """
+    count = 0
+    for thread in Path("/proc/self/task").iterdir():
+        with suppress(OSError):  # it has just ended
+            count += (thread / "comm").read_text().startswith("dds.ev.")
+    return count
+
+
+@pytest.fixture(autouse=True)
+def graph_is_left_as_it_was() -> Iterator[None]:
+    """Check that a test leaves no node in the graph, where later tests would find its actions."""
+    before = participants()
+    yield
+    assert participants() <= before
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

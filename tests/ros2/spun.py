@@ -7,12 +7,9 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from fibaction_transports.ros2.rcl import (
-    Context,
-    ExternalShutdownException,
-    SingleThreadedExecutor,
-    rclpy,
-)
+from rclpy.executors import ExternalShutdownException
+
+from fibaction_transports.ros2.rcl import Context, SingleThreadedExecutor, rclpy
 
 
 @contextmanager

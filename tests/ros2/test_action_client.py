@@ -35,6 +35,7 @@ from fibaction_transports.ros2 import (
     service_client,
 )
 from fibaction_transports.ros2.action_server import RosActionServer
+from fibaction_transports.ros2.feedback_counts import ReceivedCounts
 from fibaction_transports.ros2.goal_stream import RosGoalStream
 from fibaction_transports.ros2.service_client import ServiceCall, ServiceClient, send_request
 from fibaction_transports.ros2.waitable import Responses
@@ -201,9 +202,17 @@ async def test_of_500_goals_at_once_few_wait_for_an_answer_at_a_time(
     assert most <= service_client.AT_ONCE
 
 
+def seem_to_be_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let servers seem not to be of fibaction: they do not tell the number of feedback messages."""
+    monkeypatch.setattr(ReceivedCounts, "come_from", lambda self, servers: False)
+
+
+@pytest.mark.parametrize("early", [True, False])
 async def test_the_result_of_a_running_goal_is_requested_again_if_a_server_does_not_know_the_goal(
-    url: str,
+    url: str, early: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if not early:
+        seem_to_be_of_others(monkeypatch)
     async with both_ends(url, forever) as client:
         with await client.endpoint.status() as statuses:
             goal = await client.send_goal(Goal(1))
@@ -213,8 +222,76 @@ async def test_the_result_of_a_running_goal_is_requested_again_if_a_server_does_
         raw = client_of(client.endpoint)
         (number,) = raw._followed._requested
         raw._followed._take_result((number, raw.impl.GetResultService.Response()))
+        if early:  # at once, and once, though the goal may run for hours
+            assert len(raw._followed._requested) == 1
+            assert not raw._followed._overdue
         assert (await goal.cancel()).accepted
         assert (await goal.outcome()).status is GoalStatus.CANCELED
+
+
+@pytest.mark.parametrize("early", [True, False])
+async def test_the_result_is_requested_with_the_goal_if_the_server_is_one_of_fibaction(
+    url: str, early: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    requested, accepted = anyio.Event(), anyio.Event()
+    answer = RosActionServer._answer_result
+
+    async def notes(self: RosActionServer, request: Any) -> Any:
+        assert accepted.is_set() is not early
+        requested.set()
+        return await answer(self, request)
+
+    async def on_goal(goal: Goal) -> None:
+        assert bool(client_of(client.endpoint)._followed._requested) is early
+        if early:
+            await requested.wait()
+        accepted.set()
+
+    monkeypatch.setattr(RosActionServer, "_answer_result", notes)
+    if not early:
+        seem_to_be_of_others(monkeypatch)
+    async with both_ends(url, on_goal=on_goal) as client:
+        assert await client.call(Goal(2)) == Result([0, 1, 1])
+        assert requested.is_set()
+
+
+async def test_the_result_of_a_goal_that_the_server_did_not_know_yet_is_requested_again(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = anyio.Event()
+    answer = RosActionServer._answer_result
+    take = followed_goals.FollowedGoals._take_result
+
+    async def does_not_know(self: RosActionServer, request: Any) -> Any:
+        return await answer(self, request) if told.is_set() else client_impl().Response()
+
+    def takes(self: followed_goals.FollowedGoals, item: Any) -> None:
+        take(self, item)
+        told.set()
+
+    def client_impl() -> Any:
+        return client_of(client.endpoint).impl.GetResultService
+
+    async def on_goal(goal: Goal) -> None:
+        await told.wait()
+
+    monkeypatch.setattr(RosActionServer, "_answer_result", does_not_know)
+    monkeypatch.setattr(followed_goals.FollowedGoals, "_take_result", takes)
+    async with both_ends(url, on_goal=on_goal) as client:
+        assert await client.call(Goal(2)) == Result([0, 1, 1])
+
+
+async def test_a_rejected_goal_is_rejected_although_its_result_was_requested(url: str) -> None:
+    def on_goal(goal: Goal) -> None:
+        raise GoalRejected("busy")
+
+    async with both_ends(url, on_goal=on_goal) as client:
+        for _ in range(10):
+            with pytest.raises(GoalRejected):
+                await client.send_goal(Goal(7))
+        followed = client_of(client.endpoint)._followed
+        assert not followed
+        assert not followed._requested
 
 
 # Ends of a wait
@@ -455,7 +532,7 @@ async def test_feedback_after_the_result_is_logged_once_for_its_goal(
         goal = await client.send_goal(Goal(1))
         await goal.result()
         for goal_id in (goal.goal_id, GoalID.random(), goal.goal_id):
-            client_of(client.endpoint)._take_feedback((b"\0\1\0\0" + bytes(goal_id), b""))
+            client_of(client.endpoint)._followed.take_feedback((b"\0\1\0\0" + bytes(goal_id), b""))
     late = f"feedback of goal {goal.goal_id} arrived after its result, and is lost"
     assert [record.getMessage() for record in caplog.records] == [f"fibonacci: {late}"]
 

@@ -33,7 +33,7 @@ from fibaction_transports.ros2.goal_stream import RosGoalStream
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import NodeSettings, own_node
 from fibaction_transports.ros2.rcl import raw, rclpy_qos, uuid_of
-from fibaction_transports.ros2.status_list import info_of, unpack_statuses
+from fibaction_transports.ros2.status_bytes import info_of, lines_in, unpack_lines
 from fibaction_transports.ros2.waitable import Requests
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -364,7 +364,7 @@ async def test_a_request_that_arrives_after_the_tasks_have_ended_is_dropped(
         ):
             served = RosActionServer(ros, ServedEndpoint(server), EndSettings(), tasks)
             tasks.cancel_scope.cancel()  # as if trio had raised a Ctrl-C in one of them
-            goals = next(one for one in ros._waitable._sources if isinstance(one, Requests))
+            goals = next(one for one in ros.sources._sources if isinstance(one, Requests))
             goals._sink((None, None))
             await served.drain()
     assert [one.levelno for one in caplog.records if "one is lost" in one.message] == [logging.INFO]
@@ -512,7 +512,7 @@ async def test_every_status_of_a_goal_is_published_though_those_of_all_goals_are
     publish = RosActionServer._publish_status
 
     def record(self: Any, message: bytes) -> None:
-        published.append([info_of(line).status for line in unpack_statuses(message)])
+        published.append([info_of(line).status for line in unpack_lines(lines_in(message))])
         publish(self, message)
 
     async def never(self: Any) -> None:

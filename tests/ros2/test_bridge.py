@@ -15,8 +15,9 @@ import pytest
 from anyio.abc import Process
 from anyio.streams.buffered import BufferedByteReceiveStream
 
-from fibaction import ActionServer, GoalStatus, connect, serve
-from tests.fibonacci import FIBONACCI, Goal, fibonacci
+from fibaction import Action, ActionServer, ClientConnection, GoalStatus, connect, serve
+from fibaction.cli.bridge_ends import open_end
+from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.ports import free_port
 from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import PATIENCE, peer
@@ -102,3 +103,48 @@ async def test_a_server_without_ros_is_reached_by_a_client_of_rclpy(tmp_path: Pa
     assert answer == {"status": GoalStatus.SUCCEEDED, "sequence": [0, 1, 1, 2, 3]}
     # On a busy machine, a client of rclpy may take the result first, and drop later feedback.
     assert seen == [[0, 1, 1], [0, 1, 1, 2], [0, 1, 1, 2, 3]][: len(seen)]
+
+
+async def test_two_robots_without_ros_share_a_graph_by_their_namespaces(tmp_path: Path) -> None:
+    fleet, one, two = f"n{uuid.uuid4().hex}", f"unix://{tmp_path}/one", f"unix://{tmp_path}/two"
+    async with (
+        serve(ActionServer(FIBONACCI, fibonacci), one),
+        serve(ActionServer(FIBONACCI, fibonacci), two),
+        bridge(one, "ros2://", "--into", f"/{fleet}/robot1"),
+        bridge(two, f"ros2://?namespace=/{fleet}", "--into", "/robot2"),
+        peer("client") as stock,
+    ):
+        for robot in ("robot1", "robot2"):
+            sent = await stock.ask("send", action=f"/{fleet}/{robot}/fibonacci", order=2)
+            answer = await stock.ask("result", goal=sent["goal"])
+            assert answer == {"status": GoalStatus.SUCCEEDED, "sequence": [0, 1, 1]}
+
+
+async def test_actions_that_come_later_are_bridged_into_ros_and_those_that_leave_are_not(
+    tmp_path: Path,
+) -> None:
+    name, far = f"n{uuid.uuid4().hex}", f"unix://{tmp_path}/far"
+    later = Action(
+        "later", goal=Goal, feedback=Feedback, result=Result, type_name=FIBONACCI.type_name
+    )
+
+    async def listed(connection: ClientConnection, expected: set[str]) -> None:
+        with anyio.fail_after(PATIENCE):
+            while {info.name for info in await connection.actions()} != expected:  # noqa: ASYNC110
+                await anyio.sleep(0.1)
+
+    async with (
+        ActionServer(FIBONACCI, fibonacci) as one,
+        ActionServer(later, fibonacci) as other,
+        open_end(far) as server,
+    ):
+        await server.add(one)
+        async with (
+            bridge(far, f"ros2://?namespace=/{name}"),
+            connect(f"ros2://?namespace=/{name}") as near,
+        ):
+            await listed(near, {"fibonacci"})
+            await server.remove("fibonacci")
+            await server.add(other)
+            await listed(near, {"later"})
+            assert (await near.client(later).call(Goal(order=2))).sequence == [0, 1, 1]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from fibaction_transports.ros2.rcl import middleware
 from tests.ros2.conftest import DOMAIN, DOMAINS, claim_domain
 
 CONFTEST = Path(__file__).with_name("conftest.py")
@@ -25,6 +26,21 @@ def test_skips():
 @pytest.mark.xfail(reason="known")
 def test_fails_as_expected():
     assert False
+"""
+
+LEAVING = """
+import rclpy
+from rclpy.action import ActionServer
+from test_msgs.action import Fibonacci
+
+left = []
+
+def test_leaves_a_server():
+    rclpy.init()
+    node = rclpy.create_node("left")
+    left.append(ActionServer(node, Fibonacci, "left", print))
+    node.destroy_node()
+    rclpy.shutdown()
 """
 
 
@@ -95,6 +111,18 @@ def test_a_module_that_skips_itself_is_a_failure_where_ros_is_required(tmp_path:
 
     assert code == 2
     assert re.search("a skip is a failure.*no_such_module", said, re.DOTALL)
+
+
+@pytest.mark.skipif("fastrtps" not in middleware(), reason="the threads are those of Fast DDS")
+def test_a_node_that_a_test_leaves_in_the_graph_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "test_it.py").write_text(LEAVING)
+
+    code, said = run(tmp_path, required=True)
+
+    assert code == 1
+    assert "1 passed" in said
+    assert "1 error" in said
+    assert "assert 1 <= 0" in said
 
 
 @pytest.mark.parametrize("required", [True, False])

@@ -104,7 +104,7 @@ def taken(ros: Ros, time: Time) -> Callable[..., Any]:
 
     async def publish(messages: int = MANY) -> float:
         before = time.now
-        publish_one = topic.of(GoalID.random())
+        publish_one = topic.of(GoalID.random()).publish
         for _ in range(messages):
             await publish_one(b"feedback")
         return time.now - before

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from fibaction import ConnectionLost, GoalID, GoalInfo, GoalStatus, Outcome
@@ -34,6 +36,15 @@ async def test_unread_feedback_is_bounded_and_dropped_feedback_is_counted() -> N
     stream.fail(LOST)  # too late
     assert stream.take() == (stream.known_outcome(),)
     assert stream.dropped == 2
+
+
+@pytest.mark.parametrize("end", [RosGoalStream.end, RosGoalStream.set_outcome])
+async def test_a_result_that_comes_before_the_acceptance_is_the_end_all_the_same(end: Any) -> None:
+    stream = RosGoalStream(GoalID.random(), Undecoded(), 3, reads=True)
+    end(stream, Outcome(GoalStatus.SUCCEEDED, b""))
+    stream.begin(GoalInfo(stream.goal_id, 5, GoalStatus.ACCEPTED))
+    assert stream.status is GoalStatus.SUCCEEDED
+    assert stream.stamp == 5
 
 
 async def test_statuses_come_before_feedback_and_only_forward() -> None:

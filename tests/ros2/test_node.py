@@ -5,12 +5,16 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import AsyncGenerator
+from functools import partial
+from importlib import import_module
 from typing import Any
 
 import anyio
 import pytest
 
+from fibaction._tasks import Background
 from fibaction.exceptions import ConnectionLost, TransportError
+from fibaction_transports.ros2.mailbox import Mailbox
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import (
     NodeSettings,
@@ -20,6 +24,7 @@ from fibaction_transports.ros2.node import (
 )
 from fibaction_transports.ros2.rcl import (
     Context,
+    InvalidHandle,
     SingleThreadedExecutor,
     check_for_type_support,
     raw,
@@ -29,11 +34,15 @@ from fibaction_transports.ros2.rcl import (
     waitable,
 )
 from fibaction_transports.ros2.spinner import Spinner
-from fibaction_transports.ros2.waitable import RosWaitable
+from fibaction_transports.ros2.waitable import Messages, RosWaitable
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.ros2.stock.process import PATIENCE
 from tests.ros2.stock.telling import spin
+from tests.ros2.stock.waiting import eventually
 
 pytestmark = pytest.mark.anyio
+
+GoalStatusArray: Any = import_module("action_msgs.msg").GoalStatusArray
 
 
 def threads() -> set[threading.Thread]:
@@ -133,8 +142,6 @@ def shut_down_before_the_next_wait(monkeypatch: pytest.MonkeyPatch, context: Any
 
 
 async def test_a_handle_that_ros_does_not_allow_is_a_transport_error(ros: RosNode) -> None:
-    from action_msgs.msg import GoalStatusArray
-
     with pytest.raises(TransportError, match="1 a"):
         ros.make(raw.Publisher, GoalStatusArray, "1 a", rclpy_qos.QoSProfile(depth=1))
 
@@ -173,12 +180,113 @@ async def test_a_node_that_is_not_spun_can_be_used_and_left(ros: RosNode) -> Non
 
 async def test_a_spinner_may_be_stopped_twice(ros: RosNode) -> None:
     mine = rclpy.create_node("mine", context=ros.node.context)
-    spinner = Spinner(mine, ros.node.context, ros.lose_later)
+    spinner = Spinner(mine, RosWaitable(Mailbox(ros.wake)), ros.node.context, ros.lose_later)
     spinner.start()
     spinner.stop()
     spinner.stop()
     assert len(threads()) == 1  # the other's
     mine.destroy_node()
+
+
+async def test_what_rclpy_makes_at_the_node_is_served_too_and_can_be_destroyed(
+    ros: RosNode,
+) -> None:
+    seen: dict[str, threading.Thread] = {}
+    news = Mailbox(lambda: None)
+    told = anyio.Event()
+
+    def note(name: str) -> None:
+        seen[name] = threading.current_thread()
+        if len(seen) == 2:
+            news.put([(lambda _: told.set(), None)])
+
+    publisher = ros.node.create_publisher(GoalStatusArray, "mine", 1)
+
+    def publish_once() -> None:
+        note("timer")
+        publisher.publish(GoalStatusArray())
+
+    async with Background() as tasks:
+        tasks.start_soon(news.run)
+        timer = ros.node.create_timer(0.01, publish_once)
+        subscription = ros.node.create_subscription(
+            GoalStatusArray, "mine", lambda _: note("subscription"), 1
+        )
+        with anyio.fail_after(PATIENCE):
+            await told.wait()
+        assert set(seen.values()) == threads()
+        ros.node.destroy_timer(timer)
+        ros.node.destroy_subscription(subscription)
+        seen.clear()
+        told = anyio.Event()
+        others = [ros.node.create_timer(0.01, partial(note, name)) for name in ("one", "two")]
+        with anyio.fail_after(PATIENCE):
+            await told.wait()
+        for other in others:
+            ros.node.destroy_timer(other)
+    news.close()
+
+
+async def test_a_handle_that_is_being_destroyed_is_not_waited_for(
+    ros: RosNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked = threading.Event()
+
+    class Gone:
+        def __enter__(self) -> None:
+            looked.set()
+            raise InvalidHandle("gone")
+
+        def __exit__(self, *_: object) -> None:
+            """Do nothing: it was not entered."""
+
+    class Part:
+        handle = Gone()
+
+    monkeypatch.setattr(type(ros.node), "clients", [Part])
+    ros.wake()
+    assert await anyio.to_thread.run_sync(looked.wait, PATIENCE)
+    monkeypatch.undo()
+    assert len(threads()) == 1
+    assert ros.is_up
+
+
+async def test_the_thread_takes_nothing_while_the_mailbox_is_full_and_then_goes_on(
+    ros: RosNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paused = threading.Event()
+
+    def is_paused(sources: RosWaitable) -> bool:
+        if is_full := sources._mailbox.is_full:
+            paused.set()
+        return is_full
+
+    taken: list[Any] = []
+    told = anyio.Event()
+
+    def take(item: Any) -> None:
+        taken.append(item)
+        if len(taken) == 4:
+            told.set()
+
+    profile = rclpy_qos.QoSProfile(depth=10)
+    handle = ros.make(raw.Subscription, GoalStatusArray, "mine", profile)
+    ros.listen(Messages(handle, GoalStatusArray, take))
+    publisher = ros.node.create_publisher(GoalStatusArray, "mine", profile)
+    monkeypatch.setattr("fibaction_transports.ros2.mailbox.MAILBOX", 2)
+    monkeypatch.setattr(RosWaitable, "is_paused", property(is_paused))
+
+    async def readers() -> int:
+        count: int = publisher.get_subscription_count()
+        return count
+
+    await eventually(readers, bool)
+    for _ in range(3):
+        publisher.publish(GoalStatusArray())
+    assert paused.wait(PATIENCE)  # which stops the event loop, so that the mailbox stays full
+    publisher.publish(GoalStatusArray())
+    with anyio.fail_after(PATIENCE):
+        await told.wait()
 
 
 async def test_an_invalid_name_is_a_transport_error(ros: RosNode) -> None:

@@ -61,7 +61,7 @@ async def test_parameters_of_a_node_can_be_listed_read_and_set_while_it_serves()
 
 async def test_a_wake_up_without_a_request_is_ignored() -> None:
     async with own_node(NodeSettings()) as ros:
-        for source in ros._waitable._sources:
+        for source in ros.sources._sources:
             assert source.take() is None
 
 

@@ -41,7 +41,7 @@ def execute(handle: Any) -> Any:
 def stock(url: str) -> Generator[None, None, None]:
     """A stock server with best-effort feedback, and with statuses for no late subscriber."""
     with spun_node(url.partition("=")[2]) as node:
-        StockServer(
+        server = StockServer(
             node,
             Fibonacci,
             "fibonacci",
@@ -57,6 +57,7 @@ def stock(url: str) -> Generator[None, None, None]:
             ),
         )
         yield
+        server.destroy()  # the node does not, and would stay in the graph with it
 
 
 WRONG = (

@@ -7,12 +7,14 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import ActionServer, GoalHandle, GoalID, connect, serve
+from fibaction import ActionClient, ActionServer, GoalHandle, GoalID, connect, serve
 from fibaction.goals import GoalInfo
 from fibaction.states import GoalStatus
+from fibaction_transports.ros2 import followed_goals
+from fibaction_transports.ros2.action_client import RosActionClient
 from fibaction_transports.ros2.goal_stream import RosGoalStream
 from fibaction_transports.ros2.rivals import Rivals
-from fibaction_transports.ros2.status_list import pack_line, pack_statuses
+from fibaction_transports.ros2.status_bytes import pack_line, pack_statuses
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.ros2.ends import PATIENCE, Items, Undecoded, client_of, new_url, tells_publishers
@@ -25,6 +27,29 @@ WARNING = "there are 2 servers of this name, and each of them runs every goal"
 OF_ONE, OF_ALL = "feedback is taken of one server", "feedback comes from all of them"
 
 
+def tagged(tag: int, tags: dict[int, int]) -> ActionServer[Goal, Feedback, Result]:
+    """Make a server whose feedback is its tag, which it notes by the stamp of each goal."""
+
+    async def execute(goal: GoalHandle[Goal]) -> Items:
+        tags[goal.stamp] = tag
+        for _ in range(MESSAGES):
+            yield Feedback([tag])
+            await anyio.sleep(0.001)
+        yield Result([tag])
+
+    return ActionServer(FIBONACCI, execute)
+
+
+async def both_servers_of(client: ActionClient[Goal, Feedback, Result]) -> None:
+    """Wait until the client has found two servers."""
+    presence = client_of(client.endpoint).presence
+
+    async def servers() -> int:
+        return presence.is_there() + len(presence.servers())
+
+    await eventually(servers, lambda number: number == 3)
+
+
 @pytest.mark.parametrize("names", ["one name", "two names"])
 async def test_feedback_is_taken_of_the_server_that_accepted_the_goal_and_the_log_warns_once(
     names: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
@@ -33,31 +58,14 @@ async def test_feedback_is_taken_of_the_server_that_accepted_the_goal_and_the_lo
     tells = tells_publishers()
     url = new_url()
     tags: dict[int, int] = {}
-    """The feedback of each server, by the stamp that it gave the goal."""
-
-    def server(tag: int) -> ActionServer[Goal, Feedback, Result]:
-        async def execute(goal: GoalHandle[Goal]) -> Items:
-            tags[goal.stamp] = tag
-            for _ in range(MESSAGES):
-                yield Feedback([tag])
-                await anyio.sleep(0.001)
-            yield Result([tag])
-
-        return ActionServer(FIBONACCI, execute)
-
     first, second = ("robot", "robot") if names == "one name" else ("one", "two")
     with anyio.fail_after(PATIENCE):
         async with (
-            serve(server(1), url.replace("//", f"//{first}")),
-            serve(server(2), url.replace("//", f"//{second}")),
+            serve(tagged(1, tags), url.replace("//", f"//{first}")),
+            serve(tagged(2, tags), url.replace("//", f"//{second}")),
             connect(url, FIBONACCI) as client,
         ):
-            presence = client_of(client.endpoint).presence
-
-            async def servers() -> int:
-                return presence.is_there() + len(presence.servers())
-
-            await eventually(servers, lambda number: number == 3)
+            await both_servers_of(client)
             for _ in range(2):
                 goal = await client.send_goal(Goal(1))
                 await goal.outcome()
@@ -65,6 +73,38 @@ async def test_feedback_is_taken_of_the_server_that_accepted_the_goal_and_the_lo
                 assert tags[goal.stamp] in seen
                 assert len(seen) == 1 or not tells
     assert caplog.text.count(WARNING) == 1
+
+
+@pytest.mark.parametrize("lists", ["late", "lost"])
+async def test_feedback_waits_a_while_for_status_lists_that_come_after_the_result(
+    lists: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tells = tells_publishers()
+    if tells and lists == "late":
+        monkeypatch.setattr(followed_goals, "LATE", PATIENCE)
+    held: list[Any] = []
+    take = RosActionClient._take_statuses
+    monkeypatch.setattr(RosActionClient, "_take_statuses", lambda _, item: held.append(item))
+    url = new_url()
+    tags: dict[int, int] = {}
+
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(tagged(1, tags), url.replace("//", "//one")),
+            serve(tagged(2, tags), url.replace("//", "//two")),
+            connect(url, FIBONACCI) as client,
+        ):
+            await both_servers_of(client)
+            goal = await client.send_goal(Goal(1))
+            await goal.outcome()
+            if lists == "late":
+                while len({of for message, of in held if goal.goal_id in message}) < 1 + tells:
+                    await anyio.lowlevel.checkpoint()
+                for item in held:
+                    take(client_of(client.endpoint), item)
+            seen = {one.partial_sequence[0] async for one in goal.feedback}
+    assert tags[goal.stamp] in seen
+    assert len(seen) == 1 or not tells or lists == "lost"
 
 
 def test_unread_feedback_of_another_server_is_dropped_and_the_rest_numbered_anew() -> None:
@@ -138,8 +178,9 @@ async def test_the_server_with_the_nearest_stamp_has_the_goal() -> None:
     rivals.note(frozenset({one, two}), 2)
     rivals.note_list(one, listed(goal_id, 90))
     assert rivals.feedback_of(GoalID.random(), 100) == frozenset()
-    assert rivals.feedback_of(goal_id, 100) == {b"participant1fb.."}
-    assert rivals.feedback_of(goal_id, 100) == {b"participant1fb.."}  # kept, and not looked up
+    assert rivals.feedback_of(goal_id, 100) == frozenset()  # the other one may be nearer
+    assert rivals.feedback_of(goal_id, 90) == {b"participant1fb.."}
+    assert rivals.feedback_of(goal_id, 90) == {b"participant1fb.."}  # kept, and not looked up
     assert node.looks == 2
     rivals.note_list(two, listed(goal_id, 105))
     assert rivals.feedback_of(goal_id, 100) == {b"participant2fb.."}
@@ -161,7 +202,8 @@ async def test_without_participants_in_the_ids_the_nodes_tell_servers_apart() ->
     goal_id = GoalID.random()
 
     rivals.note(frozenset({one, two}), 1)
-    rivals.note_list(two, listed(goal_id, 100))
+    rivals.note_list(one, listed(goal_id, 90))
+    rivals.note_list(two, listed(goal_id, 101))
 
     assert rivals.feedback_of(goal_id, 100) == {b"defghijklmnopqrs"}
 

@@ -1,97 +1,36 @@
-"""The status list: as bytes, as a server publishes it, and as a client finds changes in it."""
+"""The status list, as a server publishes it, and as a client finds changes in it."""
 
 from __future__ import annotations
 
-from importlib import import_module
 from itertools import pairwise
-from typing import Any
 
 import anyio
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from fibaction import GoalID, GoalInfo, GoalStatus
-from fibaction.exceptions import ProtocolError
 from fibaction.states import TRANSITIONS
-from fibaction_transports.ros2.status_list import (
-    REPEAT,
-    PublishedStatuses,
-    ReceivedStatuses,
-    goal_of_feedback,
+from fibaction_transports.ros2.status_bytes import (
+    StatusLine,
     info_of,
+    lines_in,
     pack_line,
     pack_statuses,
-    unpack_statuses,
+    unpack_lines,
 )
+from fibaction_transports.ros2.status_list import REPEAT, PublishedStatuses, ReceivedStatuses
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio
 
-messages: Any = import_module("action_msgs.msg")
-serialization: Any = import_module("rclpy.serialization")
-
-ids = st.binary(min_size=16, max_size=16).map(GoalID)
-infos = st.builds(GoalInfo, ids, st.integers(0, 2**31 * 10**9 - 1), st.sampled_from(GoalStatus))
-lists = st.lists(infos, max_size=20, unique_by=lambda info: info.goal_id)
-
 ONE, TWO = GoalID(b"1" * 16), GoalID(b"2" * 16)
-
-
-def message_of(goals: list[GoalInfo]) -> Any:
-    """Return the same list as a message of rclpy."""
-    message = messages.GoalStatusArray()
-    for info in goals:
-        line = messages.GoalStatus(status=int(info.status))
-        line.goal_info.goal_id.uuid[:] = list(info.goal_id)
-        line.goal_info.stamp.sec, line.goal_info.stamp.nanosec = divmod(info.stamp, 10**9)
-        message.status_list.append(line)
-    return message
 
 
 def packed(*goals: GoalInfo) -> bytes:
     return pack_statuses(map(pack_line, goals))
 
 
-@given(lists)
-def test_ros_reads_the_lists_that_are_packed_here(goals: list[GoalInfo]) -> None:
-    read = serialization.deserialize_message(packed(*goals), messages.GoalStatusArray)
-    assert read == message_of(goals)
-
-
-@given(lists)
-def test_the_lists_that_ros_has_packed_are_read_here(goals: list[GoalInfo]) -> None:
-    lines = unpack_statuses(serialization.serialize_message(message_of(goals)))
-    assert [info_of(line) for line in lines] == goals
-
-
-def test_big_endian_lists_are_read_too() -> None:
-    message = bytes.fromhex("00000000 00000001") + ONE + bytes.fromhex("00000001 00000002 04")
-    (line,) = unpack_statuses(message)
-    assert info_of(line) == GoalInfo(ONE, 1_000_000_002, GoalStatus.SUCCEEDED)
-
-
-@given(st.binary(max_size=200))
-def test_any_bytes_are_a_list_or_a_protocol_error(message: bytes) -> None:
-    try:
-        for line in unpack_statuses(message):
-            info_of(line)
-    except ProtocolError:
-        pass
-
-
-def test_a_list_that_ends_too_early_is_a_protocol_error() -> None:
-    whole = packed(GoalInfo(ONE, 1, GoalStatus.ACCEPTED), GoalInfo(TWO, 2, GoalStatus.ACCEPTED))
-    for length in range(len(whole)):
-        with pytest.raises(ProtocolError, match=f"invalid status list of {length} bytes"):
-            unpack_statuses(whole[:length])
-
-
-def test_a_feedback_message_begins_with_its_goals_id() -> None:
-    interfaces: Any = import_module("arduinobot_msgs.action")
-    message = interfaces.Fibonacci.Impl.FeedbackMessage()
-    message.goal_id.uuid[:] = list(ONE)
-    assert goal_of_feedback(serialization.serialize_message(message)) == ONE
+def lines_of(message: bytes) -> list[StatusLine]:
+    return unpack_lines(lines_in(message))
 
 
 # What a server publishes
@@ -99,7 +38,7 @@ def test_a_feedback_message_begins_with_its_goals_id() -> None:
 
 class Published(list[list[GoalStatus]]):
     def __call__(self, message: bytes) -> None:
-        self.append([info_of(line).status for line in unpack_statuses(message)])
+        self.append([info_of(line).status for line in lines_of(message)])
 
 
 def test_changes_are_published_together_but_no_status_of_a_goal_is_left_out() -> None:
@@ -175,6 +114,15 @@ def test_the_first_list_is_what_there_is_and_later_ones_are_changes() -> None:
     assert known.update(packed(second)) == [second]
 
 
+def test_a_goal_that_a_list_has_twice_leaves_the_list_once() -> None:
+    known = ReceivedStatuses()
+    early, late = GoalInfo(ONE, 1, GoalStatus.ACCEPTED), GoalInfo(ONE, 1, GoalStatus.SUCCEEDED)
+    known.update(packed(early, late))
+    assert known.update(packed(late)) == [GoalInfo(ONE, 1, GoalStatus.UNKNOWN)]
+    assert known.update(packed()) == []
+    assert known.update(packed(early)) == [early]
+
+
 @pytest.mark.promise("STATUS-7")
 @pytest.mark.parametrize("before", GoalStatus)
 @pytest.mark.parametrize("after", GoalStatus)
@@ -188,11 +136,6 @@ def test_statuses_that_were_not_seen_are_filled_in_so_that_every_change_is_legal
     assert way[-1] is after
     if len(way) > 2 or (before.is_active and after > before):
         assert all(step in legal for step in pairwise(way))
-
-
-def test_an_invalid_status_is_a_protocol_error() -> None:
-    with pytest.raises(ProtocolError, match="invalid status list: 77"):
-        info_of((bytes(16), 0, 0, 77))
 
 
 async def repeated(
@@ -237,8 +180,8 @@ async def test_the_list_is_published_again_after_acceptances_and_once_for_many(
     lists, waits = await repeated(monkeypatch, goals[:50], goals[50:])
 
     assert waits == 2
-    assert [len(unpack_statuses(one)) for one in lists] == [50, 100, 100, 100]
-    assert {info_of(line) for line in unpack_statuses(lists[-1])} == set(goals)
+    assert [len(lines_of(one)) for one in lists] == [50, 100, 100, 100]
+    assert {info_of(line) for line in lines_of(lists[-1])} == set(goals)
 
 
 async def test_the_list_is_not_published_again_for_goals_that_have_ended(
@@ -250,4 +193,4 @@ async def test_the_list_is_not_published_again_for_goals_that_have_ended(
     lists, waits = await repeated(monkeypatch, [one, two], over)
 
     assert waits == 1
-    assert [len(unpack_statuses(one)) for one in lists] == [2, 1]
+    assert [len(lines_of(one)) for one in lists] == [2, 1]

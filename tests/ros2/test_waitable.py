@@ -119,6 +119,29 @@ async def test_items_of_any_thread_are_handled_on_the_loop_in_order() -> None:
     assert seen == [(number, threading.get_ident()) for number in range(1000)]
 
 
+async def test_an_item_that_is_added_just_before_the_loop_sleeps_is_handled() -> None:
+    done = anyio.Event()
+    box = Mailbox(nothing)
+    lock = box._lock
+
+    class HeldByAnother:
+        """A lock that another thread has held, to add an item."""
+
+        def __enter__(self) -> None:
+            box._items.append((lambda _: done.set(), None))
+
+        def __exit__(self, *_: object) -> None:
+            box._lock = lock
+
+    held: Any = HeldByAnother()
+    box._lock = held
+    async with Background() as tasks:
+        tasks.start_soon(box.run)
+        with anyio.fail_after(5):
+            await done.wait()
+    box.close()
+
+
 async def test_a_mailbox_that_was_emptied_while_it_was_found_full_is_not_full() -> None:
     class EmptiedMeanwhile(deque[Any]):
         def __len__(self) -> int:
@@ -205,8 +228,10 @@ def test_nothing_is_taken_while_the_mailbox_is_full() -> None:
     source = Fake(1)
     one.add(source)
     box.full = True
+    assert one.is_paused
     assert not spun(one, WaitSet(source))
     box.full = False
+    assert not one.is_paused
     assert spun(one, WaitSet(source))
     assert box.batches == [[1]]
     box.close()

@@ -17,8 +17,8 @@ the goal's feedback, its statuses and its result, because the server may send fe
 acceptance arrives.
 
 *The end of a goal* is the answer to the request for its result. `FollowedGoals` requests it when
-the goal is accepted, and again if the status list says that the goal has ended and the answer is
-missing.
+the goal is accepted, or with the goal if the only server is one of fibaction, and again if the
+status list says that the goal has ended and the answer is missing.
 
 *Statuses* come in lists of all goals. `ReceivedStatuses` finds what has changed. Streams of all
 statuses, and the streams of the goals, are told the changes.
@@ -31,12 +31,15 @@ after `LAST_WORDS` seconds for what is still on its way. A server that was start
 ID (GID) in the graph: goals that were accepted by servers that are all gone end likewise.
 
 *A loss on the way* is noticed only by what is missing: by a timeout (`ServiceClient`), or by the
-status list (`FollowedGoals`). Feedback that is lost is not noticed, as in every client of ROS;
-feedback that arrives after the result is logged.
+status list (`FollowedGoals`). Feedback that is late or lost is noticed at the end of the goal, if
+its server is one of fibaction, which tells how many messages there were (`ReceivedCounts`). The
+stream then waits a while for those that are missing. With another server, lost feedback is not
+noticed, as in every client of ROS; feedback that arrives after the result is logged.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import anyio
@@ -51,6 +54,7 @@ from fibaction.states import GoalStatus
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.conversion import stamp_of
 from fibaction_transports.ros2.end_settings import EndSettings
+from fibaction_transports.ros2.feedback_counts import ReceivedCounts
 from fibaction_transports.ros2.followed_goals import LATE, FollowedGoals
 from fibaction_transports.ros2.goal_stream import RosGoalStream
 from fibaction_transports.ros2.names import action_names
@@ -60,7 +64,7 @@ from fibaction_transports.ros2.rcl import raw, uuid_of
 from fibaction_transports.ros2.rivals import Rivals
 from fibaction_transports.ros2.service_client import ServiceCall, ServiceClient
 from fibaction_transports.ros2.stamps import FollowedStamps
-from fibaction_transports.ros2.status_list import ReceivedStatuses, goal_of_feedback
+from fibaction_transports.ros2.status_list import ReceivedStatuses
 from fibaction_transports.ros2.waitable import Messages
 
 QUEUE = 10
@@ -106,7 +110,14 @@ class RosActionClient:
         ros.introspect(settings.introspection, goals, cancels, results)
         self._goals = ServiceClient(goals, impl.SendGoalService)
         self._cancels = ServiceClient(cancels, impl.CancelGoalService)
-        self._followed = FollowedGoals(action, results, impl.GetResultService, self.known)
+        self._followed = FollowedGoals(
+            action,
+            results,
+            impl.GetResultService,
+            self.known,
+            is_reliable=qos.are_reliable(settings.feedback_qos),
+        )
+        self._counts = ReceivedCounts(ros, action, self._followed.take_count)
         self._undecided: list[RosGoalStream] = []
         self._subscriptions: list[StatusSubscription] = []
         self._listed_by: frozenset[bytes] = frozenset()
@@ -126,7 +137,7 @@ class RosActionClient:
         )
         ros.on_loss(self._fail)
         ros.listen(
-            Messages(feedback, impl.FeedbackMessage, self._take_feedback),
+            Messages(feedback, impl.FeedbackMessage, self._followed.take_feedback),
             Messages(status, impl.GoalStatusMessage, self._take_statuses),
             self._goals.source,
             self._cancels.source,
@@ -142,7 +153,9 @@ class RosActionClient:
             GoalRejected, ServerNotFound, ConnectionLost: See `Endpoint.send_goal`.
         """
         await self.presence.needed()
-        self._rivals.note(self.presence.servers(), self.presence.count())
+        servers = self.presence.servers()
+        self._rivals.note(servers, self.presence.count())
+        stream.is_counted = self._counts.come_from(servers)
         request = self.impl.SendGoalService.Request()
         request.goal_id.uuid = uuid_of(stream.goal_id)
         request.goal = goal
@@ -153,15 +166,22 @@ class RosActionClient:
             stream.begin(GoalInfo(info.goal_id, info.stamp, GoalStatus.ACCEPTED))
             if (now := self.known.get(stream.goal_id)) is not None:
                 stream.set_status(now.status)
-            self._choose_server(stream)
-            self._followed.request_result(stream)
+            stream.awaits_server = self._rivals.can_be_told_apart
+            self._choose_servers([stream])
+            if not stream.requests:
+                self._followed.request_result(stream)
         except BaseException:
             self._followed.remove(stream)
             raise
 
     async def _accepted(self, stream: RosGoalStream, request: Any) -> GoalInfo:
         goal_id = stream.goal_id
-        with ServiceCall(self._goals, request) as call:
+
+        def sent() -> None:
+            if stream.is_counted:  # so its server is one of fibaction
+                stream.early_request = self._followed.request_result(stream)
+
+        with ServiceCall(self._goals, request, sent) as call:
             self._pending.notify()
             while not await call.attempt():
                 # If it was the answer that was lost, the goal is in the list.
@@ -251,25 +271,17 @@ class RosActionClient:
         if statuses in self._subscriptions:
             self._subscriptions.remove(statuses)
 
-    def _choose_server(self, stream: RosGoalStream) -> None:
-        """Take the feedback of the goal from one server, if there are several."""
-        if stream.has_begun:
-            stream.take_from(self._rivals.feedback_of(stream.goal_id, stream.ros_stamp))
+    def _choose_servers(self, streams: Iterable[RosGoalStream]) -> None:
+        """Take the feedback of each accepted goal from one server, if there are several."""
+        for stream in streams:
+            publishers = self._rivals.feedback_of(stream.goal_id, stream.ros_stamp)
+            self._followed.take_from(stream, publishers)
 
     def _follow(self, stream: RosGoalStream) -> None:
         self._followed.add(stream)
         self._pending.notify()
 
     # Messages
-
-    def _take_feedback(self, item: tuple[bytes, bytes]) -> None:
-        message, publisher = item
-        goal_id = goal_of_feedback(message)
-        streams = self._followed.of(goal_id)
-        if not streams:
-            self._followed.warn_of_late_feedback(goal_id)
-        for stream in streams:
-            stream.add_feedback(message, publisher)
 
     def _take_statuses(self, item: tuple[bytes, bytes]) -> None:
         message, publisher = item
@@ -281,9 +293,10 @@ class RosActionClient:
             streams = self._followed.of(info.goal_id)
             for stream in streams:
                 stream.set_status(info.status)
-                self._choose_server(stream)
             if streams and not info.status.is_active:
                 self._followed.expect_result(info.goal_id, LATE)
+        shared = self._followed if self._rivals.can_be_told_apart else ()
+        self._choose_servers(stream for stream in shared if stream.has_begun)
         self._listed.notify()
         for stream in self._undecided:
             if (now := self.known.get(stream.goal_id)) is not None and now.status.is_active:
@@ -300,6 +313,7 @@ class RosActionClient:
             if self._is_pending():
                 await self._look_for_server()
             self._followed.retry_overdue()
+            self._followed.finish_overdue()
 
     async def _look_for_server(self) -> None:
         if self.presence.is_there():

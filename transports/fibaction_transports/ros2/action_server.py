@@ -14,9 +14,10 @@ it is rejected, as rcl_action does it.
 
 *Each goal* has a `GoalForwarder`, which follows the endpoint's stream of the goal. It publishes the
 feedback on the `FeedbackTopic`, updates the status list, and answers requests for the result. The
-order is: the acceptance is answered, then feedback is published, then the terminal status, then the
-result. For a goal that did not come through ROS, for instance over another transport, a forwarder
-is started when the stream of all statuses tells of it.
+order is: the acceptance is answered, then feedback is published, then the number of its messages
+(`PublishedCounts`, for clients of fibaction), then the terminal status, then the result. For a goal
+that did not come through ROS, for instance over another transport, a forwarder is started when the
+stream of all statuses tells of it.
 
 *Statuses* come from two sources: from the stream of each goal, and from the endpoint's stream of
 all statuses, which may be read later. `PublishedStatuses` ignores what is older than what it has.
@@ -56,7 +57,8 @@ from fibaction_transports.ros2.conversion import (
     stamp_of,
 )
 from fibaction_transports.ros2.end_settings import EndSettings
-from fibaction_transports.ros2.feedback_topic import FeedbackTopic
+from fibaction_transports.ros2.feedback_counts import PublishedCounts
+from fibaction_transports.ros2.feedback_topic import FeedbackTopic, GoalFeedback
 from fibaction_transports.ros2.goal_forwarder import GoalForwarder
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node import RosNode
@@ -64,7 +66,8 @@ from fibaction_transports.ros2.rcl import raw
 from fibaction_transports.ros2.rivals import warn_of_rivals
 from fibaction_transports.ros2.service_server import ServiceServers
 from fibaction_transports.ros2.stamps import ServedStamps
-from fibaction_transports.ros2.status_list import PublishedStatuses, pack_statuses
+from fibaction_transports.ros2.status_bytes import pack_statuses
+from fibaction_transports.ros2.status_list import PublishedStatuses
 
 NO_GOAL = bytes(16)
 DRAIN_TIMEOUT = 5.0
@@ -123,6 +126,8 @@ class RosActionServer:
         cancels = make(raw.Service, impl.CancelGoalService, full.cancel_goal, profile)
         results = make(raw.Service, impl.GetResultService, full.get_result, profile)
         self._ros.introspect(settings.introspection, goals, cancels, results)
+        # Before the rest: a client that knows the server then knows that it publishes these, too.
+        self._counts = PublishedCounts(self._ros, self._name)
         self._feedback = FeedbackTopic(
             self._ros, self._name, full, impl.FeedbackMessage, self._codecs.feedback, settings
         )
@@ -233,6 +238,11 @@ class RosActionServer:
 
     async def _answer_result(self, request: Any) -> Any:
         goal_id = goal_id_of(request.goal_id)
+        if goal_id not in self._forwarders:
+            # Clients of fibaction send this right after the goal itself, which is to begin first.
+            await anyio.lowlevel.checkpoint()
+            while goal_id in self._deciding and goal_id not in self._forwarders:
+                await self._progress.wait()
         forwarder = self._forwarders.get(goal_id)
         if forwarder is not None:
             return await forwarder.answer()
@@ -260,13 +270,16 @@ class RosActionServer:
 
     def _forward(self, stream: GoalStream) -> None:
         goal_id = stream.goal_id
-        forwarder = GoalForwarder(stream, self._feedback.of(goal_id), self._update)
+        feedback = self._feedback.of(goal_id)
+        forwarder = GoalForwarder(stream, feedback.publish, self._update)
         self._forwarders[goal_id] = forwarder
         self._tasks.start_soon(
-            self._run_forwarder, goal_id, forwarder, name=f"goal of {self._name}"
+            self._run_forwarder, goal_id, forwarder, feedback, name=f"goal of {self._name}"
         )
 
-    async def _run_forwarder(self, goal_id: GoalID, forwarder: GoalForwarder) -> None:
+    async def _run_forwarder(
+        self, goal_id: GoalID, forwarder: GoalForwarder, feedback: GoalFeedback
+    ) -> None:
         try:
             # A client that does not know of the goal yet would ignore its feedback.
             while goal_id in self._deciding:
@@ -280,6 +293,7 @@ class RosActionServer:
                 self._ros.warn(
                     f"{self._name}: goal {goal_id} {outcome.status.name}: {outcome.reason}"
                 )
+            self._counts.publish(goal_id, feedback.count)
             response = self._result(goal_id, outcome)
             status = GoalStatus(response.status)
             if status.is_terminal:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable
 from typing import Any
 
 import anyio
@@ -31,8 +30,8 @@ FIRST_PACE = 0.5
 PIECES = 10
 """The number of pieces in which half a queue is sent, each in its share of the time. On a busy
 machine, the middleware drops a part of a long burst, and sends it again: that feedback arrives
-after the result, and is lost. A tenth was small enough with Fast DDS, and is still many messages
-for each wait."""
+after the result, and only clients of fibaction wait for it. A tenth was small enough with Fast DDS,
+and is still many messages for each wait."""
 
 
 class FeedbackTopic:
@@ -65,35 +64,33 @@ class FeedbackTopic:
         self._known: frozenset[bytes] = frozenset()
         """The readers at the last look, as ROS identifies them (by GIDs)."""
 
-    def of(self, goal_id: GoalID) -> Callable[[bytes], Awaitable[None]]:
-        """Return a function that publishes a goal's feedback.
-
-        Feedback that does not fit its ROS type is left out, with one error for each goal in ROS's
-        log. The goal goes on: its executor has already continued.
-        """
+    def of(self, goal_id: GoalID) -> GoalFeedback:
+        """Return the feedback of a goal, which has yet to be published."""
         message = self._type()
         message.goal_id.uuid = uuid_of(goal_id)
-        told = begun = False
+        return GoalFeedback(self, goal_id, message)
 
-        async def publish(payload: bytes) -> None:
-            nonlocal told, begun
-            try:
-                message.feedback = self._codec.to_ros(payload)
-            except ProtocolError as exc:
-                if not told:
-                    told = True
-                    self._ros.complain(
-                        f"{self._action}: feedback of goal {goal_id} does not fit its ROS type,"
-                        f" and is left out: {exc}"
-                    )
-                return
-            if not begun:
-                begun = True
-                await self._all_matched()
-            await self._keep_pace()
-            self._ros.attempt(self._publisher.publish, message)
+    def convert(self, payload: bytes) -> Any:
+        """Return feedback as its ROS type.
 
-        return publish
+        Raises:
+            ProtocolError: It does not fit.
+        """
+        return self._codec.to_ros(payload)
+
+    def complain(self, goal_id: GoalID, error: ProtocolError) -> None:
+        """Write to ROS's log that feedback of a goal does not fit its ROS type."""
+        self._ros.complain(
+            f"{self._action}: feedback of goal {goal_id} does not fit its ROS type, and is left"
+            f" out: {error}"
+        )
+
+    async def publish(self, message: Any, *, is_first: bool) -> None:
+        """Publish a message when its turn has come; the first of a goal waits for new readers."""
+        if is_first:
+            await self._all_matched()
+        await self._keep_pace()
+        self._ros.attempt(self._publisher.publish, message)
 
     async def _all_matched(self) -> None:
         """Wait for new subscribers to be connected. They never get what is published before."""
@@ -149,3 +146,31 @@ class FeedbackTopic:
                 pace = FIRST_PACE
             self._count, self._due = 0, now + pace * self._piece / self._half
         self._count += 1
+
+
+class GoalFeedback:
+    """The feedback of one goal, on its way to the topic."""
+
+    def __init__(self, topic: FeedbackTopic, goal_id: GoalID, message: Any) -> None:
+        self.count = 0
+        """The number of messages that were published."""
+        self._topic = topic
+        self._goal_id = goal_id
+        self._message = message
+        self._has_complained = False
+
+    async def publish(self, payload: bytes) -> None:
+        """Publish feedback.
+
+        Feedback that does not fit its ROS type is left out, with one error for each goal in ROS's
+        log. The goal goes on: its executor has already continued.
+        """
+        try:
+            self._message.feedback = self._topic.convert(payload)
+        except ProtocolError as exc:
+            if not self._has_complained:
+                self._has_complained = True
+                self._topic.complain(self._goal_id, exc)
+            return
+        self.count += 1
+        await self._topic.publish(self._message, is_first=self.count == 1)

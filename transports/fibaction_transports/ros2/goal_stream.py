@@ -40,8 +40,12 @@ class GoalDecoder(ABC):
 class RosGoalStream(GoalStream):
     """One goal at a server of ROS.
 
-    Feedback is numbered here, as it arrives: ROS has no numbers, so feedback that is lost on the
-    way is not noticed. Unread feedback is kept up to a limit; then the oldest is dropped.
+    Feedback is numbered here, as it arrives: ROS has no numbers. Feedback that is lost on the way
+    is noticed at the end, if the server tells how many messages there were. Unread feedback is kept
+    up to a limit; then the oldest is dropped.
+
+    The outcome is known as soon as the result has arrived. It ends the feedback, too, unless some
+    of it may still arrive: then the feedback ends with `finish`.
     """
 
     def __init__(self, goal_id: GoalID, decoder: GoalDecoder, depth: int, *, reads: bool) -> None:
@@ -54,10 +58,17 @@ class RosGoalStream(GoalStream):
         self.decoder = decoder
         self.requests: list[int] = []
         """The numbers of the requests for its result."""
+        self.early_request: int | None = None
+        """The number of the one that was sent before the goal was accepted; None if none was."""
         self.resumed = 0
         """The number of those that were sent because the server had been silent."""
         self.servers: frozenset[bytes] = frozenset()
         """The servers at the time when it was accepted: one of them has the goal."""
+        self.is_counted = False
+        """True if the server tells the number of the goal's feedback messages, all of which were
+        published since this stream has followed the goal."""
+        self.awaits_server = False
+        """True if several servers run the goal, and it is not yet known whose feedback to take."""
         self.news = Notifier()
         self.reads = reads
         self._items: deque[tuple[FeedbackItem, bytes]] = deque(maxlen=depth)
@@ -65,7 +76,9 @@ class RosGoalStream(GoalStream):
         self._statuses: deque[GoalStatus] = deque()
         self._status = GoalStatus.UNKNOWN
         self._received = 0
+        self._total: int | None = None
         self._delivered = 0
+        self._is_finished = False
         self._outcome: Outcome[bytes] | None = None
         self._error: ActionError | None = None
 
@@ -85,13 +98,24 @@ class RosGoalStream(GoalStream):
     @property
     def is_over(self) -> bool:
         """True if nothing more will arrive."""
-        return self._outcome is not None or self._error is not None
+        return self._is_finished or self._error is not None
+
+    @property
+    def missing(self) -> int | None:
+        """The number of feedback messages that have yet to arrive; None if it is not yet known."""
+        if self.reads and self.awaits_server:
+            return None
+        if not (self.reads and self.is_counted):
+            return 0
+        return None if self._total is None else max(0, self._total - self._received)
 
     # What has arrived
 
     def begin(self, info: GoalInfo) -> None:
         """Note that the server has accepted the goal, and when."""
-        self.stamp, self._status = info.stamp, info.status
+        self.stamp = info.stamp
+        if self._outcome is None and self._error is None:  # the result may have been faster
+            self._status = info.status
         self.news.notify()
 
     def add_feedback(self, message: bytes, publisher: bytes = b"") -> None:
@@ -109,6 +133,7 @@ class RosGoalStream(GoalStream):
         """
         if publishers and publishers != self._publishers:
             self._publishers = publishers
+            self.awaits_server = False
             before = self._received - len(self._items)
             kept = [item for item in self._items if self._is_of_its_server(item[1])]
             self._items.clear()
@@ -119,6 +144,11 @@ class RosGoalStream(GoalStream):
     def _is_of_its_server(self, publisher: bytes) -> bool:
         return not (self._publishers and publisher) or publisher in self._publishers
 
+    def set_total(self, total: int) -> None:
+        """Note the number of feedback messages that the server has published in all."""
+        if self.is_counted:
+            self._total = total
+
     def set_status(self, status: GoalStatus) -> None:
         """Set the status, unless it is an earlier one: statuses only ever grow."""
         if self.has_begun and status > self._status:
@@ -127,15 +157,29 @@ class RosGoalStream(GoalStream):
                 self._statuses.append(status)
                 self.news.notify()
 
-    def end(self, outcome: Outcome[bytes]) -> None:
-        """End the stream with the goal's outcome."""
-        if not self.is_over:
+    def set_outcome(self, outcome: Outcome[bytes]) -> None:
+        """Note the goal's outcome. Its feedback goes on until `finish`."""
+        if self._outcome is None and self._error is None:
             self._outcome = outcome
             self._status = outcome.status
             self.news.notify()
 
+    def finish(self) -> None:
+        """End the stream with the outcome: no more feedback is waited for."""
+        if self._outcome is not None:
+            self._is_finished = True
+            self.news.notify()
+
+    def end(self, outcome: Outcome[bytes]) -> None:
+        """End the stream with the goal's outcome."""
+        self.set_outcome(outcome)
+        self.finish()
+
     def fail(self, error: ActionError) -> None:
-        """End the stream with an error, because the rest will not arrive or cannot be decoded."""
+        """End the stream with an error, because the rest will not arrive or cannot be decoded; with
+        the outcome, if only feedback is missing.
+        """
+        self.finish()
         if not self.is_over:
             self._error = error
             self.news.notify()
@@ -148,10 +192,10 @@ class RosGoalStream(GoalStream):
         if self._items:
             return [self._next_feedback() for _ in range(min(limit, len(self._items)))]
         self._raise_error()
-        if self._outcome is None:
+        if self._outcome is None or (self.reads and not self._is_finished):
             return ()
         if self.reads:
-            self.cursor = self._received
+            self.cursor = self._received + (self.missing or 0)
         return (self._outcome,)
 
     def _next_feedback(self) -> FeedbackItem:

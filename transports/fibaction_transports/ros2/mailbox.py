@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -10,8 +9,10 @@ from threading import Lock
 from typing import Any, TypeAlias
 
 import anyio
+from anyio.lowlevel import EventLoopToken, current_token
 
 from fibaction._log import clean_logger
+from fibaction._notify import Notifier
 
 MAILBOX = 20_000
 """Items that may wait for the event loop. With more, nothing is taken, and messages wait in the
@@ -28,8 +29,7 @@ logger = clean_logger("fibaction.ros2")
 class Mailbox:
     """A queue of items for the event loop, filled by any thread.
 
-    One byte in a pair of sockets wakes the event loop, be it asyncio's or trio's, for all items
-    that wait.
+    The event loop is woken once for all items that wait, be it asyncio's or trio's.
     """
 
     def __init__(self, room: Callable[[], None]) -> None:
@@ -37,11 +37,10 @@ class Mailbox:
         self._room = room
         self._items: deque[tuple[Sink, Any]] = deque()
         self._lock = Lock()
-        self._awake = False
+        self._news = Notifier()
+        self._token: EventLoopToken | None = None
+        """The event loop while it sleeps until there are items; None otherwise."""
         self._full = False
-        self._reader, self._writer = socket.socketpair()
-        self._reader.setblocking(False)
-        self._writer.setblocking(False)
 
     @property
     def is_full(self) -> bool:
@@ -54,25 +53,27 @@ class Mailbox:
         """Add items, from any thread."""
         self._items.extend(items)
         with self._lock:
-            if self._awake:
-                return
-            self._awake = True
-            with suppress(OSError):  # the mailbox is closed
-                self._writer.send(b"\0")
+            token, self._token = self._token, None
+            if token is not None:
+                with suppress(RuntimeError):  # the event loop has ended
+                    token.backend_class.run_sync_soon(self._news.notify, (), token.native_token)
 
     async def run(self) -> None:
         """Handle items until canceled."""
+        here = current_token()
         while True:
-            await anyio.wait_readable(self._reader)
-            with self._lock:
-                self._reader.recv(16)
-                self._awake = False
             while self._items:
                 self._handle_some()
                 if self._full and len(self._items) < MAILBOX // 2:
                     self._full = False
                     self._room()
-                await anyio.lowlevel.checkpoint()
+                if self._items:
+                    await anyio.lowlevel.checkpoint()
+            with self._lock:
+                if self._items:
+                    continue  # they were added just now
+                self._token = here
+            await self._news.wait()
 
     def _handle_some(self) -> None:
         for _ in range(min(len(self._items), TURN)):
@@ -84,6 +85,6 @@ class Mailbox:
 
     def close(self) -> None:
         """Drop all items, and handle no more."""
+        with self._lock:
+            self._token = None
         self._items.clear()
-        self._reader.close()
-        self._writer.close()

@@ -61,7 +61,8 @@ class RosNode:
         self.clock = NodeClock(node)
         self._logger = node.get_logger()
         self._mailbox = Mailbox(self.wake)
-        self._waitable = RosWaitable(self._mailbox)
+        self.sources = RosWaitable(self._mailbox)
+        """The sources of fibaction at this node."""
         self._handles: list[Any] = []
         self._lost: list[Callable[[ConnectionLost], None]] = []
         self.error: ConnectionLost | None = None
@@ -142,9 +143,9 @@ class RosNode:
         for handle in handles:
             handle.configure_introspection(self.node.get_clock().handle, profile, state)
 
-    def listen(self, *sources: Source) -> None:
+    def listen(self, *sources: Source, first: bool = False) -> None:
         """Take what arrives at these sources: see `RosWaitable.add`."""
-        self._waitable.add(*sources)
+        self.sources.add(*sources, first=first)
         self.wake()
 
     def on_loss(self, call: Callable[[ConnectionLost], None]) -> None:
@@ -180,19 +181,19 @@ class RosNode:
         await self._mailbox.run()
 
     def start(self) -> None:
-        """Let the node's executor take what arrives."""
-        self.node.add_waitable(self._waitable)
+        """Let the executor of a user's node take what arrives."""
+        self.node.add_waitable(self.sources)
 
     def close(self) -> None:
         """Destroy all handles; those that an executor waits for are destroyed when it wakes."""
         with suppress(ValueError):
-            self.node.remove_waitable(self._waitable)
+            self.node.remove_waitable(self.sources)
         self.clock.close()
         self._destroy()
         self._mailbox.close()
 
     def _destroy(self) -> None:
-        self._waitable.clear()
+        self.sources.clear()
         for handle in reversed(self._handles):
             handle.destroy_when_not_in_use()
         self._handles.clear()
@@ -214,9 +215,8 @@ async def own_node(settings: NodeSettings) -> AsyncGenerator[RosNode, None]:
     except Exception as exc:  # rclpy raises whatever rcl says
         context.try_shutdown()
         raise TransportError(f"cannot make the ROS node {name!r}: {exc}") from exc
-    spinner = Spinner(ros.node, context, ros.lose_later)
+    spinner = Spinner(ros.node, ros.sources, context, ros.lose_later)
     try:
-        ros.start()
         spinner.start()
         async with Background() as tasks:
             tasks.start_soon(ros.run, name="ros2 mailbox")

@@ -1,8 +1,8 @@
 """The services of a node's parameters, for `ros2 param`.
 
-rclpy makes them and answers their requests. But rclpy's executor collects every service of a node
-in Python each time that it wakes, which slowed goals down by some 15 %. So they are taken from the
-node, and waited for together with everything else.
+rclpy makes them, and its executor would answer their requests. But a `Spinner` does without that
+executor, except for what is rclpy's own. So they are taken from the node, and their requests are
+taken together with everything else.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from fibaction_transports.ros2.waitable import Source
 
 
 class ParameterRequests(Source):
-    """The requests to one of the services. They are answered in the thread that rclpy spins."""
+    """The requests to one of the services. They are answered in the thread that spins the node."""
 
     kind = "service"
 

@@ -17,6 +17,9 @@ and a lost request is noticed only by its missing answer."""
 STATUS_DEPTH = 100
 """Status lists that may wait to be taken. rcl_action's 1 hides all but the last."""
 
+COUNT_DEPTH = 100
+"""Numbers of feedback messages that are kept for a client that is connected later."""
+
 _RELIABILITY, _DURABILITY = rclpy_qos.ReliabilityPolicy, rclpy_qos.DurabilityPolicy
 _WORDS: dict[str, tuple[str, Any]] = {
     "reliable": ("reliability", _RELIABILITY.RELIABLE),
@@ -43,6 +46,12 @@ def policies(text: str) -> dict[str, Any]:
     return found
 
 
+def are_reliable(words: str) -> bool:
+    """Return whether the middleware sends lost messages again, which is the default."""
+    best_effort: bool = policies(words).get("reliability") == _RELIABILITY.BEST_EFFORT
+    return not best_effort
+
+
 def services(words: str = "") -> Any:
     """Return the quality of service of the three services."""
     return _profile(words, depth=REQUEST_DEPTH)
@@ -61,6 +70,11 @@ def published_status(lease: float, words: str = "") -> Any:
 def subscribed_status(words: str = "") -> Any:
     """Return that of the subscription to the status topic."""
     return _profile(words, depth=STATUS_DEPTH, durability=_DURABILITY.TRANSIENT_LOCAL)
+
+
+def counts() -> Any:
+    """Return the quality of service of the topic with the numbers of feedback messages."""
+    return _profile("", depth=COUNT_DEPTH, durability=_DURABILITY.TRANSIENT_LOCAL)
 
 
 def liveliness(lease: float) -> Any:

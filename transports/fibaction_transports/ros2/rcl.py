@@ -15,10 +15,10 @@ rclpy: Any = import_module("rclpy")
 Context: Any = import_module("rclpy.context").Context
 JumpThreshold: Any = import_module("rclpy.clock").JumpThreshold
 Duration: Any = import_module("rclpy.duration").Duration
-Future: Any = import_module("rclpy.task").Future
+GuardCondition: Any = import_module("rclpy.guard_condition").GuardCondition
 ParameterService: Any = import_module("rclpy.parameter_service").ParameterService
 ReentrantCallbackGroup: Any = import_module("rclpy.callback_groups").ReentrantCallbackGroup
-SignalHandlerOptions: Any = import_module("rclpy.signals").SignalHandlerOptions
+SingleThreadedExecutor: Any = import_module("rclpy.executors").SingleThreadedExecutor
 check_for_type_support: Any = import_module("rclpy.type_support").check_for_type_support
 deserialize: Any = import_module("rclpy.serialization").deserialize_message
 rclpy_qos: Any = import_module("rclpy.qos")
@@ -26,9 +26,9 @@ validate_namespace: Any = import_module("rclpy.validate_namespace").validate_nam
 validate_node_name: Any = import_module("rclpy.validate_node_name").validate_node_name
 waitable: Any = import_module("rclpy.waitable")
 
-_executors: Any = import_module("rclpy.executors")
-SingleThreadedExecutor: Any = _executors.SingleThreadedExecutor
-ExternalShutdownException: Any = _executors.ExternalShutdownException
+_signals: Any = import_module("rclpy.signals")
+SignalHandlerGuardCondition: Any = _signals.SignalHandlerGuardCondition
+SignalHandlerOptions: Any = _signals.SignalHandlerOptions
 
 raw: Any = import_module("rclpy.impl.implementation_singleton").rclpy_implementation
 """Raw handles, without rclpy's classes: `Service`, `Client`, `Publisher`, `Subscription`."""
@@ -39,6 +39,7 @@ middleware: Any = rclpy.get_rmw_implementation_identifier
 LIVELINESS_CHANGED: Any = raw.rcl_subscription_event_type_t.RCL_SUBSCRIPTION_LIVELINESS_CHANGED
 
 GoalInfoMessage: Any = import_module("action_msgs.msg").GoalInfo
+ParameterMessage: Any = import_module("rcl_interfaces.msg").Parameter
 
 _numpy: Any = import_module("numpy")
 

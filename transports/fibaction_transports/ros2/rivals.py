@@ -17,7 +17,7 @@ from anyio import current_time
 from fibaction._log import clean_logger
 from fibaction_transports.ros2.names import ActionNames
 from fibaction_transports.ros2.node import RosNode
-from fibaction_transports.ros2.status_list import stamps_of
+from fibaction_transports.ros2.status_bytes import stamps_of
 
 RIVALS_PAUSE = 1.0
 """Seconds between two looks of a server for a second one of the same name."""
@@ -93,19 +93,26 @@ class Rivals:
         if len(self._servers) > 1 and server in self._servers:
             self._stamps[server] = stamps_of(message)
 
+    @property
+    def can_be_told_apart(self) -> bool:
+        """True if there are several servers, and messages tell which of them has sent them."""
+        return len(self._servers) > 1 and self._has_publishers
+
     def feedback_of(self, goal_id: bytes, stamp: int) -> frozenset[bytes]:
         """Return the publishers of the feedback of the server that has accepted the goal with this
-        stamp; none if that is not known, or if there is only one server.
+        stamp; none if that is not known yet, or if there is only one server.
         """
-        best: bytes | None = None
-        least: float = math.inf
-        for server, stamps in self._stamps.items():
-            distance = abs(stamps.get(goal_id, math.inf) - stamp)
-            if distance < least:
-                best, least = server, distance
-        if best is None or len(self._servers) < 2:
+        distances = {
+            server: abs(stamps[goal_id] - stamp)
+            for server, stamps in self._stamps.items()
+            if goal_id in stamps
+        }
+        if not distances or len(self._servers) < 2:
             return frozenset()
-        if best not in self._feedback:
+        best = min(distances, key=distances.__getitem__)
+        if len(distances) == 1 and distances[best]:
+            return frozenset()  # another server may soon list the goal, with a nearer stamp
+        if not self._feedback.get(best):
             self._feedback[best] = self._ros.attempt(self._publishers, best, otherwise=frozenset())
         return self._feedback[best]
 

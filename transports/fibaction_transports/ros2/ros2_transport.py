@@ -52,6 +52,8 @@ _USUAL = {"namespace": "", **msgspec.structs.asdict(EndSettings())}
 class Ros2Transport(Transport):
     """The actions of a ROS graph."""
 
+    shares_address = True
+
     def __init__(
         self,
         node_name: str | None = None,

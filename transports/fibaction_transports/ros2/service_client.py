@@ -6,6 +6,7 @@ wait for an answer at a time, and a request is sent again if its answer does not
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import anyio
@@ -24,11 +25,15 @@ retry, because a server may just be slow to decide."""
 class ServiceCall:
     """One call of a service: a request, sent once or several times, and its latest answer."""
 
-    def __init__(self, client: ServiceClient, request: Any) -> None:
+    def __init__(
+        self, client: ServiceClient, request: Any, after: Callable[[], None] = lambda: None
+    ) -> None:
+        """`after` is called when the request has been sent for the first time."""
         self.tries = 0
         self.response: Any = None
         self._client = client
         self._request = request
+        self._after = after
         self._numbers: list[int] = []
         self._news = Notifier()
         self._timeout = FIRST_TIMEOUT
@@ -60,6 +65,8 @@ class ServiceCall:
         self._is_due = False
         self.tries += 1
         self._numbers.append(self._client.send(self._request, self))
+        if self.tries == 1:
+            self._after()
         timeout, self._timeout = self._timeout, min(2 * self._timeout, LONGEST_TIMEOUT)
         return await self.wait(timeout)
 

@@ -1,42 +1,34 @@
-"""The status list of an action server: published, received, and as bytes.
+"""The status list of an action server, published and received.
 
 Every message of the status topic lists all goals that the server remembers. `PublishedStatuses`
 decides at the server when a list is sent. `ReceivedStatuses` finds at the client what has changed
 since the list before.
-
-The bytes are those of CDR, the encoding that all middlewares of ROS 2 use. They are read and
-written here, because rclpy makes some four Python objects, one of them of numpy, for each line of
-a list, and a list is sent at every change of every goal: with some hundred goals, that would be
-most of the work.
 """
 
 from __future__ import annotations
 
-import struct
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, TypeAlias
+from collections.abc import Callable, Iterator
 
 import anyio
 
 from fibaction._notify import Notifier
-from fibaction.exceptions import ProtocolError
 from fibaction.goals import GoalID, GoalInfo
 from fibaction.states import TRANSITIONS, GoalStatus
-
-StatusLine: TypeAlias = tuple[Any, ...]
-"""One line of a list: the goal's ID, the seconds and nanoseconds of its stamp, its status."""
+from fibaction_transports.ros2.status_bytes import (
+    StatusLine,
+    differences,
+    info_of,
+    lines_in,
+    pack_line,
+    pack_statuses,
+    status_of,
+)
 
 REPEAT = 0.1
 """Seconds after an acceptance was answered at which the list is published again. A client of rclpy
 drops the status of a goal whose acceptance it has yet to handle; then `ros2 action send_goal` would
 not cancel at Ctrl-C, as it cancels only goals that it knows to be active."""
-
-_BILLION = 10**9
-_HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian
-# A line is a UUID, the stamp's seconds and nanoseconds, and the status. The numbers of the stamp
-# are aligned to 4 bytes, so all lines but the first have a gap of 3 behind the UUID.
-_GAP = slice(16, 19)
 
 
 class PublishedStatuses:
@@ -143,7 +135,7 @@ class ReceivedStatuses:
         """`stamp_of` translates the stamp of a goal from ROS."""
         self._stamp_of = stamp_of
         self._infos: dict[bytes, GoalInfo] = {}
-        self._lines: set[StatusLine] = set()
+        self._lines = b""
         self._first = True
 
     def __iter__(self) -> Iterator[GoalInfo]:
@@ -161,7 +153,7 @@ class ReceivedStatuses:
     def clear(self) -> None:
         """Forget the list: its server has gone, and the next list is another server's."""
         self._infos.clear()
-        self._lines.clear()
+        self._lines = b""
         self._first = True
 
     def update(self, message: bytes) -> list[GoalInfo]:
@@ -170,15 +162,16 @@ class ReceivedStatuses:
         Raises:
             ProtocolError: The message is not a status list.
         """
-        lines = unpack_statuses(message)
-        changed = [self._info(line) for line in lines if line not in self._lines]
-        gone = self._infos.keys() - {line[0] for line in lines}
+        lines = lines_in(message)
+        gone, new = differences(self._lines, lines)
+        changed = [self._info(line) for line in new]
         steps = [step for info in changed for step in self._steps(info)]
-        for goal_id in gone:
+        left = {line[0] for line in gone} - {line[0] for line in new}
+        for goal_id in left & self._infos.keys():  # an invalid list may have a goal twice
             info = self._infos.pop(goal_id)
             steps.append(GoalInfo(info.goal_id, info.stamp, GoalStatus.UNKNOWN))
         self._infos.update((info.goal_id, info) for info in changed)
-        self._lines = set(lines)
+        self._lines = lines
         self._first = False
         return steps
 
@@ -195,76 +188,3 @@ class ReceivedStatuses:
         else:
             way = (GoalStatus.ACCEPTED, *_WAYS.get((GoalStatus.ACCEPTED, info.status), ()))
         return (GoalInfo(info.goal_id, info.stamp, status) for status in way)
-
-
-# Bytes
-
-
-def pack_line(info: GoalInfo) -> bytes:
-    """Return one line of a status list, as `pack_statuses` takes it."""
-    seconds, nanoseconds = divmod(info.stamp, _BILLION)
-    return struct.pack("<16s3xiIb", info.goal_id, seconds, nanoseconds, info.status)
-
-
-def status_of(line: bytes) -> int:
-    """Return the status in a line of `pack_line`."""
-    return line[-1]
-
-
-def pack_statuses(lines: Iterable[bytes]) -> bytes:
-    """Return an `action_msgs/msg/GoalStatusArray` with lines of `pack_line`."""
-    body = bytearray(b"".join(lines))
-    count = len(body) // 28
-    del body[_GAP]
-    return _HEADER + count.to_bytes(4, "little") + body
-
-
-def unpack_statuses(message: bytes) -> list[StatusLine]:
-    """Return the lines of an `action_msgs/msg/GoalStatusArray`.
-
-    Raises:
-        ProtocolError: The message is not a status list.
-    """
-    order = {0: ">", 1: "<"}.get(message[1]) if len(message) >= 8 else None
-    try:
-        if order is None:
-            raise ValueError("it is not CDR")
-        (count,) = struct.unpack_from(f"{order}I", message, 4)
-        if count == 0:
-            return []
-        first = struct.unpack_from(f"{order}16siIb", message, 8)
-        rest = memoryview(message)[33 : 5 + 28 * count]
-        lines = [first, *struct.iter_unpack(f"{order}16s3xiIb", rest)]
-        if len(lines) != count:
-            raise ValueError(f"it announces {count} goals and has {len(lines)}")
-    except (ValueError, struct.error) as exc:
-        raise ProtocolError(f"invalid status list of {len(message)} bytes: {exc}") from exc
-    return lines
-
-
-def stamps_of(message: bytes) -> dict[bytes, int]:
-    """Return the stamps of the goals in an `action_msgs/msg/GoalStatusArray`, by their IDs.
-
-    Raises:
-        ProtocolError: The message is not a status list.
-    """
-    return {line[0]: line[1] * _BILLION + line[2] for line in unpack_statuses(message)}
-
-
-def info_of(line: StatusLine) -> GoalInfo:
-    """Return the goal of a line.
-
-    Raises:
-        ProtocolError: The number is not a status of ROS.
-    """
-    goal_id, seconds, nanoseconds, status = line
-    try:
-        known = GoalStatus(status)
-    except ValueError as exc:
-        raise ProtocolError(f"invalid status list: {exc}") from exc
-    return GoalInfo(GoalID(goal_id), seconds * _BILLION + nanoseconds, known)
-
-
-def goal_of_feedback(message: bytes) -> bytes:
-    """Return the goal ID, the first field of every `FeedbackMessage`."""
-    return message[4:20]

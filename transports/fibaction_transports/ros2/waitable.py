@@ -1,4 +1,4 @@
-"""The waitable of a node: takes what has arrived, in the thread that rclpy spins.
+"""The waitable of a node: takes what has arrived, in the thread that spins the node.
 
 It takes everything that is there for each handle, and puts it into a `Mailbox`. The event loop
 decides what becomes of it. The thread runs no code of users and no rule of actions, and raises
@@ -117,7 +117,7 @@ _COUNTS = {
 
 
 class RosWaitable(waitable.Waitable):  # type: ignore[misc]  # rclpy has no types here
-    """Takes from its sources whatever arrives, when an executor of rclpy spins it."""
+    """Takes from its sources whatever arrives, spun by a `Spinner` or by an executor of rclpy."""
 
     def __init__(self, mailbox: Mailbox) -> None:
         waitable.Waitable.__init__(self, ReentrantCallbackGroup())
@@ -127,31 +127,35 @@ class RosWaitable(waitable.Waitable):  # type: ignore[misc]  # rclpy has no type
         self._entered: list[Source] = []
         self._ready: list[Source] = []
 
-    def add(self, *sources: Source) -> None:
+    def add(self, *sources: Source, first: bool = False) -> None:
         """Take from these sources, too. It has an effect after the executor has been woken.
 
         Items that have arrived together are put in the order of the sources, and taken in the
         reverse order. So feedback that was sent before a result is also handled before it, if its
-        source is added first.
+        source is added first, or later with `first`.
         """
         with self._lock:
-            self._sources += sources
+            self._sources = sources + self._sources if first else self._sources + sources
+
+    @property
+    def is_paused(self) -> bool:
+        """True if nothing is to be taken for now, because the mailbox is full."""
+        return self._mailbox.is_full
 
     def clear(self) -> None:
         """Remove all sources."""
         with self._lock:
             self._sources = ()
 
-    # Methods that an executor calls, in its thread and in this order
+    # Methods that are called in the thread that spins, in this order
 
-    def __enter__(self) -> None:
+    def __enter__(self) -> RosWaitable:
         self._entered = []
-        if self._mailbox.is_full:
-            return
-        for source in self._sources:
+        for source in () if self.is_paused else self._sources:
             with suppress(InvalidHandle):  # it is being destroyed
                 source.handle.__enter__()
                 self._entered.append(source)
+        return self
 
     def get_num_entities(self) -> Any:
         number = waitable.NumberOfEntities()

@@ -1,0 +1,92 @@
+"""The files of Fast DDS in /dev/shm: a process that ends removes its own, however it ends.
+
+Each process is alone in a domain, so that all files which it has open are its own, but for the port
+of multicast, which all domains of the machine share.
+"""
+
+from __future__ import annotations
+
+import re
+import signal
+from pathlib import Path
+from signal import SIGINT, SIGKILL, SIGTERM
+
+import pytest
+
+from fibaction_transports.ros2.rcl import middleware
+from tests.ros2.stock.process import Peer, peer
+from tests.ros2.stock.waiting import eventually
+
+pytestmark = [
+    pytest.mark.anyio,
+    pytest.mark.skipif(
+        "fastrtps" not in middleware(), reason="only Fast DDS has files in /dev/shm"
+    ),
+]
+
+END = 10.0
+"""Seconds that a program may take to end; it takes a tenth of one."""
+OF_A_PROCESS = 5
+"""A segment and a port, each with a file that is locked, and the mutex of the port."""
+MAPPED = re.compile(r"/dev/shm/fast(?:dds|rtps)_(?!port70)\w+")
+"""A file that Fast DDS of Kilted or of Jazzy maps into memory: a segment, or a port of a domain."""
+
+
+@pytest.fixture(params=["asyncio"])
+def anyio_backend(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def files_of(process: Peer) -> set[Path]:
+    """Return the files of Fast DDS that a process has mapped, with what lies beside them."""
+    maps = Path(f"/proc/{process.process.pid}/maps").read_text()
+    mapped = {Path(name) for name in MAPPED.findall(maps)}
+    beside = {
+        other
+        for path in mapped
+        for other in (path.with_name(f"{path.name}_el"), path.with_name(f"sem.{path.name}_mutex"))
+    }
+    return {path for path in mapped | beside if path.exists()}
+
+
+async def until_mapped(process: Peer) -> set[Path]:
+    """Return the files of a process when it has a segment and a port."""
+
+    async def look() -> set[Path]:
+        return files_of(process)
+
+    return await eventually(look, lambda files: len(files) >= OF_A_PROCESS)
+
+
+@pytest.mark.parametrize(("number", "code"), [(SIGINT, 128 + SIGINT), (SIGTERM, 0)])
+@pytest.mark.parametrize("way", ["serve_it", "look_for"])
+async def test_a_process_that_is_told_to_end_leaves_no_files(
+    alone: str, way: str, number: signal.Signals, code: int
+) -> None:
+    async with peer("ours", way, "tidy", "asyncio", ROS_DOMAIN_ID=alone) as process:
+        files = await until_mapped(process)
+        process.signal(number)
+        assert await process.ended(END) == code, process.complaints()
+    assert {path for path in files if path.exists()} == set()
+
+
+async def test_a_killed_process_leaves_its_files_and_the_next_one_removes_the_port(
+    alone: str,
+) -> None:
+    arguments = ("ours", "serve_it", "untidy", "asyncio")
+    async with peer(*arguments, ROS_DOMAIN_ID=alone) as process:
+        files = await until_mapped(process)
+        process.signal(SIGKILL)
+        await process.ended(END)
+    try:
+        assert {path for path in files if path.exists()} == files
+        async with peer(*arguments, ROS_DOMAIN_ID=alone) as process:
+            await until_mapped(process)
+            process.signal(SIGTERM)
+            await process.ended(END)
+        left = {path.name for path in files if path.exists()}
+        assert len(left) == 2
+        assert not any("port" in name for name in left)
+    finally:
+        for path in files:
+            path.unlink(missing_ok=True)
