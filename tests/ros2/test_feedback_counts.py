@@ -15,6 +15,7 @@ from fibaction import (
     GoalID,
     GoalStatus,
     Outcome,
+    TransportError,
     connect,
     serve,
 )
@@ -22,6 +23,8 @@ from fibaction_transports.ros2 import action_client, followed_goals
 from fibaction_transports.ros2.feedback_topic import GoalFeedback
 from fibaction_transports.ros2.goal_stream import RosGoalStream
 from fibaction_transports.ros2.names import count_topic
+from fibaction_transports.ros2.node import RosNode
+from fibaction_transports.ros2.rcl import raw
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.ros2.ends import PATIENCE, Undecoded, both_ends, client_of, new_url
@@ -283,3 +286,25 @@ def test_more_feedback_than_announced_is_none_that_is_missing() -> None:
     for _ in range(2):  # a server that was started anew counts its own
         stream.add_feedback(b"x")
     assert stream.missing == 0
+
+
+@pytest.mark.parametrize("denied", [raw.Publisher, raw.Subscription])
+async def test_without_the_permission_for_the_topic_goals_run_as_with_any_server(
+    url: str, monkeypatch: pytest.MonkeyPatch, denied: Any
+) -> None:
+    make, warned = RosNode.make, list[str]()
+
+    def make_if_allowed(ros: RosNode, kind: Any, ros_type: Any, name: str, profile: Any) -> Any:
+        if kind is denied and name.endswith("_fibaction_count"):
+            raise TransportError(f"{name}: not allowed")
+        return make(ros, kind, ros_type, name, profile)
+
+    monkeypatch.setattr(RosNode, "make", make_if_allowed)
+    monkeypatch.setattr(RosNode, "warn", lambda ros, text: warned.append(text))
+    async with both_ends(url) as client:
+        for _ in range(2):
+            async with client.send_goal(Goal(5)) as goal:
+                assert await orders_of(goal) == [3, 4, 5, 6]
+                assert (await goal.outcome()).status is GoalStatus.SUCCEEDED
+    (text,) = warned  # once, and not for each goal
+    assert text.endswith("_fibaction_count: not allowed")
