@@ -92,6 +92,7 @@ def finish(
 def test_a_new_goal_has_not_ended_and_nothing_stops_it() -> None:
     goal = accepted(GoalRegistry(), A)
     assert (goal.ended_at, goal.stop_reason, goal.outcome, goal.feedback_count) == (0, "", None, 0)
+    assert (goal.is_lost, goal.stored, goal.changed) == (False, None, 0)
 
 
 def test_a_digest_is_the_same_in_every_process_and_has_sixteen_bytes() -> None:
@@ -163,6 +164,20 @@ def test_the_list_of_goals_tells_how_many_feedback_messages_each_had() -> None:
     goal = executing(registry, A)
     goal.feedback_count += 2
     assert [info.feedback_count for info in infos(registry)] == [2]
+
+
+def test_the_list_of_goals_tells_the_attempt_of_each() -> None:
+    registry = GoalRegistry()
+    executing(registry, A).attempt = 3
+    assert [info.attempt for info in infos(registry)] == [3]
+
+
+def test_a_status_that_is_still_being_written_is_not_told() -> None:
+    goal = canceling(GoalRegistry(), A)
+    goal.earlier_status = GoalStatus.EXECUTING
+    assert goal.told_status is goal.info.status is GoalStatus.EXECUTING
+    goal.earlier_status = None
+    assert goal.told_status is goal.info.status is GoalStatus.CANCELING
 
 
 def test_a_goal_takes_no_more_memory_than_what_is_known_of_it_needs() -> None:
@@ -468,6 +483,15 @@ def test_the_reasons_of_very_many_goals_are_cut() -> None:
     assert len(reason) == 1000
 
 
+def test_a_reason_behind_those_that_almost_fill_the_answer_is_known_to_be_missing() -> None:
+    registry = GoalRegistry()
+    three_goals(registry)
+    cancellation = registry.cancel(None, None, now=0.0)
+    for reason in ("a" * 999, "b"):
+        cancellation.reject(reason)
+    assert cancellation.answer().reason == "a" * 999 + "…"
+
+
 def test_the_answer_lists_goals_by_acceptance_in_whatever_order_they_agreed() -> None:
     registry = GoalRegistry()
     three_goals(registry)
@@ -546,6 +570,9 @@ def test_a_goal_that_another_server_takes_while_it_is_canceled_is_left_out() -> 
         cancellation.forget(taken)
     assert [info.goal_id for info in of_all.answer().goals_canceling] == [B, C]
     assert of_one.answer() == CancelAnswer(CancelCode.UNKNOWN_GOAL_ID)
+    undecided = registry.cancel(B, None, now=0.0)
+    undecided.forget(undecided.candidates[0])
+    assert undecided.answer() == CancelAnswer(CancelCode.UNKNOWN_GOAL_ID)
 
 
 # Knowing and forgetting
