@@ -9,6 +9,7 @@ import ssl
 from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from pathlib import Path
+from shutil import copyfile
 from typing import Any
 
 import anyio
@@ -439,11 +440,11 @@ async def test_files_that_have_changed_are_read_anew_and_no_session_is_resumed(
     tmp_path: Path,
 ) -> None:
     authority = tmp_path / "ca.pem"
-    authority.write_bytes(Path(pems().ca).read_bytes())
+    copyfile(pems().ca, authority)
     async with serve(new_server(), tls_server(cert=pems().cert)) as (url,):
         transport = TcpTransport(port=port_of(url), tls=TlsFiles(ca=str(authority)))
         assert await works(transport)
-        authority.write_bytes(Path(pems("other.test").ca).read_bytes())
+        copyfile(pems("other.test").ca, authority)
         with pytest.raises(AuthenticationFailed, match="certificate"):
             await works(transport)
         authority.unlink()
