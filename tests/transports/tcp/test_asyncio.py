@@ -544,6 +544,13 @@ class Leaving(FrameReader):
         self.is_closed = self.is_closed or data.endswith(b"goodbye")
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let lines wait for their peers when they close, however busy the machine is."""
+    monkeypatch.setattr(_asyncio, "LEAVE", 60.0)
+
+
+@pytest.mark.usefixtures("patient")
 async def test_the_goodbye_of_a_peer_that_reads_ours_slowly_is_waited_for() -> None:
     async with listening() as (address, ends):
         with socket.create_connection(address) as peer:
@@ -614,6 +621,35 @@ async def test_what_was_read_of_the_frames_is_handled_before_what_has_arrived_me
                 await until(lambda: len(ends[0].heard) == 2)
                 assert ends[0].heard == [b"one", b"two"]
                 ends[0].stop()
+
+
+class Noting(FrameReader):
+    """A form that notes what it is to discard, and expects the end of the peer."""
+
+    is_closed = False
+    discarded = b""
+
+    def discard(self, data: bytes) -> None:
+        self.discarded += data
+
+
+@pytest.mark.usefixtures("patient")
+async def test_what_was_read_before_it_ran_is_not_discarded_again_at_the_end() -> None:
+    async with listening() as (address, ends):
+        with socket.create_connection(address) as peer:
+            peer.send(framed([b"one"]))
+            await until(lambda: ends and ends[0].line._early)
+            line, noting = ends[0].line, Noting()
+            line.begin(noting, b"")
+            ends[0].stop()
+            await ends[0].run()
+            assert ends[0].heard == [b"one"]
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(line.aclose)
+                peer.send(b"two")
+                await until(lambda: noting.discarded)
+                peer.close()
+            assert noting.discarded == b"two"
 
 
 async def test_a_line_is_closed_also_by_who_is_being_canceled() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 import socket
 import ssl
@@ -28,7 +29,9 @@ from fibaction import (
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import Limits
 from fibaction_transports._streams import _tls
+from fibaction_transports._streams._client_tls import ClientTls
 from fibaction_transports._streams._tls import TlsChannel, TlsListener
+from fibaction_transports._streams._tls_frames import TlsEnd
 from fibaction_transports.tcp import TcpTransport, TlsFiles
 from tests.certificates import pems
 from tests.transports.hearing import Hearing, port_of, raw
@@ -436,6 +439,19 @@ async def test_a_server_that_does_not_know_the_session_is_talked_to_like_a_new_o
         assert second.session_stats()["hits"] == 0
 
 
+async def test_after_a_handshake_that_has_failed_no_session_is_resumed() -> None:
+    context = counting()
+    async with serve(new_server(), TcpTransport(port=0, tls=context)) as (url,):
+        transport = TcpTransport(port=port_of(url), tls=TlsFiles(ca=pems().ca), reconnect=False)
+        assert await works(transport)
+    async with serve(new_server(), TcpTransport(port=port_of(url))):
+        with pytest.raises(AuthenticationFailed, match="does not speak TLS"):
+            await works(transport)
+    async with serve(new_server(), TcpTransport(port=port_of(url), tls=context)):
+        assert await works(transport)
+        assert context.session_stats()["hits"] == 0
+
+
 async def test_files_that_have_changed_are_read_anew_and_no_session_is_resumed(
     tmp_path: Path,
 ) -> None:
@@ -450,3 +466,24 @@ async def test_files_that_have_changed_are_read_anew_and_no_session_is_resumed(
         authority.unlink()
         with pytest.raises(TransportError, match=f"cannot load TLS files {authority}"):
             await works(transport)
+
+
+async def test_a_session_is_not_resumed_if_a_file_has_changed_during_its_handshake(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    authority = tmp_path / "ca.pem"
+    copyfile(pems().ca, authority)
+    keep = ClientTls.keep
+
+    def changed(self: ClientTls, end: TlsEnd) -> None:
+        os.utime(authority, (0, 0))
+        self.context()  # of another connection
+        keep(self, end)
+
+    monkeypatch.setattr(ClientTls, "keep", changed)
+    context = counting()
+    async with serve(new_server(), TcpTransport(port=0, tls=context)) as (url,):
+        transport = TcpTransport(port=port_of(url), tls=TlsFiles(ca=str(authority)))
+        for resumed in (0, 0, 1):
+            assert await works(transport)
+            assert context.session_stats()["hits"] == resumed

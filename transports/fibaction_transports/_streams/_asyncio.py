@@ -91,8 +91,9 @@ class ProtocolLine(asyncio.BufferedProtocol, Line):
 
     async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
         self._on_frames, self._next_frames = on_frames, next_frames
-        if self._early and self._error is None:
-            self._handle(self._early)
+        early, self._early = self._early, b""
+        if early and self._error is None:
+            self._handle(early)
         if not self._rest:
             self._transport.resume_reading()
         self.wake_writer()

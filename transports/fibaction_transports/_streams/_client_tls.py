@@ -53,8 +53,16 @@ class ClientTls:
         return TlsEnd(context, host, session)
 
     def keep(self, end: TlsEnd) -> None:
-        """Let the next connection resume the session of this one, which has shaken hands."""
-        self._last = end.tls
+        """Let the next connection resume the session of this one, which has shaken hands.
+
+        If a file has changed meanwhile, the session is not kept.
+        """
+        if end.tls.context is self._context:
+            self._last = end.tls
+
+    def forget(self) -> None:
+        """Begin a new session with the next connection."""
+        self._last = None
 
 
 def _stamps_of(files: TlsFiles) -> list[FileStamp]:

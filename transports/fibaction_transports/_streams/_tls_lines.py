@@ -32,6 +32,7 @@ async def dial_tls(host: str, port: int, framing: Framing, where: str, tls: Clie
     try:
         early = await shake_hands(end, line.receive_bytes, line.send_bytes)
     except BaseException:
+        tls.forget()  # the session may be at fault
         await line.aclose()
         raise
     tls.keep(end)
