@@ -41,6 +41,7 @@ class _RosKeywords(TypedDict, total=False):
 class _RosbridgeKeywords(TypedDict, total=False):
     accepted_after: float
     answer_timeout: float
+    schemas: bool
     cancel_on_disconnect: bool
 
 

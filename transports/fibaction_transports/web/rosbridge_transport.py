@@ -96,7 +96,8 @@ class RosbridgeTransport(WebSocketTransport):
                 nothing: rosbridge answers rejections only.
             answer_timeout: The seconds for an answer of rosapi.
             schemas: Ask rosapi for the types of the actions that are listed, so that goals are
-                checked before they are sent. rosapi ends with some types: see the page.
+                checked before they are sent. False is for older releases of rosapi, which end when
+                they are asked for some types.
             cancel_on_disconnect: Ask the server to cancel goals whose connection is lost. Most
                 servers do not know it yet.
 

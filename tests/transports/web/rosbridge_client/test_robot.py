@@ -35,7 +35,8 @@ from fibaction import (
 from fibaction.json_payload import JsonCodec
 from fibaction.ros_types import Int32, array
 from fibaction_transports.web import RosbridgeTransport
-from fibaction_transports.web.rosbridge import _client_endpoint, _link_keeper
+from fibaction_transports.web.rosbridge import _client_endpoint, _described_types, _link_keeper
+from fibaction_transports.web.rosbridge._described_types import UNKNOWN, DescribedTypes
 from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.hearing import Hearing
 from tests.transports.web.rosbridge_client.servers import (
@@ -593,11 +594,31 @@ async def test_rosapi_is_not_asked_for_a_type_that_it_does_not_know() -> None:
 
 
 async def test_rosapi_is_not_asked_for_types_if_that_is_set() -> None:
-    async with serving() as server, connect(f"{server.url}?schemas=false") as connection:
+    async with serving() as server, connect(server.url, schemas=False) as connection:
         info, *_ = await connection.actions()
         assert info == ActionInfo("fibonacci", FIBONACCI.type_name)
+        async with connect(f"{server.url}?schemas=false") as other:
+            assert await other.actions() == await connection.actions()
         asked = [one["service"] for one in (await server.peer()).texts]
         assert set(asked) == {"/rosapi/action_servers", "/rosapi/action_type"}
+
+
+async def test_a_server_that_always_has_new_types_is_asked_again_for_the_oldest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(_described_types, "MOST_TYPES", 2)
+    asked: list[str] = []
+
+    async def call(service: str, args: dict[str, Any]) -> Any:
+        if service == "/rosapi/action_goal_details":
+            asked.append(args["type"])
+        return {"interfaces": ["a", "b", "c"], "typedefs": []}
+
+    types = DescribedTypes(call)
+    for name in ("a", "b", "a", "c", "b", "a"):
+        assert await types.schemas_of(name) == UNKNOWN
+    assert asked == ["a", "b", "c", "a"]
+    assert len(types._found) == 2
 
 
 async def test_bytes_cross_both_ways_by_the_schemas_of_a_robot() -> None:

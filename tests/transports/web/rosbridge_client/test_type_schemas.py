@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from fibaction._json_schema import MAX_PARTS
 from fibaction.json_payload import JsonCodec, PayloadError
 from fibaction.ros_types import (
     Byte,
@@ -155,6 +156,16 @@ def test_a_field_whose_type_is_not_described_may_have_any_value() -> None:
 )
 def test_an_example_that_is_not_a_value_is_no_default(kind: str, example: str) -> None:
     assert "default" not in properties(("x", kind, -1, example))["x"]
+
+
+def test_a_schema_that_would_be_too_large_to_be_used_is_left_out() -> None:
+    small, large = (
+        [TypeDefinition(f"p/T{number}") for number in range(size)] for size in (2, MAX_PARTS + 1)
+    )
+    small[1].fieldnames = list(map(str, range(MAX_PARTS - 2)))
+    assert schema_of(small)
+    small[1].fieldnames.append("last")
+    assert schema_of(small) == schema_of(large) == {}
 
 
 def test_fields_that_a_server_says_to_be_required_have_no_default() -> None:

@@ -1,8 +1,8 @@
 """`DescribedTypes`: the JSON Schemas of action types, as rosapi describes them.
 
 rosapi of rosbridge_suite may end when it is asked for a type that it cannot import. So it is asked
-first which types it knows. It is asked for each type once in a connection, and not again after a
-call without an answer.
+first which types it knows. It is asked for each type once in a connection, as long as there are not
+too many, and not again after a call without an answer.
 """
 
 from __future__ import annotations
@@ -18,6 +18,10 @@ from fibaction._text import excerpt
 from fibaction_transports.web.rosbridge._server_link import CallFailed, NoAnswer
 from fibaction_transports.web.rosbridge._type_details import TypeDefinition
 from fibaction_transports.web.rosbridge._type_schemas import schema_of
+
+MOST_TYPES = 1000
+"""Types whose schemas are kept. Of more, the oldest one is forgotten: a server may always have new
+ones."""
 
 logger = clean_logger("fibaction.web")
 
@@ -64,7 +68,10 @@ class DescribedTypes:
         """
         async with self._asking:
             if type_name not in self._found:
-                self._found[type_name] = await self._asked(type_name)
+                found = await self._asked(type_name)
+                if len(self._found) >= MOST_TYPES:
+                    del self._found[next(iter(self._found))]
+                self._found[type_name] = found
             return self._found[type_name]
 
     async def _asked(self, type_name: str) -> ActionSchemas:

@@ -19,6 +19,7 @@ from typing import Any
 import msgspec
 
 from fibaction import ros_types
+from fibaction._json_schema import MAX_PARTS
 from fibaction_transports.web.rosbridge._type_details import (
     ANY_LENGTH,
     NOT_AN_ARRAY,
@@ -46,12 +47,13 @@ _BOUNDED_STRING = re.compile(r"w?string<=?(\d{1,9})>?")
 
 
 def schema_of(definitions: Iterable[TypeDefinition]) -> dict[str, Any]:
-    """Return the JSON Schema of a message; empty if there is no definition.
+    """Return the JSON Schema of a message; empty if there is no definition, or if the schema would
+    be too large to be used.
 
     `definitions` are that of the message, and those of its parts.
     """
     known = {one.type: one for one in definitions}
-    if not known:
+    if not known or sum(1 + len(one.fieldnames) for one in known.values()) > MAX_PARTS:
         return {}
     names = _short_names(known)
     first, *_ = names.values()
@@ -64,9 +66,11 @@ def schema_of(definitions: Iterable[TypeDefinition]) -> dict[str, Any]:
 def _short_names(types: Iterable[str]) -> dict[str, str]:
     """Return the names of types in the schema: without their packages, where that is enough."""
     found: dict[str, str] = {}
+    taken: set[str] = set()
     for name in types:
         short = _without_package(name)
-        found[name] = name.replace("/", ".") if short in found.values() else short
+        found[name] = name.replace("/", ".") if short in taken else short
+        taken.add(found[name])
     return found
 
 
@@ -82,10 +86,7 @@ def _struct(definition: TypeDefinition, names: Mapping[str, str]) -> dict[str, A
         definition.examples,
         strict=False,
     )
-    told = definition.required
-    required = (
-        [] if told is msgspec.UNSET else [one for one in definition.fieldnames if one in told]
-    )
+    required = set() if definition.required is msgspec.UNSET else set(definition.required)
     is_of_ros = "/" in definition.type
     return {
         "title": _without_package(definition.type),
@@ -97,7 +98,7 @@ def _struct(definition: TypeDefinition, names: Mapping[str, str]) -> dict[str, A
             )
             for name, kind, length, example in rows
         },
-        "required": required,
+        "required": [name for name in definition.fieldnames if name in required],
         "additionalProperties": False,
     }
 
