@@ -142,6 +142,8 @@ async def _bridge_all(
 ) -> None:
     there_now = renames.source.narrow(connection)
     infos = await _all_at(there_now)
+    if stop.is_set():
+        return
     if infos and (old := renames.unknown(info.name for info in infos)):
         raise no_action(old, infos)
     renames.check(info.name for info in infos)

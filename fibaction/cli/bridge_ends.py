@@ -14,6 +14,7 @@ from fibaction._api import serve
 from fibaction._tasks import Background
 from fibaction.abc import Endpoint
 from fibaction.urls import transport_for
+from fibaction.wire.requests import ChangingEndpoints
 from fibaction.wire.transport import WireTransport
 from fibaction.wire.wire_server import open_server
 
@@ -36,7 +37,7 @@ class BridgeEnd(ABC):
 
     @abstractmethod
     async def remove(self, name: str) -> None:
-        """Serve the action of that name no longer. Goals that are followed already go on."""
+        """Serve the action of that name no longer. Goals of its clients go on at their server."""
 
     async def begin(self) -> None:  # noqa: B027  # most serve from the first action on
         """Serve what has been added.
@@ -50,10 +51,10 @@ class _WireEnd(BridgeEnd):
     """One server of the wire protocol, which looks up its actions with each request."""
 
     def __init__(self) -> None:
-        self.endpoints: dict[str, Endpoint] = {}
+        self.endpoints = ChangingEndpoints()
 
     async def add(self, endpoint: Endpoint) -> None:
-        self.endpoints[endpoint.info.name] = endpoint
+        self.endpoints.add(endpoint)
 
     async def remove(self, name: str) -> None:
         del self.endpoints[name]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import anyio
@@ -41,6 +41,7 @@ class BridgedActions:
         self._renames = renames
         self._end = end
         self._served: dict[str, _Bridged] = {}
+        self._owners: dict[str, str] = {}  # the old names of what is served, by the new ones
         self._missing: dict[str, int] = {}  # the looks since which a served action is missing
         self._unusable: dict[str, ActionInfo] = {}
         self._clashing: set[str] = set()
@@ -60,19 +61,25 @@ class BridgedActions:
                 continue  # the server is away; its goals can be followed again when it is back
             before = dict(self._served)
             await self.take(infos)
-            for name in self._served.keys() - before.keys():
-                new = shown(self._served[name].endpoint.info.name)
-                renamed = "" if new == shown(name) else f" as {excerpt(new)}"
-                note(f"{excerpt(shown(name))} has come, and is bridged{renamed}")
-            for name in before.keys() - self._served.keys():
+            self._tell_changes(before)
+
+    def _tell_changes(self, before: Mapping[str, _Bridged]) -> None:
+        for name in before:
+            if name not in self._served:
                 note(f"{excerpt(shown(name))} has gone")
+        for name, one in self._served.items():
+            if one is before.get(name):
+                continue
+            new = shown(one.endpoint.info.name)
+            renamed = "" if new == shown(name) else f" as {excerpt(new)}"
+            types = " with other types" if name in before else ""
+            note(f"{excerpt(shown(name))} has come{types}, and is bridged{renamed}")
 
     async def take(self, infos: Sequence[ActionInfo]) -> None:
         """Serve these actions from now on; others only until they were missing for some looks."""
         named = {info.name: info for info in infos}
-        for known in (self._unusable, self._missing):
-            for name in known.keys() - named.keys() - self._served.keys():
-                del known[name]
+        for name in self._unusable.keys() - named.keys():
+            del self._unusable[name]
         self._clashing &= named.keys()
         for name in self._served.keys() - named.keys():
             self._missing[name] = self._missing.get(name, 0) + 1
@@ -88,11 +95,13 @@ class BridgedActions:
 
     async def _remove(self, name: str) -> None:
         self._missing.pop(name, None)
-        await self._end.remove(self._served.pop(name).endpoint.info.name)
+        new = self._served.pop(name).endpoint.info.name
+        del self._owners[new]
+        await self._end.remove(new)
 
     async def _add(self, info: ActionInfo) -> None:
         name = self._renames.new_name(info.name)
-        owner = self._owner_of(name)
+        owner = self._owners.get(name)
         if owner is not None:
             if info.name not in self._clashing:
                 note(f"{excerpt(shown(info.name))} is left out: {clash(name, info.name, owner)}")
@@ -106,11 +115,6 @@ class BridgedActions:
             note(f"{excerpt(shown(info.name))} is left out: {message_of(exc)}")
             return
         self._served[info.name] = _Bridged(info, endpoint)
+        self._owners[endpoint.info.name] = info.name
         self._unusable.pop(info.name, None)
         self._clashing.discard(info.name)
-
-    def _owner_of(self, new: str) -> str | None:
-        """Return the old name of the action that is served under a new one; None if none is."""
-        return next(
-            (old for old, one in self._served.items() if one.endpoint.info.name == new), None
-        )

@@ -59,7 +59,7 @@ class Renames(NamedTuple):
             return renamed.removeprefix("/")
         if self.target is None:
             return name
-        rest = shown(name).removeprefix(self.source.path).lstrip("/")
+        rest = self.source.relative(name).lstrip("/")
         return f"{self.target.path}/{rest}".lstrip("/")
 
     def unknown(self, names: Iterable[str]) -> str:

@@ -20,9 +20,11 @@ from typing import Any, TypeAlias
 
 from anyio import CancelScope, Lock
 
+from fibaction._notify import Notifier
 from fibaction._slices import Slices
 from fibaction._text import excerpt
 from fibaction.abc import Endpoint, StatusStream
+from fibaction.exceptions import ServerNotFound
 from fibaction.goals import NO_GOAL, GoalID
 from fibaction.states import GoalStatus
 from fibaction.wire.auth import Permission
@@ -54,6 +56,20 @@ PART = 256
 """Goals of a long answer that are prepared at once."""
 
 
+class ChangingEndpoints(dict[str, Endpoint]):
+    """The endpoints of a server whose actions come and go, by the names of the actions."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.changed = Notifier()
+        """Notified when an action has come."""
+
+    def add(self, endpoint: Endpoint) -> None:
+        """Serve one more action. Clients that wait for it are told."""
+        self[endpoint.info.name] = endpoint
+        self.changed.notify()
+
+
 class RequestHandlers:
     """Answers the requests of one client."""
 
@@ -68,6 +84,7 @@ class RequestHandlers:
         and `clients_of` the names of all clients that use an action.
         """
         self._endpoints = endpoints
+        self._changed = endpoints.changed if isinstance(endpoints, ChangingEndpoints) else None
         self._find = find
         self._clients_of = clients_of
         self._say = say
@@ -172,11 +189,21 @@ class RequestHandlers:
             await slices.pause()
 
     async def _await_server(self, message: AwaitServer, subscription: RequestSubscription) -> None:
-        endpoint = await self._find(message.action, Permission.OBSERVE)
         with CancelScope() as scope:
             subscription.stop_with(scope.cancel)
+            endpoint = await self._awaited(message.action)
             await endpoint.wait_for_server()
             await self._say(Done(message.id))
+
+    async def _awaited(self, action: str) -> Endpoint:
+        """Return the endpoint of an action. Wait for it where actions come and go."""
+        while True:
+            try:
+                return await self._find(action, Permission.OBSERVE)
+            except ServerNotFound:
+                if self._changed is None:
+                    raise
+            await self._changed.wait()
 
     async def _ask_peers(self, message: AskPeers, _subscription: RequestSubscription) -> None:
         await self._find(message.action, Permission.OBSERVE)

@@ -7,6 +7,8 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from signal import SIGINT, SIGKILL, SIGTERM
 from typing import Any
@@ -237,6 +239,21 @@ async def test_where_no_action_is_there_is_nothing_to_bridge(
             await bridge.bridge(url, "unix:///tmp/never", ())
 
     assert caught.value.exit_code == ExitCode.UNREACHABLE
+
+
+@pytest.mark.asyncio
+async def test_a_bridge_that_is_stopped_while_it_looks_has_nothing_to_complain_about(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    @asynccontextmanager
+    async def stopped() -> AsyncGenerator[anyio.Event, None]:
+        stop = anyio.Event()
+        stop.set()
+        yield stop
+
+    monkeypatch.setattr(bridge, "stop_signals", stopped)
+    async with serve([], "tcp://127.0.0.1:0") as (url,):
+        assert await bridge.bridge(url, "unix:///tmp/never", ()) == ExitCode.SUCCEEDED
 
 
 # Actions that come and go

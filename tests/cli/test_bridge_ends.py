@@ -42,7 +42,10 @@ async def test_actions_are_added_and_removed_while_others_run(url: str) -> None:
             async with connect(url) as connection:
                 client = connection.client(action)
                 goal = await client.send_goal(Goal(3))
-                await end.add(other)
+                async with anyio.create_task_group() as tasks:
+                    tasks.start_soon(connection.client(named("other")).wait_for_server)
+                    assert await names(connection) == ["one"]
+                    await end.add(other)
                 assert await names(connection) == ["one", "other"]
                 await end.remove("other")
                 assert await names(connection) == ["one"]

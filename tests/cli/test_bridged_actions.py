@@ -55,7 +55,8 @@ class House(Connection):
 
 
 def infos(*names: str) -> list[ActionInfo]:
-    return [ActionInfo(name) for name in names]
+    """Descriptions of actions; each name may be followed by a type."""
+    return [ActionInfo(name, kind) for name, _, kind in (one.partition(" ") for one in names)]
 
 
 class End(BridgeEnd):
@@ -154,6 +155,18 @@ async def test_changes_are_followed_and_told_while_the_server_may_be_away(
     house = House(["c"])
     await follow_to_the_end(BridgedActions(house, AS_THEY_ARE, End()), house)
     assert capsys.readouterr().err == "/c has come, and is bridged\n"
+
+
+async def test_an_action_that_comes_back_with_other_types_is_told(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bridged_actions, "PERIOD", 0.0)
+    house, end = House(["a b/action/C"], ["a b/action/C"]), End()
+    actions = BridgedActions(house, AS_THEY_ARE, end)
+    await actions.take(infos("a"))
+    await follow_to_the_end(actions, house)
+    assert end.calls == ["+a", "-a", "+a"]
+    assert capsys.readouterr().err == "/a has come with other types, and is bridged\n"
 
 
 async def follow_to_the_end(actions: BridgedActions, house: House) -> None:

@@ -24,6 +24,7 @@ ARM, LAB = Namespace("/arm"), Namespace("/lab")
         (ARM, LAB, "/arm/left/pick", "lab/left/pick"),
         (ARM, ROOT, "/arm/pick", "pick"),
         (ARM, None, "/arm/pick", "/arm/pick"),
+        (ARM, LAB, "/army/pick", "lab/army/pick"),
     ],
 )
 def test_a_namespace_takes_the_place_of_another(

@@ -8,6 +8,7 @@ from typing import Any
 import anyio
 import pytest
 
+from fibaction.action import Action
 from fibaction.exceptions import (
     ActionError,
     AuthenticationFailed,
@@ -58,7 +59,9 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
-from fibaction.wire.settings import Limits
+from fibaction.wire.requests import ChangingEndpoints
+from fibaction.wire.settings import Limits, ServerSettings
+from fibaction.wire.wire_server import open_server
 from tests import fibonacci as fib
 from tests.fibonacci import FIBONACCI
 from tests.virtual_time import in_virtual_time
@@ -71,6 +74,7 @@ from tests.wire.ends import (
     SUCCEEDED,
     A,
     B,
+    Served,
     Server,
     feedback,
     follow,
@@ -504,6 +508,21 @@ async def test_a_client_is_told_when_the_server_is_there() -> None:
         async with server:
             assert await client.hear(Done) == Done(2)
             assert await client.hear_all() == []
+
+
+async def test_where_actions_come_and_go_a_client_is_told_when_its_own_has_come() -> None:
+    server, endpoints = held(), ChangingEndpoints()
+    other = ScriptedServer(Action("swim", goal=int, feedback=int, result=str), ())
+    settings = ServerSettings(LONG, AccessPolicy(), Limits(heartbeat=LONG), "keep", 10.0)
+    async with server, other, open_server(endpoints, settings) as wire:
+        client = await Served(wire, endpoints, settings.limits.frame).greet()
+        await client.say(AwaitServer(1, "fibonacci"), AwaitServer(2, "fibonacci"), Close(1))
+        assert await client.hear_all() == []
+        endpoints.add(other)
+        assert await client.hear_all() == []
+        endpoints.add(server)
+        assert await client.hear(Done) == Done(2)
+        assert await client.hear_all() == []
 
 
 async def test_goals_that_wait_are_told_with_their_places() -> None:
