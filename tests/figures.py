@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.curves import Curve, Panel, curves
+from tests.page_parts import with_part
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "docs" / "figures"
@@ -83,12 +84,7 @@ def with_parts(page: str, reports: dict[str, dict[str, Any]]) -> str:
     parts = {name: _soak(reports[name]) for name in SOAKS}
     parts |= {"corpus": _corpus(), MUTANTS: _mutants(reports[MUTANTS])}
     for name, text in parts.items():
-        start, end = f"<!-- {name}: made by tests/figures.py -->", f"<!-- end of {name} -->"
-        before, found, rest = page.partition(start)
-        _, closed, after = rest.partition(end)
-        if not (found and closed):
-            raise ValueError(f"the page has no part for {name!r}")
-        page = f"{before}{start}\n\n{text}\n\n{end}{after}"
+        page = with_part(page, name, "tests/figures.py", text)
     return page
 
 

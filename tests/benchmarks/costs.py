@@ -40,9 +40,11 @@ from tests.hostile.goal_attacks import ONE, hold
 from tests.hostile.meter import Reading
 from tests.hostile.raw_client import Raw, Target
 from tests.hostile.victim import Settings
+from tests.page_parts import with_part
 
 GOALS = 10_000
-START, END = "<!-- costs: made by python -m tests.benchmarks.costs -->", "<!-- end of costs -->"
+PART = ("costs", "python -m tests.benchmarks.costs")
+"""The part of the page with the table, and the command that makes it."""
 IDLE = 0.001
 """Seconds of the processor that an idle server uses in 50 ms, at most."""
 CHANGED = 40  # the tag of GoalChanged
@@ -196,19 +198,6 @@ def table(costs: dict[str, Cost], goals: int) -> str:
     return "\n".join(lines)
 
 
-def with_table(page: str, made: str) -> str:
-    """Return the page with this table between its markers.
-
-    Raises:
-        ValueError: The markers are missing.
-    """
-    before, found, rest = page.partition(START)
-    _, closed, after = rest.partition(END)
-    if not (found and closed):
-        raise ValueError("the page has no part for the costs of messages")
-    return f"{before}{START}\n\n{made}\n\n{END}{after}"
-
-
 def main() -> None:
     """Print the table, or write it."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.costs")
@@ -219,7 +208,7 @@ def main() -> None:
     print(made)
     if arguments.write:
         page = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(with_table(page, made), encoding="utf-8")
+        PAGE.write_text(with_part(page, *PART, made), encoding="utf-8")
 
 
 if __name__ == "__main__":

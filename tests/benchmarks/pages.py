@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from tests.benchmarks.program import ROOT
+from tests.page_parts import with_part
 
 PAGE = ROOT / "docs" / "comparisons.md"
 NOTHING = "–"  # noqa: RUF001  # the dash that tables show for a missing number
@@ -22,12 +23,7 @@ def with_tables(page: str, reports: dict[str, dict[str, Any]]) -> str:
     parts["machine"] = machine(max(reports.values(), key=lambda one: len(one["left_out"])))
     parts["losses"] = losses(reports)
     for name, text in parts.items():
-        start, end = f"<!-- {name}: made by make bench -->", f"<!-- end of {name} -->"
-        before, found, rest = page.partition(start)
-        _, closed, after = rest.partition(end)
-        if not (found and closed):
-            raise ValueError(f"the page has no part for {name!r}")
-        page = f"{before}{start}\n\n{text}\n\n{end}{after}"
+        page = with_part(page, name, "make bench", text)
     return page
 
 

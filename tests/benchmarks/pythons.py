@@ -23,9 +23,10 @@ import anyio
 from tests.benchmarks.pages import PAGE
 from tests.benchmarks.program import ROOT, Program, program
 from tests.benchmarks.versions import ORDERS, WARM_UP, paths, round_of
+from tests.page_parts import with_part
 
-START = "<!-- pythons: made by python -m tests.benchmarks.pythons -->"
-END = "<!-- end of pythons -->"
+PART = ("pythons", "python -m tests.benchmarks.pythons")
+"""The part of the page with the table, and the command that makes it."""
 NAMES = {"goals": "one after another", "batches": "500 at once", "feedback": "feedback"}
 ABOUT = (
     "import json, platform; from importlib.metadata import version;"
@@ -99,19 +100,6 @@ def table(ratios: Ratios, first: str) -> str:
     return "\n".join(lines)
 
 
-def with_table(page: str, made: str) -> str:
-    """Return the page with this table between its markers.
-
-    Raises:
-        ValueError: The markers are missing.
-    """
-    before, begun, rest = page.partition(START)
-    _, closed, after = rest.partition(END)
-    if not (begun and closed):
-        raise ValueError("the page has no part for the versions of Python")
-    return f"{before}{START}\n\n{made}\n\n{END}{after}"
-
-
 def main() -> None:
     """Print the table, or write it."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.pythons")
@@ -126,7 +114,7 @@ def main() -> None:
     print(made)
     if arguments.write:
         page = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(with_table(page, made), encoding="utf-8")
+        PAGE.write_text(with_part(page, *PART, made), encoding="utf-8")
 
 
 if __name__ == "__main__":

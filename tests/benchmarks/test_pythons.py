@@ -12,8 +12,9 @@ import pytest
 
 from tests.benchmarks import pythons
 from tests.benchmarks.pages import PAGE
-from tests.benchmarks.pythons import compare, found, table, with_table
+from tests.benchmarks.pythons import compare, found, table
 from tests.benchmarks.versions import ORDERS
+from tests.page_parts import part_of
 
 HERE = platform.python_version()
 
@@ -71,13 +72,7 @@ def test_a_cell_has_the_median_and_where_half_of_the_ratios_are() -> None:
 
 def test_the_page_has_a_row_for_each_work() -> None:
     page = PAGE.read_text(encoding="utf-8")
-    made = page.partition(pythons.START)[2].partition(pythons.END)[0].strip()
-    assert with_table(page, made) == page
+    made = part_of(page, *pythons.PART)
     for order in ORDERS:
         where, _, work = order.partition(" ")
         assert f"| fibaction, {where}: {pythons.NAMES[work]} | " in made
-
-
-def test_a_page_without_the_marks_is_refused() -> None:
-    with pytest.raises(ValueError, match="no part for the versions of Python"):
-        with_table("# Comparisons\n", "")

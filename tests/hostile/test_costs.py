@@ -7,8 +7,9 @@ import re
 import pytest
 
 from fibaction.wire.codec import encode
-from tests.benchmarks.costs import END, KINDS, START, measure, table, with_table
+from tests.benchmarks.costs import KINDS, PART, measure
 from tests.benchmarks.pages import PAGE
+from tests.page_parts import part_of
 
 GOALS = 300
 """Active goals at the server, which make only the requests about all goals dearer."""
@@ -30,13 +31,8 @@ def test_each_kind_of_message_has_about_a_hundred_bytes_or_less() -> None:
 
 
 def test_the_table_of_the_page_has_each_kind() -> None:
-    part = PAGE.read_text(encoding="utf-8").partition(START)[2].partition(END)[0]
+    part = part_of(PAGE.read_text(encoding="utf-8"), *PART)
 
     assert re.findall(r"^\| (`.*?) \| [\d,]+ \| [\d,]+ \|$", part, re.MULTILINE) == [
         kind.name for kind in KINDS
     ]
-
-
-def test_a_page_without_the_marks_is_an_error() -> None:
-    with pytest.raises(ValueError, match="no part for the costs"):
-        with_table("# Comparisons\n", table({}, 1))
