@@ -45,7 +45,7 @@ class Subscription:
 
     def __init__(self, request: int, credit: int | None = 0) -> None:
         self.request = request
-        self.credit = credit or 0
+        self.credit: int = credit or 0
         self.closed = credit is None
         """True if the client wants the end only."""
 

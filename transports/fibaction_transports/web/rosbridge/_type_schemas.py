@@ -86,7 +86,7 @@ def _struct(definition: TypeDefinition, names: Mapping[str, str]) -> dict[str, A
         definition.examples,
         strict=False,
     )
-    required = set() if definition.required is msgspec.UNSET else set(definition.required)
+    required = set[str]() if definition.required is msgspec.UNSET else set(definition.required)
     is_of_ros = "/" in definition.type
     return {
         "title": _without_package(definition.type),
