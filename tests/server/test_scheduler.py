@@ -459,6 +459,7 @@ def test_a_successor_that_another_goal_pushes_away_waits_in_the_queue_if_there_i
     assert scheduler.offer(THREE, urgency=0, now=2) == []
     assert scheduler.leave(ONE, 3) == [Order(Act.START, THREE)]
     assert list(scheduler.places()) == [TWO]
+    assert scheduler.leave(THREE, 4) == [Order(Act.START, TWO)]
 
 
 def test_a_goal_that_does_not_hand_over_in_time_is_interrupted_and_then_killed() -> None:
@@ -548,6 +549,21 @@ def test_the_order_of_keys_does_not_grow_with_goals_that_have_left() -> None:
     assert len(scheduler._heads) < 50
     assert len(group._heap) < 2 * len(group.queue) + 20
     assert scheduler.leave(ONE, 0) == [Order(Act.START, goal(50))]
+
+
+def test_keys_keep_their_order_when_those_that_are_out_of_date_are_removed() -> None:
+    scheduler = Scheduler(Schedule(total=1, queue=100, priority=lambda _: 0, key=lambda _: None))
+    scheduler.offer(ONE, key=0, now=0)
+    urgencies = {goal(number): number * 37 % 101 for number in range(2, 40)}
+    for number, (goal_id, urgency) in enumerate(urgencies.items()):
+        scheduler.offer(goal_id, key=number % 12 + 1, urgency=urgency, now=0)
+    newest = [goal(number) for number in range(100, 160)]
+    for urgency, goal_id in enumerate(newest):  # each is the first of its key, for a while
+        scheduler.offer(goal_id, key=13, urgency=-1 - urgency, now=0)
+    ended = [ONE]
+    while orders := scheduler.leave(ended[-1], 0):
+        ended.append(orders[0].goal_id)
+    assert ended == [ONE, *reversed(newest), *sorted(urgencies, key=lambda one: urgencies[one])]
 
 
 def test_the_queue_of_a_key_does_not_grow_with_goals_that_have_left_behind_its_first() -> None:
