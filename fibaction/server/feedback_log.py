@@ -159,7 +159,7 @@ class FeedbackLog:
 
     def tell_status(self) -> None:
         """Record the goal's new status, and notify the followers."""
-        self.statuses += (self.goal.status,)
+        self.statuses += (self.goal.told_status,)
         for cursor in tuple(self._readers):
             cursor.news.notify()
 

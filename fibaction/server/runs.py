@@ -252,9 +252,23 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             # The executor runs already. Nothing of this attempt may be told before it is kept: the
             # next attempt would have the same number.
             new.log.is_hidden = True
-            self._keeper.begin(new.goal, new.log.reveal)
+            self._keeper.begin(new.goal, partial(self._tell_begin, new))
         self._finish(old, Ending(EndKind.CANCELED, reason=f"preempted by {successor}"))
-        self._execute(new)
+        if self._keeper is None:
+            self._execute(new)
+        elif new.goal.status is GoalStatus.ACCEPTED:
+            new.goal.earlier_status = GoalStatus.ACCEPTED
+            self._registry.execute(new.goal)
+
+    def _tell_begin(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
+        """Tell of an attempt that is kept by now, and has begun before."""
+        goal = run.goal
+        if goal.earlier_status is GoalStatus.ACCEPTED:
+            # A cancel may have been accepted since, and not be kept yet.
+            is_newest = goal.status is GoalStatus.EXECUTING
+            goal.earlier_status = None if is_newest else GoalStatus.EXECUTING
+            self._logs.tell_status(run.log)
+        run.log.reveal()
 
     # Stop
 
@@ -268,7 +282,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         if self._keeper is None:
             self._logs.tell_status(run.log)
         else:
-            goal.earlier_status = before
+            if goal.earlier_status is None:
+                goal.earlier_status = before
             self._keeper.cancel(goal, partial(self._tell_status, run))
         if run.is_waiting:
             self._end(run.execution, Ending(EndKind.CANCELED))

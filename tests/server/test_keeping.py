@@ -26,6 +26,7 @@ from fibaction import (
     ServerNotFound,
     StoreError,
 )
+from fibaction.abc import FeedbackItem
 from fibaction.goal_store import StoredGoal
 from fibaction.goals import UNKNOWN_SENDER
 from fibaction.server.goal_keeper import SECOND
@@ -330,6 +331,34 @@ async def test_feedback_of_a_goal_that_was_taken_over_is_told_when_its_begin_is_
         assert await second.feedback.__anext__() == 7
         assert (await first.outcome()).reason == f"preempted by {second.goal_id}"
         await second.cancel()
+
+
+@pytest.mark.parametrize("canceled", [False, True])
+async def test_a_goal_that_was_taken_over_is_told_to_run_when_its_begin_is_kept(
+    canceled: bool,
+) -> None:
+    # A server that fails before has the goal as ACCEPTED after its next start.
+    store = MemoryStore()
+    schedule = Schedule(concurrency=1, when_full="preempt", handover=5)
+    server = ActionServer(PAINT, wait, store=store, schedule=schedule, interrupt_on_cancel=False)
+    async with server, anyio.create_task_group() as tasks:
+        client = client_of(server)
+        await client.send_goal(9)
+        store.on_kept = lambda what, _goal: store.hold() if what == "accept" else None
+        second = await client.send_goal(7)
+        stream = await server.feedback(second.goal_id, after=0)
+        await anyio.sleep(1)
+        if canceled:
+            tasks.start_soon(second.cancel)
+            await anyio.sleep(1)
+        assert second.status is GoalStatus.ACCEPTED
+        assert stream.take() == ()
+        store.release()
+        await anyio.sleep(1)
+        told = [GoalStatus.EXECUTING, GoalStatus.CANCELING] if canceled else [GoalStatus.EXECUTING]
+        assert [stream.take()[0] for _ in told] == told
+        assert second.status is told[-1]
+        assert isinstance(stream.take()[0], FeedbackItem)
 
 
 async def test_a_schedule_that_rejects_a_stored_goal_ends_it() -> None:
