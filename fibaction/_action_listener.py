@@ -11,7 +11,7 @@ from fibaction._api import ClientConnection
 from fibaction.action import Action, ActionInfo
 from fibaction.client import ActionClient
 from fibaction.events import GoalFeedback
-from fibaction.exceptions import ActionError
+from fibaction.exceptions import ActionError, TransportError
 from fibaction.goals import GoalInfo
 
 PERIOD = 1.0
@@ -106,7 +106,12 @@ async def _follow_if_usable(
     except ActionError as exc:  # its ROS type is not installed here
         listener.on_action_lost(info.name, str(exc))
         return
-    await follow_action(client, info, listener, feedback=feedback)
+    try:
+        await follow_action(client, info, listener, feedback=feedback)
+    except TransportError as exc:
+        if type(exc) is not TransportError:
+            raise
+        listener.on_action_lost(info.name, str(exc))
 
 
 async def follow_action(
@@ -115,16 +120,21 @@ async def follow_action(
     """Follow one action, also after restarts of its server, until canceled.
 
     Raises:
+        TransportError: The transport cannot follow the goals of others, as that of rosbridge.
         ActionError: The connection is lost and is not reopened.
     """
+    was_found = False
     while True:
         reason = "its server has stopped"
         try:
             async with client.events(feedback=feedback) as events:
+                was_found = True
                 listener.on_action_found(info, client)
                 async for event in events:
                     listener.on_event(info.name, event)
         except ActionError as exc:
+            if type(exc) is TransportError and not was_found:
+                raise  # a later attempt would fail, too
             reason = str(exc)
         listener.on_action_lost(info.name, reason)
         await anyio.sleep(PERIOD)  # limits how often a permanent error is met

@@ -16,6 +16,7 @@ from fibaction import (
     GoalInfo,
     GoalStatus,
     ServerNotFound,
+    TransportError,
     _action_listener,
 )
 from fibaction._action_listener import ActionListener, AnyClient, follow_action, follow_actions
@@ -149,6 +150,29 @@ async def test_a_connection_that_is_lost_for_good_ends_it(monkeypatch: pytest.Mo
     with pytest.raises(ConnectionLost):
         await follow_action(client, server.info, recorder, feedback=True)
     assert recorder.heard == [("gone", "one", "the line is dead")]
+
+
+@pytest.mark.asyncio
+async def test_an_action_that_the_transport_cannot_follow_is_reported_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    one, other, recorder = counter("one"), counter("other"), Recorder()
+
+    async def refuse(*_: object) -> None:
+        raise TransportError("rosbridge cannot list the goals")
+
+    monkeypatch.setattr(one, "status", refuse)
+    async with one, other:
+        served = Served(one, other)
+        with pytest.raises(TransportError, match="cannot list"):
+            await follow_action(
+                served.connection.client(one.action), one.info, recorder, feedback=True
+            )
+        async with followed(served) as heard:
+            await heard.until(lambda all: all.count(("reached", 2, "")) > 3)
+    assert recorder.heard == []
+    assert heard.count(("gone", "one", "rosbridge cannot list the goals")) == 1
+    assert ("found", "other") in heard
 
 
 @pytest.mark.asyncio

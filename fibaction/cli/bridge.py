@@ -68,8 +68,8 @@ def bridge_command(
 ) -> None:
     """Serve at TO_URL the actions that are served at FROM_URL.
 
-    Without a NAME, the bridge serves all actions, or all of those in a namespace; also those that
-    come later, and no longer those that leave. With NAMEs it serves these actions, and waits for
+    Without a NAME, the bridge serves all actions, or all of those in a namespace. It adds actions
+    that come later, and removes those that leave. With NAMEs it serves these actions, and waits for
     them first. If the server is away for a while, the bridge continues when it is back.
 
     With --namespace, a NAME or OLD without a slash in front is relative to the namespace, and with

@@ -37,7 +37,7 @@ class BridgeEnd(ABC):
 
     @abstractmethod
     async def remove(self, name: str) -> None:
-        """Serve the action of that name no longer. Goals of its clients go on at their server."""
+        """Stop serving the action. Goals of its clients go on at their server."""
 
     async def begin(self) -> None:  # noqa: B027  # most serve from the first action on
         """Serve what has been added.
@@ -63,7 +63,7 @@ class _WireEnd(BridgeEnd):
 class _SingleServers(BridgeEnd):
     """A server for each action.
 
-    Each server runs in a task of its own, since it must be left in the task that has entered it.
+    Each server runs in a task of its own, since a block of `serve` must be left in its own task.
     """
 
     def __init__(self, url: str, tasks: TaskGroup) -> None:

@@ -19,7 +19,7 @@ from fibaction.cli.renames import Renames, clash
 from fibaction.exceptions import ActionError, TransportError
 
 LOOKS = 3
-"""Looks in which an action must be missing until it counts as gone. A graph of ROS may lose an
+"""Consecutive looks without an action after which it counts as gone. A graph of ROS may lose an
 action for a moment, and its clients are to notice nothing."""
 
 
@@ -76,7 +76,7 @@ class BridgedActions:
             note(f"{excerpt(shown(name))} has come{types}, and is bridged{renamed}")
 
     async def take(self, infos: Sequence[ActionInfo]) -> None:
-        """Serve these actions from now on; others only until they were missing for some looks."""
+        """Serve these actions from now on, and stop serving others that are missing for long."""
         named = {info.name: info for info in infos}
         for name in self._unusable.keys() - named.keys():
             del self._unusable[name]

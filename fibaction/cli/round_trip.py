@@ -23,6 +23,9 @@ from fibaction.wire.messages import VERSION
 TIMES = 5
 """Round trips that are measured; the shortest is told."""
 
+OTHER_PROTOCOLS = {"ros2", "rosbridge", "rosbridges"}
+"""Schemes of URLs at which the protocol is not that of fibaction."""
+
 
 @click.command(
     "ping",
@@ -60,8 +63,7 @@ async def ping(url: str, *, as_json: bool) -> int:
             times.append(perf_counter() - start)
         found = sorted(actions, key=lambda info: shown(info.name))
         peers = [await _peers(connection, info) for info in found]
-    # Over ROS 2 nothing but rcl knows a version.
-    protocol = None if urlsplit(url).scheme == "ros2" else VERSION
+    protocol = None if urlsplit(url).scheme in OTHER_PROTOCOLS else VERSION
     if as_json:
         say_json(
             {

@@ -196,7 +196,7 @@ class RequestHandlers:
             await self._say(Done(message.id))
 
     async def _awaited(self, action: str) -> Endpoint:
-        """Return the endpoint of an action. Wait for it where actions come and go."""
+        """Return the endpoint of an action. If the actions can change, wait until it is served."""
         while True:
             try:
                 return await self._find(action, Permission.OBSERVE)

@@ -67,8 +67,9 @@ async def test_an_action_that_stops_meanwhile_has_no_peers(
 
 
 @pytest.mark.asyncio
-async def test_over_ros_no_version_of_the_protocol_is_told(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("url", ["ros2://", "rosbridge://robot:9090"])
+async def test_over_another_protocol_no_version_of_it_is_told(
+    url: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     class Connecting:
         async def __aenter__(self) -> ClientConnection:
@@ -77,6 +78,6 @@ async def test_over_ros_no_version_of_the_protocol_is_told(
         async def __aexit__(self, *_: object) -> None: ...
 
     monkeypatch.setattr(round_trip, "connect", lambda _: Connecting())
-    await ping("ros2://", as_json=False)
+    await ping(url, as_json=False)
 
     assert re.search(r"fibaction [\d.]+ here\nActions: 0\n$", capsys.readouterr().out)

@@ -48,7 +48,7 @@ class ClientTls:
             TransportError: The files cannot be used.
         """
         context = self.context()
-        # Asked for as late as this: a server of TLS 1.3 tells a session after the handshake.
+        # Read only now: a server of TLS 1.3 sends the session after the handshake.
         session = None if self._last is None else self._last.session
         return TlsEnd(context, host, session)
 

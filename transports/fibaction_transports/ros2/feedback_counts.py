@@ -64,8 +64,8 @@ class ReceivedCounts:
         self._are_published = False
 
     def come_from(self, servers: frozenset[bytes]) -> bool:
-        """Return whether the only one of these servers publishes the numbers, and see to it that
-        they arrive. Of several servers, each would publish a number for the same goal.
+        """Subscribe to the numbers if there is one server and it publishes them, and return whether
+        that is so. Of several servers, each would publish a number for the same goal.
         """
         if servers != self._servers or not self._are_published:
             self._servers = servers
@@ -84,7 +84,7 @@ class ReceivedCounts:
             if not self._ros.is_up:
                 raise
             self._is_allowed = False
-            self._ros.warn(f"lost feedback cannot be noticed: {exc}")
+            self._ros.warn(f"lost feedback is not counted: {exc}")
 
     def _listen(self) -> None:
         subscription = self._ros.make(raw.Subscription, ParameterMessage, self._topic, qos.counts())

@@ -23,7 +23,7 @@ StatusLine: TypeAlias = tuple[Any, ...]
 LINE = 28
 """The bytes of a line, as `pack_line` makes it."""
 PIECES = 32
-"""Equal pieces of two lists that are looked for. More goals than that seldom change at once."""
+"""Equal pieces of two lists that are looked for, at most: more changed goals at once are rare."""
 
 _BILLION = 10**9
 _HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian

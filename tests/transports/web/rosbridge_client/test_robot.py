@@ -32,6 +32,7 @@ from fibaction import (
     TransportError,
     connect,
 )
+from fibaction.goals import ActionPeers
 from fibaction.json_payload import JsonCodec
 from fibaction.ros_types import Int32, array
 from fibaction_transports.web import RosbridgeTransport
@@ -491,6 +492,12 @@ async def test_the_actions_of_a_robot_are_listed_with_their_types() -> None:
     async with serving() as server, connect(server.url) as connection:
         listed = [(info.name, info.type_name) for info in await connection.actions()]
         assert listed == [("fibonacci", FIBONACCI.type_name), ("arm/pick", ""), ("show", SHOW)]
+
+
+async def test_the_server_of_an_action_is_rosbridge_if_rosapi_lists_the_action() -> None:
+    async with serving() as server, connect(server.url) as connection:
+        assert await connection.peers("arm/pick") == ActionPeers((server.url,))
+        assert await connection.peers("pick") == ActionPeers()
 
 
 async def test_the_actions_of_a_robot_are_listed_with_their_schemas() -> None:

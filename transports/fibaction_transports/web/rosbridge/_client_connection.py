@@ -6,6 +6,7 @@ from typing import Any
 
 from fibaction.abc import Connection, Endpoint
 from fibaction.action import Action, ActionInfo
+from fibaction.goals import ActionPeers
 from fibaction_transports.web.rosbridge._client_endpoint import RosbridgeEndpoint
 from fibaction_transports.web.rosbridge._link_keeper import LinkKeeper
 
@@ -29,6 +30,11 @@ class RosbridgeConnection(Connection):
     async def actions(self) -> list[ActionInfo]:
         """See `Connection.actions`. The schemas are those that rosapi tells, or empty."""
         return [await self._described(name) for name in await self._keeper.action_names()]
+
+    async def peers(self, action: str) -> ActionPeers:
+        """See `Connection.peers`. It is the rosbridge server; rosapi tells no clients."""
+        names = [name.removeprefix("/") for name in await self._keeper.action_names()]
+        return ActionPeers((self._keeper.url,) if action in names else ())
 
     async def _described(self, name: str) -> ActionInfo:
         type_name = await self._keeper.type_of(name)

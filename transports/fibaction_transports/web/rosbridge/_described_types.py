@@ -20,8 +20,8 @@ from fibaction_transports.web.rosbridge._type_details import TypeDefinition
 from fibaction_transports.web.rosbridge._type_schemas import schema_of
 
 MOST_TYPES = 1000
-"""Types whose schemas are kept. Of more, the oldest one is forgotten: a server may always have new
-ones."""
+"""Types whose schemas are kept. Beyond, the oldest is dropped, since a server may name new types
+without end."""
 
 logger = clean_logger("fibaction.web")
 
