@@ -566,6 +566,73 @@ def test_keys_keep_their_order_when_those_that_are_out_of_date_are_removed() -> 
     assert ended == [ONE, *reversed(newest), *sorted(urgencies, key=lambda one: urgencies[one])]
 
 
+def test_a_queue_keeps_its_order_when_goals_that_have_left_are_removed_from_it() -> None:
+    scheduler = Scheduler(Schedule(concurrency=1, queue=300, priority=lambda _: 0))
+    scheduler.offer(ONE, urgency=-1, now=0)
+    urgencies = {goal(number): number * 37 % 211 for number in range(2, 200)}
+    for goal_id, urgency in urgencies.items():
+        scheduler.offer(goal_id, urgency=urgency, now=0)
+    for number in range(20, 190):
+        scheduler.leave(goal(number), 0)
+        del urgencies[goal(number)]
+    scheduler.offer(goal(200), urgency=1000, now=0)
+    ended = [ONE]
+    while orders := scheduler.leave(ended[-1], 0):
+        ended.append(orders[0].goal_id)
+    assert ended == [ONE, *sorted(urgencies, key=lambda one: urgencies[one]), goal(200)]
+
+
+# Several places, and goals that give way
+
+
+def full(**rules: Any) -> Scheduler:
+    """Return a scheduler with two places, whose goals are told and never interrupted."""
+    return Scheduler(
+        Schedule(concurrency=2, when_full="preempt", handover=math.inf, **rules),
+        kill_after=KILL_AFTER,
+    )
+
+
+def test_if_all_have_successors_the_oldest_successor_gives_way() -> None:
+    scheduler = full()
+    for number in (1, 2, 3, 4):
+        scheduler.offer(goal(number), now=0)
+    assert scheduler.offer(goal(5), now=0) == [Order(Act.END, THREE, f"preempted by {goal(5)}")]
+    assert scheduler.offer(goal(6), now=0) == [Order(Act.END, goal(4), f"preempted by {goal(6)}")]
+    assert [scheduler.successor(one) for one in (ONE, TWO)] == [goal(5), goal(6)]
+
+
+def test_the_most_urgent_successor_starts_in_any_place_that_is_free() -> None:
+    schedule = Schedule(concurrency=3, when_full="preempt", handover=math.inf, priority=lambda _: 0)
+    scheduler = Scheduler(schedule)
+    for number, urgency in enumerate((6, 5, 1, 4, 3), 1):
+        scheduler.offer(goal(number), urgency=urgency, now=0)
+    assert [scheduler.successor(one) for one in (ONE, TWO)] == [goal(4), goal(5)]
+    assert scheduler.leave(THREE, 0) == [Order(Act.START, goal(5))]
+
+
+def test_a_goal_without_a_successor_gives_way_before_a_less_urgent_one_that_has_one() -> None:
+    scheduler = full(priority=lambda _: 0)
+    for number, urgency in enumerate((5, 3, 4), 1):
+        scheduler.offer(goal(number), urgency=urgency, now=0)
+    assert scheduler.successor(ONE) == THREE
+    assert scheduler.offer(goal(4), urgency=2, now=0) == [Order(Act.TELL, TWO)]
+
+
+def test_of_equally_urgent_goals_the_oldest_gives_way() -> None:
+    scheduler = full(priority=lambda _: 0)
+    for goal_id in (ONE, TWO):
+        scheduler.offer(goal_id, urgency=5, now=0)
+    assert scheduler.offer(THREE, urgency=1, now=0) == [Order(Act.TELL, ONE)]
+    assert scheduler.offer(goal(4), urgency=1, now=0) == [Order(Act.TELL, TWO)]
+    scheduler.leave(THREE, 0)
+    assert scheduler.offer(goal(5), urgency=1, now=0) == [Order(Act.TELL, ONE)]
+    # The successor of the later one is the older one now.
+    assert scheduler.offer(goal(6), urgency=0, now=0) == [
+        Order(Act.END, goal(4), f"preempted by {goal(6)}")
+    ]
+
+
 def test_the_queue_of_a_key_does_not_grow_with_goals_that_have_left_behind_its_first() -> None:
     scheduler = Scheduler(Schedule(concurrency=1, queue=100, priority=lambda _: 0))
     scheduler.offer(ONE, now=0)
