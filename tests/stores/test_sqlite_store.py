@@ -12,6 +12,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, closing
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import anyio
 import anyio.to_thread
@@ -19,7 +20,7 @@ import pytest
 
 from fibaction import GoalStatus, SqliteStore, StoreError
 from fibaction.goal_store import GoalJournal, StoredGoal
-from fibaction.stores import _writer
+from fibaction.stores import _journal_file, _writer
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import Record, StartRecord, encode_row
 from tests.stores.made import a_goal, after_end, as_kept
@@ -197,6 +198,23 @@ async def test_an_action_is_served_once(path: Path) -> None:
         await kept(kept.journal.accept, a_goal())
 
 
+@pytest.mark.parametrize("sync", ["full", "normal"])
+async def test_the_file_is_written_as_the_store_was_told(
+    path: Path, sync: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[str] = []
+
+    class Noting(JournalFile):
+        def __init__(self, path: str, sync: str, failing: str = "") -> None:
+            made.append(sync)
+            super().__init__(path, sync, failing)
+
+    monkeypatch.setattr(_journal_file, "JournalFile", Noting)
+    async with opened(SqliteStore(path, sync=sync)):
+        pass
+    assert made == [sync]
+
+
 async def test_a_store_belongs_to_one_event_loop_at_a_time(
     path: Path, anyio_backend_name: str
 ) -> None:
@@ -208,7 +226,9 @@ async def test_a_store_belongs_to_one_event_loop_at_a_time(
 
     run = partial(anyio.run, use, "drive", backend=anyio_backend_name)
     async with opened(store):
-        with pytest.raises(StoreError, match="in use by the event loop of another thread"):
+        with pytest.raises(
+            StoreError, match=r": it is in use by the event loop of another thread$"
+        ):
             await anyio.to_thread.run_sync(run)
     await anyio.to_thread.run_sync(run)
 
