@@ -5,7 +5,7 @@ The client blocks while it waits, as programs of rclpy do: nothing else runs in 
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Mapping
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from threading import Thread
 from time import perf_counter
@@ -14,7 +14,7 @@ from typing import Any
 import rclpy
 from arduinobot_msgs.action import Fibonacci
 from rclpy.action import ActionClient, ActionServer
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -31,7 +31,7 @@ from tests.benchmarks.contender import (
 NAME = "benchmark_rclpy"
 SUCCEEDED = 4
 PATIENCE = 10.0
-"""Seconds after which unanswered goals of a batch count as lost."""
+"""Seconds of one turn of an executor; goals of a batch not answered by then count as lost."""
 
 
 class Server(Node):  # type: ignore[misc]  # rclpy has no types here
@@ -67,15 +67,21 @@ class Server(Node):  # type: ignore[misc]  # rclpy has no types here
         self.destroy_timer(timer)
 
 
-def spin(node: Node) -> None:
+def spin(node: Node, make_executor: Callable[[], Executor]) -> None:
+    executor = make_executor()
+    executor.add_node(node)
+    # Without a timeout, rclpy's EventsExecutor never returns: it keeps the interpreter's lock.
     with suppress(ExternalShutdownException):
-        rclpy.spin(node)
+        while rclpy.ok():
+            executor.spin_once(PATIENCE)
 
 
 @asynccontextmanager
-async def serve(name: str = NAME, **settings: Any) -> AsyncGenerator[str, None]:
+async def serve(
+    name: str = NAME, executor: Callable[[], Executor] = SingleThreadedExecutor, **settings: Any
+) -> AsyncGenerator[str, None]:
     rclpy.init()
-    spinner = Thread(target=spin, args=(Server(name, settings),), daemon=True)
+    spinner = Thread(target=spin, args=(Server(name, settings), executor), daemon=True)
     spinner.start()
     try:
         yield name
@@ -85,20 +91,24 @@ async def serve(name: str = NAME, **settings: Any) -> AsyncGenerator[str, None]:
 
 
 @asynccontextmanager
-async def connect(address: str, **settings: Any) -> AsyncGenerator[Contender, None]:
+async def connect(
+    address: str, executor: Callable[[], Executor] = SingleThreadedExecutor, **settings: Any
+) -> AsyncGenerator[Contender, None]:
     rclpy.init()
     try:
-        yield OverRclpy(address, settings)
+        yield OverRclpy(address, executor, settings)
     finally:
         rclpy.try_shutdown()
 
 
 class OverRclpy(Contender):
-    def __init__(self, name: str, settings: Mapping[str, Any]) -> None:
+    def __init__(
+        self, name: str, executor: Callable[[], Executor], settings: Mapping[str, Any]
+    ) -> None:
         node = rclpy.create_node("benchmark_client")
         self._client = ActionClient(node, Fibonacci, name, **settings)
         # An executor of its own is faster than rclpy's global one, which adds the node each time.
-        self._executor = SingleThreadedExecutor()
+        self._executor = executor()
         self._executor.add_node(node)
         self._client.wait_for_server()
 
@@ -124,7 +134,7 @@ class OverRclpy(Contender):
 
         for _ in range(AT_ONCE):
             self._client.send_goal_async(Fibonacci.Goal()).add_done_callback(accepted)
-        self._wait(all_done, PATIENCE)
+        self._executor.spin_until_future_complete(all_done, PATIENCE)
         return done
 
     async def feedback(self, times: int) -> int:
@@ -156,6 +166,7 @@ class OverRclpy(Contender):
         handle = self._wait(self._client.send_goal_async(goal, feedback_callback=on_feedback))
         self._wait(handle.get_result_async())
 
-    def _wait(self, future: Any, patience: float | None = None) -> Any:
-        self._executor.spin_until_future_complete(future, patience)
+    def _wait(self, future: Any) -> Any:
+        while not future.done() and rclpy.ok():
+            self._executor.spin_until_future_complete(future, PATIENCE)
         return future.result()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 
 from tests.benchmarks import over_rclpy
@@ -16,13 +17,18 @@ SERVICES = {f"{name}_service_qos_profile": DEEP for name in ("goal", "result", "
 
 
 @asynccontextmanager
-async def serve() -> AsyncGenerator[str, None]:
-    async with over_rclpy.serve(NAME, feedback_pub_qos_profile=DEEP, **SERVICES) as address:
+async def serve(
+    name: str = NAME, executor: Callable[[], Executor] = SingleThreadedExecutor
+) -> AsyncGenerator[str, None]:
+    settings = {"feedback_pub_qos_profile": DEEP, **SERVICES}
+    async with over_rclpy.serve(name, executor, **settings) as address:
         yield address
 
 
 @asynccontextmanager
-async def connect(address: str) -> AsyncGenerator[Contender, None]:
+async def connect(
+    address: str, executor: Callable[[], Executor] = SingleThreadedExecutor
+) -> AsyncGenerator[Contender, None]:
     settings = {"feedback_sub_qos_profile": DEEP, **SERVICES}
-    async with over_rclpy.connect(address, **settings) as contender:
+    async with over_rclpy.connect(address, executor, **settings) as contender:
         yield contender

@@ -42,6 +42,7 @@ BESIDE = [
     ("http", "tcp"),
     ("ros2", "rclpy"),
     ("ros2", "rclpy_deep"),
+    ("ros2", "rclpy_events"),
 ]
 """The pairs of ways whose ratios are reported."""
 

@@ -12,7 +12,9 @@ from tests.benchmarks import suite, ways
 from tests.benchmarks.ways import IN_ONE, ROS, WAYS, Way, left_out, started, versions
 
 BROKEN = Way("broken peer", IN_ONE, "nothing_of_that_name", is_ours=False, has_server=False)
-EVERYTHING = dict.fromkeys(("grpc", "nats", "ros2", "rclpy", "rclpy_deep"), "not asked for")
+EVERYTHING = dict.fromkeys(
+    ("grpc", "nats", "ros2", "rclpy", "rclpy_deep", "rclpy_events"), "not asked for"
+)
 
 
 def test_a_library_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -40,7 +42,12 @@ def test_without_an_environment_for_ros_both_of_its_ways_are_left_out(
 
     reasons = left_out()
 
-    assert {key for key in reasons if WAYS[key].group == ROS} == {"ros2", "rclpy", "rclpy_deep"}
+    assert {key for key in reasons if WAYS[key].group == ROS} == {
+        "ros2",
+        "rclpy",
+        "rclpy_deep",
+        "rclpy_events",
+    }
     assert "make ros" in reasons["rclpy"]
 
 

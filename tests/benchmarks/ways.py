@@ -55,6 +55,7 @@ WAYS = {
     "ros2": Way("fibaction, ros2", ROS, "ros2"),
     "rclpy": Way("rclpy", ROS, "rclpy", is_ours=False),
     "rclpy_deep": Way("rclpy, queues of 3,000", ROS, "rclpy_deep", is_ours=False),
+    "rclpy_events": Way("rclpy, EventsExecutor", ROS, "rclpy_events", is_ours=False),
 }
 
 KEPT = {
