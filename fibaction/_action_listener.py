@@ -109,7 +109,7 @@ async def _follow_if_usable(
     try:
         await follow_action(client, info, listener, feedback=feedback)
     except TransportError as exc:
-        if type(exc) is not TransportError:
+        if type(exc) is not TransportError:  # the connection is lost
             raise
         listener.on_action_lost(info.name, str(exc))
 

@@ -152,9 +152,15 @@ class Gathering:
         else:
             self._lines = ["each module is covered by its own tests"]
 
-    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        for line in self._lines:
-            terminalreporter.write_line(line)
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_unconfigure(self, config: pytest.Config) -> None:
+        # After all that pytest writes, where a reader of the end of a long log looks.
+        reporter: pytest.TerminalReporter | None = config.pluginmanager.get_plugin(
+            "terminalreporter"
+        )
+        if reporter is not None:
+            for line in self._lines:
+                reporter.write_line(line)
 
 
 class Following:

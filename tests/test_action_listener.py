@@ -150,6 +150,8 @@ async def test_a_connection_that_is_lost_for_good_ends_it(monkeypatch: pytest.Mo
     with pytest.raises(ConnectionLost):
         await follow_action(client, server.info, recorder, feedback=True)
     assert recorder.heard == [("gone", "one", "the line is dead")]
+    with pytest.RaisesGroup(ConnectionLost):
+        await follow_actions(Served(server).connection, recorder, feedback=True)
 
 
 @pytest.mark.asyncio

@@ -256,18 +256,16 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._finish(old, Ending(EndKind.CANCELED, reason=f"preempted by {successor}"))
         if self._keeper is None:
             self._execute(new)
-        elif new.goal.status is GoalStatus.ACCEPTED:
-            new.goal.earlier_status = GoalStatus.ACCEPTED
+        else:
+            new.goal.earlier_status = new.goal.status
             self._registry.execute(new.goal)
 
     def _tell_begin(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         """Tell of an attempt that is kept by now, and has begun before."""
-        goal = run.goal
-        if goal.earlier_status is GoalStatus.ACCEPTED:
-            # A cancel may have been accepted since, and not be kept yet.
-            is_newest = goal.status is GoalStatus.EXECUTING
-            goal.earlier_status = None if is_newest else GoalStatus.EXECUTING
-            self._logs.tell_status(run.log)
+        # A cancel may have been accepted since, and not be kept yet.
+        is_newest = run.goal.status is GoalStatus.EXECUTING
+        run.goal.earlier_status = None if is_newest else GoalStatus.EXECUTING
+        self._logs.tell_status(run.log)
         run.log.reveal()
 
     # Stop
