@@ -291,6 +291,8 @@ class Record:
             return True
         if truth.life is not self.lives[-1] or (stamp is None and truth.accepted_at >= since):
             return True
+        if truth.life.began_at >= since and truth.ended_at < truth.life.began_at:
+            return True  # the server before may have answered, which had forgotten the goal
         if not self._has_expired(truth, now):
             return False
         # A server keeps one stream for a client, and gives it to the next request.

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
-from fibaction import CancelAnswer, CancelCode, GoalID, GoalInfo, GoalStatus, Outcome, Sender
+from fibaction import (
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    GoalStatus,
+    Outcome,
+    Sender,
+    UnknownGoal,
+)
 from fibaction.server.goal_record import GoalRecord, digest_of
 from fibaction.server.registry import GoalRegistry
-from tests.simulation.facts import Life
+from tests.simulation.facts import Life, Truth
 from tests.simulation.generator import scenario_of
 from tests.simulation.invariants import Record
 from tests.simulation.scenario import Done, Step
@@ -139,6 +148,20 @@ def test_a_goal_that_is_forgotten_too_early_is_found() -> None:
     known = Known()
     known.view.outcome(Outcome(GoalStatus.UNKNOWN))
     assert set(known.found()) == {"status", "outcome"}
+
+
+def test_a_server_may_have_forgotten_what_the_next_one_restores() -> None:
+    known = Known()
+    known.ends(GoalStatus.EXECUTING, GoalStatus.ABORTED)
+    known.now += 1
+    life = Life(2, known.now, known.registry)
+    known.record.lives.append(life)
+    truth = life.goals[GOAL, 1] = Truth(GOAL, 1, life, known.truth.accepted_at, "")
+    truth.outcome, truth.ended_at, truth.is_restored = Outcome(GoalStatus.ABORTED), 10.0, True
+    known.record.failed(known.client, UnknownGoal(GOAL), "follow", GOAL, since=known.now - 0.1)
+    assert known.found() == []
+    known.record.failed(known.client, UnknownGoal(GOAL), "follow", GOAL, since=known.now + 0.1)
+    assert known.found() == ["error"]
 
 
 def test_a_cancel_of_a_goal_that_is_not_canceling_is_found() -> None:
