@@ -9,15 +9,15 @@ read from the fleet's stream as well.
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from datetime import datetime
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import anyio
 import nats
 from nats.js.api import RePublish, StreamConfig
-from nats.js.errors import Error
+from nats.js.errors import Error, NotFoundError
 
 from fibaction.goal_store import StoredGoal
 from fibaction_transports.nats.fleet_names import FleetNames
@@ -26,6 +26,10 @@ from fibaction_transports.nats.fleet_records import goal_entry, lease_entry
 NAME = "WITNESS"
 PREFIX = "witness"
 BATCH = 500
+PATIENCE = 60.0
+"""Seconds within which brokers without faults answer."""
+
+T = TypeVar("T")
 
 
 class Write(NamedTuple):
@@ -79,22 +83,28 @@ class Witness:
     async def leader(self, stream: str) -> str:
         """Return the name of the server that leads a stream: `goals`, `workers` or the witness."""
         name = {"goals": self._names.goals, "workers": self._names.workers}.get(stream, stream)
-        cluster = (await self._client.jetstream(timeout=10).stream_info(name)).cluster
-        return cluster.leader or ""
+        info = await _answer(self._client.jetstream(timeout=10).stream_info, name)
+        return info.cluster.leader or ""
 
     async def incarnations(self) -> dict[str, bytes]:
         """Return the incarnation of each worker, which is another one when it has joined again."""
-        stream = self._client.jetstream(timeout=10)
-        found: dict[str, bytes] = {}
-        for name in ("w1", "w2", "w3"):
-            with suppress(Error):  # it has left
-                message = await stream.get_msg(
-                    self._names.workers, subject=self._names.worker(name), direct=False
-                )
-                if message.data:
-                    found[name] = lease_entry(message.data).incarnation
+        found = {name: await _answer(self._lease, name) for name in ("w1", "w2", "w3")}
         # While a lost worker is cleared up after, there is none.
-        return {name: one for name, one in found.items() if one}
+        return {
+            name: incarnation
+            for name, data in found.items()
+            if data and (incarnation := lease_entry(data).incarnation)
+        }
+
+    async def _lease(self, worker: str) -> bytes | None:
+        subject = self._names.worker(worker)
+        try:
+            stream = self._client.jetstream(timeout=10)
+            message = await stream.get_msg(self._names.workers, subject=subject, direct=False)
+            data: bytes | None = message.data
+        except NotFoundError:
+            return None  # it has left
+        return data
 
     async def lead_elsewhere(self, server: str) -> None:
         """Let another server lead the witness than the one that is about to be killed."""
@@ -108,25 +118,37 @@ class Witness:
         found = self._followed | {
             write.sequence: write
             for name, write_of in ((self._names.goals, _newest), (NAME, _republished))
-            for write in [write_of(message) for message in await self._messages(name)]
+            for write in [write_of(one) for one in await _answer(self._read, name)]
         }
         return sorted(found.values(), key=lambda write: write.sequence)
 
-    async def _messages(self, name: str) -> list[Any]:
+    async def _read(self, name: str) -> list[Any]:
         stream = self._client.jetstream(timeout=10)
-        while True:  # a leader may have to be found again after the last fault
+        total = (await stream.stream_info(name)).state.messages
+        reader = await stream.pull_subscribe("", stream=name)
+        try:
+            found: list[Any] = []
+            while len(found) < total:
+                for message in await reader.fetch(min(BATCH, total - len(found)), timeout=10):
+                    found.append(message)
+                    await message.ack()
+            return found
+        finally:
+            await reader.unsubscribe()
+
+
+async def _answer(ask: Callable[[str], Awaitable[T]], name: str) -> T:
+    """Ask for something by its name until the brokers answer, since they may have to find a leader
+    first, of a stream or of a reader.
+
+    Raises:
+        TimeoutError: They have not answered within `PATIENCE`.
+    """
+    with anyio.fail_after(PATIENCE):
+        while True:
             with suppress(Error, nats.errors.Error, TimeoutError):
-                total = (await stream.stream_info(name)).state.messages
-                reader = await stream.pull_subscribe("", stream=name)
-                break
+                return await ask(name)
             await anyio.sleep(0.2)
-        found: list[Any] = []
-        while len(found) < total:
-            for message in await reader.fetch(min(BATCH, total - len(found)), timeout=10):
-                found.append(message)
-                await message.ack()
-        await reader.unsubscribe()
-        return found
 
 
 def _republished(message: Any) -> Write:
