@@ -53,9 +53,8 @@ check: lint imports $(VENV)/.tools  ## Run the quick checks, in less than a minu
 	$(BIN)/python -m pytest -q -n auto --dist worksteal $(QUICK)
 
 # The rules without I/O, both ends of an action, and what the project says of itself.
-QUICK := tests/server tests/wire tests/interfaces tests/test_action.py tests/test_api.py \
-    tests/test_client.py tests/test_contributing.py tests/test_init.py tests/test_project.py \
-    tests/test_states.py tests/test_style.py tests/test_answers.py
+QUICK := tests/server tests/wire tests/interfaces tests/words tests/types tests/client tests/test_api.py \
+    tests/test_contributing.py tests/test_init.py tests/test_project.py tests/test_style.py tests/test_answers.py
 
 test: lint types imports unit docs  ## Run all checks, with ROS 2 if it is available
 	@why=$$($(PYTHON) examples/ros2/build_interfaces.py --platform); if [ -z "$$why" ]; \
@@ -78,7 +77,7 @@ imports: $(VENV)/.tools  ## Check that imports point one way
 	$(BIN)/lint-imports
 
 unit: $(VENV)/.tools $(JAVASCRIPT)/.installed chromium promtool  ## Run the tests, each unit covered by its own
-	$(no_other_ros) $(BIN)/python -m pytest -p tests.own_coverage -n auto --dist worksteal
+	$(no_other_ros) $(BIN)/python -m pytest -p tests.tools.own_coverage -n auto --dist worksteal
 
 # The checker of metrics. As a package it would start a service, so it is unpacked only.
 promtool: $(VENV)/.tools  ## Get the checker of metrics that tests use
@@ -96,7 +95,7 @@ docs: $(VENV)/.docs  ## Build the documentation into site/
 	$(BIN)/python docs/build.py
 
 docs-serve: $(VENV)/.docs  ## Serve the documentation, rebuilt at each change
-	$(BIN)/python -m tests.promises
+	$(BIN)/python -m tests.tools.promises
 	$(BIN)/zensical serve
 
 # Servers of NATS and of Redis are unpacked rather than installed: as packages, they would start
@@ -107,14 +106,14 @@ bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparis
 	@cd $(VENV) && which redis-server >/dev/null || [ -d redis ] || ! which apt-get >/dev/null || \
 	    { apt-get download -qq redis-server redis-tools libjemalloc2 liblzf1 2>/dev/null && \
 	    for package in redis-*.deb libjemalloc2_*.deb liblzf1_*.deb; do dpkg -x $$package redis; done; } || true
-	$(no_other_ros) $(BIN)/python -m tests.benchmarks all --scale $(SCALE)
-	$(BIN)/python -m tests.benchmarks.durable
-	$(BIN)/python -m tests.benchmarks.fleet
+	$(no_other_ros) $(BIN)/python -m tests.tools.benchmarks all --scale $(SCALE)
+	$(BIN)/python -m tests.tools.benchmarks.durable
+	$(BIN)/python -m tests.tools.benchmarks.fleet
 	@for version in $(PYTHONS); do \
-	    if python=$$(tests/find_python.sh $$version); \
+	    if python=$$(tests/tools/find_python.sh $$version); \
 	    then $(MAKE) --no-print-directory build/python$$version/.installed PYTHON=$$python || exit; fi; \
 	done
-	$(BIN)/python -m tests.benchmarks.pythons --write
+	$(BIN)/python -m tests.tools.benchmarks.pythons --write
 
 simulate: $(VENV)/.tools  ## Run random scenarios in virtual time for ten minutes
 	$(BIN)/python -m tests.simulation --seconds 600
@@ -141,7 +140,7 @@ attack: $(VENV)/.tools  ## Attack a server in every way, for 20 seconds each, be
 	$(BIN)/python -m tests.hostile
 
 mutants: $(MUTANTS_VENV)/.installed  ## Put small faults into the rules, and check that the tests find each
-	$(MUTANTS_VENV)/bin/python -m tests.mutants --keep
+	$(MUTANTS_VENV)/bin/python -m tests.tools.mutants --keep
 
 # The wheel is made from the sdist, as packagers do; and from the checkout, to compare. The code is
 # that of `make test`, so what runs against it is what a wheel can lack: modules, entry points, files.
@@ -167,13 +166,13 @@ PYTHONS = $(filter-out $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.ver
 test_elsewhere = FIBACTION_EXAMPLES=20 $(no_other_ros) $(1)/bin/python -m pytest -q -n auto --dist worksteal \
     -o cache_dir=$(1)/.pytest_cache $(trio_over_tcp) tests $(addprefix --ignore=tests/,$(NOT_ELSEWHERE))
 trio_over_tcp := -k "not trio or trio-tcp"
-NOT_ELSEWHERE := benchmarks browser fleet fleet_simulation fuzz hostile javascript kills packaging simulation soak \
-    test_answers.py test_contributing.py test_cookbook.py test_docs.py test_guarantees.py test_own_coverage.py \
-    test_style.py test_walks.py
+NOT_ELSEWHERE := browser fleet fleet_simulation fuzz hostile javascript kills packaging simulation soak \
+    test_answers.py test_contributing.py test_cookbook.py test_docs.py test_guarantees.py \
+    test_style.py support/test_walks.py tools
 
 test-pythons:  ## Run the tests with each other version of Python that is installed
 	@for version in $(PYTHONS); do \
-	    if ! python=$$(tests/find_python.sh $$version); \
+	    if ! python=$$(tests/tools/find_python.sh $$version); \
 	    then echo "Python $$version is left out: it is not here"; \
 	    else $(MAKE) --no-print-directory test-python$$version PYTHON=$$python || exit; fi; \
 	done
@@ -256,11 +255,11 @@ build/python%/.installed: pyproject.toml
 	$(call install,$(@D)) -e '.[uvloop]' --group test
 	@touch $@
 
-build/lowest/.installed: pyproject.toml tests/lowest.py
+build/lowest/.installed: pyproject.toml tests/tools/lowest.py
 	rm -rf $(@D)
 	mkdir -p build
 	$(call new_venv,$(@D))
-	$(PYTHON) -m tests.lowest > $(@D)/lowest.txt
+	$(PYTHON) -m tests.tools.lowest > $(@D)/lowest.txt
 	$(call install,$(@D)) -e '.[uvloop]' --group test --constraint $(@D)/lowest.txt
 	@touch $@
 

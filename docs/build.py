@@ -49,7 +49,7 @@ def generate() -> None:
         path = DOCS / name
         path.write_text(with_parts(path.read_text(encoding="utf-8"), parts), encoding="utf-8")
     # The lists that docs/guarantee_tests.md includes: made from the tests, and not committed.
-    subprocess.run([sys.executable, "-m", "tests.promises"], cwd=ROOT, check=True)
+    subprocess.run([sys.executable, "-m", "tests.tools.promises"], cwd=ROOT, check=True)
 
 
 _COLORING = re.compile(r"\x1b\[[0-9;]*m")

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from page_parts import table
 from states_picture import STORED
 
-from fibaction import exceptions
 from fibaction.exceptions import ActionError
 from fibaction.states import TRANSITIONS, GoalEvent
+from fibaction.words import errors
 
 
 def states_part() -> str:
@@ -38,5 +38,5 @@ def _errors(error: type[ActionError], indent: str) -> Iterator[tuple[str, str]]:
         yield indent + error.__name__, text
         indent += "  "
     for child in error.__subclasses__():
-        if vars(exceptions).get(child.__name__) is child:
+        if vars(errors).get(child.__name__) is child:
             yield from _errors(child, indent)

@@ -13,7 +13,7 @@ import msgspec
 from msgspec import inspect as types
 from page_parts import table
 
-from fibaction.action import ActionInfo
+from fibaction.types.action import ActionInfo
 from fibaction.wire import codec
 from fibaction.wire.settings import Limits
 

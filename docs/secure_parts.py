@@ -20,7 +20,7 @@ TIMES = "×"  # noqa: RUF001  # the sign of a product, in text
 
 CONNECTION = 192 * KIB
 """Bytes of one connection: its tasks and buffers, those of TLS, and a message of 64 KiB of which a
-part has arrived. `tests/test_memory_bound.py` measures this number and the next six."""
+part has arrived. `tests/server/test_memory_bound.py` measures this number and the next six."""
 GOAL = 2 * KIB
 """Bytes of one goal that a connection sends or follows, or that is kept for a lost client."""
 AUTHORIZING = 8 * KIB

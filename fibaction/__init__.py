@@ -14,12 +14,19 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fibaction._api import ClientConnection, Connecting, Serving, connect, serve
-    from fibaction.abc import Endpoint, Transport
-    from fibaction.action import Action, ActionInfo
-    from fibaction.client import ActionClient
-    from fibaction.client_goal import ClientGoal, SendingGoal
-    from fibaction.events import Events, GoalFeedback
-    from fibaction.exceptions import (
+    from fibaction.border.abc import Endpoint, Transport
+    from fibaction.border.goal_store import GoalStore
+    from fibaction.border.watchers import Watcher
+    from fibaction.client.client import ActionClient
+    from fibaction.client.events import Events, GoalFeedback
+    from fibaction.client.goal import ClientGoal, SendingGoal
+    from fibaction.client.retry import Retry
+    from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
+    from fibaction.stores.sqlite_store import SqliteStore
+    from fibaction.types.action import Action, ActionInfo
+    from fibaction.wire.auth import Peer, Permission
+    from fibaction.wire.settings import Limits
+    from fibaction.words.errors import (
         ActionError,
         AuthenticationFailed,
         CancelRejected,
@@ -40,8 +47,7 @@ if TYPE_CHECKING:
         TransportError,
         UnknownGoal,
     )
-    from fibaction.goal_store import GoalStore
-    from fibaction.goals import (
+    from fibaction.words.goals import (
         ActionPeers,
         CancelAnswer,
         CancelCode,
@@ -51,36 +57,32 @@ if TYPE_CHECKING:
         Sender,
         WorkerInfo,
     )
-    from fibaction.retry import Retry
-    from fibaction.server import ActionServer, Executor, GoalHandle, Schedule
-    from fibaction.states import GoalEvent, GoalStatus
-    from fibaction.stores.sqlite_store import SqliteStore
-    from fibaction.watchers import Watcher
-    from fibaction.wire.auth import Peer, Permission
-    from fibaction.wire.settings import Limits
+    from fibaction.words.statuses import GoalEvent, GoalStatus
 else:
     from importlib import import_module
 
     _NAMES = {
         "_api": "ClientConnection Connecting Serving connect serve",
-        "abc": "Endpoint Transport",
-        "action": "Action ActionInfo",
-        "client": "ActionClient",
-        "client_goal": "ClientGoal SendingGoal",
-        "events": "Events GoalFeedback",
-        "exceptions": (
+        "border.abc": "Endpoint Transport",
+        "types.action": "Action ActionInfo",
+        "client.client": "ActionClient",
+        "client.goal": "ClientGoal SendingGoal",
+        "client.events": "Events GoalFeedback",
+        "words.errors": (
             "ActionError AuthenticationFailed CancelRejected ConnectionLost GoalAborted "
             "GoalCanceled GoalKept GoalRejected GoalTimeout InvalidMessage InvalidTransition "
             "InvalidURL LimitReached ProtocolError ServerFailed ServerNotFound StoreError "
             "TransportError UnknownGoal"
         ),
-        "goal_store": "GoalStore",
-        "goals": "ActionPeers CancelAnswer CancelCode GoalID GoalInfo Outcome Sender WorkerInfo",
-        "retry": "Retry",
+        "border.goal_store": "GoalStore",
+        "words.goals": (
+            "ActionPeers CancelAnswer CancelCode GoalID GoalInfo Outcome Sender WorkerInfo"
+        ),
+        "client.retry": "Retry",
         "server": "ActionServer Executor GoalHandle Schedule",
-        "states": "GoalEvent GoalStatus",
+        "words.statuses": "GoalEvent GoalStatus",
         "stores.sqlite_store": "SqliteStore",
-        "watchers": "Watcher",
+        "border.watchers": "Watcher",
         "wire.auth": "Peer Permission",
         "wire.settings": "Limits",
     }

@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypedDict, TypeVar, Unpack, cas
 import anyio
 from anyio import create_task_group
 
-from fibaction._kept_connection import KeptConnection, keep_open
-from fibaction.abc import Connection, Endpoint, Startable, Transport
-from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
-from fibaction.client import ActionClient
-from fibaction.client_goal import Blocks, leave_blocks
-from fibaction.exceptions import TransportError
-from fibaction.goal_store import GoalStore
-from fibaction.goals import ActionPeers, WorkerInfo
-from fibaction.urls import transport_for, without_settings
-from fibaction.watchers import Watcher
+from fibaction.border.abc import Connection, Endpoint, Startable, Transport
+from fibaction.border.goal_store import GoalStore
+from fibaction.border.urls import transport_for, without_settings
+from fibaction.border.watchers import Watcher
+from fibaction.client.client import ActionClient
+from fibaction.client.goal import Blocks, leave_blocks
+from fibaction.client.kept_connection import KeptConnection, keep_open
+from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.wire.settings import ClientKeywords, ServerKeywords
+from fibaction.words.errors import TransportError
+from fibaction.words.goals import ActionPeers, WorkerInfo
 
 if TYPE_CHECKING:
     from ssl import SSLContext
 
-    from fibaction.otel import Tracing
+    from fibaction.observe.otel import Tracing
     from fibaction.wire.tls_files import TlsFiles
 
 

@@ -12,13 +12,13 @@ from typing import Generic, TypeAlias
 import anyio
 import msgspec
 
-from fibaction.action import Action, FeedbackT, GoalT, ResultT
-from fibaction.client import ActionClient
-from fibaction.exceptions import GoalRejected, ProtocolError
-from fibaction.goals import Outcome
+from fibaction.client.client import ActionClient
 from fibaction.server import ActionServer
-from fibaction.server.executor import Executor
+from fibaction.server.execution.executor import Executor
 from fibaction.server.goal_handle import GoalHandle
+from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.words.errors import GoalRejected, ProtocolError
+from fibaction.words.goals import Outcome
 
 
 class Trial(msgspec.Struct, Generic[FeedbackT, ResultT], frozen=True):

@@ -26,14 +26,14 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.abc import Connection, ForwardingEndpoint, GoalStream, Meta
-from fibaction.goal_store import GoalStore
-from fibaction.goals import UNKNOWN_SENDER, Sender
+from fibaction.border.abc import Connection, ForwardingEndpoint, GoalStream, Meta
+from fibaction.border.goal_store import GoalStore
+from fibaction.words.goals import UNKNOWN_SENDER, Sender
 from fibaction_transports.inprocess import InProcessTransport
-from tests.executors import Items
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from tests.memory_store import MemoryStore
-from tests.one_worker import WORKER, OneWorker
+from tests.support.executors import Items
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.memory_store import MemoryStore
+from tests.support.one_worker import WORKER, OneWorker
 
 pytestmark = pytest.mark.asyncio
 

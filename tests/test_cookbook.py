@@ -1,6 +1,6 @@
 """The cookbook: its recipes are as short as its first page says, and its cells run.
 
-`tests/test_docs.py` runs the programs, `tests/test_walks.py` those in files.
+`tests/test_docs.py` runs the programs, `tests/support/test_walks.py` those in files.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from fibaction import ActionServer, serve
-from tests.pages import blocks_of
+from tests.support.pages import blocks_of
 from tests.test_notebook_page import DRIVE, drive, run_cells
 
 COOKBOOK = Path(__file__).resolve().parent.parent / "docs" / "cookbook"

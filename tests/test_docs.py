@@ -25,20 +25,20 @@ import msgspec
 import pytest
 
 import fibaction
-import fibaction._notify
-import fibaction.abc
-import fibaction.action_files
+import fibaction._runtime.notify
 import fibaction.agents
 import fibaction.blocking
-import fibaction.json_payload
-import fibaction.log_records
-import fibaction.metrics
-import fibaction.metrics_server
-import fibaction.monitor
-import fibaction.otel
-import fibaction.recorder
-import fibaction.recording_file
-import fibaction.replay
+import fibaction.border.abc
+import fibaction.interfaces.action_files
+import fibaction.observe.log_records
+import fibaction.observe.metrics
+import fibaction.observe.metrics_server
+import fibaction.observe.monitor
+import fibaction.observe.otel
+import fibaction.observe.recorder
+import fibaction.observe.recording_file
+import fibaction.observe.replay
+import fibaction.schema.payload
 import fibaction.testing
 import fibaction.wire
 import fibaction.wire.channel
@@ -46,17 +46,17 @@ import fibaction.wire.transport
 import fibaction_transports.inprocess
 import fibaction_transports.tcp
 from fibaction import CancelCode, GoalStatus, connect, serve
-from fibaction.states import TRANSITIONS
+from fibaction.border.urls import GROUP
 from fibaction.testing import ScriptedServer
-from fibaction.urls import GROUP
 from fibaction.wire import codec, messages
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.settings import ClientSettings, ServerSettings, WireKeywords
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
-from tests.golden import GOLDEN
-from tests.pages import FENCED, NOT_RUN, Block
-from tests.pages import blocks_of as blocks_of  # for the tests with ROS 2, too
-from tests.walks import file_of, terminal_of
+from fibaction.words.statuses import TRANSITIONS
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.golden import GOLDEN
+from tests.support.pages import FENCED, NOT_RUN, Block
+from tests.support.pages import blocks_of as blocks_of  # for the tests with ROS 2, too
+from tests.support.walks import file_of, terminal_of
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -87,7 +87,7 @@ SHELLS_ELSEWHERE = {
     "docs/comparisons.md": "measuring takes minutes; the tests compare the page with what came out",
     "docs/contributing.md": "as for CONTRIBUTING.md",
 }
-"""Pages whose shell commands are not run by `tests.walks`, and who runs them."""
+"""Pages whose shell commands are not run by `tests.support.walks`, and who runs them."""
 
 _LINK = re.compile(r"\]\((?P<target>[^)\s]+)\)")
 _NAME = re.compile(r"`(fibaction(?:_transports)?(?:\.[A-Za-z_]\w*)+)`")
@@ -99,7 +99,7 @@ def run_page(page: str, name: str, *, ros: bool = False) -> list[str]:
 
     A ```text block right after a Python block is what that prints; a block without one prints
     nothing. A block under `<!-- not run: reason -->` is left out; with `ros`, one that needs ROS 2
-    is not. A file that the reader is to write is left to `tests.walks`.
+    is not. A file that the reader is to write is left to `tests.support.walks`.
     """
     blocks = blocks_of(page)
     module = ModuleType(f"page_{name}")
@@ -412,21 +412,21 @@ def resolve(dotted: str) -> object:
     ("module", "known"),
     [
         (fibaction, "connect"),
-        (fibaction.action_files, "load_action"),
+        (fibaction.interfaces.action_files, "load_action"),
         (fibaction.agents, "McpBridge"),
         (fibaction.blocking, "BlockingGoal"),
-        (fibaction.json_payload, "JsonCodec"),
-        (fibaction.log_records, "GoalFilter"),
-        (fibaction.metrics, "Metrics"),
-        (fibaction.metrics_server, "serve_metrics"),
-        (fibaction.monitor, "Monitor"),
-        (fibaction.otel, "Tracing"),
-        (fibaction.recorder, "Recorder"),
-        (fibaction.recording_file, "read_records"),
-        (fibaction.replay, "replayed"),
-        (fibaction.abc, "GoalStream"),
+        (fibaction.schema.payload, "JsonCodec"),
+        (fibaction.observe.log_records, "GoalFilter"),
+        (fibaction.observe.metrics, "Metrics"),
+        (fibaction.observe.metrics_server, "serve_metrics"),
+        (fibaction.observe.monitor, "Monitor"),
+        (fibaction.observe.otel, "Tracing"),
+        (fibaction.observe.recorder, "Recorder"),
+        (fibaction.observe.recording_file, "read_records"),
+        (fibaction.observe.replay, "replayed"),
+        (fibaction.border.abc, "GoalStream"),
         (fibaction.testing, "Step"),
-        (fibaction._notify, "Notifier"),
+        (fibaction._runtime.notify, "Notifier"),
         (fibaction.wire, "Permission"),
         (fibaction.wire.transport, "WireTransport"),
         (fibaction.wire.channel, "Channel"),

@@ -32,9 +32,9 @@ from fibaction import (
     serve,
 )
 from fibaction.testing import ScriptedServer, run_executor
-from tests.nats_server import IS_LEFT_OUT
-from tests.ports import free_port
-from tests.processes import PATIENCE, ended, lines_until
+from tests.support.nats_server import IS_LEFT_OUT
+from tests.support.ports import free_port
+from tests.support.processes import PATIENCE, ended, lines_until
 
 # Examples are scripts beside each other, and import one another as such.
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.promises import (
+from tests.tools.promises import (
     CONTRACT,
     LISTS,
     PAGE,
@@ -41,7 +41,7 @@ def on_a_line(test: str, *promises: str) -> Proof:
 
 
 def of_the_core(test: str, *promises: str) -> Proof:
-    return Proof(test, "tests/test_states.py", promises)
+    return Proof(test, "tests/words/test_statuses.py", promises)
 
 
 @pytest.fixture(scope="module")

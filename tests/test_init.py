@@ -12,7 +12,7 @@ import pytest
 
 import fibaction
 import fibaction.blocking
-from fibaction import exceptions
+from fibaction.words import errors as errors_module
 
 
 def declared() -> dict[str, str]:
@@ -76,7 +76,7 @@ def test_an_import_does_not_bring_what_looks_for_installed_packages() -> None:
 def test_every_error_is_public() -> None:
     errors = {
         name
-        for name, value in vars(exceptions).items()
+        for name, value in vars(errors_module).items()
         if inspect.isclass(value) and issubclass(value, BaseException) and name[0] != "_"
     }
     assert errors <= set(fibaction.__all__)
@@ -124,7 +124,9 @@ def test_what_programs_use_has_an_example_of_valid_python(value: object) -> None
 def test_an_import_brings_no_parser_of_action_files_which_has_a_module_of_its_own() -> None:
     imported = modules_after("from fibaction import *")
     assert {name for name in imported if name.startswith("fibaction.interfaces")} == set()
-    assert "fibaction.interfaces" in modules_after("from fibaction.action_files import load_action")
+    assert "fibaction.interfaces" in modules_after(
+        "from fibaction.interfaces.action_files import load_action"
+    )
 
 
 def test_an_import_brings_no_transport_no_ros_and_no_event_loop() -> None:

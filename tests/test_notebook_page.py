@@ -17,7 +17,7 @@ import anyio
 import pytest
 
 from fibaction import Action, ActionServer, GoalHandle, serve
-from tests.pages import Block, blocks_of
+from tests.support.pages import Block, blocks_of
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "howto" / "notebook.md"
 ADDRESS = "tcp://127.0.0.1:7400"

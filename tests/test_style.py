@@ -45,7 +45,11 @@ def test_no_module_is_named_by_a_gerund() -> None:
     assert gerunds == {"testing"}
 
 
-CLEAN_LOGS = ("fibaction/_log.py", "fibaction/cli/logs.py", "fibaction/cli/top.py")
+CLEAN_LOGS = (
+    "fibaction/_runtime/log.py",
+    "fibaction/cli/process/logs.py",
+    "fibaction/cli/verbs/top.py",
+)
 """The modules that set up logs, and so may use any logger."""
 
 

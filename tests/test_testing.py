@@ -18,10 +18,10 @@ from fibaction import (
     Outcome,
     ProtocolError,
 )
-from fibaction.server.executor import Executor
+from fibaction.server.execution.executor import Executor
 from fibaction.testing import ScriptedServer, Trial, run_executor
-from tests.executors import Items
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.executors import Items
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.asyncio
 

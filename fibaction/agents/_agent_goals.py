@@ -14,15 +14,15 @@ import anyio
 from anyio import CancelScope
 from anyio.abc import TaskGroup
 
-from fibaction._log import clean_logger
-from fibaction._notify import Notifier
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
 from fibaction.agents._robot_actions import RobotAction
 from fibaction.agents._tool_error import ToolError
 from fibaction.agents._tool_names import STATUS
-from fibaction.client_goal import ClientGoal
-from fibaction.exceptions import ActionError, ConnectionLost, GoalRejected
-from fibaction.goals import CancelAnswer, GoalID, GoalInfo, Outcome
-from fibaction.states import GoalStatus
+from fibaction.client.goal import ClientGoal
+from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected
+from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome
+from fibaction.words.statuses import GoalStatus
 
 MOST_ACTIVE = 100
 """Goals that a bridge follows at once; more are not sent."""

@@ -38,9 +38,9 @@ from mcp_types import (
 from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 from pydantic import ValidationError
 
-from fibaction._text import with_escapes
+from fibaction._runtime.text import with_escapes
 from fibaction.agents._tool_error import ToolError
-from fibaction.json_payload import PayloadError, to_json
+from fibaction.schema.payload import PayloadError, to_json
 
 QUESTION_TIMEOUT = 600.0
 """Seconds that a user has to answer a question."""

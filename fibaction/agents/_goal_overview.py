@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from fibaction._text import excerpt
+from fibaction._runtime.text import excerpt
 from fibaction.agents._robot_actions import RobotAction
-from fibaction.goals import GoalInfo
+from fibaction.words.goals import GoalInfo
 
 MOST_GOALS = 20
 """Goals of one action that are listed: the newest ones."""

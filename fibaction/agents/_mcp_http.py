@@ -18,10 +18,10 @@ import uvicorn
 from mcp.server import Server
 from mcp.server.transport_security import TransportSecuritySettings
 
-from fibaction._http_rules import HttpRules, Refused, rules
-from fibaction._log import clean_logger
-from fibaction.exceptions import TransportError
+from fibaction._runtime.http_rules import HttpRules, Refused, rules
+from fibaction._runtime.log import clean_logger
 from fibaction.wire.auth import AccessPolicy
+from fibaction.words.errors import TransportError
 
 PATH = "/mcp"
 LAST_ANSWERS = 1

@@ -20,16 +20,17 @@ from contextlib import asynccontextmanager
 import anyio
 
 from fibaction._api import ClientConnection, connect
-from fibaction._log import clean_logger
-from fibaction._notify import Notifier
-from fibaction._tasks import Background
-from fibaction._text import excerpt
-from fibaction.abc import Transport
-from fibaction.action import Action, ActionInfo
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.tasks import Background
+from fibaction._runtime.text import excerpt
 from fibaction.agents._tool_names import CANCEL, SEND, STATUS, tool_name
 from fibaction.agents._tool_schema import tool_input
 from fibaction.agents.agent_policy import AgentPolicy
-from fibaction.exceptions import (
+from fibaction.border.abc import Transport
+from fibaction.schema.payload import JsonCodec, PayloadError
+from fibaction.types.action import Action, ActionInfo
+from fibaction.words.errors import (
     ActionError,
     AuthenticationFailed,
     ConnectionLost,
@@ -38,7 +39,6 @@ from fibaction.exceptions import (
     ServerNotFound,
     TransportError,
 )
-from fibaction.json_payload import JsonCodec, PayloadError
 
 PERIOD = 1.0
 """Seconds between two looks for actions."""

@@ -23,9 +23,9 @@ from fibaction.agents._tool_list import tool_list
 from fibaction.agents._tool_names import CANCEL, SEND, STATUS
 from fibaction.agents._tool_schema import GOAL
 from fibaction.agents.agent_policy import AgentPolicy
-from fibaction.exceptions import ActionError
-from fibaction.goals import CancelCode, GoalID
-from fibaction.json_payload import JsonCodec, PayloadError
+from fibaction.schema.payload import JsonCodec, PayloadError
+from fibaction.words.errors import ActionError
+from fibaction.words.goals import CancelCode, GoalID
 
 CANCEL_WAIT = 5.0
 """Seconds that `cancel_goal` waits for the end of the goal, if it is not told otherwise."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from mcp_types import Tool, ToolAnnotations
 
-from fibaction._text import excerpt, shortened
+from fibaction._runtime.text import excerpt, shortened
 from fibaction.agents._robot_actions import RobotAction
 from fibaction.agents._tool_names import CANCEL, SEND, STATUS
 from fibaction.agents._tool_schema import GOAL

@@ -20,8 +20,7 @@ from mcp_types import (
 )
 
 from fibaction import __version__
-from fibaction._tasks import Background
-from fibaction.abc import Transport
+from fibaction._runtime.tasks import Background
 from fibaction.agents._agent_goals import AgentGoals
 from fibaction.agents._list_changes import ListChanges
 from fibaction.agents._robot_actions import RobotActions
@@ -29,7 +28,8 @@ from fibaction.agents._stdio_streams import stdio_streams
 from fibaction.agents._tool_calls import ToolCalls
 from fibaction.agents._tool_list import instructions, tool_list
 from fibaction.agents.agent_policy import AgentPolicy
-from fibaction.urls import transport_for
+from fibaction.border.abc import Transport
+from fibaction.border.urls import transport_for
 
 
 def check_servers(servers: Mapping[str, str | Transport]) -> None:

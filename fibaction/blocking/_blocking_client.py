@@ -6,13 +6,13 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Generic
 
 from fibaction._api import ClientConnection
-from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.blocking._blocking_goal import BlockingGoal
 from fibaction.blocking._loop_thread import LoopThread
-from fibaction.client import ActionClient
-from fibaction.client_goal import ClientGoal, SendingGoal
-from fibaction.goals import ActionPeers, CancelAnswer, GoalID, GoalInfo, WorkerInfo
-from fibaction.retry import Retry
+from fibaction.client.client import ActionClient
+from fibaction.client.goal import ClientGoal, SendingGoal
+from fibaction.client.retry import Retry
+from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
+from fibaction.words.goals import ActionPeers, CancelAnswer, GoalID, GoalInfo, WorkerInfo
 
 
 class BlockingClient(Generic[GoalT, FeedbackT, ResultT]):

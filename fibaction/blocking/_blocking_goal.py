@@ -5,11 +5,11 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Generic
 
-from fibaction.action import FeedbackT, ResultT
 from fibaction.blocking._loop_thread import LoopThread
-from fibaction.client_goal import ClientGoal, FeedbackReader, SendingGoal
-from fibaction.goals import CancelAnswer, GoalID, Outcome
-from fibaction.states import GoalStatus
+from fibaction.client.goal import ClientGoal, FeedbackReader, SendingGoal
+from fibaction.types.action import FeedbackT, ResultT
+from fibaction.words.goals import CancelAnswer, GoalID, Outcome
+from fibaction.words.statuses import GoalStatus
 
 
 class BlockingFeedback(Generic[FeedbackT]):

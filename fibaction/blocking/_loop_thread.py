@@ -31,8 +31,8 @@ from anyio.from_thread import BlockingPortal, start_blocking_portal
 from anyio.lowlevel import current_token
 
 from fibaction.blocking._interrupts import Interrupts
-from fibaction.client_goal import CALLER
-from fibaction.exceptions import ConnectionLost
+from fibaction.client.goal import CALLER
+from fibaction.words.errors import ConnectionLost
 
 T = TypeVar("T")
 ItemT = TypeVar("ItemT")

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any, NoReturn, Unpack, overload
 
 import fibaction._api
 from fibaction._api import ConnectKeywords, check_is_action
-from fibaction.abc import Transport
-from fibaction.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.blocking._blocking_client import (
     BlockingClient,
     BlockingConnection,
@@ -17,11 +15,13 @@ from fibaction.blocking._blocking_client import (
 )
 from fibaction.blocking._interrupts import Interrupts
 from fibaction.blocking._loop_thread import LoopThread, check_is_no_loop
-from fibaction.exceptions import TransportError
-from fibaction.urls import transport_for
+from fibaction.border.abc import Transport
+from fibaction.border.urls import transport_for
+from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.words.errors import TransportError
 
 if TYPE_CHECKING:
-    from fibaction.otel import Tracing
+    from fibaction.observe.otel import Tracing
 
 
 @overload

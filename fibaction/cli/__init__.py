@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from fibaction.cli.ctrl_c import INTERRUPTED, exit_at_once
+from fibaction.cli.process.ctrl_c import INTERRUPTED, exit_at_once
 
 NEEDED = ("click", "rich", "yaml")
 """The modules that the extra brings."""

@@ -16,14 +16,14 @@ from typing import Any
 
 import click
 
-from fibaction.cli.addresses import ADDRESS
-from fibaction.cli.ctrl_c import exit_at_once
-from fibaction.cli.escape import clean
-from fibaction.cli.exit_codes import ExitCode, debugging, report_errors
-from fibaction.cli.logs import CleanFormatter
-from fibaction.cli.options import URL
-from fibaction.cli.output import LogHandler
-from fibaction.cli.ros_args import without_ros_args
+from fibaction.cli.arguments.addresses import ADDRESS
+from fibaction.cli.arguments.options import URL
+from fibaction.cli.arguments.ros_args import without_ros_args
+from fibaction.cli.output.escape import clean
+from fibaction.cli.output.lines import LogHandler
+from fibaction.cli.process.ctrl_c import exit_at_once
+from fibaction.cli.process.exit_codes import ExitCode, debugging, report_errors
+from fibaction.cli.process.logs import CleanFormatter
 
 VERBS = {
     "list": ("list", "list_command", "List the actions that are served."),
@@ -50,7 +50,8 @@ VERBS = {
     "mcp": ("serve_mcp", "mcp_command", "Serve actions as tools of language models."),
     "gen": ("gen", "gen_command", "Write Python types for an .action file."),
 }
-"""Each verb: its module in `fibaction.cli`, the name of its command there, and its short help."""
+"""Each verb: its module in `fibaction.cli.verbs`, the name of its command there, and its short
+help."""
 
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """The errors of a write for which there is no room."""
@@ -73,7 +74,7 @@ class Verbs(click.Group):
         name, command, rest = super().resolve_command(ctx, [verb, *args[1:]])
         if command is not None:
             module, attribute, _ = VERBS[command.name or ""]
-            command = getattr(import_module(f"fibaction.cli.{module}"), attribute)
+            command = getattr(import_module(f"fibaction.cli.verbs.{module}"), attribute)
             if signal.getsignal(signal.SIGINT) is exit_at_once:
                 # From here on a verb may have something to clean up.
                 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fibaction.ros_types import PRIMITIVES
+from fibaction.interfaces.ros_types import PRIMITIVES
 
 
 class InterfaceError(ValueError):
@@ -27,7 +27,8 @@ class FieldType(NamedTuple):
     """The type of a field, for example `string<=5[<=3]`."""
 
     base: str
-    """A name in `fibaction.ros_types.PRIMITIVES`, or that of a message, without the package."""
+    """A name in `fibaction.interfaces.ros_types.PRIMITIVES`, or that of a message, without the
+    package."""
     package: str = ""
     """The package of a message; empty for the package of the file."""
     characters: int | None = None

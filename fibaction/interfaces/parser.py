@@ -20,8 +20,8 @@ from fibaction.interfaces.definitions import (
     MessageDefinition,
     SourceLine,
 )
+from fibaction.interfaces.ros_types import PRIMITIVES
 from fibaction.interfaces.values import STRINGS, read_single, read_value
-from fibaction.ros_types import PRIMITIVES
 
 _FIELD_NAME = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", re.ASCII)
 _CONSTANT_NAME = re.compile(r"[A-Z](_?[A-Z0-9])*", re.ASCII)

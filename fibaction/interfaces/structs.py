@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from fibaction.interfaces.definitions import FieldDefinition, FieldType
 from fibaction.interfaces.files import ActionFile, InterfaceMessage
-from fibaction.ros_types import PRIMITIVES, UInt8, array, string, struct
+from fibaction.interfaces.ros_types import PRIMITIVES, UInt8, array, string, struct
 
 
 def make_structs(action: ActionFile) -> dict[str, type[msgspec.Struct]]:

@@ -4,9 +4,9 @@
 goals and cancels; `runs` starts and ends executors; `registry` holds every goal and its rules.
 """
 
-from fibaction.server.executor import Executor
+from fibaction.server.execution.executor import Executor
 from fibaction.server.goal_handle import GoalHandle
-from fibaction.server.schedule import Schedule
+from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.server import ActionServer
 
 __all__ = ["ActionServer", "Executor", "GoalHandle", "Schedule"]

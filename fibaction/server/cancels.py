@@ -15,18 +15,18 @@ from typing import Generic
 
 from anyio import Semaphore, create_task_group, current_time
 
-from fibaction._slices import Slices
-from fibaction.action import FeedbackT, GoalT, ResultT
-from fibaction.exceptions import CancelRejected
-from fibaction.goals import CancelAnswer, GoalID
-from fibaction.server.callbacks import Callback, Callbacks
-from fibaction.server.cancellation import Cancellation
+from fibaction._runtime.slices import Slices
+from fibaction.server.admission.callbacks import Callback, Callbacks
+from fibaction.server.durability.keeper import GoalKeeper
+from fibaction.server.execution.runs import Runs
 from fibaction.server.goal_handle import GoalHandle
-from fibaction.server.goal_keeper import GoalKeeper
-from fibaction.server.goal_record import GoalRecord
-from fibaction.server.registry import GoalRegistry
-from fibaction.server.runs import Runs
-from fibaction.states import GoalStatus
+from fibaction.server.registry.cancellation import Cancellation
+from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.server.registry.registry import GoalRegistry
+from fibaction.types.action import FeedbackT, GoalT, ResultT
+from fibaction.words.errors import CancelRejected
+from fibaction.words.goals import CancelAnswer, GoalID
+from fibaction.words.statuses import GoalStatus
 
 MOST_AT_ONCE = 100
 """Calls of `on_cancel` that one cancel waits for at the same time."""

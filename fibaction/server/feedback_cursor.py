@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from fibaction._notify import Notifier
-from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
-from fibaction.exceptions import ActionError, copy_of
-from fibaction.server.patience import Patience
-from fibaction.states import GoalStatus
+from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
+from fibaction.server.execution.stall import Patience
+from fibaction.words.errors import ActionError, copy_of
+from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
-    from fibaction.goals import Outcome
     from fibaction.server.feedback_log import FeedbackLog
+    from fibaction.words.goals import Outcome
 
 
 class FeedbackCursor(GoalStream):

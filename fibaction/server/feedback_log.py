@@ -16,8 +16,8 @@ and the goal has ended, the outcome.
 Back-pressure: only a cursor that *holds* makes the executor wait, and only the stream of the client
 that sent the goal may hold. The log is full when the slowest holding cursor is a window behind.
 That position is computed when a cursor moves (`make_room`) and not at each feedback, which makes
-feedback 1.2 times as fast (`python -m tests.benchmarks.parts`). A cursor that has not been read for
-the stall timeout is stalled: it does not hold until it has caught up.
+feedback 1.2 times as fast (`python -m tests.tools.benchmarks.parts`). A cursor that has not been
+read for the stall timeout is stalled: it does not hold until it has caught up.
 
 Costs: anyone who may observe a goal may follow it thousands of times. So to follow, to take and to
 leave each cost the same however many cursors there are; only a feedback costs a notification for
@@ -47,14 +47,14 @@ from weakref import ref
 
 import anyio
 
-from fibaction._budget import ByteBudget
-from fibaction._notify import Notifier
-from fibaction.abc import FeedbackItem
-from fibaction.exceptions import ActionError, copy_of
-from fibaction.server._members import Members, with_member, without_member
+from fibaction._runtime.budget import ByteBudget
+from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import FeedbackItem
 from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.goal_record import GoalRecord
-from fibaction.states import GoalStatus
+from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.server.registry.members import Members, with_member, without_member
+from fibaction.words.errors import ActionError, copy_of
+from fibaction.words.statuses import GoalStatus
 
 BUDGET_STEP = 0.1
 """Seconds after which a log looks again whether the server is within its budget of bytes."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, Generic, NoReturn
 
-from fibaction._notify import Notifier
-from fibaction.action import GoalT
-from fibaction.states import GoalStatus
+from fibaction._runtime.notify import Notifier
+from fibaction.types.action import GoalT
+from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
-    from fibaction.goals import GoalID, Sender
-    from fibaction.server.checkpoints import Checkpoints
-    from fibaction.server.goal_record import GoalRecord
+    from fibaction.server.durability.checkpoints import Checkpoints
+    from fibaction.server.registry.goal_record import GoalRecord
+    from fibaction.words.goals import GoalID, Sender
 
 
 class Succession(ABC, Generic[GoalT]):

@@ -24,17 +24,17 @@ import anyio
 from anyio import current_time
 from anyio.lowlevel import cancel_shielded_checkpoint
 
-from fibaction._notify import Notifier
-from fibaction.exceptions import ActionError, GoalKept, UnknownGoal, copy_of
-from fibaction.goals import GoalID, GoalInfo, Sender
-from fibaction.server._watched_log import WatchedLog
-from fibaction.server._watcher_group import WatcherGroup
+from fibaction._runtime.notify import Notifier
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
-from fibaction.server.goal_record import GoalRecord
-from fibaction.server.registry import GoalRegistry
+from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.server.registry.registry import GoalRegistry
 from fibaction.server.status_broadcast import StatusBroadcast, StatusCursor
-from fibaction.states import GoalStatus
+from fibaction.server.watched_log import WatchedLog
+from fibaction.server.watcher_group import WatcherGroup
+from fibaction.words.errors import ActionError, GoalKept, UnknownGoal, copy_of
+from fibaction.words.goals import GoalID, GoalInfo, Sender
+from fibaction.words.statuses import GoalStatus
 
 EXPIRY_STEP = 0.1
 """The least seconds between two clean-ups of expired goals. It only limits how often memory is

@@ -17,42 +17,42 @@ from typing import Any, Generic, Literal, Self
 import anyio
 from anyio import CancelScope, create_task_group, current_time
 
-from fibaction._log import clean_logger
-from fibaction._meta import Meta, checked_meta
-from fibaction._notify import Notifier
-from fibaction._tasks import Background
-from fibaction.abc import Endpoint
-from fibaction.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
-from fibaction.exceptions import GoalKept, ServerNotFound, copy_of
-from fibaction.goal_store import GoalStore
-from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
-from fibaction.server._argument_checks import (
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.tasks import Background
+from fibaction.border.abc import Endpoint
+from fibaction.border.goal_store import GoalStore
+from fibaction.border.watchers import Watcher
+from fibaction.server.admission.admission import Admission, Offer
+from fibaction.server.admission.argument_checks import (
     check_is_executor,
     check_is_schedule,
     check_is_store,
     check_recovery,
 )
-from fibaction.server._sender_argument import GoalFunction
-from fibaction.server._watchdog import Watch
-from fibaction.server._watcher_group import WatcherGroup
-from fibaction.server.admission import Admission, Offer
-from fibaction.server.callbacks import Callback, Callbacks
+from fibaction.server.admission.callbacks import Callback, Callbacks
+from fibaction.server.admission.capacity import Room
+from fibaction.server.admission.sender_argument import GoalFunction
 from fibaction.server.cancels import Cancels
-from fibaction.server.dispatcher import Dispatcher
-from fibaction.server.executor import Executor
+from fibaction.server.durability.keeper import STORE_FAILED, GoalKeeper
+from fibaction.server.durability.recovery import Recovery, RecoveryRule
+from fibaction.server.execution.executor import Executor
+from fibaction.server.execution.runs import GOAL_IS_KEPT, Runs
+from fibaction.server.execution.watchdog import Watch
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.goal_handle import GoalHandle
-from fibaction.server.goal_keeper import STORE_FAILED, GoalKeeper
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.losses import Losses
-from fibaction.server.recovery import Recovery, RecoveryRule
-from fibaction.server.registry import MAX_BYTES, MAX_GOALS, GoalRegistry
-from fibaction.server.room import Room
-from fibaction.server.runs import GOAL_IS_KEPT, Runs
-from fibaction.server.schedule import Schedule
+from fibaction.server.lost_goals import Losses
+from fibaction.server.registry.registry import MAX_BYTES, MAX_GOALS, GoalRegistry
+from fibaction.server.scheduling.dispatcher import Dispatcher
+from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.shutdown import Shutdown
 from fibaction.server.status_broadcast import StatusCursor
-from fibaction.watchers import Watcher
+from fibaction.server.watcher_group import WatcherGroup
+from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
+from fibaction.words.errors import GoalKept, ServerNotFound, copy_of
+from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
+from fibaction.words.meta import Meta, checked_meta
 
 SERVER_STOPPED = "server stopped"
 STORE_PATIENCE = 5.0

@@ -6,11 +6,11 @@ from typing import Any
 
 from anyio import move_on_after
 
-from fibaction._log import clean_logger
-from fibaction._notify import Notifier
-from fibaction._slices import Slices
-from fibaction.server.executor import warn_of_kill
-from fibaction.server.runs import Runs
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.slices import Slices
+from fibaction.server.execution.executor import warn_of_kill
+from fibaction.server.execution.runs import Runs
 
 MOST_NAMED = 10
 """Goals that are named in the log when they are killed; the others are counted."""

@@ -28,13 +28,13 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from fibaction._notify import Notifier
-from fibaction.abc import StatusStream
-from fibaction.exceptions import ActionError, copy_of
-from fibaction.goals import GoalID, GoalInfo
+from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import StatusStream
+from fibaction.words.errors import ActionError, copy_of
+from fibaction.words.goals import GoalID, GoalInfo
 
 if TYPE_CHECKING:
-    from fibaction.server.goal_record import GoalRecord
+    from fibaction.server.registry.goal_record import GoalRecord
 
 
 class _Changes:

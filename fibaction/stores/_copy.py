@@ -19,11 +19,11 @@ from tempfile import TemporaryDirectory
 import anyio
 from anyio import to_thread
 
-from fibaction._text import excerpt
-from fibaction.exceptions import StoreError
-from fibaction.goal_store import StoredGoal
+from fibaction._runtime.text import excerpt
+from fibaction.border.goal_store import StoredGoal
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores._wal import HEADER
+from fibaction.words.errors import StoreError
 
 TRIES = 50
 PAUSE = 0.02

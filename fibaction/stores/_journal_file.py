@@ -8,10 +8,10 @@ from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
-from fibaction._text import excerpt
-from fibaction.exceptions import StoreError
+from fibaction._runtime.text import excerpt
 from fibaction.stores._wal import PAGE, is_damaged
 from fibaction.stores.journal_rows import DamagedRow, KeptGoals
+from fibaction.words.errors import StoreError
 
 APPLICATION = 0x66696261
 """The `application_id` in the header of the file: "fiba"."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 
-from fibaction.goal_store import GoalJournal, StoredGoal, Then
+from fibaction.border.goal_store import GoalJournal, StoredGoal, Then
 from fibaction.stores._writer import Writer
 from fibaction.stores.journal_rows import CheckpointRecord, WholeRecord, ended, moved
 

@@ -31,11 +31,11 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import anyio
 
-from fibaction._asyncio_task import asyncio_task
-from fibaction._text import excerpt
-from fibaction.exceptions import StoreError
-from fibaction.goal_store import StoredGoal, Then
+from fibaction._runtime.asyncio_task import asyncio_task
+from fibaction._runtime.text import excerpt
+from fibaction.border.goal_store import StoredGoal, Then
 from fibaction.stores.journal_rows import KeptGoals, Record, encode_row
+from fibaction.words.errors import StoreError
 
 if TYPE_CHECKING:
     from fibaction.stores._journal_file import JournalFile  # imports sqlite3

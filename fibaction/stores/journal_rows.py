@@ -21,8 +21,8 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from fibaction.goal_store import StoredGoal
-from fibaction.states import GoalStatus
+from fibaction.border.goal_store import StoredGoal
+from fibaction.words.statuses import GoalStatus
 
 ROW = 256 * 1024
 """Bytes after which `KeptGoals.rows` begins a new row."""

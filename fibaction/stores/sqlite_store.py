@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Literal
 
 from anyio import CancelScope, Event
 
-from fibaction._slices import Slices
-from fibaction._text import excerpt
-from fibaction.exceptions import StoreError
-from fibaction.goal_store import GoalJournal, GoalStore, StoredGoal
-from fibaction.goals import GoalID
+from fibaction._runtime.slices import Slices
+from fibaction._runtime.text import excerpt
+from fibaction.border.goal_store import GoalJournal, GoalStore, StoredGoal
+from fibaction.words.errors import StoreError
+from fibaction.words.goals import GoalID
 
 if TYPE_CHECKING:
     from fibaction.stores._writer import Writer

@@ -17,9 +17,9 @@ import anyio
 from anyio.abc import ByteStream
 from anyio.lowlevel import checkpoint_if_cancelled
 
-from fibaction._notify import Notifier
-from fibaction.exceptions import ActionError, ConnectionLost
+from fibaction._runtime.notify import Notifier
 from fibaction.wire.frames import Framing
+from fibaction.words.errors import ActionError, ConnectionLost
 
 CHUNK = 2**16
 """Bytes read or written at once: large, so that the cost of a call does not count, and small enough

@@ -9,9 +9,7 @@ from typing import TypeAlias
 
 import msgspec
 
-from fibaction._text import excerpt
-from fibaction.exceptions import ProtocolError
-from fibaction.goals import GoalID
+from fibaction._runtime.text import excerpt
 from fibaction.wire.messages import (
     Actions,
     AskPeers,
@@ -44,6 +42,8 @@ from fibaction.wire.messages import (
     WatchStatus,
     Welcome,
 )
+from fibaction.words.errors import ProtocolError
+from fibaction.words.goals import GoalID
 
 FromClient: TypeAlias = (
     Hello

@@ -16,9 +16,11 @@ does not know counts as `ConnectionLost`. docs/protocol.md has the same table.
 
 from __future__ import annotations
 
-from fibaction._log import clean_logger
-from fibaction._text import REASON, excerpt, shortened
-from fibaction.exceptions import (
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.text import REASON, excerpt, shortened
+from fibaction.wire.codec import encode
+from fibaction.wire.messages import Failed, Goodbye, Rejected, Why
+from fibaction.words.errors import (
     ActionError,
     AuthenticationFailed,
     ConnectionLost,
@@ -32,9 +34,7 @@ from fibaction.exceptions import (
     TransportError,
     UnknownGoal,
 )
-from fibaction.goals import GoalID
-from fibaction.wire.codec import encode
-from fibaction.wire.messages import Failed, Goodbye, Rejected, Why
+from fibaction.words.goals import GoalID
 
 logger = clean_logger("fibaction.wire")
 

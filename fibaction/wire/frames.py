@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 from struct import Struct
 from typing import Protocol
 
-from fibaction._budget import ByteBudget
-from fibaction.exceptions import LimitReached, ProtocolError
+from fibaction._runtime.budget import ByteBudget
+from fibaction.words.errors import LimitReached, ProtocolError
 
 HEADER = 4
 """Length of the header of a frame, in bytes."""

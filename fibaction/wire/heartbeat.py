@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from fibaction.exceptions import ConnectionLost
+from fibaction.words.errors import ConnectionLost
 
 MISSED = 4
 """A peer is considered dead after this many missed heartbeats. Late or lost ones are tolerated."""

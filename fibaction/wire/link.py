@@ -41,14 +41,14 @@ from time import perf_counter
 from anyio import CancelScope, create_task_group, move_on_after, sleep
 from anyio.abc import TaskGroup
 
-from fibaction._notify import Notifier
-from fibaction._slices import SLICE
-from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.slices import SLICE
 from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import UNCOUNTED, FrameMemory
 from fibaction.wire.heartbeat import Heartbeat
 from fibaction.wire.messages import Ping
+from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError
 
 HIGH_WATER = 2**20
 """Bytes in the queue above which `send` waits: some milliseconds of any line."""

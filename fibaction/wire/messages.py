@@ -13,9 +13,9 @@ from typing import Annotated, TypeAlias, final
 
 import msgspec
 
-from fibaction.action import ActionInfo
-from fibaction.states import GoalStatus
+from fibaction.types.action import ActionInfo
 from fibaction.wire.frames import MAX_FRAME
+from fibaction.words.statuses import GoalStatus
 
 VERSION = 1
 """Version of the protocol. A peer of another version is rejected."""

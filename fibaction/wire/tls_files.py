@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import msgspec
 
-from fibaction.exceptions import TransportError
+from fibaction.words.errors import TransportError
 
 
 class TlsFiles(msgspec.Struct, frozen=True):

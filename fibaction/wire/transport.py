@@ -24,13 +24,13 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager, context
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, Unpack
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
-from fibaction.abc import Connection, Endpoint, Transport
-from fibaction.exceptions import InvalidURL, TransportError
-from fibaction.urls import check_settings, unknown_setting, without_settings
+from fibaction.border.abc import Connection, Endpoint, Transport
+from fibaction.border.urls import check_settings, unknown_setting, without_settings
 from fibaction.wire.channel import Line
-from fibaction.wire.connection import open_connection
+from fibaction.wire.client.connection import open_connection
 from fibaction.wire.settings import WireKeywords, client_settings, server_settings
 from fibaction.wire.tls_files import TlsFiles
+from fibaction.words.errors import InvalidURL, TransportError
 
 if TYPE_CHECKING:
     from fibaction.wire.wire_server import WireServer

@@ -9,26 +9,26 @@ from contextlib import asynccontextmanager
 import anyio
 from anyio.abc import TaskGroup
 
-from fibaction._budget import ByteBudget
-from fibaction._connection_counts import CONNECTIONS
-from fibaction._log import clean_logger
-from fibaction._notify import Notifier
-from fibaction._tasks import Background
-from fibaction.abc import Endpoint
-from fibaction.exceptions import (
-    AuthenticationFailed,
-    ConnectionLost,
-    LimitReached,
-    ProtocolError,
-)
+from fibaction._runtime.budget import ByteBudget
+from fibaction._runtime.connection_counts import CONNECTIONS
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.tasks import Background
+from fibaction.border.abc import Endpoint
 from fibaction.wire.channel import Line
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import FIRST_FRAME, FrameMemory, FrameReader
 from fibaction.wire.link import Link, naming
 from fibaction.wire.messages import Goodbye, Why
-from fibaction.wire.ownership import Owners
-from fibaction.wire.session import Session
+from fibaction.wire.server.ownership import Owners
+from fibaction.wire.server.session import Session
 from fibaction.wire.settings import ServerSettings
+from fibaction.words.errors import (
+    AuthenticationFailed,
+    ConnectionLost,
+    LimitReached,
+    ProtocolError,
+)
 
 LEAVE_TIMEOUT = 1.0
 """Seconds that a closing server gives its clients to take the last messages."""

@@ -20,7 +20,7 @@ from fibaction import TransportError, serve
 from fibaction.agents import AgentPolicy, McpBridge
 from fibaction.agents._mcp_http import is_loopback, served_over_http
 from tests.agents.robot import MODES, PATIENCE, UNASKED, Drive, Mode, Robot, Talk
-from tests.certificates import pems
+from tests.support.certificates import pems
 
 pytestmark = pytest.mark.asyncio
 both = pytest.mark.parametrize("mode", MODES)

@@ -18,10 +18,10 @@ from mcp.client.streamable_http import streamable_http_client
 
 from fibaction.agents import McpBridge
 from fibaction.agents._mcp_http import served_over_http
-from fibaction.cli.serve_mcp import mcp_command
+from fibaction.cli.verbs.serve_mcp import mcp_command
 from tests.cli.conftest import command, environment
-from tests.pages import blocks_of
-from tests.processes import PATIENCE, ended, lines_until
+from tests.support.pages import blocks_of
+from tests.support.processes import PATIENCE, ended, lines_until
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "howto" / "agents.md").read_text(encoding="utf-8")

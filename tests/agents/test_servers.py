@@ -22,14 +22,14 @@ from fibaction import (
     ServerNotFound,
     serve,
 )
-from fibaction._notify import Notifier
-from fibaction.abc import Connection, Endpoint, Transport
+from fibaction._runtime.notify import Notifier
 from fibaction.agents import AgentPolicy, McpBridge, _agent_goals, _robot_actions
 from fibaction.agents._goal_overview import overview
 from fibaction.agents._tool_answers import goal_answer
-from fibaction.client_goal import ClientGoal
-from fibaction.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo
-from fibaction.states import GoalStatus
+from fibaction.border.abc import Connection, Endpoint, Transport
+from fibaction.client.goal import ClientGoal
+from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo
+from fibaction.words.statuses import GoalStatus
 from fibaction_transports.inprocess import InProcessTransport
 from tests.agents.robot import (
     DRIVE,

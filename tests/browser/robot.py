@@ -25,7 +25,7 @@ from fibaction import (
     Schedule,
     serve,
 )
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 
 def unit(name: str) -> msgspec.Meta:

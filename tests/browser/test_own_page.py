@@ -14,7 +14,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.served import ROOT, RobotProcess
-from tests.pages import blocks_of
+from tests.support.pages import blocks_of
 
 GUIDE = ROOT / "docs/howto/in_the_browser.md"
 CLIENT = Path(str(files("fibaction_transports.web"))) / "javascript" / "fibaction.js"

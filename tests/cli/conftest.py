@@ -28,10 +28,11 @@ import pyte
 import pytest
 from click.testing import CliRunner, Result
 
-from fibaction.cli import serve, serve_mcp, signals
 from fibaction.cli.app import cli
+from fibaction.cli.process import signals
+from fibaction.cli.verbs import serve, serve_mcp
 from tests.cli.robot_module import MODULE
-from tests.processes import PATIENCE, Finished, ended, lines_until
+from tests.support.processes import PATIENCE, Finished, ended, lines_until
 
 Run: TypeAlias = "Callable[..., Finished]"
 """Runs the command with these arguments, `url=`, `input=` and `env=`: see `fibaction`, `here`."""

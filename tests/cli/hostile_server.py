@@ -16,7 +16,7 @@ from typing import Any
 import anyio
 
 from fibaction import Action, ActionInfo, ActionServer, GoalHandle, serve
-from fibaction.abc import Endpoint, ForwardingEndpoint
+from fibaction.border.abc import Endpoint, ForwardingEndpoint
 
 LONG = "x" * 1_000_000
 CONTROL = "\x1b[2J\x1b]0;title\x07\u202e\r\n"

@@ -26,8 +26,8 @@ from pyte.screens import Char
 
 from fibaction import Action, ActionServer, GoalAborted, GoalHandle
 from tests.cli.conftest import Terminal, start_command
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
-from tests.processes import ended, lines_until
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.processes import ended, lines_until
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "cli"
 URL = "tcp://127.0.0.1:7400"

@@ -28,7 +28,7 @@ from fibaction import (
     GoalRejected,
     serve,
 )
-from tests.fibonacci import FIBONACCI, fibonacci
+from tests.support.fibonacci import FIBONACCI, fibonacci
 
 
 class Pose(msgspec.Struct):

@@ -17,8 +17,8 @@ from fibaction import (
     ClientConnection,
     TransportError,
 )
-from fibaction._notify import Notifier
-from fibaction.abc import Connection, Endpoint
+from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Connection, Endpoint
 from fibaction.testing import ScriptedServer
 
 

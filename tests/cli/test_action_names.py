@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from fibaction import ActionInfo, connect, serve
-from fibaction.cli.action_names import find_action, names_of, no_action, shown
-from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.cli.arguments.action_names import find_action, names_of, no_action, shown
+from fibaction.cli.process.exit_codes import ExitCode, Failure
 from tests.cli.conftest import Run
 from tests.cli.robot import servers
 

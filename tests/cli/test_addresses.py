@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from fibaction.cli.addresses import address_of, addresses, config_file
-from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.cli.arguments.addresses import address_of, addresses, config_file
+from fibaction.cli.process.exit_codes import ExitCode, Failure
 from tests.cli.conftest import Invoke
 
 

@@ -16,8 +16,8 @@ import click
 import pytest
 
 from fibaction.cli import app
-from fibaction.cli.ctrl_c import exit_at_once
-from fibaction.cli.exit_codes import ExitCode
+from fibaction.cli.process.ctrl_c import exit_at_once
+from fibaction.cli.process.exit_codes import ExitCode
 from tests.cli.conftest import Invoke, Run
 
 # The group

@@ -9,11 +9,11 @@ import anyio
 import pytest
 
 from fibaction import GoalID, connect, serve
-from fibaction.cli.attach import attach
-from fibaction.cli.exit_codes import ExitCode
+from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.verbs.attach import attach
 from tests.cli.conftest import Invoke, Open, Run, Start, detached, interrupt
 from tests.cli.served import counter
-from tests.processes import ended, lines_until
+from tests.support.processes import ended, lines_until
 
 ID = GoalID(b"\x01" * 16)
 

@@ -17,16 +17,16 @@ import anyio
 import pytest
 
 from fibaction import Action, ActionInfo, ActionServer, GoalID, connect, serve
-from fibaction.abc import Connection, Endpoint
-from fibaction.cli import bridge
-from fibaction.cli.bridged_actions import BridgedActions
-from fibaction.cli.exit_codes import ExitCode, Failure
-from fibaction.cli.renames import Renames
-from fibaction.exceptions import ServerNotFound, TransportError
+from fibaction.border.abc import Connection, Endpoint
+from fibaction.cli.bridge.actions import BridgedActions
+from fibaction.cli.bridge.renames import Renames
+from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.verbs import bridge
+from fibaction.words.errors import ServerNotFound, TransportError
 from fibaction_transports.inprocess import InProcessTransport
 from tests.cli.conftest import Invoke, Run, Start, eventually
-from tests.fibonacci import FIBONACCI, fibonacci
-from tests.processes import PATIENCE, ended, lines_until
+from tests.support.fibonacci import FIBONACCI, fibonacci
+from tests.support.processes import PATIENCE, ended, lines_until
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -9,10 +9,10 @@ import anyio
 import pytest
 
 from fibaction import Action, ActionServer, ClientConnection, connect
-from fibaction.cli.bridge_ends import open_end
-from fibaction.exceptions import ServerNotFound, TransportError
+from fibaction.cli.bridge.ends import open_end
+from fibaction.words.errors import ServerNotFound, TransportError
 from fibaction_transports.inprocess import InProcessTransport
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.asyncio
 

@@ -8,15 +8,15 @@ import anyio
 import pytest
 
 from fibaction import Action, ActionInfo, ActionServer
-from fibaction._notify import Notifier
-from fibaction.abc import Connection, Endpoint, ForwardingEndpoint
-from fibaction.cli import bridged_actions
-from fibaction.cli.bridge_ends import BridgeEnd
-from fibaction.cli.bridged_actions import LOOKS, BridgedActions
-from fibaction.cli.namespaces import ROOT, Namespace
-from fibaction.cli.renames import AS_THEY_ARE, Renames
-from fibaction.exceptions import ServerNotFound, TransportError
-from tests.fibonacci import FIBONACCI, fibonacci
+from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Connection, Endpoint, ForwardingEndpoint
+from fibaction.cli.arguments.namespaces import ROOT, Namespace
+from fibaction.cli.bridge import actions as actions_module
+from fibaction.cli.bridge.actions import LOOKS, BridgedActions
+from fibaction.cli.bridge.ends import BridgeEnd
+from fibaction.cli.bridge.renames import AS_THEY_ARE, Renames
+from fibaction.words.errors import ServerNotFound, TransportError
+from tests.support.fibonacci import FIBONACCI, fibonacci
 
 pytestmark = pytest.mark.asyncio
 
@@ -142,7 +142,7 @@ async def test_an_action_whose_name_is_taken_waits_for_it(
 async def test_changes_are_followed_and_told_while_the_server_may_be_away(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bridged_actions, "PERIOD", 0.0)
+    monkeypatch.setattr(actions_module, "PERIOD", 0.0)
     house, end = House(["a", "b\x1b"], None, ["a"], ["a"], ["a"]), End()
     actions = BridgedActions(house, Renames(ROOT, Namespace("/lab")), end)
     await actions.take(infos("a"))
@@ -160,7 +160,7 @@ async def test_changes_are_followed_and_told_while_the_server_may_be_away(
 async def test_an_action_that_comes_back_with_other_types_is_told(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bridged_actions, "PERIOD", 0.0)
+    monkeypatch.setattr(actions_module, "PERIOD", 0.0)
     house, end = House(["a b/action/C"], ["a b/action/C"]), End()
     actions = BridgedActions(house, AS_THEY_ARE, end)
     await actions.take(infos("a"))

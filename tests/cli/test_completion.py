@@ -9,8 +9,8 @@ import pytest
 from click.shell_completion import BashComplete
 
 from fibaction import ActionInfo
-from fibaction.cli import completion
 from fibaction.cli.app import cli
+from fibaction.cli.arguments import completion
 from tests.cli.conftest import Run, detached
 
 

@@ -16,13 +16,13 @@ import anyio
 import pytest
 
 from fibaction import ActionInfo
-from fibaction._notify import Notifier
-from fibaction.cli import console
-from fibaction.cli.exit_codes import ExitCode
-from fibaction.exceptions import TransportError
+from fibaction._runtime.notify import Notifier
+from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.verbs import console
+from fibaction.words.errors import TransportError
 from tests.cli.conftest import Invoke, Run, Start, eventually
 from tests.cli.served import Served, counter
-from tests.processes import PATIENCE, ended, lines_until
+from tests.support.processes import PATIENCE, ended, lines_until
 
 ADDRESS = re.compile(r"console of (\S+) at (http://127\.0\.0\.1:\d+)/#token=(\S+) , Ctrl-C")
 

@@ -12,13 +12,13 @@ import anyio
 import pytest
 
 from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus, connect, serve
-from fibaction.cli import echo as echo_module
-from fibaction.cli.echo import EchoPrinter, EventPrinter, echo, print_events
-from fibaction.cli.exit_codes import ExitCode
-from fibaction.events import GoalFeedback
+from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.verbs import echo as echo_module
+from fibaction.cli.verbs.echo import EchoPrinter, EventPrinter, echo, print_events
+from fibaction.client.events import GoalFeedback
 from tests.cli.conftest import Open, Run, Start, detached, interrupt
 from tests.cli.served import Heard, Served, counter
-from tests.processes import ended, lines_until
+from tests.support.processes import ended, lines_until
 
 ID = GoalID(b"\x01" * 16)
 OTHER = GoalID(b"\x02" * 16)

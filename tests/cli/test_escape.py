@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from fibaction.cli.escape import MAX_LINE, clean, clean_json, clean_lines
+from fibaction.cli.output.escape import MAX_LINE, clean, clean_json, clean_lines
 
 
 def test_text_of_others_is_cleaned_once() -> None:

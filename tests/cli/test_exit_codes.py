@@ -30,9 +30,15 @@ from fibaction import (
     UnknownGoal,
     connect,
 )
-from fibaction.cli import exit_codes
-from fibaction.cli.escape import clean_lines
-from fibaction.cli.exit_codes import ExitCode, Failure, failure_of, message_of, report_errors
+from fibaction.cli.output.escape import clean_lines
+from fibaction.cli.process import exit_codes
+from fibaction.cli.process.exit_codes import (
+    ExitCode,
+    Failure,
+    failure_of,
+    message_of,
+    report_errors,
+)
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import framed
 from fibaction.wire.messages import Goodbye
@@ -198,7 +204,7 @@ def test_a_traceback_is_shown_only_if_it_is_asked_for(invoke: Invoke) -> None:
 
     assert "Traceback" not in plain.stderr
     assert "Traceback" in debugged.stderr
-    assert "fibaction.exceptions.InvalidURL" in debugged.stderr
+    assert "fibaction.words.errors.InvalidURL" in debugged.stderr
     assert debugged.stderr.endswith(plain.stderr)
     assert plain.exit_code == debugged.exit_code == ExitCode.USAGE
 

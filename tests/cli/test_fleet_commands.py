@@ -9,10 +9,10 @@ from typing import TypeAlias
 
 import pytest
 
-from fibaction.cli.exit_codes import ExitCode
+from fibaction.cli.process.exit_codes import ExitCode
 from tests.cli.conftest import ROOT, Open, Run, Start, detached, interrupt
-from tests.nats_server import IS_LEFT_OUT, nats_server
-from tests.processes import ended, lines_until
+from tests.support.nats_server import IS_LEFT_OUT, nats_server
+from tests.support.processes import ended, lines_until
 
 GOAL = ("wait", "{seconds: 60, steps: 600}")
 

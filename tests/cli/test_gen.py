@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from fibaction.cli import gen
+from fibaction.cli.verbs import gen
 from tests.cli.conftest import Invoke, Run
 
 FILES = Path(__file__).parent.parent / "action_files"

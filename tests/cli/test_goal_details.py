@@ -8,9 +8,9 @@ import anyio
 import pytest
 
 from fibaction import ConnectionLost, GoalID, GoalStatus, Outcome
-from fibaction.cli import goal_details
-from fibaction.cli.goal_details import Detail, GoalDetails
-from fibaction.monitor import GoalKey, Monitor
+from fibaction.cli.output import goal_details
+from fibaction.cli.output.goal_details import Detail, GoalDetails
+from fibaction.observe.monitor import GoalKey, Monitor
 
 pytestmark = pytest.mark.asyncio
 ONE, TWO = (GoalKey("pick", GoalID(bytes([number]) * 16)) for number in (1, 2))

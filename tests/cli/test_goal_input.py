@@ -7,8 +7,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from fibaction.cli.exit_codes import ExitCode, Failure
-from fibaction.cli.goal_input import read_goal
+from fibaction.cli.arguments.goal_input import read_goal
+from fibaction.cli.process.exit_codes import ExitCode, Failure
 from tests.cli.robot import Pick, Pose
 
 PICK = msgspec.json.schema(Pick)

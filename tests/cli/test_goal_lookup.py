@@ -6,8 +6,8 @@ import anyio
 import pytest
 
 from fibaction import ActionClient, ConnectionLost, GoalID, ServerNotFound
-from fibaction.cli.exit_codes import ExitCode, Failure
-from fibaction.cli.goal_lookup import ActionClients, find_goal, goal_digits, goals_of
+from fibaction.cli.arguments.goal_lookup import ActionClients, find_goal, goal_digits, goals_of
+from fibaction.cli.process.exit_codes import ExitCode, Failure
 from tests.cli.served import Served, counter
 
 A = GoalID.parse("aaaaaaaa" + "0" * 24)

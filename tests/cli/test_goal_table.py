@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from fibaction import GoalID, GoalInfo, GoalStatus, Outcome
-from fibaction.cli.goal_table import (
+from fibaction.cli.output.goal_table import (
     GoalRow,
     duration,
     in_color,

@@ -8,11 +8,11 @@ import msgspec
 import pytest
 from pydantic import BaseModel, Field
 
-from fibaction.cli import goal_template
-from fibaction.cli.goal_input import read_goal
-from fibaction.cli.goal_template import GoalTemplate
+from fibaction.cli.arguments import goal_template
+from fibaction.cli.arguments.goal_input import read_goal
+from fibaction.cli.arguments.goal_template import GoalTemplate
 from tests.cli.robot import Pick
-from tests.fibonacci import Goal
+from tests.support.fibonacci import Goal
 
 
 class Tree(msgspec.Struct):

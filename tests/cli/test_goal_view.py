@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus
-from fibaction.cli.goal_view import ORDERS, GoalView
-from fibaction.events import GoalFeedback
-from fibaction.monitor import GoalKey, Monitor
+from fibaction.cli.output.goal_view import ORDERS, GoalView
+from fibaction.client.events import GoalFeedback
+from fibaction.observe.monitor import GoalKey, Monitor
 
 
 def goal_id(number: int) -> GoalID:

@@ -11,10 +11,10 @@ from socket import create_server
 
 import pytest
 
-from fibaction.cli.exit_codes import ExitCode
-from fibaction.cli.yaml_text import MAX_VALUES
+from fibaction.cli.output.yaml_text import MAX_VALUES
+from fibaction.cli.process.exit_codes import ExitCode
 from tests.cli.conftest import ROOT, Invoke, Open, Run
-from tests.processes import ended, lines_until
+from tests.support.processes import ended, lines_until
 
 MOST = 3000
 """Characters of a line of output that is not a message in full."""

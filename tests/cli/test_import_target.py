@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from fibaction.cli import import_target
-from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.cli.arguments import import_target
+from fibaction.cli.process.exit_codes import ExitCode, Failure
 from tests.cli.conftest import Invoke
 
 NO_SERVER = "and not an ActionServer or several; there is robot:server"

@@ -8,10 +8,10 @@ import pytest
 
 from fibaction import serve
 from fibaction._api import ClientConnection
-from fibaction.abc import Connection
-from fibaction.cli.exit_codes import ExitCode, Failure
-from fibaction.cli.info import print_info
-from fibaction.goals import ActionPeers
+from fibaction.border.abc import Connection
+from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.verbs.info import print_info
+from fibaction.words.goals import ActionPeers
 from tests.cli.conftest import Invoke, Run
 from tests.cli.robot import servers
 

@@ -7,8 +7,8 @@ from functools import partial
 import pytest
 
 from fibaction import Action, ActionServer, serve
-from fibaction.cli.list import list_actions
-from fibaction.cli.namespaces import Namespace
+from fibaction.cli.arguments.namespaces import Namespace
+from fibaction.cli.verbs.list import list_actions
 from tests.cli.conftest import Invoke, Run
 from tests.cli.robot import words
 from tests.cli.served import counter

@@ -14,17 +14,17 @@ import pytest
 from rich.console import Console
 
 from fibaction import ActionClient, ConnectionLost, GoalID, connect, serve
-from fibaction.cli import list_goals
-from fibaction.cli.exit_codes import ExitCode
-from fibaction.cli.goal_table import picture
-from fibaction.cli.namespaces import Namespace
-from fibaction.cli.output import note
-from fibaction.monitor import AnyClient
+from fibaction.cli.arguments.namespaces import Namespace
+from fibaction.cli.output.goal_table import picture
+from fibaction.cli.output.lines import note
+from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.verbs import list_goals
+from fibaction.observe.monitor import AnyClient
 from tests.cli.conftest import Open, Robot, Run, Start, detached, interrupt
 from tests.cli.served import Heard, Served, counter
 from tests.cli.test_echo import echoed
-from tests.processes import ended, lines_until
-from tests.virtual_time import in_virtual_time
+from tests.support.processes import ended, lines_until
+from tests.support.virtual_time import in_virtual_time
 
 ID = GoalID(b"\x01" * 16)
 

@@ -6,9 +6,10 @@ import pytest
 from click.shell_completion import BashComplete
 
 from fibaction import ActionInfo
-from fibaction.cli import completion, top
 from fibaction.cli.app import cli
-from fibaction.cli.exit_codes import ExitCode
+from fibaction.cli.arguments import completion
+from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.verbs import top
 from tests.cli.conftest import Run
 from tests.cli.test_top import sys_with_terminals
 

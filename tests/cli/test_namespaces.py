@@ -5,8 +5,14 @@ from __future__ import annotations
 import pytest
 
 from fibaction import ServerNotFound
-from fibaction.cli.exit_codes import ExitCode, Failure
-from fibaction.cli.namespaces import ROOT, Namespace, namespace_of, namespaces_of, no_namespace
+from fibaction.cli.arguments.namespaces import (
+    ROOT,
+    Namespace,
+    namespace_of,
+    namespaces_of,
+    no_namespace,
+)
+from fibaction.cli.process.exit_codes import ExitCode, Failure
 from tests.cli.served import Served, counter
 
 NAMES = ["/robot1/navigate", "robot2/navigate", "robot2/arm/pick", "robot10/navigate", "look"]

@@ -6,8 +6,8 @@ import inspect
 
 import pytest
 
-from fibaction.cli.exit_codes import ExitCode
-from fibaction.cli.options import URL
+from fibaction.cli.arguments.options import URL
+from fibaction.cli.process.exit_codes import ExitCode
 from fibaction_transports.tcp import TcpTransport
 from tests.cli.conftest import Invoke, Run
 

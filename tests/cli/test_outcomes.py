@@ -6,10 +6,10 @@ import anyio
 import pytest
 
 from fibaction import ActionClient, GoalAborted, GoalStatus, UnknownGoal
-from fibaction.cli import outcomes
-from fibaction.cli.goal_lookup import goals_of
-from fibaction.cli.outcomes import Outcomes
-from fibaction.monitor import AnyClient
+from fibaction.cli.arguments.goal_lookup import goals_of
+from fibaction.cli.output import outcomes
+from fibaction.cli.output.outcomes import Outcomes
+from fibaction.observe.monitor import AnyClient
 from tests.cli.served import counter
 
 pytestmark = pytest.mark.asyncio

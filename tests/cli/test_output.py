@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibaction.cli import output
-from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.cli.output import lines
+from fibaction.cli.process.exit_codes import ExitCode, Failure
 
 
 @given(st.text() | st.dictionaries(st.text(), st.lists(st.text())))
 def test_json_of_any_text_is_one_line_that_cannot_control_the_terminal(value: object) -> None:
-    text = output.as_json(value)
+    text = lines.as_json(value)
 
     assert text.isprintable()
     assert json.loads(text) == value
@@ -23,21 +23,21 @@ def test_json_of_any_text_is_one_line_that_cannot_control_the_terminal(value: ob
 
 def test_a_value_beyond_json_is_an_error_in_one_sentence() -> None:
     with pytest.raises(Failure, match="cannot be written as JSON: ") as failure:
-        output.as_json(object())
+        lines.as_json(object())
 
     assert failure.value.exit_code == ExitCode.ABORTED
 
 
 def test_a_value_is_printed_as_a_line_of_json(capsys: pytest.CaptureFixture[str]) -> None:
-    output.say_json({"a": b"hi"})
+    lines.say_json({"a": b"hi"})
 
     assert capsys.readouterr().out == '{"a":"aGk="}\n'
 
 
 def test_lines_go_to_stdout_and_remarks_to_stderr(capsys: pytest.CaptureFixture[str]) -> None:
-    output.say("line")
-    output.say()
-    output.note("remark")
+    lines.say("line")
+    lines.say()
+    lines.note("remark")
 
     assert capsys.readouterr() == ("line\n\n", "remark\n")
 
@@ -45,13 +45,13 @@ def test_lines_go_to_stdout_and_remarks_to_stderr(capsys: pytest.CaptureFixture[
 def test_a_remark_with_text_of_a_server_stays_on_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    output.note("it is away: gone\n\x1b[2J")
+    lines.note("it is away: gone\n\x1b[2J")
 
     assert capsys.readouterr().err == "it is away: gone\\x0a\\x1b[2J\n"
 
 
 def test_the_log_goes_to_the_stderr_of_that_moment(monkeypatch: pytest.MonkeyPatch) -> None:
-    handler = output.LogHandler()
+    handler = lines.LogHandler()
     handler.setFormatter(logging.Formatter("log: %(message)s"))
     later = io.StringIO()
     monkeypatch.setattr(sys, "stderr", later)
@@ -63,21 +63,21 @@ def test_the_log_goes_to_the_stderr_of_that_moment(monkeypatch: pytest.MonkeyPat
 def test_only_a_capable_terminal_counts_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("FORCE_COLOR", "TTY_COMPATIBLE", "NO_COLOR"):
         monkeypatch.delenv(name, raising=False)
-    assert not output.on_terminal()
+    assert not lines.on_terminal()
 
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "dumb")
-    assert not output.on_terminal()
+    assert not lines.on_terminal()
 
     monkeypatch.setenv("TERM", "xterm-256color")
-    assert output.on_terminal()
-    assert output.console().color_system is not None
+    assert lines.on_terminal()
+    assert lines.console().color_system is not None
 
     monkeypatch.setenv("NO_COLOR", "1")
-    assert output.console().no_color
+    assert lines.console().no_color
 
 
 def test_text_of_others_is_not_markup(capsys: pytest.CaptureFixture[str]) -> None:
-    output.console().print("[red]x[/red] :smile: 12")
+    lines.console().print("[red]x[/red] :smile: 12")
 
     assert capsys.readouterr().out == "[red]x[/red] :smile: 12\n"

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import ROOT, Run, Start
-from tests.pages import blocks_of
-from tests.processes import ended, lines_until
-from tests.walks import Step, steps_of
+from tests.support.pages import blocks_of
+from tests.support.processes import ended, lines_until
+from tests.support.walks import Step, steps_of
 
 PAGE = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
 TYPED = re.compile(r"fibaction (?:list|type|find|info|send_goal)\b(?!.* --detach)")

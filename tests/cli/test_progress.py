@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from fibaction.cli.output import note
-from fibaction.cli.progress import LiveLine, Meter, on_one_line
+from fibaction.cli.output.lines import note
+from fibaction.cli.output.progress import LiveLine, Meter, on_one_line
 
 
 @pytest.mark.parametrize(

@@ -13,12 +13,13 @@ import msgspec
 import pytest
 
 from fibaction import serve as fibaction_serve
-from fibaction.cli import record_file, replay_file, serve, serve_watchers
-from fibaction.cli.exit_codes import ExitCode, Failure
-from fibaction.recording_file import Record, read_records
+from fibaction.cli.process import serve_watchers
+from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.verbs import record_file, replay_file, serve
+from fibaction.observe.recording_file import Record, read_records
 from tests.cli.conftest import Invoke, Run, Start
 from tests.cli.served import counter
-from tests.processes import ended, lines_until
+from tests.support.processes import ended, lines_until
 
 
 def test_a_recording_of_a_server_is_shown_and_replayed(

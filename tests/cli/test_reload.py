@@ -18,10 +18,10 @@ import click
 import pytest
 import watchfiles
 
-from fibaction.cli import reload
-from fibaction.cli.exit_codes import ExitCode, Failure
+from fibaction.cli.process import reload
+from fibaction.cli.process.exit_codes import ExitCode, Failure
 from tests.cli.conftest import Invoke, Open, Run, Start
-from tests.processes import ended, lines_until
+from tests.support.processes import ended, lines_until
 
 MODULE = """
 from collections.abc import AsyncGenerator

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from fibaction import ActionServer, GoalID, GoalStatus
-from fibaction.cli.exit_codes import Failure
-from fibaction.cli.namespaces import ROOT, Namespace
-from fibaction.cli.renames import AS_THEY_ARE, Renames
-from tests.fibonacci import FIBONACCI, Goal, fibonacci
+from fibaction.cli.arguments.namespaces import ROOT, Namespace
+from fibaction.cli.bridge.renames import AS_THEY_ARE, Renames
+from fibaction.cli.process.exit_codes import Failure
+from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 
 ARM, LAB = Namespace("/arm"), Namespace("/lab")
 

@@ -19,9 +19,9 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.cli.render import CODES, JsonPrinter, TextPrinter, goal_printer, print_goal
-from fibaction.goals import UNKNOWN_OUTCOME
+from fibaction.cli.output.render import CODES, JsonPrinter, TextPrinter, goal_printer, print_goal
 from fibaction.testing import ScriptedServer
+from fibaction.words.goals import UNKNOWN_OUTCOME
 
 GOAL_ID = GoalID.parse("0123456789abcdef0123456789abcdef")
 COUNT: Action[int, int, str] = Action("count", goal=int, feedback=int, result=str)

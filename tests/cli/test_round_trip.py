@@ -9,10 +9,10 @@ import pytest
 
 from fibaction import ServerNotFound, serve
 from fibaction._api import ClientConnection
-from fibaction.cli import round_trip
-from fibaction.cli.exit_codes import ExitCode
-from fibaction.cli.round_trip import ping
-from fibaction.goals import ActionPeers
+from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.verbs import round_trip
+from fibaction.cli.verbs.round_trip import ping
+from fibaction.words.goals import ActionPeers
 from tests.cli.conftest import Run
 from tests.cli.served import Served, counter
 

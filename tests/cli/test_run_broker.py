@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
-from fibaction.cli import run_broker
-from fibaction.cli.exit_codes import ExitCode
+from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.verbs import run_broker
 from tests.cli.conftest import Invoke, Run, Start
-from tests.nats_server import IS_LEFT_OUT
-from tests.processes import ended, lines_until
+from tests.support.nats_server import IS_LEFT_OUT
+from tests.support.processes import ended, lines_until
 
 needs_program = pytest.mark.skipif(
     IS_LEFT_OUT, reason="nats-server is not installed: see the extra `broker`"

@@ -12,15 +12,15 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable
 
 from fibaction import ActionInfo, CancelAnswer, ConnectionLost, GoalID, GoalInfo, Outcome
-from fibaction.cli import screen
-from fibaction.cli.escape import clean
-from fibaction.cli.screen import TopScreen
-from fibaction.cli.screen_tables import FeedbackText
-from fibaction.events import GoalFeedback
-from fibaction.monitor import GoalKey, Monitor
-from fibaction.states import GoalStatus
+from fibaction.cli.output import screen
+from fibaction.cli.output.escape import clean
+from fibaction.cli.output.screen import TopScreen
+from fibaction.cli.output.screen_tables import FeedbackText
+from fibaction.client.events import GoalFeedback
+from fibaction.observe.monitor import GoalKey, Monitor
+from fibaction.words.statuses import GoalStatus
 from tests.cli.served import Served, counter
-from tests.processes import PATIENCE
+from tests.support.processes import PATIENCE
 
 FIRST, SECOND = GoalID(b"\x11" * 16), GoalID(b"\x22" * 16)
 

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus, Outcome
-from fibaction.cli.goal_details import GoalDetails
-from fibaction.cli.screen_tables import FeedbackText, GoalTable
-from fibaction.events import GoalFeedback
-from fibaction.monitor import GoalKey, Monitor
+from fibaction.cli.output.goal_details import GoalDetails
+from fibaction.cli.output.screen_tables import FeedbackText, GoalTable
+from fibaction.client.events import GoalFeedback
+from fibaction.observe.monitor import GoalKey, Monitor
 
 ID = GoalID(b"\x11" * 16)
 

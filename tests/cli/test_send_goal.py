@@ -30,17 +30,17 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.abc import Meta
-from fibaction.action import Action
-from fibaction.cli import send_goal
-from fibaction.cli.exit_codes import ExitCode, Failure
-from fibaction.cli.info import print_info
-from fibaction.cli.send_goal import SendOptions, send
-from fibaction.cli.signals import SAME_SIGNAL
+from fibaction.border.abc import Meta
+from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.process.signals import SAME_SIGNAL
+from fibaction.cli.verbs import send_goal
+from fibaction.cli.verbs.info import print_info
+from fibaction.cli.verbs.send_goal import SendOptions, send
 from fibaction.testing import ScriptedServer
+from fibaction.types.action import Action
 from tests.cli.conftest import Invoke, Open, Robot, Run, Start, interrupt
 from tests.cli.robot import WAIT, Progress, Wait, Waited, wait
-from tests.processes import ended, lines_until
+from tests.support.processes import ended, lines_until
 
 # As processes
 

@@ -18,13 +18,13 @@ from threading import Thread
 import pytest
 
 from fibaction import ActionServer, SqliteStore, connect
-from fibaction.cli import serve
-from fibaction.cli.exit_codes import ExitCode
-from fibaction.cli.signals import SAME_SIGNAL
+from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.process.signals import SAME_SIGNAL
+from fibaction.cli.verbs import serve
 from tests.cli.conftest import Invoke, Open, Run, Start, detached, eventually
 from tests.cli.robot_module import MODULE
-from tests.fibonacci import FIBONACCI, fibonacci
-from tests.processes import ended, lines_until
+from tests.support.fibonacci import FIBONACCI, fibonacci
+from tests.support.processes import ended, lines_until
 
 # serve, as a process
 

@@ -21,11 +21,11 @@ from mcp import Client, StdioServerParameters
 from mcp_types import CallToolResult, ElicitResult, TextContent
 
 from fibaction.agents import McpBridge
-from fibaction.cli import serve_mcp
-from fibaction.cli.exit_codes import ExitCode, Failure
-from fibaction.cli.serve_mcp import host_and_port, named_servers
+from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.verbs import serve_mcp
+from fibaction.cli.verbs.serve_mcp import host_and_port, named_servers
 from tests.cli.conftest import Invoke, Start, command, environment
-from tests.processes import PATIENCE, ended, lines_until
+from tests.support.processes import PATIENCE, ended, lines_until
 
 OWN = ["send_goal", "goal_status", "cancel_goal"]
 LONG = 50.0

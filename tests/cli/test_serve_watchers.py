@@ -10,9 +10,9 @@ from signal import SIGINT
 
 import pytest
 
-from fibaction.cli.exit_codes import ExitCode
+from fibaction.cli.process.exit_codes import ExitCode
 from tests.cli.conftest import Invoke, Run, Start
-from tests.processes import ended, lines_until
+from tests.support.processes import ended, lines_until
 
 
 def test_metrics_of_goals_are_served_until_the_servers_stop(

@@ -15,9 +15,9 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from fibaction.cli import signals
-from fibaction.cli.exit_codes import ExitCode
-from tests.processes import PATIENCE, ended, lines_until
+from fibaction.cli.process import signals
+from fibaction.cli.process.exit_codes import ExitCode
+from tests.support.processes import PATIENCE, ended, lines_until
 
 
 @pytest.mark.asyncio
@@ -98,8 +98,8 @@ async def test_what_ends_by_itself_was_not_interrupted() -> None:
 
 COMPUTING = """
 import anyio
-from fibaction.cli.exit_codes import run
-from fibaction.cli.signals import stop_signals, until_interrupted, SignalReceiver
+from fibaction.cli.process.exit_codes import run
+from fibaction.cli.process.signals import stop_signals, until_interrupted, SignalReceiver
 
 async def compute(shielded=False):
     print("computing", flush=True)

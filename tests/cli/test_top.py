@@ -11,11 +11,12 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import ConnectionLost, _action_listener
-from fibaction.cli import top
-from fibaction.cli.exit_codes import ExitCode
-from fibaction.cli.output import LogHandler
-from fibaction.cli.screen import TopScreen
+from fibaction import ConnectionLost
+from fibaction.cli.output.lines import LogHandler
+from fibaction.cli.output.screen import TopScreen
+from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.verbs import top
+from fibaction.observe import action_listener
 from tests.cli.conftest import Invoke, Open, Robot, Run, detached
 from tests.cli.served import Served, counter
 
@@ -177,7 +178,7 @@ def without_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
         await run_async(self, headless=True)
 
     monkeypatch.setattr(TopScreen, "run_async", run)
-    monkeypatch.setattr(_action_listener, "PERIOD", 0.05)
+    monkeypatch.setattr(action_listener, "PERIOD", 0.05)
 
 
 @pytest.mark.asyncio

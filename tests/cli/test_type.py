@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fibaction.cli.exit_codes import ExitCode
+from fibaction.cli.process.exit_codes import ExitCode
 from tests.cli.conftest import Invoke, Run
 
 

@@ -6,9 +6,9 @@ import anyio
 import pytest
 
 from fibaction import AuthenticationFailed, serve
-from fibaction.cli import wait as module
-from fibaction.cli.exit_codes import ExitCode, Failure
-from fibaction.cli.wait import wait
+from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.verbs import wait as module
+from fibaction.cli.verbs.wait import wait
 from tests.cli.conftest import Run
 from tests.cli.served import Served, counter
 

@@ -8,9 +8,9 @@ from contextlib import asynccontextmanager
 import pytest
 
 from fibaction import WorkerInfo
-from fibaction.abc import Connection, Endpoint
-from fibaction.cli import workers
-from fibaction.cli.workers import lines_of, list_workers
+from fibaction.border.abc import Connection, Endpoint
+from fibaction.cli.verbs import workers
+from fibaction.cli.verbs.workers import lines_of, list_workers
 from tests.cli.conftest import Invoke
 
 NOW = 1_800_000_000

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.msgpack import Ext
 
-from fibaction.cli import yaml_text
-from fibaction.cli.yaml_text import as_yaml
+from fibaction.cli.output import yaml_text
+from fibaction.cli.output.yaml_text import as_yaml
 
 # What msgpack carries: text without lone surrogates, integers of 64 bits.
 scalars = (

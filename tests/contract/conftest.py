@@ -1,7 +1,8 @@
 """The ways on which the contract is run. A new transport adds a line to `WAYS`.
 
-Each test is marked with the promises of docs/guarantees.md that it shows: see tests/promises.py. A
-test that a way cannot keep is listed in `EXCLUSIONS` with the reason, and is skipped with it.
+Each test is marked with the promises of docs/guarantees.md that it shows: see
+tests/tools/promises.py. A test that a way cannot keep is listed in `EXCLUSIONS` with the reason,
+and is skipped with it.
 """
 
 from __future__ import annotations
@@ -35,15 +36,15 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction._tasks import Background
-from fibaction.action import FeedbackT, GoalT, ResultT
-from fibaction.goal_store import GoalStore
+from fibaction._runtime.tasks import Background
+from fibaction.border.goal_store import GoalStore
+from fibaction.types.action import FeedbackT, GoalT, ResultT
 from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.web import WebTransport
-from tests.certificates import pems
-from tests.memory_store import MemoryStore
-from tests.nats_server import IS_LEFT_OUT, NatsServer, nats_server
-from tests.ports import free_port
+from tests.support.certificates import pems
+from tests.support.memory_store import MemoryStore
+from tests.support.nats_server import IS_LEFT_OUT, NatsServer, nats_server
+from tests.support.ports import free_port
 
 Servers: TypeAlias = tuple[Endpoint, ...]
 

@@ -24,7 +24,7 @@ from fibaction import (
     serve,
 )
 from tests.contract.conftest import Reach
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
 

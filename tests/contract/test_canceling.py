@@ -22,10 +22,10 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.abc import StatusStream
+from fibaction.border.abc import StatusStream
 from tests.contract import conftest
 from tests.contract.conftest import Reach
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
 

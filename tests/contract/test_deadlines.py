@@ -28,10 +28,10 @@ from fibaction import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction._notify import Notifier
-from fibaction.abc import Endpoint, ForwardingEndpoint, GoalStream
+from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream
 from tests.contract.conftest import Reach
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
 

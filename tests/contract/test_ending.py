@@ -24,9 +24,9 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.abc import StatusStream
+from fibaction.border.abc import StatusStream
 from tests.contract.conftest import PATIENCE, Reach, running
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
 
@@ -354,7 +354,7 @@ async def is_shielded() -> None:
 async def test_a_server_closes_without_executors_that_do_not_end_and_names_their_goals(
     reach: Reach, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fibaction.server._task_pool.GRACE", 0.05)
+    monkeypatch.setattr("fibaction.server.execution.task_pool.GRACE", 0.05)
 
     async def refuses(goal: GoalHandle[Goal]) -> Items:
         yield Feedback([1])

@@ -24,11 +24,11 @@ from fibaction import (
     TransportError,
     UnknownGoal,
 )
-from fibaction.abc import GoalStream, StatusStream
-from fibaction.action import ActionInfo
+from fibaction.border.abc import GoalStream, StatusStream
+from fibaction.types.action import ActionInfo
 from fibaction.wire.errors import NUMBERS
 from tests.contract.conftest import Reach
-from tests.fibonacci import FIBONACCI
+from tests.support.fibonacci import FIBONACCI
 
 pytestmark = pytest.mark.anyio
 

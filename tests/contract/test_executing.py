@@ -10,8 +10,8 @@ import pytest
 
 from fibaction import Action, ActionServer, GoalAborted, GoalHandle, GoalStatus, Outcome
 from tests.contract.conftest import Reach
-from tests.executors import ABORTED, Items, raises_after_feedback
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.executors import ABORTED, Items, raises_after_feedback
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
 

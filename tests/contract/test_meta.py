@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from fibaction import ActionServer, GoalID, InvalidMessage, Sender, Watcher
-from fibaction.abc import Meta
+from fibaction.border.abc import Meta
 from tests.contract.conftest import Reach
-from tests.fibonacci import FIBONACCI, Goal, fibonacci
+from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 
 pytestmark = pytest.mark.anyio
 

@@ -11,7 +11,7 @@ import pytest
 
 from fibaction import ActionClient, ActionServer, GoalHandle, GoalStatus, Schedule
 from tests.contract.conftest import Reach
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
 

@@ -9,7 +9,7 @@ import pytest
 
 from fibaction import ActionServer, GoalHandle, GoalRejected, Sender
 from tests.contract.conftest import Reach
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
 

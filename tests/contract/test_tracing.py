@@ -9,8 +9,8 @@ import pytest
 
 from fibaction import ActionServer, GoalHandle, GoalStatus, connect
 from tests.contract.conftest import Reach
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
-from tests.spans import Spans
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.spans import Spans
 
 pytestmark = pytest.mark.anyio
 

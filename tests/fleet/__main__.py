@@ -30,7 +30,7 @@ import msgspec
 
 from tests.fleet.clients import Load
 from tests.fleet.scenarios import SCENARIOS, Report, Run, run
-from tests.nats_server import PROGRAM
+from tests.support.nats_server import PROGRAM
 
 LOADS: dict[str, dict[str, Any]] = {
     "workers": {"steps": (8, 16), "pause": 1.0},

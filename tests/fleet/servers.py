@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import NamedTuple
 
-from tests.nats_server import NatsServer, nats_cluster, nats_server
+from tests.support.nats_server import NatsServer, nats_cluster, nats_server
 
 
 class Servers(NamedTuple):

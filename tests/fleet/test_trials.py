@@ -12,7 +12,7 @@ import pytest
 from tests.fleet import __main__ as program
 from tests.fleet.clients import Load
 from tests.fleet.scenarios import Report, Run, run
-from tests.nats_server import IS_LEFT_OUT
+from tests.support.nats_server import IS_LEFT_OUT
 
 needs_nats = pytest.mark.skipif(
     IS_LEFT_OUT,

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from fibaction import GoalID, GoalStatus, Outcome
-from fibaction.goal_store import StoredGoal
-from fibaction.goals import Sender
+from fibaction.border.goal_store import StoredGoal
+from fibaction.words.goals import Sender
 from tests.fleet.verdict import (
     Case,
     Handover,

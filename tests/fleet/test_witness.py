@@ -11,13 +11,13 @@ from nats.js.client import JetStreamContext
 from nats.js.errors import BadRequestError, ServiceUnavailableError
 
 from fibaction import GoalID, GoalStatus
-from fibaction.goal_store import StoredGoal
-from fibaction.goals import Sender
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_records import GoalEntry, encode
+from fibaction.border.goal_store import StoredGoal
+from fibaction.words.goals import Sender
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.records import GoalEntry, encode
 from tests.fleet.servers import servers
 from tests.fleet.witness import witness
-from tests.nats_server import IS_LEFT_OUT
+from tests.support.nats_server import IS_LEFT_OUT
 
 NAMES = FleetNames("trial")
 GOAL = GoalID(bytes(15) + b"1")

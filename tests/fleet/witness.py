@@ -19,9 +19,9 @@ import nats
 from nats.js.api import RePublish, StreamConfig
 from nats.js.errors import Error, NotFoundError
 
-from fibaction.goal_store import StoredGoal
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_records import goal_entry, lease_entry
+from fibaction.border.goal_store import StoredGoal
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.records import goal_entry, lease_entry
 
 NAME = "WITNESS"
 PREFIX = "witness"

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from fibaction import GoalID, GoalStatus, Outcome
-from fibaction_transports.nats.fleet_records import GoalEntry
+from fibaction_transports.nats.records import GoalEntry
 
 LATE = 0.2
 """Seconds that an executor may take to end after it was interrupted."""

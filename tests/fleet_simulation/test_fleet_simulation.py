@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from fibaction.goal_store import StoredGoal, Then
-from fibaction_transports.nats.fleet_journal import FleetJournal
-from fibaction_transports.nats.lease import Membership, Term
-from fibaction_transports.nats.takeover import Takeover
+from fibaction.border.goal_store import StoredGoal, Then
+from fibaction_transports.nats.worker.journal import FleetJournal
+from fibaction_transports.nats.worker.lease import Membership, Term
+from fibaction_transports.nats.worker.takeover import Takeover
 from tests.fleet_simulation import __main__ as program
 from tests.fleet_simulation.world import simulate
-from tests.memory_broker import MemoryBrokers
+from tests.support.memory_broker import MemoryBrokers
 
 FEWER = "FIBACTION_EXAMPLES" in os.environ
 """True where the tests run once more, with other versions."""

@@ -27,16 +27,16 @@ from fibaction import (
     StoreError,
 )
 from fibaction.wire.settings import ClientSettings
-from fibaction_transports.nats.fleet_connection import open_fleet
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_records import goal_entry
-from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.line import ClientLines  # noqa: F401  # patched when it is loaded
-from fibaction_transports.nats.worker import open_worker
+from fibaction_transports.nats.client.connection import open_fleet
+from fibaction_transports.nats.lines.line import ClientLines  # noqa: F401  # patched when it is loaded
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.records import goal_entry
+from fibaction_transports.nats.settings import FleetSettings
+from fibaction_transports.nats.worker.worker import open_worker
 from tests.fleet_simulation.invariants import Cut, Seen, Stretch, Told, violations
-from tests.memory_broker import MemoryBroker, MemoryBrokers
 from tests.simulation import loop as virtual
 from tests.simulation.machine import made_up
+from tests.support.memory_broker import MemoryBroker, MemoryBrokers
 
 LEASE = 5.0
 PATIENCE = 40.0

@@ -18,13 +18,13 @@ import anyio
 from fibaction import ActionServer
 from fibaction.wire.settings import Limits, server_settings
 from fibaction.wire.wire_server import open_server
-from fibaction_transports.web.rosbridge._rosbridge_channel import (
+from fibaction_transports.web.rosbridge.server.channel import (
     RosbridgeAsgiChannel,
     new_translator,
     serve_rosbridge,
 )
-from tests.fibonacci import FIBONACCI, fibonacci
 from tests.fuzz.fuzzer import fuzz, run_without_errors
+from tests.support.fibonacci import FIBONACCI, fibonacci
 
 LIMITS = Limits(frame=2**14, queue=2**12)
 KNOWN = {"action_feedback", "action_result", "service_response", "fragment"}

@@ -17,13 +17,13 @@ import anyio
 from anyio.abc import ByteStream, SocketAttribute
 
 from fibaction import ActionServer
-from fibaction._http_rules import rules
+from fibaction._runtime.http_rules import rules
 from fibaction.wire.settings import Limits, server_settings
 from fibaction.wire.wire_server import open_server
-from fibaction_transports.web._application import WebApplication
-from fibaction_transports.web._http_server import HttpServer
-from tests.fibonacci import FIBONACCI, fibonacci
+from fibaction_transports.web.http.application import WebApplication
+from fibaction_transports.web.http.server import HttpServer
 from tests.fuzz.fuzzer import fuzz, run_without_errors
+from tests.support.fibonacci import FIBONACCI, fibonacci
 
 LIMITS = Limits(frame=2**12, handshake=0.05)
 RULES = rules("127.0.0.1", "/", hosts=(), origins=(), has_tls=False)

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from fibaction._http_rules import rules
-from fibaction.exceptions import ActionError
+from fibaction._runtime.http_rules import rules
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.messages import Goodbye, Ping
-from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake
-from fibaction_transports.web._websocket_frames import WebSocketFraming
+from fibaction.words.errors import ActionError
+from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake
+from fibaction_transports.web.http.websocket_frames import WebSocketFraming
 from tests.fuzz.fuzzer import fuzz
 from tests.transports.web.upgrade import upgrade
 

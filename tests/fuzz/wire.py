@@ -15,19 +15,19 @@ from contextlib import suppress
 import anyio
 
 from fibaction import ActionServer
-from fibaction._budget import ByteBudget
-from fibaction.exceptions import ActionError, ConnectionLost, ProtocolError
+from fibaction._runtime.budget import ByteBudget
 from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.channel import Channel
 from fibaction.wire.codec import decode_from_client, decode_from_server, encode
 from fibaction.wire.frames import FrameReader, header
 from fibaction.wire.link import Link
 from fibaction.wire.messages import VERSION, Hello
-from fibaction.wire.ownership import Owners
-from fibaction.wire.session import Session
+from fibaction.wire.server.ownership import Owners
+from fibaction.wire.server.session import Session
 from fibaction.wire.settings import Limits, ServerSettings
-from tests.fibonacci import FIBONACCI, fibonacci
+from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError
 from tests.fuzz.fuzzer import fuzz
+from tests.support.fibonacci import FIBONACCI, fibonacci
 
 LIMIT = 2**16
 HELLO = encode(Hello(VERSION, 60.0))

@@ -21,13 +21,13 @@ import msgspec
 from anyio import to_thread
 
 from fibaction import ActionClient, connect
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.hostile import victim
 from tests.hostile.attack import Attack
 from tests.hostile.attacks import ATTACKS
 from tests.hostile.meter import Reading
 from tests.hostile.raw_client import Lost, Target, until
 from tests.hostile.victim import Settings
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 40.0

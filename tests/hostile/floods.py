@@ -20,9 +20,9 @@ from fibaction.wire.messages import (
     Received,
     WatchStatus,
 )
-from tests.fibonacci import FIBONACCI, Goal
 from tests.hostile.attack import MOST, attack, goal_id, sending
 from tests.hostile.raw_client import Raw, Target, each, packed
+from tests.support.fibonacci import FIBONACCI, Goal
 
 SHORT = FIBONACCI.goal.encode(Goal(1))
 TERMS = FIBONACCI.goal.encode(Goal(20))

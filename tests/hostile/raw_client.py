@@ -14,7 +14,7 @@ import anyio
 import msgspec
 from anyio.abc import SocketAttribute, SocketStream
 
-from fibaction._notify import Notifier
+from fibaction._runtime.notify import Notifier
 from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.wire.messages import VERSION, Actions, Hello, ListActions

@@ -7,9 +7,9 @@ import re
 import pytest
 
 from fibaction.wire.codec import encode
-from tests.benchmarks.costs import KINDS, PART, measure
-from tests.benchmarks.pages import PAGE
-from tests.page_parts import part_of
+from tests.support.page_parts import part_of
+from tests.tools.benchmarks.costs import KINDS, PART, measure
+from tests.tools.benchmarks.pages import PAGE
 
 GOALS = 300
 """Active goals at the server, which make only the requests about all goals dearer."""

@@ -11,7 +11,6 @@ import msgspec
 import pytest
 
 from fibaction import Limits
-from fibaction.states import GoalStatus
 from fibaction.wire.frames import header
 from fibaction.wire.messages import (
     Ended,
@@ -27,6 +26,7 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
+from fibaction.words.statuses import GoalStatus
 from tests.hostile.arena import PATIENCE, SHUTDOWN, be_honest, honest_client, started
 from tests.hostile.attack import MIB, MOST, goal_id, sending
 from tests.hostile.floods import SHORT

@@ -21,8 +21,8 @@ import msgspec
 
 from fibaction import Action, ActionServer, GoalHandle, GoalRejected, Limits, Permission, serve
 from fibaction.wire.auth import Peer
-from tests.fibonacci import FIBONACCI, fibonacci
 from tests.hostile.meter import Meter
+from tests.support.fibonacci import FIBONACCI, fibonacci
 
 
 class Settings(msgspec.Struct):

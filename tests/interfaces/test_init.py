@@ -1,4 +1,5 @@
-from fibaction import action_files, interfaces
+from fibaction import interfaces
+from fibaction.interfaces import action_files
 
 
 def test_the_package_exports_the_error_that_its_users_catch() -> None:

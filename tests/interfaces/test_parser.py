@@ -7,7 +7,7 @@ from hypothesis import given, strategies
 
 from fibaction.interfaces.definitions import FieldType, InterfaceError, MessageDefinition
 from fibaction.interfaces.parser import parse_action, parse_message
-from fibaction.ros_types import PRIMITIVES
+from fibaction.interfaces.ros_types import PRIMITIVES
 
 FILE = Path("Lift.msg")
 

@@ -12,10 +12,10 @@ import msgspec
 import pytest
 from hypothesis import given, settings, strategies
 
-from fibaction.action import Action
-from fibaction.action_files import load_action
+from fibaction.interfaces.action_files import load_action
 from fibaction.interfaces.files import read_action
 from fibaction.interfaces.source import python_source
+from fibaction.types.action import Action
 from tests.action_files import awkward_types, count_types, pick_up_types
 
 FILES = Path(__file__).parent.parent / "action_files"

@@ -8,7 +8,7 @@ import path from "node:path";
 
 const { FIBACTION_PYTHON, FIBACTION_ROOT } = process.env;
 
-/** A free port that no connection gets by chance: see tests/ports.py. */
+/** A free port that no connection gets by chance: see tests/support/ports.py. */
 export async function freePort() {
   while (true) {
     const server = net.createServer().listen(randomInt(10_000, 32_768), "127.0.0.1");

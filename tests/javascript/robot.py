@@ -20,7 +20,7 @@ from fibaction import (
     Sender,
     Watcher,
 )
-from fibaction.abc import Meta
+from fibaction.border.abc import Meta
 
 
 class Count(msgspec.Struct):

@@ -15,11 +15,11 @@ from typing import Any
 import msgspec
 import pytest
 
-from fibaction._typescript import typescript_source
-from fibaction.action_files import load_action
-from tests.fibonacci import FIBONACCI
-from tests.golden import GOLDEN
-from tests.node import IS_LEFT_OUT, MISSING, MODULES, PROGRAM
+from fibaction.interfaces.action_files import load_action
+from fibaction.schema.typescript import typescript_source
+from tests.support.fibonacci import FIBONACCI
+from tests.support.golden import GOLDEN
+from tests.support.node import IS_LEFT_OUT, MISSING, MODULES, PROGRAM
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

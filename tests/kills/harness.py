@@ -17,7 +17,7 @@ import msgspec
 from tests.kills.clients import Visitor, settle
 from tests.kills.ledger import Ledger, Rules, attempts_of, faults_of
 from tests.kills.victim import Setup, entries_of, run_victim
-from tests.ports import free_port
+from tests.support.ports import free_port
 
 LIFE = (0.0, 0.9)
 """The shortest and the longest life of a server, in seconds, from when clients can connect."""

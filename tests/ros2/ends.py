@@ -13,11 +13,11 @@ import anyio
 
 from fibaction import ActionClient, ActionServer, GoalHandle, GoalID, connect, serve
 from fibaction_transports.ros2 import qos
-from fibaction_transports.ros2.action_client import RosActionClient
-from fibaction_transports.ros2.goal_stream import GoalDecoder, RosGoalStream
+from fibaction_transports.ros2.client.action_client import RosActionClient
+from fibaction_transports.ros2.client.goal_stream import GoalDecoder, RosGoalStream
 from fibaction_transports.ros2.rcl import GoalInfoMessage, uuid_of
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.ros2.spun import spun_node
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 Items = AsyncGenerator[Feedback | Result, None]
 PATIENCE = 10.0

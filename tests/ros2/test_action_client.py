@@ -23,24 +23,23 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.action import ActionInfo
-from fibaction.exceptions import ProtocolError
-from fibaction.goals import ActionPeers
-from fibaction_transports.ros2 import (
+from fibaction.types.action import ActionInfo
+from fibaction.words.errors import ProtocolError
+from fibaction.words.goals import ActionPeers
+from fibaction_transports.ros2 import rcl
+from fibaction_transports.ros2.client import (
     action_client,
     endpoint,
     followed_goals,
     presence,
-    rcl,
     service_client,
 )
-from fibaction_transports.ros2.action_server import RosActionServer
-from fibaction_transports.ros2.feedback_counts import ReceivedCounts
-from fibaction_transports.ros2.goal_stream import RosGoalStream
-from fibaction_transports.ros2.service_client import ServiceCall, ServiceClient, send_request
-from fibaction_transports.ros2.waitable import Responses
+from fibaction_transports.ros2.client.goal_stream import RosGoalStream
+from fibaction_transports.ros2.client.service_client import ServiceCall, ServiceClient, send_request
+from fibaction_transports.ros2.node.feedback_counts import ReceivedCounts
+from fibaction_transports.ros2.node.waitable import Responses
+from fibaction_transports.ros2.server.action_server import RosActionServer
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-from tests.fibonacci import FIBONACCI, Goal, Result, fibonacci
 from tests.ros2.ends import (
     PATIENCE,
     Items,
@@ -50,6 +49,7 @@ from tests.ros2.ends import (
     forever,
     new_url,
 )
+from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
 

@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given, strategies
 
 from fibaction import Action, ActionServer, GoalHandle, connect, serve
-from fibaction.action_files import load_action
+from fibaction.interfaces.action_files import load_action
 from fibaction.interfaces.definitions import FieldType, InterfaceError, MessageDefinition
 from fibaction.interfaces.files import read_action
 from fibaction.interfaces.parser import parse_action, parse_message
 from fibaction.interfaces.structs import make_structs
-from fibaction_transports.ros2.conversion import RosAction
-from fibaction_transports.ros2.message_types import message_kind
+from fibaction_transports.ros2.convert.conversion import RosAction
+from fibaction_transports.ros2.convert.message_types import message_kind
 
 _parser: Any = import_module("rosidl_adapter.parser")
 

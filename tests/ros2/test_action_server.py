@@ -25,18 +25,19 @@ from fibaction import (
     serve,
 )
 from fibaction_transports.inprocess import InProcessTransport
-from fibaction_transports.ros2 import action_server, feedback_topic, rcl, rivals, service_server
-from fibaction_transports.ros2.action_server import RosActionServer, ServedEndpoint
-from fibaction_transports.ros2.conversion import RosAction
-from fibaction_transports.ros2.end_settings import EndSettings
-from fibaction_transports.ros2.goal_stream import RosGoalStream
+from fibaction_transports.ros2 import rcl
+from fibaction_transports.ros2.client.goal_stream import RosGoalStream
+from fibaction_transports.ros2.convert.conversion import RosAction
+from fibaction_transports.ros2.convert.status_bytes import info_of, lines_in, unpack_lines
 from fibaction_transports.ros2.names import action_names
-from fibaction_transports.ros2.node import NodeSettings, own_node
+from fibaction_transports.ros2.node import rivals
+from fibaction_transports.ros2.node.node import NodeSettings, own_node
+from fibaction_transports.ros2.node.waitable import Requests
 from fibaction_transports.ros2.rcl import raw, rclpy_qos, uuid_of
-from fibaction_transports.ros2.status_bytes import info_of, lines_in, unpack_lines
-from fibaction_transports.ros2.waitable import Requests
+from fibaction_transports.ros2.server import action_server, feedback_topic, service_server
+from fibaction_transports.ros2.server.action_server import RosActionServer, ServedEndpoint
+from fibaction_transports.ros2.settings import EndSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.ros2.ends import (
     PATIENCE,
     Items,
@@ -49,6 +50,7 @@ from tests.ros2.ends import (
     result_of,
     send,
 )
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
 
@@ -253,7 +255,7 @@ async def test_a_result_that_does_not_fit_its_ros_type_aborts_the_goal(
 async def test_an_outcome_waits_a_while_for_the_first_request(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fibaction_transports.ros2.goal_forwarder.GRACE", 5.0)
+    monkeypatch.setattr("fibaction_transports.ros2.server.goal_forwarder.GRACE", 5.0)
     server = ActionServer(FIBONACCI, fibonacci, result_timeout=0)
     async with raw_client(url, server) as reached:
         goal_id = GoalID.random()

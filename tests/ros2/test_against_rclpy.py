@@ -12,7 +12,8 @@ import anyio
 import pytest
 
 from fibaction import GoalID, GoalStatus, Schedule, serve
-from fibaction_transports.ros2 import rcl, service_server
+from fibaction_transports.ros2 import rcl
+from fibaction_transports.ros2.server import service_server
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import TYPE, Behaviour
 from tests.ros2.stock.process import Peer, peer

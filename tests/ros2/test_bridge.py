@@ -16,11 +16,11 @@ from anyio.abc import Process
 from anyio.streams.buffered import BufferedByteReceiveStream
 
 from fibaction import Action, ActionServer, ClientConnection, GoalStatus, connect, serve
-from fibaction.cli.bridge_ends import open_end
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from tests.ports import free_port
+from fibaction.cli.bridge.ends import open_end
 from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import PATIENCE, peer
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.ports import free_port
 from tests.transports.web.rosbridge.clients import SocketClient
 
 pytestmark = pytest.mark.asyncio

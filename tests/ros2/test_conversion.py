@@ -24,12 +24,17 @@ from hypothesis import example, given, settings, strategies
 from msgspec import Meta
 
 from fibaction import Action
-from fibaction.action import ActionInfo
-from fibaction.exceptions import ProtocolError, TransportError
-from fibaction_transports.ros2.arrays import LARGE, pack, unpack
-from fibaction_transports.ros2.conversion import RosAction, RosCodec, RosCodecs, message_types
-from fibaction_transports.ros2.message_types import message_kind
-from fibaction_transports.ros2.schemas import Schema
+from fibaction.types.action import ActionInfo
+from fibaction.words.errors import ProtocolError, TransportError
+from fibaction_transports.ros2.convert.arrays import LARGE, pack, unpack
+from fibaction_transports.ros2.convert.conversion import (
+    RosAction,
+    RosCodec,
+    RosCodecs,
+    message_types,
+)
+from fibaction_transports.ros2.convert.message_types import message_kind
+from fibaction_transports.ros2.convert.schemas import Schema
 
 definition: Any = import_module("rosidl_parser.definition")
 numpy: Any = import_module("numpy")

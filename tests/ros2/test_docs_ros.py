@@ -19,7 +19,7 @@ import pytest
 import fibaction_transports.ros2
 from fibaction_transports.ros2 import Ros2Transport
 from tests import test_docs as docs
-from tests.processes import Finished, ended
+from tests.support.processes import Finished, ended
 
 PROGRAMS = docs.DOCS / "coming_from_rclpy.md"
 MAKERS = ("rclpy", "fibaction")

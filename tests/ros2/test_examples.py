@@ -14,7 +14,7 @@ import anyio
 import pytest
 
 from fibaction import GoalStatus, Outcome, connect
-from tests.processes import PATIENCE, ended, lines_until
+from tests.support.processes import PATIENCE, ended, lines_until
 
 # Examples are scripts beside each other, and import one another as such.
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))

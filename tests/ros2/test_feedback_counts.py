@@ -19,17 +19,17 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction_transports.ros2 import action_client, followed_goals
-from fibaction_transports.ros2.feedback_topic import GoalFeedback
-from fibaction_transports.ros2.goal_stream import RosGoalStream
+from fibaction_transports.ros2.client import action_client, followed_goals
+from fibaction_transports.ros2.client.goal_stream import RosGoalStream
 from fibaction_transports.ros2.names import count_topic
-from fibaction_transports.ros2.node import RosNode
+from fibaction_transports.ros2.node.node import RosNode
 from fibaction_transports.ros2.rcl import raw
+from fibaction_transports.ros2.server.feedback_topic import GoalFeedback
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.ros2.ends import PATIENCE, Undecoded, both_ends, client_of, new_url
 from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import peer
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
 

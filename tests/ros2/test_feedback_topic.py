@@ -9,9 +9,9 @@ import anyio
 import pytest
 
 from fibaction import GoalID
-from fibaction_transports.ros2 import feedback_topic
-from fibaction_transports.ros2.end_settings import EndSettings
-from fibaction_transports.ros2.feedback_topic import FIRST_PACE, LOOK_PAUSE, FeedbackTopic
+from fibaction_transports.ros2.server import feedback_topic
+from fibaction_transports.ros2.server.feedback_topic import FIRST_PACE, LOOK_PAUSE, FeedbackTopic
+from fibaction_transports.ros2.settings import EndSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from fibaction import ConnectionLost, GoalID, GoalInfo, GoalStatus, Outcome
-from fibaction.abc import FeedbackItem
-from fibaction_transports.ros2.goal_stream import RosGoalStream
+from fibaction.border.abc import FeedbackItem
+from fibaction_transports.ros2.client.goal_stream import RosGoalStream
 from tests.ros2.ends import Undecoded
 
 pytestmark = pytest.mark.anyio

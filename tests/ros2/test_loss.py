@@ -24,12 +24,12 @@ from fibaction import (
     connect,
 )
 from fibaction_transports.ros2.rcl import middleware
-from tests.fibonacci import Feedback, Goal, Result
 from tests.ros2.ends import client_of
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import Peer, peer
 from tests.ros2.stock.waiting import eventually
+from tests.support.fibonacci import Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
 

@@ -9,10 +9,10 @@ import anyio
 import pytest
 
 from fibaction import ActionClient, ClientConnection, connect
-from tests.fibonacci import Feedback, Goal, Result
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import peer
+from tests.support.fibonacci import Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
 

@@ -12,16 +12,18 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction._tasks import Background
-from fibaction.exceptions import ConnectionLost, TransportError
-from fibaction_transports.ros2.mailbox import Mailbox
+from fibaction._runtime.tasks import Background
+from fibaction.words.errors import ConnectionLost, TransportError
 from fibaction_transports.ros2.names import action_names
-from fibaction_transports.ros2.node import (
+from fibaction_transports.ros2.node.mailbox import Mailbox
+from fibaction_transports.ros2.node.node import (
     NodeSettings,
     RosNode,
     own_node,
     users_node,
 )
+from fibaction_transports.ros2.node.spinner import Spinner
+from fibaction_transports.ros2.node.waitable import Messages, RosWaitable
 from fibaction_transports.ros2.rcl import (
     Context,
     InvalidHandle,
@@ -33,8 +35,6 @@ from fibaction_transports.ros2.rcl import (
     uuid_of,
     waitable,
 )
-from fibaction_transports.ros2.spinner import Spinner
-from fibaction_transports.ros2.waitable import Messages, RosWaitable
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.stock.process import PATIENCE
 from tests.ros2.stock.telling import spin
@@ -273,7 +273,7 @@ async def test_the_thread_takes_nothing_while_the_mailbox_is_full_and_then_goes_
     handle = ros.make(raw.Subscription, GoalStatusArray, "mine", profile)
     ros.listen(Messages(handle, GoalStatusArray, take))
     publisher = ros.node.create_publisher(GoalStatusArray, "mine", profile)
-    monkeypatch.setattr("fibaction_transports.ros2.mailbox.MAILBOX", 2)
+    monkeypatch.setattr("fibaction_transports.ros2.node.mailbox.MAILBOX", 2)
     monkeypatch.setattr(RosWaitable, "is_paused", property(is_paused))
 
     async def readers() -> int:

@@ -16,8 +16,8 @@ import setuptools
 from catkin_pkg.package import parse_package
 
 from fibaction import connect
-from tests.fibonacci import FIBONACCI, Goal, Result
-from tests.processes import ended, lines_until
+from tests.support.fibonacci import FIBONACCI, Goal, Result
+from tests.support.processes import ended, lines_until
 
 PACKAGE = Path(__file__).parents[2] / "examples/ros2/fibaction_fibonacci"
 NAME = PACKAGE.name

@@ -11,11 +11,11 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
 from fibaction import ActionServer, connect, serve
-from fibaction_transports.ros2.node import NodeSettings, own_node
-from tests.fibonacci import FIBONACCI, Goal, fibonacci
+from fibaction_transports.ros2.node.node import NodeSettings, own_node
 from tests.ros2.ends import PATIENCE, new_url
 from tests.ros2.spun import spun_node
 from tests.ros2.stock.waiting import eventually
+from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 
 pytestmark = pytest.mark.anyio
 

@@ -13,11 +13,11 @@ from rclpy.action import GoalResponse
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from fibaction import ActionServer, ServerNotFound, connect, serve
-from fibaction_transports.ros2.end_settings import EndSettings
-from fibaction_transports.ros2.qos_mismatch import explain_mismatch
-from tests.fibonacci import FIBONACCI, Goal, Result, fibonacci
+from fibaction_transports.ros2.client.qos_mismatch import explain_mismatch
+from fibaction_transports.ros2.settings import EndSettings
 from tests.ros2.ends import PATIENCE, client_of, new_url
 from tests.ros2.spun import spun_node
+from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
 
@@ -72,7 +72,7 @@ WRONG = (
 async def test_a_stock_server_whose_qos_does_not_match_is_named_with_what_to_do(
     url: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fibaction_transports.ros2.presence.MATCH_TIME", 0.5)
+    monkeypatch.setattr("fibaction_transports.ros2.client.presence.MATCH_TIME", 0.5)
     with anyio.fail_after(PATIENCE):
         async with connect(f"{url}&discovery_timeout=1", FIBONACCI) as client:
             with pytest.raises(ServerNotFound) as caught:

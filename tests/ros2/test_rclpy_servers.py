@@ -27,12 +27,12 @@ from fibaction import (
     UnknownGoal,
     connect,
 )
-from tests.fibonacci import Feedback, Goal, Result
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import TYPE, action
 from tests.ros2.stock.process import peer
 from tests.ros2.stock.tutorial_server import STEP
 from tests.ros2.stock.waiting import eventually
+from tests.support.fibonacci import Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
 

@@ -8,17 +8,17 @@ import anyio
 import pytest
 
 from fibaction import ActionClient, ActionServer, GoalHandle, GoalID, connect, serve
-from fibaction.goals import GoalInfo
-from fibaction.states import GoalStatus
-from fibaction_transports.ros2 import followed_goals
-from fibaction_transports.ros2.action_client import RosActionClient
-from fibaction_transports.ros2.goal_stream import RosGoalStream
-from fibaction_transports.ros2.rivals import Rivals
-from fibaction_transports.ros2.status_bytes import pack_line, pack_statuses
+from fibaction.words.goals import GoalInfo
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.ros2.client import followed_goals
+from fibaction_transports.ros2.client.action_client import RosActionClient
+from fibaction_transports.ros2.client.goal_stream import RosGoalStream
+from fibaction_transports.ros2.convert.status_bytes import pack_line, pack_statuses
+from fibaction_transports.ros2.node.rivals import Rivals
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.ros2.ends import PATIENCE, Items, Undecoded, client_of, new_url, tells_publishers
 from tests.ros2.stock.waiting import eventually
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
 
@@ -54,7 +54,7 @@ async def both_servers_of(client: ActionClient[Goal, Feedback, Result]) -> None:
 async def test_feedback_is_taken_of_the_server_that_accepted_the_goal_and_the_log_warns_once(
     names: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fibaction_transports.ros2.rivals.PATIENCE", 0.0)
+    monkeypatch.setattr("fibaction_transports.ros2.node.rivals.PATIENCE", 0.0)
     tells = tells_publishers()
     url = new_url()
     tags: dict[int, int] = {}
@@ -213,7 +213,7 @@ async def test_a_second_server_that_is_soon_silent_causes_no_warning(
 ) -> None:
     """As one that was killed, beside the one that took its place."""
     clock = [0.0]
-    monkeypatch.setattr("fibaction_transports.ros2.rivals.current_time", lambda: clock[0])
+    monkeypatch.setattr("fibaction_transports.ros2.node.rivals.current_time", lambda: clock[0])
     node: Any = Node()
     names: Any = Names()
     rivals = Rivals(node, "arm", names, 2.0)
@@ -231,7 +231,7 @@ async def test_a_second_server_that_is_soon_silent_causes_no_warning(
 async def test_the_warning_says_whose_feedback_the_client_gets(
     publisher: bytes, told: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fibaction_transports.ros2.rivals.PATIENCE", 0.0)
+    monkeypatch.setattr("fibaction_transports.ros2.node.rivals.PATIENCE", 0.0)
     node: Any = Node()
     names: Any = Names()
     rivals = Rivals(node, "arm", names, 2.0)

@@ -25,12 +25,12 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.action import ActionInfo
-from fibaction.urls import transport_for
+from fibaction.border.urls import transport_for
+from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import Ros2Transport
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.ros2.spun import spun_node
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
 
@@ -348,7 +348,7 @@ def test_without_rclpy_the_error_says_how_to_get_it() -> None:
     code = (
         "import importlib.util as util; find = util.find_spec\n"
         "util.find_spec = lambda name, *rest: None if name == 'rclpy' else find(name, *rest)\n"
-        "from fibaction.urls import transport_for\n"
+        "from fibaction.border.urls import transport_for\n"
         "transport_for('ros2://')"
     )
     done = subprocess.run(

@@ -14,13 +14,19 @@ from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 
 from fibaction import ActionClient, ActionServer, ClientGoal, GoalID, connect, serve
-from fibaction_transports.ros2 import Ros2Transport, stamps
-from fibaction_transports.ros2.node_clock import NodeClock
-from fibaction_transports.ros2.stamps import FIRST_STAMP, LAST_STAMP, FollowedStamps, ServedStamps
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction_transports.ros2 import Ros2Transport
+from fibaction_transports.ros2.node import stamps
+from fibaction_transports.ros2.node.clock import NodeClock
+from fibaction_transports.ros2.node.stamps import (
+    FIRST_STAMP,
+    LAST_STAMP,
+    FollowedStamps,
+    ServedStamps,
+)
 from tests.ros2.ends import PATIENCE, forever, new_url
 from tests.ros2.spun import spun_node
 from tests.ros2.stock.waiting import eventually
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
 

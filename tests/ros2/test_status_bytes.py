@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fibaction import GoalID, GoalInfo, GoalStatus
-from fibaction.exceptions import ProtocolError
-from fibaction_transports.ros2.status_bytes import (
+from fibaction.words.errors import ProtocolError
+from fibaction_transports.ros2.convert.status_bytes import (
     PIECES,
     StatusLine,
     differences,

@@ -8,8 +8,8 @@ import anyio
 import pytest
 
 from fibaction import GoalID, GoalInfo, GoalStatus
-from fibaction.states import TRANSITIONS
-from fibaction_transports.ros2.status_bytes import (
+from fibaction.words.statuses import TRANSITIONS
+from fibaction_transports.ros2.convert.status_bytes import (
     StatusLine,
     info_of,
     lines_in,
@@ -17,7 +17,7 @@ from fibaction_transports.ros2.status_bytes import (
     pack_statuses,
     unpack_lines,
 )
-from fibaction_transports.ros2.status_list import REPEAT, PublishedStatuses, ReceivedStatuses
+from fibaction_transports.ros2.node.status_list import REPEAT, PublishedStatuses, ReceivedStatuses
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio

@@ -12,10 +12,10 @@ import anyio
 import pytest
 
 from fibaction import ConnectionLost, GoalAborted, connect, serve
-from tests.fibonacci import Goal
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import Behaviour, action
 from tests.ros2.stock.process import Peer, peer
+from tests.support.fibonacci import Goal
 
 pytestmark = pytest.mark.anyio
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.pages import blocks_of
+from tests.support.pages import blocks_of
+from tests.support.walks import file_of, walk
 from tests.test_docs import DOCS, PAGES, ROOT
-from tests.walks import file_of, walk
 
 WALKS = [path for path in PAGES if ", where ROS 2 is -->" in path.read_text(encoding="utf-8")]
 PAGE = DOCS / "first_action.md"

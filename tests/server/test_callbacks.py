@@ -10,10 +10,10 @@ import anyio
 import pytest
 
 from fibaction import ActionServer, CancelAnswer, GoalHandle, GoalID, GoalStatus
-from fibaction.exceptions import CancelRejected, GoalRejected
-from fibaction.server.callbacks import CANCELED_ELSEWHERE, SERVER_STOPPING, Callbacks
-from tests.executors import Items, Mute
-from tests.fibonacci import FIBONACCI, Goal, Result, fibonacci
+from fibaction.server.admission.callbacks import CANCELED_ELSEWHERE, SERVER_STOPPING, Callbacks
+from fibaction.words.errors import CancelRejected, GoalRejected
+from tests.support.executors import Items, Mute
+from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.asyncio
 

@@ -1,4 +1,5 @@
-"""`fibaction.server.dispatcher`: a schedule at work in a server, beside the contract suite."""
+"""`fibaction.server.scheduling.dispatcher`: a schedule at work in a server, beside the contract
+suite."""
 
 from __future__ import annotations
 
@@ -21,11 +22,11 @@ from fibaction import (
     Outcome,
     Schedule,
 )
-from fibaction.abc import FeedbackItem, GoalStream
-from fibaction.server import dispatcher
-from tests.executors import Items
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
-from tests.virtual_time import in_virtual_time
+from fibaction.border.abc import FeedbackItem, GoalStream
+from fibaction.server.scheduling import dispatcher
+from tests.support.executors import Items
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
 
@@ -563,7 +564,7 @@ async def test_a_killed_executor_that_survives_keeps_its_place_until_it_has_ende
 async def test_a_killed_executor_that_survives_is_given_up_when_the_server_stops(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("fibaction.server._task_pool.GRACE", 0.01)
+    monkeypatch.setattr("fibaction.server.execution.task_pool.GRACE", 0.01)
     executor = Refusing()
     async with serving(PREEMPTING, executor, shutdown_timeout=0) as site:
         await site.send(1)

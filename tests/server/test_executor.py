@@ -1,4 +1,4 @@
-"""`fibaction.server.executor` alone: an `Execution` with no server around it."""
+"""`fibaction.server.execution.executor` alone: an `Execution` with no server around it."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ import anyio
 import pytest
 
 from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalStatus
-from fibaction.abc import FeedbackItem
-from fibaction.goals import UNKNOWN_SENDER
-from fibaction.server._interruption import CancelOnce, Steps
-from fibaction.server._watchdog import Watch
-from fibaction.server.checkpoints import Checkpoints
-from fibaction.server.executor import Execution, Executor
+from fibaction.border.abc import FeedbackItem
+from fibaction.server.durability.checkpoints import Checkpoints
+from fibaction.server.execution.executor import Execution, Executor
+from fibaction.server.execution.interruption import CancelOnce, Steps
+from fibaction.server.execution.watchdog import Watch
 from fibaction.server.feedback_log import FeedbackLog
-from fibaction.server.goal_record import Ending, EndKind, GoalRecord
-from fibaction.states import GoalEvent, transition
-from tests.executors import ABORTED, Items
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
+from fibaction.words.goals import UNKNOWN_SENDER
+from fibaction.words.statuses import GoalEvent, transition
+from tests.support.executors import ABORTED, Items
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
 

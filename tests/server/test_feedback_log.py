@@ -12,16 +12,16 @@ import pytest
 import trio.testing
 from hypothesis import example, given, strategies
 
-from fibaction._budget import ByteBudget
-from fibaction.abc import FeedbackItem, GoalStream, GoalUpdate
-from fibaction.exceptions import ConnectionLost, GoalKept
-from fibaction.goals import UNKNOWN_SENDER, GoalID, Outcome
+from fibaction._runtime.budget import ByteBudget
+from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
+from fibaction.server.execution.stall import MOST, SHARE
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
-from fibaction.server.goal_record import GoalRecord
-from fibaction.server.patience import MOST, SHARE
-from fibaction.states import GoalStatus
-from tests.virtual_time import in_virtual_time
+from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.words.errors import ConnectionLost, GoalKept
+from fibaction.words.goals import UNKNOWN_SENDER, GoalID, Outcome
+from fibaction.words.statuses import GoalStatus
+from tests.support.virtual_time import in_virtual_time
 
 GOAL_ID = GoalID(bytes(range(16)))
 OUTCOME = Outcome(GoalStatus.SUCCEEDED, b"done")

@@ -28,11 +28,11 @@ from fibaction import (
     StoreError,
     UnknownGoal,
 )
-from fibaction.goal_store import GoalTaken, StoredGoal
-from fibaction.goals import UNKNOWN_SENDER
-from fibaction.server.goal_record import digest_of
-from tests.memory_store import Fate, MemoryStore
-from tests.virtual_time import in_virtual_time
+from fibaction.border.goal_store import GoalTaken, StoredGoal
+from fibaction.server.registry.goal_record import digest_of
+from fibaction.words.goals import UNKNOWN_SENDER
+from tests.support.memory_store import Fate, MemoryStore
+from tests.support.virtual_time import in_virtual_time
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 

@@ -4,7 +4,7 @@ import sys
 
 from hypothesis import given, strategies
 
-from fibaction.server._members import Members, with_member, without_member
+from fibaction.server.registry.members import Members, with_member, without_member
 
 
 @given(steps=strategies.lists(strategies.tuples(strategies.booleans(), strategies.integers(0, 4))))

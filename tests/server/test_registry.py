@@ -18,9 +18,12 @@ from hypothesis.stateful import (
     rule,
 )
 
-from fibaction.exceptions import GoalRejected, InvalidTransition
-from fibaction.goal_store import StoredGoal
-from fibaction.goals import (
+from fibaction.border.goal_store import StoredGoal
+from fibaction.server.registry.cancellation import Cancellation
+from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, digest_of
+from fibaction.server.registry.registry import GoalRegistry, Verdict
+from fibaction.words.errors import GoalRejected, InvalidTransition
+from fibaction.words.goals import (
     NO_GOAL,
     UNKNOWN_SENDER,
     CancelAnswer,
@@ -30,10 +33,7 @@ from fibaction.goals import (
     Outcome,
     Sender,
 )
-from fibaction.server.cancellation import Cancellation
-from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
-from fibaction.server.registry import GoalRegistry, Verdict
-from fibaction.states import GoalEvent, GoalStatus
+from fibaction.words.statuses import GoalEvent, GoalStatus
 
 
 def goal_id(number: int) -> GoalID:

@@ -20,10 +20,10 @@ from fibaction import (
     GoalStatus,
     Schedule,
 )
-from fibaction.goals import GoalID
-from fibaction.server.scheduler import Scheduler
-from tests.memory_store import MemoryStore
-from tests.virtual_time import in_virtual_time
+from fibaction.server.scheduling.scheduler import Scheduler
+from fibaction.words.goals import GoalID
+from tests.support.memory_store import MemoryStore
+from tests.support.virtual_time import in_virtual_time
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from fibaction import ActionServer, Schedule
-from fibaction.goals import Sender
-from tests.fibonacci import FIBONACCI, Goal, fibonacci
+from fibaction.words.goals import Sender
+from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 
 WORDS = "when_full is 'reject', 'preempt' or 'replace', not "
 

@@ -26,10 +26,10 @@ from fibaction import (
     Outcome,
     Schedule,
 )
-from fibaction.abc import GoalStream
-from fibaction.goals import Sender
-from tests.executors import Items
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.border.abc import GoalStream
+from fibaction.words.goals import Sender
+from tests.support.executors import Items
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 pytestmark = pytest.mark.anyio
 

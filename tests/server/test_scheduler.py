@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from fibaction import GoalID, Schedule
-from fibaction.server.scheduler import Act, Busy, Order, Scheduler
+from fibaction.server.scheduling.scheduler import Act, Busy, Order, Scheduler
 
 KILL_AFTER = 3.0
 

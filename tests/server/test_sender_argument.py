@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from fibaction import ActionServer
-from fibaction.goals import Sender
-from fibaction.server._sender_argument import with_sender
-from tests.fibonacci import FIBONACCI, fibonacci
+from fibaction.server.admission.sender_argument import with_sender
+from fibaction.words.goals import Sender
+from tests.support.fibonacci import FIBONACCI, fibonacci
 
 ANN = Sender("ann")
 

@@ -31,21 +31,21 @@ from fibaction import (
     Outcome,
     ServerNotFound,
     UnknownGoal,
-    _slices,
 )
-from fibaction._budget import ByteBudget
-from fibaction.abc import FeedbackItem, GoalStream, StatusStream
-from fibaction.exceptions import GoalKept
-from fibaction.goals import Sender
+from fibaction._runtime import slices
+from fibaction._runtime.budget import ByteBudget
+from fibaction.border.abc import FeedbackItem, GoalStream, StatusStream
 from fibaction.server import goal_logs, shutdown
-from fibaction.server._interruption import CancelOnce
-from fibaction.server._turns import Turns
+from fibaction.server.execution.interruption import CancelOnce
+from fibaction.server.execution.turns import Turns
 from fibaction.server.goal_logs import EXPIRY_STEP, RECENT_TIME
-from fibaction.server.goal_record import Ending, EndKind
-from tests.executors import Items
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from tests.memory_store import MemoryStore
-from tests.virtual_time import in_virtual_time
+from fibaction.server.registry.goal_record import Ending, EndKind
+from fibaction.words.errors import GoalKept
+from fibaction.words.goals import Sender
+from tests.support.executors import Items
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.memory_store import MemoryStore
+from tests.support.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
 
@@ -346,7 +346,7 @@ async def test_a_stop_that_is_canceled_while_it_waits_for_the_store_ends_all_exe
 async def test_an_executor_that_does_not_end_when_killed_is_abandoned_and_its_goal_named(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("fibaction.server._task_pool.GRACE", 0.01)
+    monkeypatch.setattr("fibaction.server.execution.task_pool.GRACE", 0.01)
 
     async def refuses(goal: GoalHandle[Goal]) -> AsyncIterator[Feedback | Result]:
         while True:
@@ -944,7 +944,7 @@ async def start_many(server: ActionServer[Goal, Feedback, Result], count: int) -
 @pytest.fixture
 def no_slice(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every slice is over at once."""
-    monkeypatch.setattr(_slices, "SLICE", -1.0)
+    monkeypatch.setattr(slices, "SLICE", -1.0)
 
 
 @pytest.mark.promise("CANCEL-23")

@@ -9,12 +9,12 @@ import anyio
 import pytest
 from hypothesis import given, strategies
 
-from fibaction.abc import StatusStream
-from fibaction.exceptions import ConnectionLost
-from fibaction.goals import UNKNOWN_SENDER, GoalID, GoalInfo
-from fibaction.server.goal_record import GoalRecord
+from fibaction.border.abc import StatusStream
+from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.status_broadcast import StatusBroadcast, StatusCursor, StatusSubscription
-from fibaction.states import GoalStatus
+from fibaction.words.errors import ConnectionLost
+from fibaction.words.goals import UNKNOWN_SENDER, GoalID, GoalInfo
+from fibaction.words.statuses import GoalStatus
 
 GOAL_ID = GoalID(bytes(range(16)))
 

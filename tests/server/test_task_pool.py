@@ -1,4 +1,4 @@
-"""`fibaction.server._task_pool`: jobs begin at once, and tasks are used again."""
+"""`fibaction.server.execution.task_pool`: jobs begin at once, and tasks are used again."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from fibaction.server._interruption import EXECUTOR_SLICE, MOST_KILLS, CancelOnce, Steps
-from fibaction.server._task_pool import GRACE, MOST_IDLE, TaskPool
-from fibaction.server._turns import Turns
-from tests.processes import PATIENCE
-from tests.refusing import REFUSING, SHUTDOWN_TIMEOUT
+from fibaction.server.execution.interruption import EXECUTOR_SLICE, MOST_KILLS, CancelOnce, Steps
+from fibaction.server.execution.task_pool import GRACE, MOST_IDLE, TaskPool
+from fibaction.server.execution.turns import Turns
+from tests.support.processes import PATIENCE
+from tests.support.refusing import REFUSING, SHUTDOWN_TIMEOUT
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -235,7 +235,7 @@ async def test_jobs_that_never_wait_let_others_have_their_turns(
     def clock() -> float:
         return now
 
-    monkeypatch.setattr("fibaction.server._task_pool.perf_counter", clock)
+    monkeypatch.setattr("fibaction.server.execution.task_pool.perf_counter", clock)
     seen: list[int] = []
     async with running() as bench:
 
@@ -257,7 +257,7 @@ async def test_tasks_that_go_on_in_the_same_turn_share_one_slice(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = 0.0
-    monkeypatch.setattr("fibaction.server._task_pool.perf_counter", lambda: now)
+    monkeypatch.setattr("fibaction.server.execution.task_pool.perf_counter", lambda: now)
     async with running() as bench:
         for number in range(1, 9):
             bench.add_waiting(number)
@@ -303,7 +303,7 @@ async def test_the_owner_ends_without_a_job_that_does_not_end(
     is_waiting: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     grace = 0.01 if is_waiting else 5
-    monkeypatch.setattr("fibaction.server._task_pool.GRACE", grace)
+    monkeypatch.setattr("fibaction.server.execution.task_pool.GRACE", grace)
     seen: list[str] = []
     all_scopes: list[CancelOnce] = []
 
@@ -342,7 +342,7 @@ async def test_a_job_is_given_up_once() -> None:
 
 
 async def test_a_job_without_steps_is_left_behind_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fibaction.server._task_pool.GRACE", 0.01)
+    monkeypatch.setattr("fibaction.server.execution.task_pool.GRACE", 0.01)
     async with running() as bench:
         bench.add_waiting(1)
         await bench.all_done(1)
@@ -354,7 +354,7 @@ async def test_a_job_without_steps_is_left_behind_as_it_is(monkeypatch: pytest.M
 
 @pytest.mark.parametrize("backend", ["asyncio", "trio"])
 async def test_a_program_ends_in_spite_of_executors_that_do_not(backend: str) -> None:
-    command = [sys.executable, "-m", "tests.refusing", backend]
+    command = [sys.executable, "-m", "tests.support.refusing", backend]
     with anyio.fail_after(PATIENCE):
         run = await anyio.run_process(command, check=False, cwd=ROOT)
     code, out, err = run.returncode, run.stdout.decode(), run.stderr.decode()

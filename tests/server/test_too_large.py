@@ -9,10 +9,10 @@ import anyio
 import pytest
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, Schedule
-from fibaction.exceptions import GoalAborted, GoalRejected
-from fibaction.goal_store import RecordTooLarge, StoredGoal, Then
-from tests.memory_store import MemoryJournal, MemoryStore
-from tests.virtual_time import in_virtual_time
+from fibaction.border.goal_store import RecordTooLarge, StoredGoal, Then
+from fibaction.words.errors import GoalAborted, GoalRejected
+from tests.support.memory_store import MemoryJournal, MemoryStore
+from tests.support.virtual_time import in_virtual_time
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 LIMIT = 100

@@ -1,4 +1,5 @@
-"""`fibaction.server._turns`: one executor that does not wait in each turn of the event loop."""
+"""`fibaction.server.execution.turns`: one executor that does not wait in each turn of the event
+loop."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction.server._turns import Turns
+from fibaction.server.execution.turns import Turns
 
 pytestmark = pytest.mark.anyio
 

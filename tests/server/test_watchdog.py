@@ -1,4 +1,5 @@
-"""`fibaction.server._watchdog`: an executor that blocks the event loop is named in the log."""
+"""`fibaction.server.execution.watchdog`: an executor that blocks the event loop is named in the
+log."""
 
 from __future__ import annotations
 
@@ -22,12 +23,12 @@ import pytest
 from anyio.lowlevel import checkpoint
 
 from fibaction import ActionClient, ActionServer, GoalHandle, GoalID
-from fibaction.server import _watchdog
-from fibaction.server._interruption import EXECUTOR_SLICE, CancelOnce, Steps
-from fibaction.server._watchdog import ADVICE, CHECKS, POLL, Watch, Watchdog
-from tests.executors import Items
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from tests.processes import PATIENCE
+from fibaction.server.execution import watchdog as watchdog_module
+from fibaction.server.execution.interruption import EXECUTOR_SLICE, CancelOnce, Steps
+from fibaction.server.execution.watchdog import ADVICE, CHECKS, POLL, Watch, Watchdog
+from tests.support.executors import Items
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.processes import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
@@ -62,11 +63,13 @@ class Bench:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
         self.now = 1000.0
         self._caplog = caplog
-        monkeypatch.setattr("fibaction.server._interruption.perf_counter", lambda: self.now)
-        monkeypatch.setattr("fibaction.server._watchdog.perf_counter", lambda: self.now)
+        monkeypatch.setattr(
+            "fibaction.server.execution.interruption.perf_counter", lambda: self.now
+        )
+        monkeypatch.setattr("fibaction.server.execution.watchdog.perf_counter", lambda: self.now)
         self.watchdog = Watchdog()
         never = SimpleNamespace(add=lambda _: self.watchdog, remove=lambda _: None)
-        monkeypatch.setattr(_watchdog, "_watchdogs", never)
+        monkeypatch.setattr(watchdog_module, "_watchdogs", never)
         self.watch = Watch("count", 1.0)
         self.watch.open()
         self.watchdog.watches = (self.watch,)
@@ -227,7 +230,7 @@ async def test_a_step_that_ends_while_its_place_is_read_is_not_named(
         bench.watch.current.steps = None
         return []
 
-    monkeypatch.setattr(_watchdog, "_places_in", read_late)
+    monkeypatch.setattr(watchdog_module, "_places_in", read_late)
     bench.executor("a", lambda: bench.check(2)).send(None)
     assert bench.told == []
 
@@ -397,21 +400,21 @@ def in_the_library(function: Callable[[], Any]) -> Callable[[], Any]:
 
 async def test_the_innermost_line_is_named_if_all_are_of_the_library() -> None:
     def body() -> None:
-        places.append(_watchdog._places_in(threading.get_ident()))
+        places.append(watchdog_module._places_in(threading.get_ident()))
 
     async def run() -> None:
         in_the_library(body)()
 
-    places: list[list[_watchdog._Place]] = []
+    places: list[list[watchdog_module._Place]] = []
     steps = Steps(in_the_library(run)(), CancelOnce(lambda: None), copy_context(), lambda: None)
     await steps
     ((place,),) = places
-    assert place.function == _watchdog._frame_of.__name__
+    assert place.function == watchdog_module._frame_of.__name__
 
 
 async def test_no_place_is_named_where_no_step_runs() -> None:
-    assert _watchdog._places_in(threading.get_ident()) == []
-    assert _watchdog._places_in(0) == []
+    assert watchdog_module._places_in(threading.get_ident()) == []
+    assert watchdog_module._places_in(0) == []
 
 
 @pytest.mark.parametrize(
@@ -428,8 +431,8 @@ async def test_a_goal_is_named_without_a_place_where_frames_cannot_be_read(
 
 
 async def test_a_line_without_source_is_named_by_its_number() -> None:
-    place = _watchdog._Place("<string>", 3, "drive")
-    assert _watchdog._text_of(place) == "<string>:3 in drive"
+    place = watchdog_module._Place("<string>", 3, "drive")
+    assert watchdog_module._text_of(place) == "<string>:3 in drive"
 
 
 # The thread
@@ -576,7 +579,7 @@ def test_the_thread_ends_at_ctrl_c(backend: str) -> None:
 async def test_a_server_closes_even_if_the_log_keeps_the_thread(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_watchdog, "JOIN_TIMEOUT", 0.01)
+    monkeypatch.setattr(watchdog_module, "JOIN_TIMEOUT", 0.01)
     closed = threading.Event()
 
     class Waits(Names):
@@ -594,7 +597,7 @@ async def test_a_server_closes_even_if_the_log_keeps_the_thread(
 
 
 async def test_a_process_that_was_forked_has_a_thread_of_its_own() -> None:
-    ours = _watchdog._Watchdogs()
+    ours = watchdog_module._Watchdogs()
     parents, own = Watch("parent's", 1), Watch("own", 1)
     gone = ours.add(parents)
     gone.watches = ()

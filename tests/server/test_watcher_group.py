@@ -22,14 +22,14 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.abc import FeedbackItem, ForwardingEndpoint, Meta
-from fibaction.action import ActionInfo
-from fibaction.goals import CancelAnswer, GoalInfo
-from fibaction.server import _watcher_group
-from fibaction.watchers import Watcher
-from tests.executors import Items
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from tests.memory_store import MemoryStore
+from fibaction.border.abc import FeedbackItem, ForwardingEndpoint, Meta
+from fibaction.border.watchers import Watcher
+from fibaction.server import watcher_group
+from fibaction.types.action import ActionInfo
+from fibaction.words.goals import CancelAnswer, GoalInfo
+from tests.support.executors import Items
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.memory_store import MemoryStore
 
 pytestmark = pytest.mark.anyio
 
@@ -280,7 +280,7 @@ def fail(self: Watcher, *arguments: Any) -> None:
     raise OSError("disk full")
 
 
-Broken = type("Broken", (Watcher,), dict.fromkeys(_watcher_group.METHODS, fail))
+Broken = type("Broken", (Watcher,), dict.fromkeys(watcher_group.METHODS, fail))
 
 
 async def test_a_watcher_that_fails_is_logged_once_and_goals_and_other_watchers_go_on(
@@ -303,7 +303,7 @@ async def test_a_watcher_that_blocks_is_logged_once(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seconds = iter(range(1000))
-    monkeypatch.setattr(_watcher_group, "perf_counter", lambda: next(seconds))
+    monkeypatch.setattr(watcher_group, "perf_counter", lambda: next(seconds))
     async with ActionServer(FIBONACCI, fibonacci, watchers=[Diary()]) as server:
         await ActionClient(server, FIBONACCI).call(Goal(3))
 
@@ -346,6 +346,6 @@ async def test_watchers_of_serve_are_added_to_each_new_server() -> None:
 
 
 def test_a_watcher_that_overrides_nothing_does_nothing() -> None:
-    group = _watcher_group.WatcherGroup("drive", [Watcher()])
+    group = watcher_group.WatcherGroup("drive", [Watcher()])
     group.rejected(GoalID.random(), "busy")
     group.left(GoalInfo(GoalID.random(), 1, GoalStatus.ACCEPTED), "it is kept")

@@ -7,9 +7,9 @@ from anyio import CancelScope, create_task_group, current_time, move_on_after
 from anyio.abc import TaskGroup
 
 from fibaction import ActionError, ClientConnection, connect
-from fibaction._notify import Notifier
-from fibaction.abc import Transport
-from fibaction.wire.connection import RemoteConnection
+from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Transport
+from fibaction.wire.client.connection import RemoteConnection
 from tests.simulation.deeds import Deeds
 from tests.simulation.goal_names import GoalNames, goal_names
 from tests.simulation.invariants import Record

@@ -12,7 +12,7 @@ from typing import Any
 from fibaction import ActionServer
 from fibaction.wire.frames import HEADER
 from fibaction.wire.link import OVERFULL
-from fibaction.wire.session import Session
+from fibaction.wire.server.session import Session
 from fibaction.wire.settings import Limits
 from fibaction.wire.wire_server import WireServer
 

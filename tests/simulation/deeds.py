@@ -24,7 +24,7 @@ from fibaction import (
     GoalStatus,
     Outcome,
 )
-from fibaction.abc import FeedbackItem
+from fibaction.border.abc import FeedbackItem
 from tests.simulation.facts import ClientState
 from tests.simulation.goal_names import goal_names
 from tests.simulation.invariants import Record

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import anyio
 
 from fibaction import CancelRejected, GoalAborted, GoalCanceled, GoalHandle, GoalRejected
-from fibaction.server.executor import Executor
+from fibaction.server.execution.executor import Executor
 from tests.simulation.facts import Life
 from tests.simulation.invariants import Record
 from tests.simulation.scenario import ON_PURPOSE, Done, Step, Work

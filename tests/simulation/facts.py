@@ -9,8 +9,8 @@ import math
 from typing import Any
 
 from fibaction import GoalID, Outcome
-from fibaction.server.goal_record import GoalRecord
-from fibaction.states import INITIAL
+from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.words.statuses import INITIAL
 from tests.simulation.scenario import ClientPlan, Done, Work
 
 HONEST_TOKEN, HOSTILE_TOKEN = "honest secret", "hostile secret"

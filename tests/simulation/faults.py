@@ -14,30 +14,30 @@ from typing import Any
 import msgspec
 from anyio import current_time, sleep
 
-from fibaction._budget import CountedBytes
-from fibaction._notify import Notifier
-from fibaction.events import _Merger
-from fibaction.goals import GoalID, GoalInfo
-from fibaction.server.admission import Admission
-from fibaction.server.cancellation import Cancellation
-from fibaction.server.expiry import ExpiringMap
+from fibaction._runtime.budget import CountedBytes
+from fibaction._runtime.notify import Notifier
+from fibaction.client.events import _Merger
+from fibaction.server.admission.admission import Admission
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
-from fibaction.server.goal_record import Ending, EndKind, GoalRecord, digest_of
-from fibaction.server.registry import GoalRegistry, Verdict, _Undecided
+from fibaction.server.registry.cancellation import Cancellation
+from fibaction.server.registry.expiry import ExpiringMap
+from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, digest_of
+from fibaction.server.registry.registry import GoalRegistry, Verdict, _Undecided
 from fibaction.server.status_broadcast import StatusBroadcast
-from fibaction.states import GoalStatus
-from fibaction.wire.calls import Credits
 from fibaction.wire.channel import StreamChannel
+from fibaction.wire.client.calls import Credits
+from fibaction.wire.client.connection import RemoteConnection
+from fibaction.wire.client.reconnect import Reconnector
+from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.codec import decode_from_client
-from fibaction.wire.connection import RemoteConnection
 from fibaction.wire.link import PING, Link
 from fibaction.wire.messages import CancelAnswered, Ended, Follow, Received
-from fibaction.wire.ownership import Owners
-from fibaction.wire.reconnect import Reconnector
-from fibaction.wire.remote_goal import RemoteGoal
-from fibaction.wire.session import Session
-from fibaction.wire.subscriptions import Subscription
+from fibaction.wire.server.ownership import Owners
+from fibaction.wire.server.session import Session
+from fibaction.wire.server.subscriptions import Subscription
+from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.statuses import GoalStatus
 
 
 class Mistake(msgspec.Struct, frozen=True):

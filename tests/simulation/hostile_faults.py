@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
-from fibaction import _text
-from fibaction._budget import ByteBudget
+from fibaction._runtime import text as text_module
+from fibaction._runtime.budget import ByteBudget
 from fibaction.server.feedback_log import FeedbackLog
-from fibaction.server.goal_record import digest_of
+from fibaction.server.registry.goal_record import digest_of
 from fibaction.server.status_broadcast import StatusBroadcast, StatusCursor
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
 from fibaction.wire.codec import FromClient
 from fibaction.wire.frames import MAX_FRAME, FrameReader
 from fibaction.wire.heartbeat import Heartbeat
 from fibaction.wire.messages import Hello
-from fibaction.wire.session import Session
-from fibaction.wire.session_client import SessionClient
-from fibaction.wire.session_goals import SessionGoals
+from fibaction.wire.server.session import Session
+from fibaction.wire.server.session_client import SessionClient
+from fibaction.wire.server.session_goals import SessionGoals
 from fibaction.wire.settings import Limits
 from tests.simulation.faults import mistake
 
@@ -112,7 +112,7 @@ def every_follower_holds(real: Any) -> Any:
     return follow
 
 
-@mistake(_text, "with_escapes", 12, 60, 67)
+@mistake(text_module, "with_escapes", 12, 60, 67)
 def a_line_of_the_log_is_as_the_client_wrote_it(_real: Any) -> Any:
     """Do not clean the texts of clients before they are logged."""
 

@@ -26,8 +26,8 @@ from fibaction import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.server.goal_record import LEAST_TIME, GoalRecord
-from fibaction.states import TRANSITIONS
+from fibaction.server.registry.goal_record import LEAST_TIME, GoalRecord
+from fibaction.words.statuses import TRANSITIONS
 from tests.simulation.facts import EPSILON, ClientState, Life, Truth, short
 from tests.simulation.keeping import Keeping
 from tests.simulation.places import NoPlaces, Places

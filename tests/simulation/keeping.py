@@ -11,7 +11,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from fibaction import GoalHandle, GoalID, GoalStatus, Outcome
-from fibaction.goal_store import StoredGoal
+from fibaction.border.goal_store import StoredGoal
 from tests.simulation.facts import Life, Truth, short
 from tests.simulation.loop import EPOCH, PAST
 from tests.simulation.scenario import ON_PURPOSE, SIMULATED, StorePlan, Work

@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 
 import anyio
 
-from fibaction._notify import Notifier
+from fibaction._runtime.notify import Notifier
 from tests.simulation.loop import VirtualLoop
 from tests.simulation.streams import Manner, SimulatedStream, Way, Weather
 

@@ -15,9 +15,9 @@ import msgspec
 from fibaction import Action, Schedule
 from fibaction.wire.auth import Permission
 from fibaction.wire.frames import MAX_FRAME
-from tests.memory_store import Fate
 from tests.simulation.network import Direction
 from tests.simulation.streams import Manner, Weather
+from tests.support.memory_store import Fate
 
 Climate: TypeAlias = Literal["calm", "gentle", "rough"]
 """The amount of faults: none in `calm`; in `gentle`, lines fail for less time than the timeouts of

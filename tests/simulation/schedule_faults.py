@@ -7,12 +7,12 @@ from collections.abc import Iterable
 from typing import Any
 
 from fibaction import GoalID
-from fibaction.server._schedule_group import Entry, Group
-from fibaction.server.dispatcher import Dispatcher
-from fibaction.server.executor import Execution
-from fibaction.server.goal_record import GoalRecord
-from fibaction.server.runs import Runs
-from fibaction.server.scheduler import Act, Busy, Order, Scheduler
+from fibaction.server.execution.executor import Execution
+from fibaction.server.execution.runs import Runs
+from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.server.scheduling.dispatcher import Dispatcher
+from fibaction.server.scheduling.group import Entry, Group
+from fibaction.server.scheduling.scheduler import Act, Busy, Order, Scheduler
 from tests.simulation.faults import mistake
 
 AnyRuns = Runs[Any, Any, Any]

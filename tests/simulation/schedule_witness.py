@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from fibaction import GoalID
-from fibaction.goals import Sender
-from fibaction.server.dispatcher import Dispatcher
-from fibaction.server.executor import Execution
-from fibaction.server.goal_record import Ending
-from fibaction.server.run import Run
-from fibaction.server.runs import Runs
-from fibaction.server.scheduler import Busy
+from fibaction.server.execution.executor import Execution
+from fibaction.server.execution.run import Run
+from fibaction.server.execution.runs import Runs
+from fibaction.server.registry.goal_record import Ending
+from fibaction.server.scheduling.dispatcher import Dispatcher
+from fibaction.server.scheduling.scheduler import Busy
+from fibaction.words.goals import Sender
 from tests.simulation.facts import Life, Truth
 from tests.simulation.invariants import Record
 from tests.simulation.scenario import Work

@@ -12,17 +12,17 @@ from collections.abc import Callable
 from contextvars import copy_context
 from typing import Any
 
-from fibaction._asyncio_task import asyncio_loop
+from fibaction._runtime.asyncio_task import asyncio_loop
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.frames import FrameReader
-from fibaction_transports._streams import _asyncio
+from fibaction_transports._socket_lines import on_asyncio
 from tests.simulation.streams import SimulatedStream
 
 
 class Socket(asyncio.Transport):
     """One end of a connection."""
 
-    def __init__(self, stream: SimulatedStream, protocol: _asyncio.ProtocolLine) -> None:
+    def __init__(self, stream: SimulatedStream, protocol: on_asyncio.ProtocolLine) -> None:
         super().__init__()
         self._stream = stream
         self._protocol = protocol
@@ -126,8 +126,8 @@ class Socket(asyncio.Transport):
 
 def line_over(
     stream: SimulatedStream, reader: FrameReader, peer: str = ""
-) -> _asyncio.ProtocolLine:
+) -> on_asyncio.ProtocolLine:
     """Return one end of a connection, as the transports for TCP and Unix sockets have it."""
-    line = _asyncio.ProtocolLine(reader, memoryview(bytearray(CHUNK)), peer)
+    line = on_asyncio.ProtocolLine(reader, memoryview(bytearray(CHUNK)), peer)
     Socket(stream, line)
     return line

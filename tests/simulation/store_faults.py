@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from fibaction.exceptions import GoalKept
-from fibaction.goal_store import StoredGoal
-from fibaction.goals import GoalID, Outcome
-from fibaction.server.admission import Admission
+from fibaction.border.goal_store import StoredGoal
+from fibaction.server.admission.admission import Admission
 from fibaction.server.cancels import Cancels
-from fibaction.server.checkpoints import Checkpoints
-from fibaction.server.goal_keeper import GoalKeeper
-from fibaction.server.goal_record import GoalRecord
-from fibaction.server.recovery import Recovery
-from fibaction.server.registry import GoalRegistry
-from fibaction.server.run import Run
-from fibaction.server.runs import GOAL_IS_KEPT, Runs
-from fibaction.states import GoalStatus
+from fibaction.server.durability.checkpoints import Checkpoints
+from fibaction.server.durability.keeper import GoalKeeper
+from fibaction.server.durability.recovery import Recovery
+from fibaction.server.execution.run import Run
+from fibaction.server.execution.runs import GOAL_IS_KEPT, Runs
+from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.server.registry.registry import GoalRegistry
+from fibaction.words.errors import GoalKept
+from fibaction.words.goals import GoalID, Outcome
+from fibaction.words.statuses import GoalStatus
 from tests.simulation.faults import mistake
 
 AnyAdmission = Admission[Any, Any, Any]

@@ -10,8 +10,8 @@ from typing import Literal
 
 from msgspec.structs import replace
 
-from tests.memory_store import Fate
 from tests.simulation.scenario import ClientPlan, Deed, Fault, Scenario, StoreFault, StorePlan, Work
+from tests.support.memory_store import Fate
 
 PART = 0.3
 """The part of the scenarios that have a store."""

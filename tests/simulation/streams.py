@@ -17,7 +17,7 @@ import anyio
 import msgspec
 from anyio.abc import ByteStream
 
-from fibaction._notify import Notifier
+from fibaction._runtime.notify import Notifier
 from tests.simulation.loop import VirtualLoop
 
 Manner: TypeAlias = Literal["reset", "end", "silence"]

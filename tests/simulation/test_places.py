@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from fibaction import GoalID, GoalStatus, Outcome
-from fibaction.server.registry import GoalRegistry
-from fibaction.states import INITIAL
+from fibaction.server.registry.registry import GoalRegistry
+from fibaction.words.statuses import INITIAL
 from tests.simulation.facts import Life, Truth
 from tests.simulation.invariants import Record
 from tests.simulation.places import Places

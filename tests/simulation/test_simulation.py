@@ -14,7 +14,6 @@ from typing import Any, Literal
 
 import pytest
 
-from tests.memory_store import Fate
 from tests.simulation import __main__ as command
 from tests.simulation.executors import EXECUTORS
 from tests.simulation.generator import scenario_of
@@ -35,6 +34,7 @@ from tests.simulation.scenario import (
 from tests.simulation.store_generator import WRITES
 from tests.simulation.streams import Weather
 from tests.simulation.world import Report, simulate
+from tests.support.memory_store import Fate
 
 FIXED = range(80)
 """Seeds that are run each time."""

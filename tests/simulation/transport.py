@@ -7,14 +7,14 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from fibaction import Endpoint, ServerNotFound, Transport
-from fibaction._tasks import Background
-from fibaction.abc import Connection
+from fibaction._runtime.tasks import Background
+from fibaction.border.abc import Connection
 from fibaction.wire.channel import StreamChannel
-from fibaction.wire.connection import open_connection
+from fibaction.wire.client.connection import open_connection
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.wire_server import WireServer, open_server
-from fibaction_transports._streams._asyncio import ProtocolLine
+from fibaction_transports._socket_lines.on_asyncio import ProtocolLine
 from tests.simulation.network import Line, Listener, Network
 from tests.simulation.sockets import line_over
 from tests.simulation.streams import SimulatedStream

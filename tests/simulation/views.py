@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fibaction import GoalID, GoalInfo, GoalStatus, Outcome
-from fibaction.states import INITIAL
+from fibaction.words.statuses import INITIAL
 from tests.simulation.facts import ClientState, Truth, short
 from tests.simulation.invariants import NEXT, REACHABLE, Record
 from tests.simulation.scenario import Done, Step

@@ -12,8 +12,7 @@ from typing import TypeAlias
 import anyio
 
 from fibaction import GoalID
-from fibaction._notify import Notifier
-from fibaction.exceptions import ProtocolError
+from fibaction._runtime.notify import Notifier
 from fibaction.wire.auth import Permission
 from fibaction.wire.codec import FromClient, FromServer, decode_from_server, encode
 from fibaction.wire.frames import MAX_FRAME, FrameReader, framed
@@ -39,6 +38,7 @@ from fibaction.wire.messages import (
     WatchStatus,
     Welcome,
 )
+from fibaction.words.errors import ProtocolError
 from tests.simulation.invariants import Record
 from tests.simulation.scenario import HostilePlan
 from tests.simulation.streams import SimulatedStream

@@ -14,14 +14,15 @@ from typing import Any
 from unittest.mock import patch
 
 from fibaction import ActionError, ActionServer, GoalID, Outcome, ProtocolError
-from fibaction.abc import GoalStream
-from fibaction.goal_store import StoredGoal
-from fibaction.server.cancellation import Cancellation
+from fibaction.border.abc import GoalStream
+from fibaction.border.goal_store import StoredGoal
 from fibaction.server.feedback_log import FeedbackLog
-from fibaction.server.goal_record import GoalRecord
-from fibaction.server.registry import GoalRegistry
+from fibaction.server.registry.cancellation import Cancellation
+from fibaction.server.registry.goal_record import GoalRecord
+from fibaction.server.registry.registry import GoalRegistry
+from fibaction.wire.client.connection import RemoteConnection
+from fibaction.wire.client.reconnect import Reconnector
 from fibaction.wire.codec import decode_from_server
-from fibaction.wire.connection import RemoteConnection
 from fibaction.wire.messages import (
     CancelAnswered,
     Ended,
@@ -30,11 +31,10 @@ from fibaction.wire.messages import (
     GoalChanged,
     StatusChanged,
 )
-from fibaction.wire.ownership import Owners
-from fibaction.wire.reconnect import Reconnector
-from fibaction.wire.requests import Answer
-from fibaction.wire.session import Session
-from fibaction.wire.subscriptions import GoalSubscription, HeldGoals
+from fibaction.wire.server.ownership import Owners
+from fibaction.wire.server.requests import Answer
+from fibaction.wire.server.session import Session
+from fibaction.wire.server.subscriptions import GoalSubscription, HeldGoals
 from fibaction.wire.wire_server import WireServer
 from tests.simulation.facts import Truth
 from tests.simulation.invariants import Record

@@ -24,13 +24,12 @@ from anyio import CancelScope, create_task_group, current_time
 from anyio.abc import TaskGroup
 
 from fibaction import ActionError, ActionServer, serve
-from fibaction.exceptions import StoreError
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
-from fibaction.wire.session import Session
+from fibaction.wire.server.session import Session
 from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
 from fibaction.wire.wire_server import WireServer
-from tests.memory_store import Fate, MemoryStore
+from fibaction.words.errors import StoreError
 from tests.simulation import loop as virtual
 from tests.simulation.clients import Client
 from tests.simulation.custody import excesses, holders, left_for_clients, left_without_clients
@@ -53,6 +52,7 @@ from tests.simulation.scenario import SIMULATED, Done, Fault, Scenario, Step, St
 from tests.simulation.streams import Manner
 from tests.simulation.transport import SimulatedTransport
 from tests.simulation.witness import listening, lost, recorded
+from tests.support.memory_store import Fate, MemoryStore
 
 PATIENCE = 900.0
 """Seconds that a run may take after the last fault: several times the longest timeout."""

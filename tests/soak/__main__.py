@@ -16,8 +16,8 @@ import sys
 
 import anyio
 
-from tests import figures
 from tests.soak.trial import Soak, faults, run
+from tests.tools import figures
 
 
 def main() -> int:

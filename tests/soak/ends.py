@@ -23,7 +23,7 @@ from typing import Any
 import anyio
 
 from fibaction import ActionServer, GoalHandle, connect, serve
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 CONNECTIONS = 50
 

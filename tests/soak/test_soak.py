@@ -10,9 +10,9 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tests import figures
 from tests.soak import __main__ as program
 from tests.soak.trial import COUNTED, SAMPLES, USED, Soak, faults, run
+from tests.tools import figures
 
 REPORTS = figures.read()
 every_soak = pytest.mark.parametrize("name", figures.SOAKS)

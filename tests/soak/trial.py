@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 
 import anyio
 
-from tests.benchmarks.program import Program, program
-from tests.benchmarks.suite import machine
 from tests.soak.ends import CONNECTIONS
+from tests.tools.benchmarks.program import Program, program
+from tests.tools.benchmarks.suite import machine
 
 SAMPLES = 120
 """The samples of a soak, at equal distances in time."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from fibaction.goal_store import StoredGoal
-from fibaction.goals import GoalID, Sender
-from fibaction.states import GoalStatus
+from fibaction.border.goal_store import StoredGoal
+from fibaction.words.goals import GoalID, Sender
+from fibaction.words.statuses import GoalStatus
 
 
 def a_goal(number: int = 1, **fields: Any) -> StoredGoal:

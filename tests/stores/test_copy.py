@@ -11,12 +11,12 @@ import anyio
 import pytest
 
 from fibaction import StoreError
-from fibaction._text import excerpt
-from fibaction.states import GoalStatus
+from fibaction._runtime.text import excerpt
 from fibaction.stores import _copy
 from fibaction.stores._copy import stored_goals
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import WholeRecord, encode_row
+from fibaction.words.statuses import GoalStatus
 from tests.stores.made import a_goal
 from tests.stores.test_sqlite_store import KILLED
 

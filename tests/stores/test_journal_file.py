@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from fibaction.exceptions import StoreError
 from fibaction.stores import _journal_file, _wal
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import WholeRecord, encode_row
+from fibaction.words.errors import StoreError
 from tests.stores.made import a_goal
 
 SIZE = 3000

@@ -9,9 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibaction.goal_store import StoredGoal
-from fibaction.goals import GoalID, Sender
-from fibaction.states import GoalStatus
+from fibaction.border.goal_store import StoredGoal
 from fibaction.stores.journal_rows import (
     ROW,
     ActionGoals,
@@ -26,6 +24,8 @@ from fibaction.stores.journal_rows import (
     ended,
     moved,
 )
+from fibaction.words.goals import GoalID, Sender
+from fibaction.words.statuses import GoalStatus
 from tests.stores.made import a_goal, after_end, as_kept
 
 ACTIONS = ["paint", "drive"]

@@ -19,7 +19,7 @@ import anyio.to_thread
 import pytest
 
 from fibaction import GoalStatus, SqliteStore, StoreError
-from fibaction.goal_store import GoalJournal, StoredGoal
+from fibaction.border.goal_store import GoalJournal, StoredGoal
 from fibaction.stores import _journal_file, _writer
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import Record, StartRecord, encode_row
@@ -372,8 +372,8 @@ import asyncio
 import sys
 import trio
 from fibaction import SqliteStore
-from fibaction.goals import GoalID, Sender
-from fibaction.goal_store import StoredGoal
+from fibaction.words.goals import GoalID, Sender
+from fibaction.border.goal_store import StoredGoal
 
 async def use():
     block = SqliteStore(sys.argv[2]).open("a", max_results=1, claim=print, lose=print)
@@ -439,9 +439,9 @@ KILLED = """
 import itertools, sys, time
 import anyio
 from fibaction import SqliteStore
-from fibaction.goals import GoalID, Sender
-from fibaction.states import GoalStatus
-from fibaction.goal_store import StoredGoal
+from fibaction.words.goals import GoalID, Sender
+from fibaction.words.statuses import GoalStatus
+from fibaction.border.goal_store import StoredGoal
 
 def tell(what, goal, error):
     assert error is None

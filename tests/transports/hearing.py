@@ -12,12 +12,12 @@ import anyio
 from anyio.abc import SocketAttribute, SocketStream
 from wsproto.events import BytesMessage
 
-from fibaction._notify import Notifier
-from fibaction.exceptions import ConnectionLost
+from fibaction._runtime.notify import Notifier
 from fibaction.wire.codec import FromServer, decode_from_server
 from fibaction.wire.frames import FrameReader, Framing
-from fibaction_transports.web._handshake import ClientHandshake
-from fibaction_transports.web._websocket_frames import WebSocketFraming
+from fibaction.words.errors import ConnectionLost
+from fibaction_transports.web.http.handshake import ClientHandshake
+from fibaction_transports.web.http.websocket_frames import WebSocketFraming
 
 
 class Hearing(logging.Handler):

@@ -10,8 +10,8 @@ from contextlib import asynccontextmanager, suppress
 import anyio
 from anyio.abc import SocketAttribute, SocketStream
 
-from fibaction._notify import Notifier
-from fibaction._tasks import Background
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.tasks import Background
 
 BROKEN: tuple[type[Exception], ...] = (
     OSError,

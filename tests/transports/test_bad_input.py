@@ -30,7 +30,7 @@ from fibaction.wire.frames import FIRST_FRAME, header
 from fibaction.wire.link import Link
 from fibaction.wire.messages import VERSION, Goodbye, Hello, Ping, SendGoal, Welcome, Why
 from fibaction.wire.settings import Limits
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing, Raw, hearing, port_of, raw
 
 pytestmark = pytest.mark.asyncio

@@ -34,7 +34,7 @@ from fibaction import (
     connect,
     serve,
 )
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import hearing
 from tests.transports.proxy import Line, line_to
 

@@ -18,7 +18,6 @@ import pytest
 from anyio.abc import SocketAttribute, SocketStream
 
 from fibaction import ActionServer, serve
-from fibaction.states import GoalStatus
 from fibaction.wire.codec import FromServer, decode_from_client, encode
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.wire.messages import (
@@ -33,7 +32,8 @@ from fibaction.wire.messages import (
     SendGoal,
     Welcome,
 )
-from tests.processes import PATIENCE, ended
+from fibaction.words.statuses import GoalStatus
+from tests.support.processes import PATIENCE, ended
 from tests.transports.hearing import hearing, raw
 from tests.transports.log_victim import NASTY, STRICT, never
 

@@ -19,12 +19,12 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.abc import Endpoint
-from fibaction.goals import Sender
-from fibaction.urls import transport_for
+from fibaction.border.abc import Endpoint
+from fibaction.border.urls import transport_for
+from fibaction.words.goals import Sender
 from fibaction_transports import inprocess
 from fibaction_transports.inprocess import InProcessTransport
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.asyncio
 

@@ -16,8 +16,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.pages import NOT_RUN, blocks_of
-from tests.walks import file_of
+from tests.support.pages import NOT_RUN, blocks_of
+from tests.support.walks import file_of
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 FOLDER = ROOT / "build" / "pages"

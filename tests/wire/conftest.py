@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from fibaction.wire import link, session_goals
+from fibaction.wire import link
+from fibaction.wire.server import session_goals
 
 
 @pytest.fixture(params=["asyncio", "trio"])

@@ -9,17 +9,14 @@ from typing import Any, Literal
 
 import anyio
 
-from fibaction._notify import Notifier
-from fibaction.abc import Connection, Endpoint, ForwardingEndpoint
-from fibaction.exceptions import ServerNotFound, TransportError
-from fibaction.goals import GoalID
+from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Connection, Endpoint, ForwardingEndpoint
 from fibaction.server import ActionServer, Schedule
-from fibaction.states import GoalStatus
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.channel import Channel
+from fibaction.wire.client.connection import open_connection
 from fibaction.wire.codec import decode_from_client, decode_from_server
-from fibaction.wire.connection import open_connection
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.messages import (
     VERSION,
@@ -37,8 +34,11 @@ from fibaction.wire.messages import (
 )
 from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
 from fibaction.wire.wire_server import WireServer, open_server
-from tests import fibonacci as fib
-from tests.fibonacci import FIBONACCI
+from fibaction.words.errors import ServerNotFound, TransportError
+from fibaction.words.goals import GoalID
+from fibaction.words.statuses import GoalStatus
+from tests.support import fibonacci as fib
+from tests.support.fibonacci import FIBONACCI
 from tests.wire import memory
 from tests.wire.memory import LONG, Peer, Running
 

@@ -14,11 +14,11 @@ import anyio
 import pytest
 from anyio.lowlevel import checkpoint
 
-from fibaction._notify import Notifier
-from fibaction.exceptions import ConnectionLost
+from fibaction._runtime.notify import Notifier
 from fibaction.wire.channel import Channel
 from fibaction.wire.codec import encode
 from fibaction.wire.messages import Ping
+from fibaction.words.errors import ConnectionLost
 
 T = TypeVar("T")
 

@@ -9,7 +9,6 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction.goals import Sender
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy
 from fibaction.wire.codec import encode
@@ -24,9 +23,10 @@ from fibaction.wire.messages import (
     Why,
 )
 from fibaction.wire.settings import ClientSettings, Limits
-from tests import fibonacci as fib
-from tests.fibonacci import FIBONACCI
-from tests.virtual_time import in_virtual_time
+from fibaction.words.goals import Sender
+from tests.support import fibonacci as fib
+from tests.support.fibonacci import FIBONACCI
+from tests.support.virtual_time import in_virtual_time
 from tests.wire import memory
 from tests.wire.ends import ANN, BOB, Network, follow, held, reached, serving
 from tests.wire.memory import LONG, logged, settled

@@ -14,8 +14,6 @@ from anyio.abc import ByteStream
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibaction.exceptions import ConnectionLost
-from fibaction.goals import GoalID
 from fibaction.server import ActionServer
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.codec import FromClient, encode
@@ -40,8 +38,10 @@ from fibaction.wire.messages import (
     WatchStatus,
 )
 from fibaction.wire.settings import Limits
-from tests import fibonacci as fib
-from tests.fibonacci import FIBONACCI
+from fibaction.words.errors import ConnectionLost
+from fibaction.words.goals import GoalID
+from tests.support import fibonacci as fib
+from tests.support.fibonacci import FIBONACCI
 from tests.wire import memory
 from tests.wire.ends import ANN, BOB, SUCCEEDED, A, B, C, Client, Served, serving
 from tests.wire.memory import LONG, Running, logged, settled

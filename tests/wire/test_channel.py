@@ -8,12 +8,12 @@ import anyio
 import pytest
 from anyio.abc import ByteStream
 
-from fibaction._notify import Notifier
-from fibaction.exceptions import ConnectionLost, ProtocolError
+from fibaction._runtime.notify import Notifier
 from fibaction.wire import channel as channel_module
 from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames, StreamChannel
 from fibaction.wire.frames import HEADER, FrameReader, header
-from tests.virtual_time import in_virtual_time
+from fibaction.words.errors import ConnectionLost, ProtocolError
+from tests.support.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
 

@@ -12,24 +12,9 @@ import anyio
 import msgspec
 import pytest
 
-from fibaction.abc import Connection, FeedbackItem
-from fibaction.exceptions import (
-    ActionError,
-    AuthenticationFailed,
-    ConnectionLost,
-    GoalRejected,
-    InvalidMessage,
-    InvalidURL,
-    LimitReached,
-    ProtocolError,
-    ServerFailed,
-    ServerNotFound,
-    TransportError,
-    UnknownGoal,
-)
-from fibaction.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
-from fibaction.states import GoalStatus
-from fibaction.wire.connection import open_connection
+from fibaction.border.abc import Connection, FeedbackItem
+from fibaction.wire.client.connection import open_connection
+from fibaction.wire.client.open_calls import BURST, OpenCalls
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.messages import (
     VERSION,
@@ -61,11 +46,26 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
-from fibaction.wire.open_calls import BURST, OpenCalls
 from fibaction.wire.settings import ClientSettings
-from tests import fibonacci as fib
-from tests.fibonacci import FIBONACCI
-from tests.virtual_time import in_virtual_time
+from fibaction.words.errors import (
+    ActionError,
+    AuthenticationFailed,
+    ConnectionLost,
+    GoalRejected,
+    InvalidMessage,
+    InvalidURL,
+    LimitReached,
+    ProtocolError,
+    ServerFailed,
+    ServerNotFound,
+    TransportError,
+    UnknownGoal,
+)
+from fibaction.words.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.words.statuses import GoalStatus
+from tests.support import fibonacci as fib
+from tests.support.fibonacci import FIBONACCI
+from tests.support.virtual_time import in_virtual_time
 from tests.wire.ends import (
     AWAY,
     CALLS,

@@ -10,12 +10,12 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from fibaction._slices import SLICE
-from fibaction.exceptions import ConnectionLost, ProtocolError
+from fibaction._runtime.slices import SLICE
 from fibaction.wire import link as module
 from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames
 from fibaction.wire.link import Link
 from fibaction.wire.messages import ListActions
+from fibaction.words.errors import ConnectionLost, ProtocolError
 from tests.wire.ends import BOB, held, serving
 from tests.wire.memory import LONG, settled
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from fibaction.abc import FeedbackItem
-from fibaction.exceptions import ProtocolError
+from fibaction.border.abc import FeedbackItem
 from fibaction.wire.channel import CHUNK
+from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.frames import LEAST_FRAME
 from fibaction.wire.messages import (
     Close,
@@ -22,9 +22,9 @@ from fibaction.wire.messages import (
     Following,
     SendGoal,
 )
-from fibaction.wire.remote_goal import RemoteGoal
-from tests import fibonacci as fib
-from tests.fibonacci import FIBONACCI
+from fibaction.words.errors import ProtocolError
+from tests.support import fibonacci as fib
+from tests.support.fibonacci import FIBONACCI
 from tests.wire.ends import (
     EXECUTING,
     GOAL_ID,

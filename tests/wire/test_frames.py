@@ -8,8 +8,7 @@ from contextlib import suppress
 import pytest
 from hypothesis import assume, given, strategies
 
-from fibaction._budget import ByteBudget
-from fibaction.exceptions import LimitReached, ProtocolError
+from fibaction._runtime.budget import ByteBudget
 from fibaction.wire.frames import (
     _OTHERS,
     FIRST_FRAME,
@@ -20,6 +19,7 @@ from fibaction.wire.frames import (
     FrameReader,
     header,
 )
+from fibaction.words.errors import LimitReached, ProtocolError
 
 FRAMES = strategies.lists(strategies.binary(max_size=300), max_size=8)
 LIMIT = 100

@@ -17,18 +17,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trio.testing import MockClock
 
-from fibaction._budget import ByteBudget
-from fibaction.exceptions import (
-    ConnectionLost,
-    GoalRejected,
-    InvalidMessage,
-    LimitReached,
-    ProtocolError,
-    ServerNotFound,
-)
-from fibaction.goals import GoalID
-from fibaction.server import ActionServer, GoalHandle, patience
-from fibaction.states import GoalStatus
+from fibaction._runtime.budget import ByteBudget
+from fibaction.server import ActionServer, GoalHandle
+from fibaction.server.execution import stall
 from fibaction.testing import ScriptedServer
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.codec import decode_from_server, encode
@@ -69,11 +60,21 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
+from fibaction.wire.server.subscriptions import PIECE
 from fibaction.wire.settings import ClientSettings, Limits
-from fibaction.wire.subscriptions import PIECE
-from tests import fibonacci as fib
-from tests.fibonacci import FIBONACCI
-from tests.virtual_time import in_virtual_time
+from fibaction.words.errors import (
+    ConnectionLost,
+    GoalRejected,
+    InvalidMessage,
+    LimitReached,
+    ProtocolError,
+    ServerNotFound,
+)
+from fibaction.words.goals import GoalID
+from fibaction.words.statuses import GoalStatus
+from tests.support import fibonacci as fib
+from tests.support.fibonacci import FIBONACCI
+from tests.support.virtual_time import in_virtual_time
 from tests.wire import memory
 from tests.wire.ends import (
     ANN,
@@ -537,7 +538,7 @@ async def test_an_executor_waits_for_moments_only_where_the_line_holds_it_briefl
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(Line, "holds_briefly", True)
-    monkeypatch.setattr(patience, "MOST", 0.01)
+    monkeypatch.setattr(stall, "MOST", 0.01)
     done = anyio.Event()
 
     async def counted(goal: GoalHandle[fib.Goal]) -> AsyncGenerator[fib.Feedback | fib.Result]:

@@ -12,10 +12,7 @@ import pytest
 from hypothesis import given, strategies
 from hypothesis.strategies import SearchStrategy
 
-from fibaction.action import ActionInfo
-from fibaction.exceptions import ProtocolError
-from fibaction.goals import GoalID
-from fibaction.states import GoalStatus
+from fibaction.types.action import ActionInfo
 from fibaction.wire.codec import (
     FromClient,
     FromServer,
@@ -57,7 +54,10 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
-from tests.golden import GOAL_ID, GOLDEN, STAMP
+from fibaction.words.errors import ProtocolError
+from fibaction.words.goals import GoalID
+from fibaction.words.statuses import GoalStatus
+from tests.support.golden import GOAL_ID, GOLDEN, STAMP
 
 CLIENTS: tuple[type, ...] = get_args(FromClient)
 SERVERS: tuple[type, ...] = get_args(FromServer)

@@ -10,17 +10,9 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction._tasks import Background
-from fibaction.exceptions import (
-    ActionError,
-    ConnectionLost,
-    ProtocolError,
-    ServerFailed,
-    ServerNotFound,
-    UnknownGoal,
-)
-from fibaction.goals import UNKNOWN_OUTCOME, Outcome
-from fibaction.wire.connection import RemoteConnection, new_session
+from fibaction._runtime.tasks import Background
+from fibaction.wire.client.connection import RemoteConnection, new_session
+from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import (
     Credit,
     Ended,
@@ -33,8 +25,16 @@ from fibaction.wire.messages import (
     SendGoal,
     Why,
 )
-from fibaction.wire.remote_goal import RemoteGoal
 from fibaction.wire.settings import ClientSettings
+from fibaction.words.errors import (
+    ActionError,
+    ConnectionLost,
+    ProtocolError,
+    ServerFailed,
+    ServerNotFound,
+    UnknownGoal,
+)
+from fibaction.words.goals import UNKNOWN_OUTCOME, Outcome
 from tests.wire.ends import (
     EXECUTING,
     GOAL_ID,

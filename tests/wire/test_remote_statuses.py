@@ -7,12 +7,9 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction.abc import StatusStream
-from fibaction.action import ActionInfo
-from fibaction.exceptions import ConnectionLost, LimitReached
-from fibaction.goals import GoalID
-from fibaction.states import GoalStatus
-from fibaction.wire import remote_statuses
+from fibaction.border.abc import StatusStream
+from fibaction.types.action import ActionInfo
+from fibaction.wire.client import remote_statuses
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.messages import (
     AskPlaces,
@@ -29,6 +26,9 @@ from fibaction.wire.messages import (
     Why,
 )
 from fibaction.wire.settings import Limits
+from fibaction.words.errors import ConnectionLost, LimitReached
+from fibaction.words.goals import GoalID
+from fibaction.words.statuses import GoalStatus
 from tests.wire.ends import (
     ANN,
     ANY,

@@ -10,9 +10,8 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction._slices import SLICE
+from fibaction._runtime.slices import SLICE
 from fibaction.testing import ScriptedServer
-from fibaction.wire import session_goals
 from fibaction.wire.auth import AccessPolicy, Permission
 from fibaction.wire.messages import (
     Actions,
@@ -39,9 +38,10 @@ from fibaction.wire.messages import (
     WatchStatus,
     Why,
 )
+from fibaction.wire.server import session_goals
 from fibaction.wire.settings import Limits
-from tests import fibonacci as fib
-from tests.fibonacci import FIBONACCI
+from tests.support import fibonacci as fib
+from tests.support.fibonacci import FIBONACCI
 from tests.wire.ends import (
     ANN,
     ANY,
@@ -170,7 +170,7 @@ async def test_goals_of_one_client_wait_within_its_limit_of_memory(by: str) -> N
 async def test_goals_of_all_clients_wait_within_one_limit_of_memory(
     by: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fibaction.wire.session_goals.UNCOUNTED", 0)
+    monkeypatch.setattr("fibaction.wire.server.session_goals.UNCOUNTED", 0)
     deciding = Deciding()
     server = running(fib.Result([]), on_goal=deciding.on_goal)
     access = AccessPolicy(authorize=deciding.authorize) if by == "authorize" else None

@@ -12,14 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from fibaction.abc import Endpoint, FeedbackItem, ForwardingEndpoint, GoalStream, Meta
-from fibaction.exceptions import GoalKept, GoalRejected, UnknownGoal
-from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Outcome, Sender
+from fibaction.border.abc import Endpoint, FeedbackItem, ForwardingEndpoint, GoalStream, Meta
 from fibaction.server.feedback_log import FeedbackLog
-from fibaction.server.goal_record import GoalRecord, digest_of
-from fibaction.states import GoalStatus
+from fibaction.server.registry.goal_record import GoalRecord, digest_of
 from fibaction.wire.auth import AccessPolicy, Permission
-from fibaction.wire.connection import open_connection
+from fibaction.wire.client.connection import open_connection
+from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import (
     CancelGoals,
     Close,
@@ -36,7 +34,9 @@ from fibaction.wire.messages import (
     StatusChanged,
     Why,
 )
-from fibaction.wire.remote_goal import RemoteGoal
+from fibaction.words.errors import GoalKept, GoalRejected, UnknownGoal
+from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Outcome, Sender
+from fibaction.words.statuses import GoalStatus
 from tests.wire import memory
 from tests.wire.ends import (
     ANN,

@@ -13,10 +13,7 @@ from typing import Any, Literal
 import anyio
 import pytest
 
-from fibaction.abc import Connection
-from fibaction.exceptions import AuthenticationFailed, ConnectionLost, ServerNotFound
-from fibaction.goals import GoalID
-from fibaction.states import GoalStatus
+from fibaction.border.abc import Connection
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import AccessPolicy, Permission
 from fibaction.wire.codec import encode
@@ -45,11 +42,14 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
-from fibaction.wire.ownership import EndOnly
+from fibaction.wire.server.ownership import EndOnly
 from fibaction.wire.settings import ClientSettings, Limits
-from tests import fibonacci as fib
-from tests.fibonacci import FIBONACCI
-from tests.virtual_time import in_virtual_time
+from fibaction.words.errors import AuthenticationFailed, ConnectionLost, ServerNotFound
+from fibaction.words.goals import GoalID
+from fibaction.words.statuses import GoalStatus
+from tests.support import fibonacci as fib
+from tests.support.fibonacci import FIBONACCI
+from tests.support.virtual_time import in_virtual_time
 from tests.wire.ends import (
     ANN,
     ANY,
@@ -595,7 +595,7 @@ async def test_goals_of_lost_connections_are_released_a_few_at_a_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """So that losing a client with thousands of goals does not stop the others."""
-    monkeypatch.setattr("fibaction._slices.SLICE", 0)
+    monkeypatch.setattr("fibaction._runtime.slices.SLICE", 0)
     ids = [bytes([number] * 16) for number in range(1, 51)]
     server = running(*feedback(*range(100)), fib.Result([]), feedback_window=4)
     turns: list[int] = []
@@ -624,7 +624,7 @@ async def test_goals_of_lost_connections_are_released_a_few_at_a_time(
 async def test_all_goals_are_let_go_if_the_task_that_closes_the_server_is_canceled(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("fibaction._slices.SLICE", 0)
+    monkeypatch.setattr("fibaction._runtime.slices.SLICE", 0)
     ids = [bytes([number] * 16) for number in range(1, 21)]
     server = running(*feedback(*range(100)), fib.Result([]), feedback_window=4)
     async with serving(server) as served:
@@ -662,7 +662,7 @@ async def test_the_end_of_a_goal_can_be_told_once_more_without_its_feedback() ->
 async def test_a_server_can_close_while_it_releases_the_goals_of_a_lost_connection(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("fibaction._slices.SLICE", 0)
+    monkeypatch.setattr("fibaction._runtime.slices.SLICE", 0)
     for turns in range(30):  # at each of which another part of them is released
         server = running(*feedback(*range(100)), fib.Result([]), feedback_window=4)
         async with serving(server) as served:

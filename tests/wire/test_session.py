@@ -8,23 +8,9 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction.action import Action
-from fibaction.exceptions import (
-    ActionError,
-    AuthenticationFailed,
-    CancelRejected,
-    ConnectionLost,
-    GoalAborted,
-    GoalRejected,
-    InvalidTransition,
-    ProtocolError,
-    ServerNotFound,
-    UnknownGoal,
-)
-from fibaction.goals import CancelCode, GoalID
 from fibaction.server import ActionServer
-from fibaction.states import GoalEvent, GoalStatus
 from fibaction.testing import ScriptedServer
+from fibaction.types.action import Action
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
 from fibaction.wire.messages import (
     VERSION,
@@ -59,12 +45,26 @@ from fibaction.wire.messages import (
     Welcome,
     Why,
 )
-from fibaction.wire.requests import ChangingEndpoints
+from fibaction.wire.server.requests import ChangingEndpoints
 from fibaction.wire.settings import Limits, ServerSettings
 from fibaction.wire.wire_server import open_server
-from tests import fibonacci as fib
-from tests.fibonacci import FIBONACCI
-from tests.virtual_time import in_virtual_time
+from fibaction.words.errors import (
+    ActionError,
+    AuthenticationFailed,
+    CancelRejected,
+    ConnectionLost,
+    GoalAborted,
+    GoalRejected,
+    InvalidTransition,
+    ProtocolError,
+    ServerNotFound,
+    UnknownGoal,
+)
+from fibaction.words.goals import CancelCode, GoalID
+from fibaction.words.statuses import GoalEvent, GoalStatus
+from tests.support import fibonacci as fib
+from tests.support.fibonacci import FIBONACCI
+from tests.support.virtual_time import in_virtual_time
 from tests.wire.ends import (
     ANN,
     ANY,
@@ -757,7 +757,7 @@ async def test_a_fault_of_the_package_ends_one_session_and_is_logged_with_its_pe
         def fails(frame: bytes) -> None:
             raise ZeroDivisionError
 
-        monkeypatch.setattr("fibaction.wire.session.decode_from_client", fails)
+        monkeypatch.setattr("fibaction.wire.server.session.decode_from_client", fails)
         with logged() as lines:
             await bad.say(ListActions(1))
             await bad.hear_the_end()

@@ -6,15 +6,7 @@ from typing import Any
 
 import pytest
 
-from fibaction._text import LENGTH, REASON
-from fibaction.exceptions import (
-    ActionError,
-    AuthenticationFailed,
-    GoalRejected,
-    ProtocolError,
-    ServerNotFound,
-)
-from fibaction.states import GoalStatus
+from fibaction._runtime.text import LENGTH, REASON
 from fibaction.wire.codec import encode
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
@@ -30,6 +22,14 @@ from fibaction.wire.messages import (
     SendGoal,
     Why,
 )
+from fibaction.words.errors import (
+    ActionError,
+    AuthenticationFailed,
+    GoalRejected,
+    ProtocolError,
+    ServerNotFound,
+)
+from fibaction.words.statuses import GoalStatus
 from tests.wire import memory
 from tests.wire.ends import (
     GOAL,

@@ -14,12 +14,18 @@ from contextlib import asynccontextmanager, suppress
 from typing import Any, TypeVar
 from weakref import WeakSet, WeakValueDictionary
 
-from fibaction._notify import Notifier
-from fibaction.abc import Connection, Endpoint, GoalStream, Meta, StatusStream, Transport
-from fibaction.action import Action, ActionInfo
-from fibaction.exceptions import ConnectionLost, InvalidURL, ServerNotFound, TransportError, copy_of
-from fibaction.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
-from fibaction.urls import check_settings
+from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Connection, Endpoint, GoalStream, Meta, StatusStream, Transport
+from fibaction.border.urls import check_settings
+from fibaction.types.action import Action, ActionInfo
+from fibaction.words.errors import (
+    ConnectionLost,
+    InvalidURL,
+    ServerNotFound,
+    TransportError,
+    copy_of,
+)
+from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Sender
 
 StreamT = TypeVar("StreamT", bound=GoalStream | StatusStream)
 

@@ -25,11 +25,11 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction._notify import Notifier
+from fibaction._runtime.notify import Notifier
 from fibaction_transports.ros2 import Ros2Transport
-from tests.fibonacci import Feedback, Goal, Result
 from tests.ros2.stock import orders
 from tests.ros2.stock.telling import say, spin
+from tests.support.fibonacci import Feedback, Goal, Result
 
 TYPE = "arduinobot_msgs/action/Fibonacci"
 

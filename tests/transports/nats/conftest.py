@@ -8,7 +8,7 @@ from collections.abc import Generator
 
 import pytest
 
-from tests.nats_server import IS_LEFT_OUT, NatsServer, nats_server
+from tests.support.nats_server import IS_LEFT_OUT, NatsServer, nats_server
 from tests.transports.hearing import Hearing, hearing
 
 

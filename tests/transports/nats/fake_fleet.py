@@ -18,17 +18,17 @@ from fibaction import (
     GoalID,
     GoalStatus,
 )
-from fibaction._notify import Notifier
-from fibaction._tasks import Background
-from fibaction.abc import Connection
-from fibaction.exceptions import ServerNotFound
-from fibaction.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
-from fibaction.goals import UNKNOWN_SENDER
-from fibaction.server.goal_record import digest_of
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.tasks import Background
+from fibaction.border.abc import Connection
+from fibaction.border.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
+from fibaction.server.registry.goal_record import digest_of
 from fibaction.wire.channel import Line
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.wire_server import open_server
-from fibaction_transports.nats.broker import (
+from fibaction.words.errors import ServerNotFound
+from fibaction.words.goals import UNKNOWN_SENDER
+from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,
     NoResponders,
@@ -41,9 +41,9 @@ from fibaction_transports.nats.broker import (
     Subscription,
     Watch,
 )
-from fibaction_transports.nats.fleet_connection import FleetConnection
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_records import (
+from fibaction_transports.nats.client.connection import FleetConnection
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.records import (
     GoalEntry,
     LeaseEntry,
     Offer,

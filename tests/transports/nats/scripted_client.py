@@ -7,9 +7,9 @@ from typing import Any
 
 import msgspec
 
-from fibaction._notify import Notifier
-from fibaction_transports.nats.broker import NoResponders, Subscription
-from fibaction_transports.nats.nats_answers import OnRaw, RawMessage
+from fibaction._runtime.notify import Notifier
+from fibaction_transports.nats.broker.answers import OnRaw, RawMessage
+from fibaction_transports.nats.broker.broker import NoResponders, Subscription
 
 NO_RESPONDERS = None
 """The answer of nobody."""

@@ -16,13 +16,13 @@ from nats.aio.client import Client
 
 from fibaction import AuthenticationFailed, ServerNotFound, TransportError
 from fibaction.wire.tls_files import TlsFiles
-from fibaction_transports.nats.broker import BrokerAway, NoResponders, PutError, PutFailure
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.nats_broker import open_broker
-from fibaction_transports.nats.nats_dial import cut
-from tests.certificates import pems
-from tests.nats_server import NatsServer, nats_server
+from fibaction_transports.nats.broker.broker import BrokerAway, NoResponders, PutError, PutFailure
+from fibaction_transports.nats.broker.dial import cut
+from fibaction_transports.nats.broker.nats_broker import open_broker
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.settings import FleetSettings
+from tests.support.certificates import pems
+from tests.support.nats_server import NatsServer, nats_server
 from tests.transports.hearing import Hearing
 from tests.transports.nats.test_nats_broker import put
 
@@ -127,7 +127,7 @@ async def test_an_election_is_waited_for_and_not_for_ever(monkeypatch: pytest.Mo
     async with fake(INFO=lambda: answers.pop(0), cluster=1) as address:
         async with open_broker(settings_for(address)) as broker:
             assert broker.brokers == 2
-    monkeypatch.setattr("fibaction_transports.nats.jetstream.ELECTION", 0.3)
+    monkeypatch.setattr("fibaction_transports.nats.broker.jetstream.ELECTION", 0.3)
     async with fake(INFO=None, cluster=1) as address:
         assert "is not enabled" in str(await error_of(settings_for(address)))
 

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from anyio import fail_after
 
-from fibaction._notify import Notifier
-from fibaction_transports.nats.broker import (
+from fibaction._runtime.notify import Notifier
+from fibaction_transports.nats.broker.broker import (
     Broker,
     Message,
     NoResponders,
@@ -20,11 +20,11 @@ from fibaction_transports.nats.broker import (
     Record,
     Watch,
 )
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.nats_broker import open_broker
-from tests.memory_broker import MemoryBrokers
-from tests.nats_server import NatsServer
+from fibaction_transports.nats.broker.nats_broker import open_broker
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.settings import FleetSettings
+from tests.support.memory_broker import MemoryBrokers
+from tests.support.nats_server import NatsServer
 
 pytestmark = pytest.mark.anyio
 NAMES = FleetNames(secrets.token_hex(4))

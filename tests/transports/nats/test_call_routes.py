@@ -13,9 +13,10 @@ from fibaction import (
     Outcome,
     ProtocolError,
 )
-from fibaction_transports.nats import worker_connections
-from fibaction_transports.nats.broker import Record
-from fibaction_transports.nats.fleet_records import goal_entry
+from fibaction_transports.nats.broker.broker import Record
+from fibaction_transports.nats.client import worker_connections
+from fibaction_transports.nats.records import goal_entry
+from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import (
     ENDED,
     NAMES,
@@ -23,7 +24,6 @@ from tests.transports.nats.fake_fleet import (
     client_of,
     server,
 )
-from tests.virtual_time import in_virtual_time
 from tests.wire.memory import Running, settled
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]

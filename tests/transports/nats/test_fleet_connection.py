@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from fibaction import ActionPeers, ConnectionLost, ServerNotFound
+from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import COUNT, FakeFleet, client_of, server
-from tests.virtual_time import in_virtual_time
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 

@@ -21,10 +21,11 @@ from fibaction import (
     ServerNotFound,
     UnknownGoal,
 )
-from fibaction.abc import Endpoint, ForwardingEndpoint
-from fibaction.goals import CancelAnswer
-from fibaction.server.goal_record import digest_of
-from fibaction_transports.nats.places import OFFER_LIFE
+from fibaction.border.abc import Endpoint, ForwardingEndpoint
+from fibaction.server.registry.goal_record import digest_of
+from fibaction.words.goals import CancelAnswer
+from fibaction_transports.nats.client.free_workers import OFFER_LIFE
+from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import (
     COUNT,
     ENDED,
@@ -36,7 +37,6 @@ from tests.transports.nats.fake_fleet import (
     client_of,
     server,
 )
-from tests.virtual_time import in_virtual_time
 from tests.wire.memory import Running, settled
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibaction.goals import GoalID
-from fibaction_transports.nats.fleet_names import (
+from fibaction.words.goals import GoalID
+from fibaction_transports.nats.names import (
     FleetNames,
     action_of,
     last_token,

@@ -10,7 +10,7 @@ import pytest
 
 from fibaction import TransportError
 from fibaction.wire.tls_files import TlsFiles
-from fibaction_transports.nats.fleet_settings import FleetSettings, new_name
+from fibaction_transports.nats.settings import FleetSettings, new_name
 
 
 def test_the_url_has_no_logins_and_no_settings() -> None:

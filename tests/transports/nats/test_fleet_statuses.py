@@ -6,11 +6,12 @@ import anyio
 import pytest
 
 from fibaction import ConnectionLost, GoalID, GoalStatus, Schedule, ServerFailed
-from fibaction._notify import Notifier
-from fibaction.abc import ForwardingEndpoint, StatusStream
-from fibaction.goals import Sender
-from fibaction_transports.nats import fleet_statuses
-from fibaction_transports.nats.fleet_statuses import steps
+from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import ForwardingEndpoint, StatusStream
+from fibaction.words.goals import Sender
+from fibaction_transports.nats.client import statuses as statuses_module
+from fibaction_transports.nats.client.statuses import steps
+from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import (
     ENDED,
     GOAL_ID,
@@ -20,7 +21,6 @@ from tests.transports.nats.fake_fleet import (
     client_of,
     server,
 )
-from tests.virtual_time import in_virtual_time
 from tests.wire.memory import settled
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
@@ -162,7 +162,7 @@ async def test_places_that_a_worker_does_not_tell_are_left_out(
         client = client_of(connection)
         a.own(GOAL_ID, attempt=0)
         a.hang_up()
-        monkeypatch.setattr(fleet_statuses, "PLACES_TIMEOUT", 0.5)
+        monkeypatch.setattr(statuses_module, "PLACES_TIMEOUT", 0.5)
         assert [info.place for info in await client.goals()] == [0]
 
 

@@ -11,19 +11,19 @@ from anyio import create_task_group, fail_after, sleep
 from msgspec.structs import replace
 
 from fibaction import GoalID, GoalStatus
-from fibaction._notify import Notifier
-from fibaction._tasks import Background
-from fibaction.exceptions import StoreError
-from fibaction.goal_store import GoalTaken, RecordTooLarge, StoredGoal, Then
-from fibaction.goals import Sender
-from fibaction_transports.nats.broker import BrokerAway, Record
-from fibaction_transports.nats.fleet_journal import FleetJournal
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_records import GoalEntry, encode, goal_entry
-from fibaction_transports.nats.fleet_store import FleetStore
-from fibaction_transports.nats.lease import FIRST_PAUSE, Membership
-from tests.memory_broker import MemoryBroker, MemoryBrokers, Write
-from tests.virtual_time import in_virtual_time
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.tasks import Background
+from fibaction.border.goal_store import GoalTaken, RecordTooLarge, StoredGoal, Then
+from fibaction.words.errors import StoreError
+from fibaction.words.goals import Sender
+from fibaction_transports.nats.broker.broker import BrokerAway, Record
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.records import GoalEntry, encode, goal_entry
+from fibaction_transports.nats.worker.journal import FleetJournal
+from fibaction_transports.nats.worker.lease import FIRST_PAUSE, Membership
+from fibaction_transports.nats.worker.store import FleetStore
+from tests.support.memory_broker import MemoryBroker, MemoryBrokers, Write
+from tests.support.virtual_time import in_virtual_time
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 NAMES = FleetNames("test")

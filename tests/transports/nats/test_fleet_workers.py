@@ -9,11 +9,11 @@ import anyio
 import pytest
 
 from fibaction import ConnectionLost, WorkerInfo
-from fibaction._tasks import Background
-from fibaction_transports.nats.fleet_records import LeaseEntry, encode
-from fibaction_transports.nats.fleet_workers import FleetWorkers
+from fibaction._runtime.tasks import Background
+from fibaction_transports.nats.records import LeaseEntry, encode
+from fibaction_transports.nats.workers import FleetWorkers
+from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import COUNT, NAMES, FakeFleet, server
-from tests.virtual_time import in_virtual_time
 from tests.wire.memory import settled
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]

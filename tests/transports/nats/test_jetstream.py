@@ -9,10 +9,10 @@ import msgspec
 import pytest
 
 from fibaction import TransportError
-from fibaction_transports.nats.broker import BrokerAway, PutFailure, Record
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.jetstream import (
+from fibaction_transports.nats.broker.answers import PendingAnswers, RawMessage
+from fibaction_transports.nats.broker.broker import BrokerAway, PutFailure, Record
+from fibaction_transports.nats.broker.client import NatsClient
+from fibaction_transports.nats.broker.jetstream import (
     NAME_IN_USE,
     NO_LEADER,
     NO_ROOM_FOR_REPLICAS,
@@ -20,11 +20,11 @@ from fibaction_transports.nats.jetstream import (
     create_streams,
     outcome,
 )
-from fibaction_transports.nats.nats_answers import PendingAnswers, RawMessage
-from fibaction_transports.nats.nats_broker import NatsBroker
-from fibaction_transports.nats.nats_client import NatsClient
-from fibaction_transports.nats.note_queue import NoteQueue
-from fibaction_transports.nats.record_watch import RecordWatch, delivery
+from fibaction_transports.nats.broker.nats_broker import NatsBroker
+from fibaction_transports.nats.broker.note_queue import NoteQueue
+from fibaction_transports.nats.broker.record_watch import RecordWatch, delivery
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.settings import FleetSettings
 from tests.transports.nats.scripted_client import NO_RESPONDERS, ScriptedClient, failed
 
 NAMES = FleetNames("f")
@@ -148,7 +148,7 @@ async def test_a_lost_connection_fails_what_was_sent_on_it_only() -> None:
 
 @pytest.fixture
 def no_pause(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fibaction_transports.nats.jetstream.TRY_AGAIN", 0)
+    monkeypatch.setattr("fibaction_transports.nats.broker.jetstream.TRY_AGAIN", 0)
 
 
 def made(**changes: Any) -> Any:
@@ -202,7 +202,7 @@ async def test_an_election_is_waited_for_before_streams_are_made(no_pause: None)
 
 @pytest.mark.asyncio
 async def test_streams_that_nobody_makes_are_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fibaction_transports.nats.jetstream.ELECTION", 0.05)
+    monkeypatch.setattr("fibaction_transports.nats.broker.jetstream.ELECTION", 0.05)
     with pytest.raises(TransportError, match="cannot be made: JetStream does not answer"):
         await create(ScriptedClient(STREAM_INFO=[NO_RESPONDERS]))
 

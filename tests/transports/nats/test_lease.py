@@ -11,14 +11,14 @@ from typing import Any
 import pytest
 from anyio import create_task_group, current_time, fail_after, sleep
 
-from fibaction._tasks import Background
-from fibaction.exceptions import TransportError
-from fibaction_transports.nats.broker import BrokerAway, Record
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_records import LeaseEntry, encode, lease_entry
-from fibaction_transports.nats.lease import Membership, Term
-from tests.memory_broker import MemoryBroker, MemoryBrokers
-from tests.virtual_time import in_virtual_time
+from fibaction._runtime.tasks import Background
+from fibaction.words.errors import TransportError
+from fibaction_transports.nats.broker.broker import BrokerAway, Record
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.records import LeaseEntry, encode, lease_entry
+from fibaction_transports.nats.worker.lease import Membership, Term
+from tests.support.memory_broker import MemoryBroker, MemoryBrokers
+from tests.support.virtual_time import in_virtual_time
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 NAMES = FleetNames("test")

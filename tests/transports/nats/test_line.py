@@ -9,19 +9,19 @@ import anyio
 import pytest
 
 from fibaction import ActionServer, GoalCanceled, GoalHandle, ServerNotFound, connect, serve
-from fibaction._notify import Notifier
-from fibaction.exceptions import ConnectionLost, ProtocolError
+from fibaction._runtime.notify import Notifier
 from fibaction.wire.channel import Line, NextFrames, OnFrames
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import ClientSettings, Limits, ServerSettings
-from fibaction_transports.nats.broker import Message
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.line import ClientLines, WorkerLines
-from fibaction_transports.nats.nats_broker import NatsBroker, open_broker
-from fibaction_transports.nats.piece_line import WINDOW, PieceLine
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from tests.nats_server import NatsServer
+from fibaction.words.errors import ConnectionLost, ProtocolError
+from fibaction_transports.nats.broker.broker import Message
+from fibaction_transports.nats.broker.nats_broker import NatsBroker, open_broker
+from fibaction_transports.nats.lines.line import ClientLines, WorkerLines
+from fibaction_transports.nats.lines.piece_line import WINDOW, PieceLine
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.settings import FleetSettings
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.nats_server import NatsServer
 from tests.transports.hearing import Hearing
 from tests.transports.nats.worker_lines import LineTransport
 

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from fibaction import TransportError
-from fibaction_transports.nats.broker import (
+from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,
     Message,
@@ -20,11 +20,11 @@ from fibaction_transports.nats.broker import (
     Record,
     Watch,
 )
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.nats_broker import NatsBroker, open_broker
-from fibaction_transports.nats.nats_client import MAX_QUEUED
-from tests.nats_server import IS_LEFT_OUT, NatsServer, nats_cluster
+from fibaction_transports.nats.broker.client import MAX_QUEUED
+from fibaction_transports.nats.broker.nats_broker import NatsBroker, open_broker
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.settings import FleetSettings
+from tests.support.nats_server import IS_LEFT_OUT, NatsServer, nats_cluster
 from tests.transports.hearing import Hearing
 
 pytestmark = pytest.mark.asyncio

@@ -9,10 +9,10 @@ import pytest
 from nats.aio.client import Client
 
 from fibaction import ServerNotFound
-from fibaction_transports.nats.broker import Message
-from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.nats_broker import open_broker
-from tests.nats_server import NatsServer
+from fibaction_transports.nats.broker.broker import Message
+from fibaction_transports.nats.broker.nats_broker import open_broker
+from fibaction_transports.nats.settings import FleetSettings
+from tests.support.nats_server import NatsServer
 
 pytestmark = pytest.mark.asyncio
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from fibaction_transports.nats.nats_answers import RawMessage
-from fibaction_transports.nats.nats_socket import (
+from fibaction_transports.nats.broker.answers import RawMessage
+from fibaction_transports.nats.broker.broker_socket import (
     LONGEST_LINE,
     MISSED_PINGS,
     BrokerSocket,

@@ -9,11 +9,11 @@ import anyio
 import pytest
 
 from fibaction import ActionServer, InvalidURL, ServerNotFound, TransportError, connect, serve
-from fibaction.urls import transport_for
+from fibaction.border.urls import transport_for
 from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports.nats import NatsTransport
-from tests.fibonacci import FIBONACCI, Goal, fibonacci
-from tests.nats_server import NatsServer
+from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
+from tests.support.nats_server import NatsServer
 
 
 def transport_of(url: str, **settings: Any) -> NatsTransport:

@@ -11,12 +11,12 @@ import anyio
 import pytest
 
 from fibaction import ConnectionLost, GoalRejected, GoalStatus, ServerNotFound
-from fibaction._tasks import Background
-from fibaction_transports.nats.fleet_records import Offer, encode, question
-from fibaction_transports.nats.fleet_workers import FleetWorkers
-from fibaction_transports.nats.places import FIRST_WAIT, OFFER_LIFE, ROOM_WAIT, Places
+from fibaction._runtime.tasks import Background
+from fibaction_transports.nats.client.free_workers import FIRST_WAIT, OFFER_LIFE, ROOM_WAIT, Places
+from fibaction_transports.nats.records import Offer, encode, question
+from fibaction_transports.nats.workers import FleetWorkers
+from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import NAMES, FakeFleet, client_of, server
-from tests.virtual_time import in_virtual_time
 from tests.wire.memory import Running, settled
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]

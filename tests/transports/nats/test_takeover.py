@@ -12,20 +12,20 @@ from anyio import fail_after, sleep
 from msgspec.structs import replace
 
 from fibaction import GoalID, GoalStatus
-from fibaction._notify import Notifier
-from fibaction._tasks import Background
-from fibaction.goal_store import StoredGoal
-from fibaction.goals import Sender
-from fibaction_transports.nats.broker import BrokerAway, Record
-from fibaction_transports.nats.fleet_journal import FleetJournal
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_records import GoalEntry, encode, goal_entry, lease_entry
-from fibaction_transports.nats.fleet_store import FleetStore
-from fibaction_transports.nats.fleet_workers import FleetWorkers
-from fibaction_transports.nats.lease import Membership
-from fibaction_transports.nats.takeover import SCAN_INTERVAL, Takeover
-from tests.memory_broker import MemoryBrokers, Write
-from tests.virtual_time import in_virtual_time
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.tasks import Background
+from fibaction.border.goal_store import StoredGoal
+from fibaction.words.goals import Sender
+from fibaction_transports.nats.broker.broker import BrokerAway, Record
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.records import GoalEntry, encode, goal_entry, lease_entry
+from fibaction_transports.nats.worker.journal import FleetJournal
+from fibaction_transports.nats.worker.lease import Membership
+from fibaction_transports.nats.worker.store import FleetStore
+from fibaction_transports.nats.worker.takeover import SCAN_INTERVAL, Takeover
+from fibaction_transports.nats.workers import FleetWorkers
+from tests.support.memory_broker import MemoryBrokers, Write
+from tests.support.virtual_time import in_virtual_time
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 NAMES = FleetNames("test")

@@ -10,21 +10,21 @@ import pytest
 from anyio import create_task_group, fail_after, sleep, sleep_forever
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, Schedule
-from fibaction.exceptions import GoalRejected, TransportError
-from fibaction_transports.nats.broker import BrokerAway
-from fibaction_transports.nats.fleet_connection import open_fleet
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_records import (
+from fibaction.words.errors import GoalRejected, TransportError
+from fibaction_transports.nats.broker.broker import BrokerAway
+from fibaction_transports.nats.client.connection import open_fleet
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.records import (
     Question,
     ServedAction,
     encode,
     lease_entry,
     offer,
 )
-from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.worker import Worker, open_worker
-from tests.memory_broker import MemoryBroker, MemoryBrokers
+from fibaction_transports.nats.settings import FleetSettings
+from fibaction_transports.nats.worker.worker import Worker, open_worker
 from tests.simulation.loop import VirtualLoop
+from tests.support.memory_broker import MemoryBroker, MemoryBrokers
 
 VIRTUAL = ("asyncio", {"loop_factory": VirtualLoop})  # lines need asyncio
 pytestmark = [

@@ -6,14 +6,14 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
 
-from fibaction.abc import Connection, Endpoint, Transport
-from fibaction.wire.connection import open_connection
+from fibaction.border.abc import Connection, Endpoint, Transport
+from fibaction.wire.client.connection import open_connection
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.wire_server import open_server
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_settings import FleetSettings
-from fibaction_transports.nats.line import ClientLines, WorkerLines
-from fibaction_transports.nats.nats_broker import open_broker
+from fibaction_transports.nats.broker.nats_broker import open_broker
+from fibaction_transports.nats.lines.line import ClientLines, WorkerLines
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.settings import FleetSettings
 
 WORKER = "robot 7.x"
 

@@ -15,7 +15,7 @@ from fibaction import (
     connect,
 )
 from fibaction_transports.tcp import TcpTransport, UnixTransport
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
 SECRET = "correct-horse"
 

@@ -1,4 +1,4 @@
-"""`fibaction_transports._streams._anyio`: connections as anyio has them."""
+"""`fibaction_transports._socket_lines.on_anyio`: connections as anyio has them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import anyio
 import pytest
 from anyio.abc import SocketAttribute
 
-from fibaction.exceptions import ConnectionLost
 from fibaction.wire.channel import Line
 from fibaction.wire.frames import FrameReader
-from fibaction_transports._streams._anyio import accept, peer_of
+from fibaction.words.errors import ConnectionLost
+from fibaction_transports._socket_lines.on_anyio import accept, peer_of
 from tests.transports.tcp.servers import Named
 
 pytestmark = pytest.mark.anyio

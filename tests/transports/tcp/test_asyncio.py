@@ -18,18 +18,18 @@ import pytest
 import sniffio
 from anyio.abc import SocketAttribute
 
-from fibaction._slices import SLICE
-from fibaction.exceptions import ConnectionLost, ProtocolError
+from fibaction._runtime.slices import SLICE
 from fibaction.wire.channel import CHUNK, Line
 from fibaction.wire.frames import FrameReader, framed
-from fibaction_transports._streams import _asyncio, _line_turns
-from fibaction_transports._streams._asyncio import (
+from fibaction.words.errors import ConnectionLost, ProtocolError
+from fibaction_transports._socket_lines import busy_lines, on_asyncio
+from fibaction_transports._socket_lines.on_asyncio import (
     ProtocolLine,
     accept,
     dial_tcp,
     dial_unix,
 )
-from fibaction_transports._streams._sockets import BATCH
+from fibaction_transports._socket_lines.sockets import BATCH
 
 pytestmark = pytest.mark.asyncio
 
@@ -41,7 +41,7 @@ RESET = struct.pack("ii", 1, 0)
 @pytest.fixture(autouse=True)
 def time_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no slice end, however busy the machine is; tests of slices have clocks of their own."""
-    for module in (_asyncio, _line_turns):
+    for module in (on_asyncio, busy_lines):
         monkeypatch.setattr(module, "perf_counter", lambda: 0.0)
 
 
@@ -271,7 +271,7 @@ async def test_who_does_not_read_stops_the_writing_and_who_reads_again_is_progre
 def use_up_each_slice(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a line use up the whole slice whenever it handles anything."""
     clock = itertools.count()
-    for module in (_asyncio, _line_turns):
+    for module in (on_asyncio, busy_lines):
         monkeypatch.setattr(module, "perf_counter", lambda: float(next(clock)))
 
 
@@ -415,7 +415,7 @@ async def test_frames_that_arrived_before_it_runs_may_be_given_back_as_well() ->
 async def test_writing_ends_after_a_slice_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
     times = itertools.count(step=SLICE / 2)
     async with pair() as (one, other):
-        monkeypatch.setattr(_asyncio, "perf_counter", lambda: next(times))
+        monkeypatch.setattr(on_asyncio, "perf_counter", lambda: next(times))
         one.to_say = [[b"%d" % number] for number in range(6)]
         one.line.wake_writer(at_once=True)
         assert len(one.to_say) == 4
@@ -547,7 +547,7 @@ class Leaving(FrameReader):
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let lines wait for their peers when they close, however busy the machine is."""
-    monkeypatch.setattr(_asyncio, "LEAVE", 60.0)
+    monkeypatch.setattr(on_asyncio, "LEAVE", 60.0)
 
 
 @pytest.mark.usefixtures("patient")
@@ -772,7 +772,7 @@ async def test_on_a_loop_of_somebody_else_addresses_are_tried_one_after_the_othe
             given.append(settings)
             return "transport", "line"
 
-    monkeypatch.setattr(_asyncio, "asyncio_loop", OtherLoop)
+    monkeypatch.setattr(on_asyncio, "asyncio_loop", OtherLoop)
     made: object = await dial_tcp("robot", 1, FrameReader(), "robot")
     assert (made, given) == ("line", [{}])
 
@@ -780,7 +780,7 @@ async def test_on_a_loop_of_somebody_else_addresses_are_tried_one_after_the_othe
 @pytest.mark.parametrize(
     ("begin_at_once", "name", "settings"),
     [
-        (False, "localhost", {"happy_eyeballs_delay": _asyncio.NEXT_ADDRESS}),
+        (False, "localhost", {"happy_eyeballs_delay": on_asyncio.NEXT_ADDRESS}),
         (True, "localhost", {}),
         (False, "127.0.0.1", {}),
     ],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fibaction import urls
+from fibaction.border import urls
 from fibaction_transports.tcp import TcpTransport, UnixTransport
 
 

@@ -9,8 +9,8 @@ import anyio
 import pytest
 from anyio.abc import SocketAttribute
 
-from fibaction_transports._streams._anyio import peer_of
-from fibaction_transports._streams._sockets import SocketStream
+from fibaction_transports._socket_lines.on_anyio import peer_of
+from fibaction_transports._socket_lines.sockets import SocketStream
 
 pytestmark = pytest.mark.anyio
 

@@ -1,4 +1,4 @@
-"""`fibaction_transports._streams._tls`: who is let in, and who is talked to."""
+"""`fibaction_transports._socket_lines.tls`: who is let in, and who is talked to."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from fibaction import (
 )
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import Limits
-from fibaction_transports._streams import _tls
-from fibaction_transports._streams._client_tls import ClientTls
-from fibaction_transports._streams._tls import TlsChannel, TlsListener
-from fibaction_transports._streams._tls_frames import TlsEnd
+from fibaction_transports._socket_lines import tls as tls_module
+from fibaction_transports._socket_lines.client_tls import ClientTls
+from fibaction_transports._socket_lines.tls import TlsChannel, TlsListener
+from fibaction_transports._socket_lines.tls_frames import TlsEnd
 from fibaction_transports.tcp import TcpTransport, TlsFiles
-from tests.certificates import pems
+from tests.support.certificates import pems
 from tests.transports.hearing import Hearing, port_of, raw
 from tests.transports.tcp.servers import Named, new_server, tls_server, works
 
@@ -156,7 +156,7 @@ async def test_a_server_with_a_context_of_its_own_refuses_a_client_without_a_wor
 async def test_who_is_refused_and_does_not_go_is_not_waited_for_long(
     monkeypatch: pytest.MonkeyPatch, heard: Hearing
 ) -> None:
-    monkeypatch.setattr(_tls, "LAST_WORDS", 0.01)
+    monkeypatch.setattr(tls_module, "LAST_WORDS", 0.01)
     async with serve(new_server(), tls_server(cert=pems().cert)) as (url,), raw(url) as peer:
         await peer.say(b"hello?")
         with anyio.fail_after(5), pytest.raises(anyio.BrokenResourceError):

@@ -1,4 +1,4 @@
-"""`fibaction_transports._streams._tls_frames`: frames inside TLS, without a network."""
+"""`fibaction_transports._socket_lines.tls_frames`: frames inside TLS, without a network."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import anyio
 import pytest
 from hypothesis import given, strategies
 
-from fibaction.exceptions import AuthenticationFailed, ConnectionLost, ProtocolError
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.wire.tls_files import TlsFiles
-from fibaction_transports._streams._tls_frames import (
+from fibaction.words.errors import AuthenticationFailed, ConnectionLost, ProtocolError
+from fibaction_transports._socket_lines.tls_frames import (
     MOST_ANSWERS,
     TlsEnd,
     TlsFraming,
     shake_hands,
 )
-from tests.certificates import HOST, pems
+from tests.support.certificates import HOST, pems
 
 LIMIT = 2**20
 CLOSED = "closed its side"

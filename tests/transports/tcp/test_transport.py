@@ -38,10 +38,10 @@ from fibaction import (
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.messages import Hello
 from fibaction.wire.settings import Limits
-from fibaction_transports._streams import _asyncio, _stream_transport
+from fibaction_transports._socket_lines import on_asyncio, stream_transport
 from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport
-from tests.certificates import pems
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.certificates import pems
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.hearing import Hearing, port_of, raw
 from tests.transports.tcp.servers import SECRET, new_server, tls_server, works
 
@@ -64,7 +64,7 @@ def dialed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
         raise ConnectionRefusedError(111, "refused")
 
     monkeypatch.setattr(anyio, "connect_tcp", refuse)
-    monkeypatch.setattr(_asyncio, "dial_tcp", refuse)
+    monkeypatch.setattr(on_asyncio, "dial_tcp", refuse)
     return found
 
 
@@ -209,15 +209,15 @@ async def test_a_loopback_address_needs_neither(host: str, listening: list[str])
 async def test_a_server_that_cannot_accept_for_a_while_goes_on_afterwards(
     monkeypatch: pytest.MonkeyPatch, heard: Hearing
 ) -> None:
-    accept, failures = _asyncio.accept, [OSError(EMFILE, "Too many open files")] * 2
+    accept, failures = on_asyncio.accept, [OSError(EMFILE, "Too many open files")] * 2
 
     async def accept_later(*given: Any) -> None:
         if failures:
             raise failures.pop()
         await accept(*given)
 
-    monkeypatch.setattr(_asyncio, "accept", accept_later)
-    monkeypatch.setattr(_stream_transport, "ACCEPT_PAUSE", 0)
+    monkeypatch.setattr(on_asyncio, "accept", accept_later)
+    monkeypatch.setattr(stream_transport, "ACCEPT_PAUSE", 0)
     async with serve(new_server(), "tcp://127.0.0.1:0") as (url,):
         assert await works(url)
     said = "tcp://127.0.0.1:0 cannot accept connections: [Errno 24] Too many open files"

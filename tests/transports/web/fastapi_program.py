@@ -10,7 +10,7 @@ from fastapi import FastAPI
 
 from fibaction import ActionServer, GoalHandle, serve
 from fibaction_transports.web import WebTransport
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 
 async def count(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:

@@ -12,7 +12,7 @@ import anyio
 import h11
 from anyio.abc import SocketStream
 
-from fibaction_transports.web._http_exchange import headers_in as headers_of
+from fibaction_transports.web.http.http_exchange import headers_in as headers_of
 from tests.transports.hearing import port_of
 
 PATIENCE = 10.0

@@ -14,7 +14,7 @@ import anyio
 import pytest
 
 from fibaction import GoalInfo, GoalStatus, connect
-from tests.fibonacci import FIBONACCI, Goal, Result
+from tests.support.fibonacci import FIBONACCI, Goal, Result
 from tests.transports.web.http_client import client_of, fetch
 
 pytestmark = pytest.mark.anyio

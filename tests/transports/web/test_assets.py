@@ -1,4 +1,4 @@
-"""`fibaction_transports.web._assets`: the files, and the headers that they come with."""
+"""`fibaction_transports.web.http.assets`: the files, and the headers that they come with."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 from fibaction import serve
 from fibaction_transports.web import HttpTransport, WebTransport
-from fibaction_transports.web._assets import MEDIA_TYPES, PAGE_POLICY, all_assets
+from fibaction_transports.web.http.assets import MEDIA_TYPES, PAGE_POLICY, all_assets
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.http_client import fetch
 from tests.transports.web.test_web_transport import http

@@ -1,4 +1,4 @@
-"""`fibaction_transports.web._goal_events`."""
+"""`fibaction_transports.web.rest.goal_events`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibaction._http_rules import Refused
-from fibaction_transports.web._goal_events import Cursor, cursor_of, event
+from fibaction._runtime.http_rules import Refused
+from fibaction_transports.web.rest.goal_events import Cursor, cursor_of, event
 
 
 @given(st.integers(0, 2**53), st.integers(1, 10**6))

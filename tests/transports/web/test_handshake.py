@@ -1,4 +1,4 @@
-"""`fibaction_transports.web._handshake`: requests and answers, byte for byte."""
+"""`fibaction_transports.web.http.handshake`: requests and answers, byte for byte."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from typing import Any
 
 import pytest
 
-from fibaction._http_rules import rules
-from fibaction.exceptions import (
+from fibaction._runtime.http_rules import rules
+from fibaction.wire.codec import encode
+from fibaction.wire.messages import Goodbye, Ping, Why
+from fibaction.words.errors import (
     AuthenticationFailed,
     ConnectionLost,
     InvalidURL,
     LimitReached,
     ProtocolError,
 )
-from fibaction.wire.codec import encode
-from fibaction.wire.messages import Goodbye, Ping, Why
-from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake, http_answer
+from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake, http_answer
 from tests.transports.web.upgrade import UPGRADE, upgrade
 
 

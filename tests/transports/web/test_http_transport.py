@@ -12,10 +12,12 @@ import pytest
 from anyio.streams.tls import TLSStream
 
 from fibaction import InvalidURL, LimitReached, Limits, TransportError, connect, serve
-from fibaction_transports.web import HttpTransport, TlsFiles, _http_exchange, _http_server
-from fibaction_transports.web._application import WebApplication
-from tests.certificates import pems
-from tests.fibonacci import FIBONACCI, Goal, Result
+from fibaction_transports.web import HttpTransport, TlsFiles
+from fibaction_transports.web.http import http_exchange
+from fibaction_transports.web.http import server as server_module
+from fibaction_transports.web.http.application import WebApplication
+from tests.support.certificates import pems
+from tests.support.fibonacci import FIBONACCI, Goal, Result
 from tests.transports.hearing import Hearing, hearing, port_of
 from tests.transports.tcp.servers import new_server, works
 from tests.transports.web.http_client import client_of, fetch
@@ -159,9 +161,9 @@ async def test_a_request_that_trickles_is_not_waited_for(data: bytes, log: Heari
 async def test_a_body_that_trickles_is_not_waited_for(
     monkeypatch: pytest.MonkeyPatch, log: Hearing
 ) -> None:
-    from fibaction_transports.web import _exchange
+    from fibaction_transports.web.http import exchange
 
-    monkeypatch.setattr(_exchange, "BODY_TIMEOUT", 0.1)
+    monkeypatch.setattr(exchange, "BODY_TIMEOUT", 0.1)
     head = f"POST {GOALS} HTTP/1.1\r\nHost: [::1]\r\nContent-Type: application/json\r\n"
     async with served() as url:
         said = await said_to(url, f"{head}Content-Length: 100\r\n\r\n".encode(), b"{")
@@ -226,7 +228,7 @@ async def test_requests_that_come_together_are_answered_in_turn() -> None:
 async def test_what_comes_behind_a_request_is_kept_for_the_next(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_http_exchange, "MOST_EARLY", 1)
+    monkeypatch.setattr(http_exchange, "MOST_EARLY", 1)
     body = b'{"order": 3}'
     post = (
         f"POST {GOALS}?wait=0.2 HTTP/1.1\r\nHost: [::1]\r\nContent-Type: application/json\r\n"
@@ -293,7 +295,7 @@ async def test_a_full_server_says_so(log: Hearing) -> None:
 async def test_a_client_that_is_rejected_and_reads_nothing_is_not_waited_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_http_server, "LEAVE", 0.05)
+    monkeypatch.setattr(server_module, "LEAVE", 0.05)
     async with served() as url:
         async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
             await stream.send(b"?\r\n\r\n")

@@ -1,4 +1,4 @@
-"""`fibaction_transports.web._openapi`: the description is valid, for any schemas."""
+"""`fibaction_transports.web.rest.openapi`: the description is valid, for any schemas."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import pytest
 from openapi_spec_validator import validate
 
 from fibaction import Action
-from fibaction.action import ActionInfo
-from fibaction_transports.web._openapi import describe
-from tests.fibonacci import FIBONACCI
+from fibaction.types.action import ActionInfo
+from fibaction_transports.web.rest.openapi import describe
+from tests.support.fibonacci import FIBONACCI
 
 
 class Arm(msgspec.Struct):

@@ -8,9 +8,9 @@ import anyio
 import pytest
 
 from fibaction import connect, serve
-from fibaction.metrics import CONTENT_TYPE, Metrics
+from fibaction.observe.metrics import CONTENT_TYPE, Metrics
 from fibaction_transports.web import HttpTransport, WebTransport
-from tests.fibonacci import FIBONACCI, Goal
+from tests.support.fibonacci import FIBONACCI, Goal
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.http_client import fetch
 from tests.transports.web.test_web_transport import http

@@ -1,4 +1,4 @@
-"""`fibaction_transports.web._problems`."""
+"""`fibaction_transports.web.http.problems`."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import json
 import pytest
 
 from fibaction import GoalID, GoalRejected, TransportError
-from fibaction._http_rules import Refused
-from fibaction.exceptions import ActionError, ConnectionLost, GoalKept, LimitReached, UnknownGoal
-from fibaction.json_payload import PayloadError
-from fibaction.states import GoalEvent, GoalStatus, InvalidTransition
-from fibaction_transports.web._problems import RETRY, STATUSES, problem_of
+from fibaction._runtime.http_rules import Refused
+from fibaction.schema.payload import PayloadError
+from fibaction.words.errors import ActionError, ConnectionLost, GoalKept, LimitReached, UnknownGoal
+from fibaction.words.statuses import GoalEvent, GoalStatus, InvalidTransition
+from fibaction_transports.web.http.problems import RETRY, STATUSES, problem_of
 
 GOAL = GoalID(bytes(15) + b"\1")
 

@@ -1,4 +1,4 @@
-"""`fibaction_transports.web._rest`, as curl meets it: requests, answers, and events."""
+"""`fibaction_transports.web.rest.handlers`, as curl meets it: requests, answers, and events."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.abc import Endpoint, ForwardingEndpoint, GoalStream, Meta
-from fibaction.action import ActionInfo
-from fibaction.exceptions import ConnectionLost
+from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream, Meta
+from fibaction.types.action import ActionInfo
+from fibaction.words.errors import ConnectionLost
 from fibaction_transports.inprocess import InProcessTransport
-from fibaction_transports.web import _event_stream, _exchange
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from fibaction_transports.web.http import exchange
+from fibaction_transports.web.rest import event_stream
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing, hearing
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.http_client import client_of, events_in, fetch
@@ -285,7 +286,7 @@ async def test_a_follower_that_goes_leaves_the_goal() -> None:
 
 
 async def test_a_quiet_stream_is_kept_alive(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_event_stream, "KEEP_ALIVE_AFTER", 0.05)
+    monkeypatch.setattr(event_stream, "KEEP_ALIVE_AFTER", 0.05)
     async with served(Held().server) as url, client_of(url) as client:
         await client.ask("POST", GOALS, {"order": 0}, accept=EVENTS)
         await client.until("\n\n:\n\n:\n\n")
@@ -300,7 +301,7 @@ async def test_much_feedback_is_told_in_few_pieces_and_in_order() -> None:
 
 
 async def test_a_client_that_does_not_read_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_exchange, "WRITE_TIMEOUT", 0.1)
+    monkeypatch.setattr(exchange, "WRITE_TIMEOUT", 0.1)
 
     async def endless(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
         try:

@@ -15,10 +15,10 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.urls import transport_for
+from fibaction.border.urls import transport_for
 from fibaction_transports.web import RosbridgeTransport, TlsFiles
-from tests.certificates import pems
-from tests.fibonacci import FIBONACCI, Goal, Result
+from tests.support.certificates import pems
+from tests.support.fibonacci import FIBONACCI, Goal, Result
 from tests.transports.web.rosbridge.robot import Robot
 
 pytestmark = pytest.mark.anyio

@@ -1,12 +1,12 @@
-"""`fibaction_transports.web._routes`."""
+"""`fibaction_transports.web.rest.routes`."""
 
 from __future__ import annotations
 
 import pytest
 
 from fibaction import GoalID
-from fibaction._http_rules import Refused
-from fibaction_transports.web._routes import Resource, Route, route_of
+from fibaction._runtime.http_rules import Refused
+from fibaction_transports.web.rest.routes import Resource, Route, route_of
 
 ID = "0123456789abcdef0123456789abcdef"
 

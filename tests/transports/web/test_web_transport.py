@@ -15,7 +15,8 @@ from fibaction import InvalidURL, Limits, TransportError, connect, serve
 from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.wire.messages import VERSION, Goodbye, Hello, Welcome
-from fibaction_transports.web import WebTransport, _application
+from fibaction_transports.web import WebTransport
+from fibaction_transports.web.http import application
 from tests.transports.hearing import Hearing, hearing
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.test_rest import Held
@@ -149,7 +150,7 @@ async def test_it_serves_once_at_a_time() -> None:
 async def test_it_answers_while_it_serves() -> None:
     web = WebTransport()
     status, problem = await answer_of(web, http())
-    assert (status, problem["detail"]) == (503, _application.NOT_SERVING)
+    assert (status, problem["detail"]) == (503, application.NOT_SERVING)
     async with served(web):
         assert (await answer_of(web, http()))[0] == 200
     assert (await answer_of(web, http()))[0] == 503
@@ -204,7 +205,7 @@ async def test_a_client_that_has_gone_is_no_error(log: Hearing) -> None:
 async def test_streams_that_are_open_at_the_end_are_cut_and_no_others_begin(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_application, "LEAVE_TIMEOUT", 0.2)
+    monkeypatch.setattr(application, "LEAVE_TIMEOUT", 0.2)
     web, held = WebTransport(), Held()
     headers = [(b"host", b"[::1]"), (b"content-type", b"application/json")]
     headers.append((b"accept", b"text/event-stream"))

@@ -1,4 +1,4 @@
-"""`fibaction_transports.web._websocket_frames`: frames in messages, without a network."""
+"""`fibaction_transports.web.http.websocket_frames`: frames in messages, without a network."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from wsproto.connection import Connection, ConnectionType
 from wsproto.events import BytesMessage, CloseConnection, Event, Ping, Pong, TextMessage
 
-from fibaction._budget import ByteBudget
-from fibaction._http_rules import rules
-from fibaction.exceptions import ActionError, ConnectionLost, LimitReached, ProtocolError
+from fibaction._runtime.budget import ByteBudget
+from fibaction._runtime.http_rules import rules
 from fibaction.wire.frames import FrameMemory, FrameReader, framed, header
-from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake
-from fibaction_transports.web._websocket_frames import WebSocketFraming
+from fibaction.words.errors import ActionError, ConnectionLost, LimitReached, ProtocolError
+from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake
+from fibaction_transports.web.http.websocket_frames import WebSocketFraming
 from tests.transports.web.upgrade import upgrade
 
 LIMIT = 1000

@@ -8,19 +8,19 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 from urllib.parse import SplitResult, unquote, urlsplit
 
-from fibaction._asyncio_task import asyncio_task
-from fibaction.abc import Connection, Endpoint
-from fibaction.exceptions import TransportError
-from fibaction.goal_store import GoalStore
-from fibaction.wire.connection import open_connection
+from fibaction._runtime.asyncio_task import asyncio_task
+from fibaction.border.abc import Connection, Endpoint
+from fibaction.border.goal_store import GoalStore
+from fibaction.wire.client.connection import open_connection
 from fibaction.wire.settings import WireKeywords
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import ConfiguredTransport
-from fibaction_transports.nats.fleet_names import FleetNames
-from fibaction_transports.nats.fleet_settings import FleetSettings
+from fibaction.words.errors import TransportError
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.settings import FleetSettings
 
 if TYPE_CHECKING:
-    from fibaction_transports.nats.worker import Worker
+    from fibaction_transports.nats.worker.worker import Worker
 
 PORT = 4222
 """The default port of a broker."""
@@ -145,11 +145,11 @@ class NatsTransport(ConfiguredTransport):
     async def connect(self) -> AsyncGenerator[Connection, None]:
         """See `Transport.connect`."""
         self._check_loop()
-        from fibaction_transports.nats.nats_broker import open_broker
+        from fibaction_transports.nats.broker.nats_broker import open_broker
 
         async with open_broker(self.settings) as broker:
             if self.settings.worker:
-                from fibaction_transports.nats.line import ClientLines
+                from fibaction_transports.nats.lines.line import ClientLines
 
                 max_frame = self.client_settings.max_frame
                 lines = ClientLines(broker, self._names, max_frame=max_frame)
@@ -159,7 +159,7 @@ class NatsTransport(ConfiguredTransport):
                 ) as connection:
                     yield connection
             else:
-                from fibaction_transports.nats.fleet_connection import open_fleet
+                from fibaction_transports.nats.client.connection import open_fleet
 
                 async with open_fleet(broker, self._names, self.settings) as fleet:
                     yield fleet
@@ -173,8 +173,8 @@ class NatsTransport(ConfiguredTransport):
                 f"{self.url}: this transport is a worker already; make another one for another"
                 f" worker"
             )
-        from fibaction_transports.nats.nats_broker import open_broker
-        from fibaction_transports.nats.worker import open_worker
+        from fibaction_transports.nats.broker.nats_broker import open_broker
+        from fibaction_transports.nats.worker.worker import open_worker
 
         async with open_broker(self.settings) as broker:
             settings = self.settings.of_worker(broker.brokers)

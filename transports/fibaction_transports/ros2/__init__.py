@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from fibaction.exceptions import TransportError
+from fibaction.words.errors import TransportError
 
 if find_spec("rclpy") is None:
     raise TransportError(

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from fibaction.exceptions import TransportError
+from fibaction.words.errors import TransportError
 
 
 class ActionNames(NamedTuple):

@@ -9,20 +9,20 @@ from urllib.parse import parse_qsl, urlencode, urlsplit
 
 import msgspec
 
-from fibaction.abc import Connection, Endpoint, Transport
-from fibaction.exceptions import InvalidURL, TransportError
-from fibaction.urls import check_settings, unknown_setting, without_settings
-from fibaction_transports.ros2.action_server import ServedEndpoint, serve_actions
-from fibaction_transports.ros2.end_settings import EndSettings, check_range
-from fibaction_transports.ros2.endpoint import connect_actions
+from fibaction.border.abc import Connection, Endpoint, Transport
+from fibaction.border.urls import check_settings, unknown_setting, without_settings
+from fibaction.words.errors import InvalidURL, TransportError
+from fibaction_transports.ros2.client.endpoint import connect_actions
 from fibaction_transports.ros2.names import action_names
-from fibaction_transports.ros2.node import (
+from fibaction_transports.ros2.node.node import (
     LAST_DOMAIN,
     NodeSettings,
     RosNode,
     own_node,
     users_node,
 )
+from fibaction_transports.ros2.server.action_server import ServedEndpoint, serve_actions
+from fibaction_transports.ros2.settings import EndSettings, check_range
 
 _YES_OR_NO = {"true": True, "false": False}
 

@@ -9,7 +9,7 @@ from urllib.parse import SplitResult
 from fibaction.wire.settings import WireKeywords
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import host_only
-from fibaction_transports._streams._host_transport import HostTransport, port_in
+from fibaction_transports._socket_lines.host_transport import HostTransport, port_in
 
 HOST, PORT = "127.0.0.1", 7400
 """The default address: on this machine only."""

@@ -11,13 +11,13 @@ from urllib.parse import SplitResult, unquote
 import anyio
 from anyio.abc import Listener
 
-from fibaction._asyncio_task import asyncio_task
-from fibaction.exceptions import TransportError
+from fibaction._runtime.asyncio_task import asyncio_task
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import WireKeywords
-from fibaction_transports._streams import _asyncio
-from fibaction_transports._streams._stream_transport import StreamTransport
+from fibaction.words.errors import TransportError
+from fibaction_transports._socket_lines import on_asyncio
+from fibaction_transports._socket_lines.stream_transport import StreamTransport
 
 
 class UnixTransport(StreamTransport):
@@ -53,7 +53,7 @@ class UnixTransport(StreamTransport):
     async def _connect(self) -> Line:
         reader = FrameReader(self.client_settings.max_frame)
         if asyncio_task() is not None:
-            return await _asyncio.dial_unix(self._path, reader, self.url)
+            return await on_asyncio.dial_unix(self._path, reader, self.url)
         return StreamChannel(await anyio.connect_unix(self._path), self.url, reader)
 
     async def _listen(self) -> tuple[Listener[Any], str]:

@@ -9,15 +9,15 @@ from typing import Any, ClassVar, Unpack
 
 from anyio.abc import Listener
 
-from fibaction._asyncio_task import asyncio_task
-from fibaction.metrics import Metrics
+from fibaction._runtime.asyncio_task import asyncio_task
+from fibaction.observe.metrics import Metrics
 from fibaction.wire.transport import boolean
 from fibaction.wire.wire_server import WireServer
-from fibaction_transports._streams._sockets import accept_sockets
-from fibaction_transports._streams._tls import TlsListener
-from fibaction_transports.web._application import WebApplication
-from fibaction_transports.web._handshake import http_answer
-from fibaction_transports.web._http_server import HttpServer
+from fibaction_transports._socket_lines.sockets import accept_sockets
+from fibaction_transports._socket_lines.tls import TlsListener
+from fibaction_transports.web.http.application import WebApplication
+from fibaction_transports.web.http.handshake import http_answer
+from fibaction_transports.web.http.server import HttpServer
 from fibaction_transports.web.websocket_transport import (
     HOST,
     WebSocketKeywords,

@@ -8,17 +8,17 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, ClassVar, NoReturn
 
-from fibaction._tasks import Background
-from fibaction.abc import Connection
-from fibaction.exceptions import TransportError
+from fibaction._runtime.tasks import Background
+from fibaction.border.abc import Connection
 from fibaction.wire.frames import Framing
 from fibaction.wire.settings import Limits, WireKeywords
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import boolean
-from fibaction_transports.web._handshake import ClientHandshake
-from fibaction_transports.web.rosbridge._client_connection import RosbridgeConnection
-from fibaction_transports.web.rosbridge._client_frames import RosbridgeClientFraming
-from fibaction_transports.web.rosbridge._link_keeper import ClientTerms, LinkKeeper
+from fibaction.words.errors import TransportError
+from fibaction_transports.web.http.handshake import ClientHandshake
+from fibaction_transports.web.rosbridge.client.connection import RosbridgeConnection
+from fibaction_transports.web.rosbridge.client.frames import RosbridgeClientFraming
+from fibaction_transports.web.rosbridge.client.link_opener import ClientTerms, LinkKeeper
 from fibaction_transports.web.websocket_transport import HOST, WebSocketTransport
 
 if TYPE_CHECKING:

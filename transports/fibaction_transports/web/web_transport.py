@@ -7,15 +7,15 @@ from contextlib import asynccontextmanager
 from typing import Any, ClassVar, NoReturn, Unpack
 from urllib.parse import SplitResult
 
-from fibaction._http_rules import rules
-from fibaction.exceptions import TransportError
-from fibaction.metrics import Metrics
+from fibaction._runtime.http_rules import rules
+from fibaction.observe.metrics import Metrics
 from fibaction.wire.channel import Line
 from fibaction.wire.settings import ServerKeywords
 from fibaction.wire.transport import WireTransport
 from fibaction.wire.wire_server import WireServer
-from fibaction_transports.web._application import WebApplication, refuse
-from fibaction_transports.web._exchange import Receive, Scope, Send
+from fibaction.words.errors import TransportError
+from fibaction_transports.web.http.application import WebApplication, refuse
+from fibaction_transports.web.http.exchange import Receive, Scope, Send
 
 URL = "asgi://"
 """The URL of an application, whose address only the program knows that it is part of."""

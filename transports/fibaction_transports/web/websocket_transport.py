@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 from urllib.parse import SplitResult, quote, unquote
 
-from fibaction._http_rules import HttpRules, rules
+from fibaction._runtime.http_rules import HttpRules, rules
 from fibaction.wire.frames import FrameReader, Framing
 from fibaction.wire.settings import WireKeywords
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import boolean, without_user
-from fibaction_transports._streams._host_transport import HostTransport, port_in
-from fibaction_transports.web._handshake import ClientHandshake, ServerHandshake, http_answer
-from fibaction_transports.web._websocket_frames import WebSocketFraming
+from fibaction_transports._socket_lines.host_transport import HostTransport, port_in
+from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake, http_answer
+from fibaction_transports.web.http.websocket_frames import WebSocketFraming
 
 if TYPE_CHECKING:
     from fibaction.wire.wire_server import WireServer

@@ -15,7 +15,7 @@ from wsproto.connection import Connection, ConnectionType
 from wsproto.events import BytesMessage, CloseConnection, Event, Message, Ping, Pong, TextMessage
 
 from fibaction import serve
-from fibaction.abc import Endpoint
+from fibaction.border.abc import Endpoint
 from fibaction_transports.web import HttpTransport, WebTransport
 from tests.transports.hearing import port_of
 from tests.transports.web.test_web_transport import Call

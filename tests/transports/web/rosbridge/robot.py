@@ -15,7 +15,7 @@ from fibaction import (
     GoalHandle,
     GoalRejected,
 )
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 TYPE = "arduinobot_msgs/action/Fibonacci"
 

@@ -12,11 +12,11 @@ import pytest
 from wsproto.events import TextMessage
 
 from fibaction import ActionServer, GoalHandle, Limits, Peer, Permission
-from fibaction.abc import ForwardingEndpoint, GoalStream
-from fibaction.exceptions import ServerNotFound
-from fibaction.goals import CancelAnswer, GoalID
-from fibaction_transports.web.rosbridge import _rosbridge_channel, _translator
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.border.abc import ForwardingEndpoint, GoalStream
+from fibaction.words.errors import ServerNotFound
+from fibaction.words.goals import CancelAnswer, GoalID
+from fibaction_transports.web.rosbridge.server import channel, translator
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.hearing import Hearing, hearing
 from tests.transports.web.rosbridge.clients import (
     AsgiClient,
@@ -146,7 +146,7 @@ async def test_operations_that_are_not_served_are_ignored_and_logged_once(
             await client.say(op=f"op{number}")
         assert await works(client)
     ignored = [one.getMessage() for one in log.records if "is not served" in one.getMessage()]
-    assert len(ignored) == _translator.MOST_NOTES
+    assert len(ignored) == translator.MOST_NOTES
     assert "'set_level'" in ignored[0]
 
 
@@ -496,7 +496,7 @@ async def test_a_goal_that_fails_on_the_way_is_told(serving: Serving) -> None:
 
 
 async def test_a_client_without_pongs_is_dead(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_translator, "PATIENCE", 0.05)
+    monkeypatch.setattr(translator, "PATIENCE", 0.05)
     with hearing() as wire:
         async with over_sockets(Robot().server, heartbeat=0.05) as served:
             async with served.connect() as alive, served.connect() as dead:
@@ -510,14 +510,14 @@ async def test_a_client_without_pongs_is_dead(monkeypatch: pytest.MonkeyPatch) -
 
 
 async def test_an_asgi_server_watches_the_line_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_translator, "PATIENCE", 0.02)
+    monkeypatch.setattr(translator, "PATIENCE", 0.02)
     async with over_asgi(Robot().server, heartbeat=0.02) as served, served.connect() as client:
         await anyio.sleep(0.2)  # it is the time that must not count
         assert await works(client)
 
 
 async def test_a_client_that_takes_nothing_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_rosbridge_channel, "LEAVE", 0.05)
+    monkeypatch.setattr(channel, "LEAVE", 0.05)
     with hearing() as wire:
         async with over_asgi(Robot().server, heartbeat=0.05) as served:
             async with served.connect() as client:

@@ -14,8 +14,8 @@ import anyio
 import pytest
 
 from fibaction import serve
-from tests.node import IS_LEFT_OUT, MISSING, run_node
-from tests.processes import Finished, ended
+from tests.support.node import IS_LEFT_OUT, MISSING, run_node
+from tests.support.processes import Finished, ended
 from tests.transports.web.rosbridge.robot import Robot
 from tests.transports.web.test_asgi_servers import ROOT, running
 

@@ -8,10 +8,10 @@ import msgspec
 import pytest
 
 from fibaction import Action, ActionServer
-from fibaction.abc import ForwardingEndpoint
-from fibaction.action import ActionInfo
-from fibaction.ros_types import Int32, UInt8, UInt64, array, struct
-from tests.fibonacci import FIBONACCI, fibonacci
+from fibaction.border.abc import ForwardingEndpoint
+from fibaction.interfaces.ros_types import Int32, UInt8, UInt64, array, struct
+from fibaction.types.action import ActionInfo
+from tests.support.fibonacci import FIBONACCI, fibonacci
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.rosbridge.clients import RosbridgeClient, Serving
 from tests.transports.web.rosbridge.robot import TYPE, goal

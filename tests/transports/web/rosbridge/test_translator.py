@@ -8,8 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fibaction._budget import ByteBudget
-from fibaction.states import GoalStatus
+from fibaction._runtime.budget import ByteBudget
 from fibaction.wire.codec import FromClient, decode_from_client, encode
 from fibaction.wire.frames import FrameMemory
 from fibaction.wire.messages import (
@@ -24,8 +23,9 @@ from fibaction.wire.messages import (
     Welcome,
 )
 from fibaction.wire.settings import ServerSettings
-from fibaction_transports.web.rosbridge import _pending_calls
-from fibaction_transports.web.rosbridge._translator import RosbridgeTranslator
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.web.rosbridge.server import pending_calls
+from fibaction_transports.web.rosbridge.server.translator import RosbridgeTranslator
 from tests.transports.hearing import Hearing
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.rosbridge.robot import goal, result
@@ -54,7 +54,7 @@ def send(translator: RosbridgeTranslator, **more: Any) -> SendGoal:
 def test_a_goal_gets_more_credit_when_it_has_used_it_up(
     translator: RosbridgeTranslator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_pending_calls, "CREDIT", 2)
+    monkeypatch.setattr(pending_calls, "CREDIT", 2)
     request = send(translator)
     assert request.credit == 2
     feedback = encode(Feedback(request.id, 1, msgspec.msgpack.encode({})))

@@ -28,7 +28,7 @@ from wsproto.events import (
 )
 from wsproto.utilities import LocalProtocolError
 
-from fibaction._notify import Notifier
+from fibaction._runtime.notify import Notifier
 from tests.transports.proxy import BROKEN
 
 BROKEN_OR_ENDED: tuple[type[Exception], ...] = (*BROKEN, anyio.EndOfStream)

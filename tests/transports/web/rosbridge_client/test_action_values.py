@@ -1,4 +1,4 @@
-"""`fibaction_transports.web.rosbridge._action_values`: values as rosbridge has them."""
+"""`fibaction_transports.web.rosbridge.types.action_values`: values as rosbridge has them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from fibaction.action import ActionInfo
-from fibaction.json_payload import PayloadError
-from fibaction_transports.web.rosbridge._action_values import (
+from fibaction.schema.payload import PayloadError
+from fibaction.types.action import ActionInfo
+from fibaction_transports.web.rosbridge.types.action_values import (
     LONGEST_LIST,
     ActionValues,
     MessageValues,

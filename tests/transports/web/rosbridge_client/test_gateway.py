@@ -33,9 +33,9 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.json_payload import JsonCodec, PayloadError
-from fibaction.ros_types import array, struct
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.interfaces.ros_types import array, struct
+from fibaction.schema.payload import JsonCodec, PayloadError
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.web.rosbridge.robot import Robot
 
 pytestmark = pytest.mark.anyio

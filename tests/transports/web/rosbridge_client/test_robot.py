@@ -32,13 +32,14 @@ from fibaction import (
     TransportError,
     connect,
 )
-from fibaction.goals import ActionPeers
-from fibaction.json_payload import JsonCodec
-from fibaction.ros_types import Int32, array
+from fibaction.interfaces.ros_types import Int32, array
+from fibaction.schema.payload import JsonCodec
+from fibaction.words.goals import ActionPeers
 from fibaction_transports.web import RosbridgeTransport
-from fibaction_transports.web.rosbridge import _client_endpoint, _described_types, _link_keeper
-from fibaction_transports.web.rosbridge._described_types import UNKNOWN, DescribedTypes
-from tests.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction_transports.web.rosbridge.client import described_types, link_opener
+from fibaction_transports.web.rosbridge.client import endpoint as endpoint_module
+from fibaction_transports.web.rosbridge.client.described_types import UNKNOWN, DescribedTypes
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.hearing import Hearing
 from tests.transports.web.rosbridge_client.servers import (
     SHOW,
@@ -429,7 +430,7 @@ async def test_a_server_that_answers_pings_lives_and_one_that_does_not_is_dead()
 async def test_a_server_that_does_not_accept_the_websocket_is_not_found(
     half: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_link_keeper, "HANDSHAKE", 0.05)
+    monkeypatch.setattr(link_opener, "HANDSHAKE", 0.05)
 
     async def say_half(stream: Any) -> None:
         async with stream:
@@ -460,7 +461,7 @@ async def test_a_host_that_does_not_answer_is_not_found(monkeypatch: pytest.Monk
     async def never(self: RosbridgeTransport) -> None:
         await anyio.sleep_forever()
 
-    monkeypatch.setattr(_link_keeper, "HANDSHAKE", 0.01)
+    monkeypatch.setattr(link_opener, "HANDSHAKE", 0.01)
     monkeypatch.setattr(RosbridgeTransport, "open_line", never)
     async with connect("rosbridge://robot", FIBONACCI) as client:
         with pytest.raises(ServerNotFound, match=r"rosbridge://robot:9090 cannot be reached"):
@@ -613,7 +614,7 @@ async def test_rosapi_is_not_asked_for_types_if_that_is_set() -> None:
 async def test_a_server_that_always_has_new_types_is_asked_again_for_the_oldest(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_described_types, "MOST_TYPES", 2)
+    monkeypatch.setattr(described_types, "MOST_TYPES", 2)
     asked: list[str] = []
 
     async def call(service: str, args: dict[str, Any]) -> Any:
@@ -724,7 +725,7 @@ async def test_an_answer_to_a_cancel_that_is_not_one_is_an_error(values: Any) ->
 async def test_an_action_is_waited_for_until_rosapi_lists_it(
     log: Hearing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_client_endpoint, "PAUSE", 0.01)
+    monkeypatch.setattr(endpoint_module, "PAUSE", 0.01)
     said: list[Any] = ["no rosapi", "no rosapi", [], None, ["/fibonacci"]]
 
     class Starting(SilentServer):
@@ -777,7 +778,7 @@ async def test_schemas_that_cannot_be_used_are_an_error() -> None:
 async def test_a_connection_remembers_a_limited_number_of_goals(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(_link_keeper, "MOST_SENT", 2)
+    monkeypatch.setattr(link_opener, "MOST_SENT", 2)
     async with robot() as (_, client):
         ids = [GoalID.random() for _ in range(3)]
         for goal_id in ids:

@@ -1,4 +1,5 @@
-"""`fibaction_transports.web.rosbridge._type_schemas`: JSON Schemas from rosapi's definitions."""
+"""`fibaction_transports.web.rosbridge.types.type_schemas`: JSON Schemas from rosapi's
+definitions."""
 
 from __future__ import annotations
 
@@ -7,9 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fibaction._json_schema import MAX_PARTS
-from fibaction.json_payload import JsonCodec, PayloadError
-from fibaction.ros_types import (
+from fibaction.interfaces.ros_types import (
     Byte,
     Char,
     Int8,
@@ -23,8 +22,10 @@ from fibaction.ros_types import (
     array,
     struct,
 )
-from fibaction_transports.web.rosbridge._type_details import TypeDefinition
-from fibaction_transports.web.rosbridge._type_schemas import schema_of
+from fibaction.schema.json_schema import MAX_PARTS
+from fibaction.schema.payload import JsonCodec, PayloadError
+from fibaction_transports.web.rosbridge.types.type_details import TypeDefinition
+from fibaction_transports.web.rosbridge.types.type_schemas import schema_of
 
 FIELDS = [
     # The field as rosapi of rosbridge_suite tells it, and its type and its default in ROS.

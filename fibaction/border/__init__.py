@@ -1,0 +1,1 @@
+"""The interfaces that an author of a transport, a store or a watcher implements or calls."""

@@ -1,0 +1,33 @@
+"""`GoalSpan`: the notes of a client about one of its goals, for traces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fibaction.border.abc import GoalStream, Meta
+from fibaction.words.goals import Outcome
+
+
+class GoalSpan:
+    """The notes about one goal. Those of this class do nothing; one object serves all goals.
+
+    The first of `failed`, `ended` and `left` counts. None of the methods raises an error.
+    """
+
+    meta: Meta | None = None
+    """The text that goes with the goal."""
+
+    def accepted(self, stream: GoalStream) -> None:
+        """Note that the server has accepted the goal."""
+
+    def failed(self, error: BaseException) -> None:
+        """Note the error of a wait for the goal."""
+
+    def ended(self, outcome: Outcome[Any]) -> None:
+        """Note the outcome."""
+
+    def left(self, stream: GoalStream, error: BaseException | None = None) -> None:
+        """Note that the client leaves an accepted goal, because of that error if there is one."""
+
+
+NO_SPAN = GoalSpan()

@@ -1,0 +1,174 @@
+"""`GoalStore`: the interface of a place where goals outlive the process of their server.
+
+Theory of operation
+-------------------
+
+A server opens a store for its action, gets the goals that are kept there (`claim`), and writes each
+step of a goal's life into a `GoalJournal`: accepted, begun, cancel accepted, checkpoint, ended. It
+tells a client nothing that is not kept yet.
+
+Each method of a journal takes what it needs of the `StoredGoal` and returns at once. Its `then` is
+called on the event loop when the write is durable: with None, or with the error if it has failed.
+The calls of `then` come in the order of the writes. After a `StoreError` nothing can be written any
+more; after a `GoalTaken` this goal belongs to another server, which it tells apart. After a
+`RecordTooLarge` this write alone has failed: of `accept`, `checkpoint` or `end`.
+
+A goal can come to a server at any time, always by `claim`: it was found when the store was opened,
+it was left by another server that is gone, or it comes from a queue that several servers share.
+
+A store does not depend on executors, schedules or transports, and a server does not know what a
+store writes to.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from typing import TypeAlias
+
+import msgspec
+
+from fibaction.words.errors import StoreError
+from fibaction.words.goals import GoalID, Sender
+from fibaction.words.statuses import GoalStatus
+
+
+class StoredGoal(msgspec.Struct, array_like=True, gc=False):
+    """The state of a goal as it is kept in a store."""
+
+    goal_id: GoalID
+    stamp: int
+    """Time of the acceptance: nanoseconds since 1970."""
+    sender: Sender
+    """The client that owns the goal."""
+    digest: bytes
+    """Digest of the goal, which tells a retry from another goal with the same ID."""
+    goal: bytes
+    """The goal as it was sent; empty after the end."""
+    deadline: int = 0
+    """Time at which the client gives the goal up: nanoseconds since 1970; 0 if it does not."""
+    status: GoalStatus = GoalStatus.ACCEPTED
+    """ACCEPTED, CANCELING, or an end; never EXECUTING, which `attempt` tells."""
+    is_running: bool = False
+    """True from the begin of an attempt until the goal ends or is released."""
+    attempt: int = 0
+    """The number of attempts that have begun."""
+    lost: int = 0
+    """The number of attempts whose process was gone before the goal ended or was released."""
+    checkpoint: bytes | None = None
+    """The last checkpoint of the executor; None if there is none, and after the end."""
+    result: bytes | None = None
+    """The result of a goal that has ended, or what there is of it."""
+    reason: str = ""
+    """The reason of the end."""
+    feedback_count: int = 0
+    """The number of feedback messages of the last attempt; known after the end."""
+    ended_at: int = 0
+    """Time of the end: nanoseconds since 1970; 0 while the goal is active."""
+    keep_until: int = 0
+    """Time until which the outcome is kept: nanoseconds since 1970; 0 for ever."""
+    worker: str = ""
+    """The name of the worker that has the goal; empty if the store has one server for each action.
+    """
+    meta: dict[str, str] | None = None
+    """The small text map that came with the goal; None if it is empty, and after the end."""
+
+    @property
+    def told_status(self) -> GoalStatus:
+        """The status that clients know: an active goal that has begun is EXECUTING."""
+        has_begun = self.attempt and self.status is GoalStatus.ACCEPTED
+        return GoalStatus.EXECUTING if has_begun else self.status
+
+
+Then: TypeAlias = Callable[[StoreError | None], None]
+"""The function that is called on the event loop when a write is durable, or has failed."""
+
+
+class GoalTaken(StoreError):
+    """The goal belongs to another server by now; this one may write nothing more about it."""
+
+
+class RecordTooLarge(StoreError):
+    """The goal, its checkpoint or its result is too large for the store; the text says how large.
+
+    Nothing was written, and the other goals are not affected.
+    """
+
+
+class GoalJournal(ABC):
+    """The goals of one action in an open store. See the module for the rules of all methods."""
+
+    @property
+    def valid_until(self) -> float:
+        """Time by the event loop's clock until which the goals belong to this server for certain.
+
+        From then on no executor may take another step, unless it has become later meanwhile.
+        """
+        return math.inf
+
+    def set_room(self, running: float, waiting: float) -> None:  # noqa: B027  # most need no room
+        """Note how many more goals the server can run now, and how many more can wait in its queue.
+
+        Both are 0 while the server starts, drains or stops, and `math.inf` without a limit. The
+        server calls it each time one of them becomes zero, or more than zero. A store that several
+        servers share hands over goals by it.
+        """
+
+    @abstractmethod
+    def accept(self, goal: StoredGoal, then: Then) -> None:
+        """Keep a new goal, which is running already if it need not wait."""
+
+    @abstractmethod
+    def begin(self, goal: StoredGoal, then: Then) -> None:
+        """Keep that an attempt begins: `is_running`, `attempt` and `lost` have changed."""
+
+    @abstractmethod
+    def cancel(self, goal: StoredGoal, then: Then) -> None:
+        """Keep that a cancel of the goal was accepted: `status` is CANCELING."""
+
+    @abstractmethod
+    def checkpoint(self, goal: StoredGoal, then: Then) -> None:
+        """Keep a checkpoint: `checkpoint` has changed."""
+
+    @abstractmethod
+    def end(self, goal: StoredGoal, then: Then) -> None:
+        """Keep the end of the goal: `status` is terminal, and all fields of an end are set.
+
+        What is needed only to run the goal is not kept any longer.
+        """
+
+    @abstractmethod
+    def release(self, goal: StoredGoal, then: Then) -> None:
+        """Keep that the goal is free, to be run again: `is_running` is False."""
+
+
+class GoalStore(ABC):
+    """A place where the goals of servers outlive their process."""
+
+    tells_statuses: bool = False
+    """True if clients follow the statuses of goals in the store, and not at the server, which then
+    cannot know whether they are followed."""
+
+    @abstractmethod
+    def open(
+        self,
+        action: str,
+        *,
+        max_results: int,
+        claim: Callable[[StoredGoal], None],
+        lose: Callable[[GoalID], None],
+    ) -> AbstractAsyncContextManager[GoalJournal]:
+        """Open the store for the goals of an action, for as long as the block lasts.
+
+        Before the block begins, `claim` is called for each goal that is kept: first for those that
+        have ended, in the order of their ends, then for the active ones, in the order of their
+        stamps. Later it is called for each goal that this server is to take over. At most
+        `max_results` ended goals are kept; the oldest are forgotten, and so are those whose
+        `keep_until` has passed. `lose` is called for a goal that another server has taken over. The
+        end of the block waits for the writes that are under way.
+
+        Raises:
+            StoreError: The store cannot be used, or is in use; the text says why.
+        """

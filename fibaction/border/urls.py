@@ -1,0 +1,103 @@
+"""Find the transport of a URL, through the entry-point group `fibaction.transports`.
+
+So any installed package can bring a transport.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Any
+
+from fibaction.border.abc import Transport
+from fibaction.words.errors import InvalidURL, TransportError
+
+GROUP = "fibaction.transports"
+
+
+def transport_for(where: str | Transport, **settings: Any) -> Transport:
+    """Return the transport of a URL; a transport is returned as it is.
+
+    `settings` go to the constructor of the transport, and count for more than those in the URL.
+
+    Raises:
+        InvalidURL: The URL is malformed, or no installed package has a transport for its scheme.
+        TransportError: A package that the transport needs is not installed.
+        TypeError: The transport has no such setting; or `where` is a transport, which has its
+            settings already, or is something else.
+    """
+    if isinstance(where, Transport):
+        if settings:
+            raise TypeError(f"{', '.join(settings)}: these belong into the transport's constructor")
+        return where
+    _check_is_address(where)
+    scheme, separator, _ = where.partition("://")
+    if not separator:
+        shown = without_settings(where)
+        raise InvalidURL(f"{shown!r} is not a URL: write it like tcp://127.0.0.1:7400")
+    from importlib.metadata import entry_points  # slow to import, and needed here only
+
+    found = tuple(entry_points(group=GROUP, name=scheme))
+    if not found:
+        known = ", ".join(sorted({f"{entry.name}://" for entry in entry_points(group=GROUP)}))
+        raise InvalidURL(
+            f"no transport for {scheme}:// is installed; installed are {known or 'none at all'}"
+        )
+    try:
+        transport: type[Transport] = found[0].load()
+    except TransportError:
+        raise  # it says by itself what it needs
+    except ModuleNotFoundError as exc:
+        raise TransportError(
+            f"{scheme}:// needs the module {exc.name!r}, which is not installed: install it,"
+            f" or the extra of {found[0].dist.name if found[0].dist else 'its package'!r}"
+            f" that brings it"
+        ) from exc
+    except Exception as exc:  # the import of any other package may raise anything
+        raise TransportError(
+            f"the transport for {scheme}://, {found[0].value}, cannot be imported: {exc}"
+        ) from exc
+    return transport.from_url(where, **settings)
+
+
+def _check_is_address(where: object) -> None:
+    """Check that an address is text, and not for example a server.
+
+    Raises:
+        TypeError: It is not.
+    """
+    if not isinstance(where, str):
+        raise TypeError(
+            f"an address is a URL such as 'tcp://127.0.0.1:7400', or a transport, and not {where!r}"
+        )
+
+
+def without_settings(url: str) -> str:
+    """Return a URL without anything that may be secret, for errors and logs.
+
+    Its settings may have a token, and there may be a password before an `@`.
+    """
+    return re.sub("://[^/]*@", "://", url.partition("?")[0])
+
+
+def check_settings(where: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Check that a transport has all settings that it is given by keyword.
+
+    Raises:
+        TypeError: It does not have one; the text lists those that it has.
+    """
+    names = tuple(known)
+    for name in given:
+        if name not in names:
+            raise TypeError(unknown_setting(where, name, names))
+
+
+def unknown_setting(where: str, name: str, known: Iterable[str]) -> str:
+    """Return the sentence about a setting that a transport does not have."""
+    from difflib import get_close_matches  # needed for this sentence only
+
+    names = tuple(known)
+    near = get_close_matches(name, names, 1)
+    hint = f": did you mean {near[0]!r}?" if near else ";"
+    has = f"its settings are {', '.join(names)}" if names else "it has no settings"
+    return f"{where} has no setting {name!r}{hint} {has[0].upper() + has[1:] if near else has}"

@@ -1,0 +1,88 @@
+"""`Watcher`: the interface of metrics, traces and recordings, called by an action server."""
+
+from __future__ import annotations
+
+from fibaction.border.abc import FeedbackItem
+from fibaction.types.action import ActionInfo
+from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome, Sender
+from fibaction.words.meta import Meta
+
+__all__ = ["Watcher"]
+
+
+class Watcher:
+    """A base class for programs that see everything that happens to the goals of a server.
+
+    Override the methods that you need; the others do nothing. The server calls them in its event
+    loop, at the moment at which it happens, so they must be fast and must not wait: hand slow work
+    to a thread. An exception of a method is logged once for each watcher, and changes nothing for
+    the goal. The bytes of goals, feedback and results are those that clients get, in msgpack.
+
+    One watcher may belong to several servers; `action` is the name of the server's action.
+
+    For example:
+
+        class Counter(Watcher):
+            def __init__(self) -> None:
+                self.ends = 0
+
+            def ended(self, action: str, info: GoalInfo, outcome: Outcome[bytes]) -> None:
+                self.ends += 1
+
+        ActionServer(DRIVE, drive, watchers=[Counter()])
+    """
+
+    def opened(self, info: ActionInfo) -> None:
+        """Take note that a server of this action starts. Goals of its store follow."""
+
+    def offered(
+        self, action: str, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta
+    ) -> None:
+        """Take note of a new goal, which is not decided yet; `rejected` or `accepted` follows.
+
+        A retry of the same goal is not told. Context variables that are set here are seen by the
+        executor of the goal, and by an `on_goal` that is not async, but by nothing else. `meta` is
+        the small text map that came with the goal, for traces.
+        """
+
+    def taken_over(
+        self, action: str, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta
+    ) -> None:
+        """Take note of an active goal that comes from the store, instead of `offered`; `accepted`
+        follows.
+
+        Context variables that are set here are seen by the executor of the goal.
+        """
+
+    def rejected(self, action: str, goal_id: GoalID, reason: str) -> None:
+        """Take note that a goal was rejected, or that its client has withdrawn it before."""
+
+    def accepted(self, action: str, info: GoalInfo, goal: bytes) -> None:
+        """Take note of an accepted goal, or of one that the server takes over from its store: then
+        its attempt may be more than 1, and it was taken over before, not offered.
+        """
+
+    def changed(self, action: str, info: GoalInfo) -> None:
+        """Take note that an accepted goal is EXECUTING or CANCELING."""
+
+    def feedback(self, action: str, goal_id: GoalID, item: FeedbackItem) -> None:
+        """Take note of a feedback message."""
+
+    def missed(self, action: str, goal_id: GoalID, count: int) -> None:
+        """Take note that a follower of a goal has missed so many feedback messages, because it read
+        too slowly, or left them unread.
+        """
+
+    def canceled(self, action: str, goal_id: GoalID | None, answer: CancelAnswer) -> None:
+        """Take note of the answer to a client's cancel; `goal_id` is None if it means several."""
+
+    def ended(self, action: str, info: GoalInfo, outcome: Outcome[bytes]) -> None:
+        """Take note of the end of a goal."""
+
+    def left(self, action: str, info: GoalInfo, reason: str) -> None:
+        """Take note that an accepted goal is this server's no longer: its store keeps it for the
+        next start, or another server has it.
+        """
+
+    def closed(self, info: ActionInfo) -> None:
+        """Take note that a server has stopped, after its last goal, or that its start failed."""

@@ -1,0 +1,1 @@
+"""What the user types: URLs, names, goals, namespaces, modules, and their completion."""

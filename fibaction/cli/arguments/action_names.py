@@ -1,0 +1,68 @@
+"""Names of actions: how they are shown, looked up and suggested."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from fibaction.cli.output.escape import excerpt
+from fibaction.cli.process.exit_codes import ExitCode, Failure
+
+if TYPE_CHECKING:
+    from fibaction.border.abc import Connection, Endpoint
+    from fibaction.types.action import ActionInfo
+
+MOST_SUGGESTED = 10
+"""Names that an error lists where none of them is similar."""
+MOST_COMPARED = 1000
+"""Names among which a similar one is looked for."""
+LONGEST_COMPARED = 100
+"""Characters of a name that is compared: the time grows with their square."""
+
+
+async def find_action(connection: Connection, name: str) -> ActionInfo:
+    """Return the action of that name. A slash in front is optional.
+
+    Raises:
+        Failure: It is not served. The code is `UNREACHABLE`, since a wrong name and a server that
+            has not started cannot be told apart on a network of servers.
+    """
+    actions = await connection.actions()
+    wanted = shown(name)
+    for info in actions:
+        if shown(info.name) == wanted:
+            return info
+    raise no_action(name, actions)
+
+
+def no_action(name: str, actions: Iterable[ActionInfo]) -> Failure:
+    """Return the error for an action that is not served, with the most similar name."""
+    known = sorted(excerpt(shown(info.name)) for info in actions)
+    text = f"the action {shown(name)} is not served"
+    if near := nearest(shown(name), known):
+        text += f"; did you mean {near}?"
+    elif known:
+        some = known[:MOST_SUGGESTED]
+        text += f"; there is {', '.join(some)}{', ...' if len(known) > len(some) else ''}"
+    else:
+        text += ", nor is any other"
+    return Failure(text, ExitCode.UNREACHABLE)
+
+
+def shown(name: str) -> str:
+    """Return an action's name as `ros2 action` prints it: with a slash in front."""
+    return name if name.startswith(("/", "~")) else f"/{name}"
+
+
+def names_of(endpoints: Iterable[Endpoint]) -> str:
+    """Return the names of actions as one text."""
+    return ", ".join(excerpt(shown(endpoint.info.name)) for endpoint in endpoints)
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return the known word that is most similar; empty if none is similar."""
+    if len(word) > LONGEST_COMPARED:
+        return ""
+    compared = [name for name in known if len(name) <= LONGEST_COMPARED][:MOST_COMPARED]
+    return next(iter(difflib.get_close_matches(word, compared, n=1, cutoff=0.6)), "")

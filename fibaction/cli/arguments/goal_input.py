@@ -1,0 +1,96 @@
+"""Goals on the command line: YAML or JSON text to plain data, checked by the action's schema."""
+
+from __future__ import annotations
+
+import json
+import re
+from contextlib import suppress
+from typing import Any, NoReturn, cast
+
+import yaml
+
+from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.schema.payload import JsonCodec, PayloadError
+
+
+def read_goal(text: str, schema: dict[str, Any]) -> Any:
+    """Return the goal as plain data that can be sent.
+
+    Fields that the text leaves out get their defaults from the schema; an empty text is the goal
+    `{}`. Bytes are written in base64, or as YAML's `!!binary`; times in ISO 8601.
+
+    Raises:
+        Failure: The text is not YAML, or the schema does not allow it; the message names the field.
+    """
+    goal = _parse(text)
+    try:
+        return JsonCodec(schema).complete(goal)
+    except PayloadError as exc:
+        # `{order:3}` is YAML for a field named "order:3".
+        glued = any(re.search(r'has no field ".*:', problem) for problem in exc.problems)
+        advice = "; in YAML, a space follows the colon" if glued else ""
+        raise _unusable(f"{exc}{advice}") from exc
+
+
+MAX_DIGITS = 100
+"""Characters of a number. The longest ones take a long time, and no message can hold them."""
+
+
+class _Loader(yaml.SafeLoader):
+    """A YAML loader that reads `1e3` as a number, which YAML 1.1 reads as text, and times as text,
+    because only the schema tells whether a field is a time.
+
+    It reads no aliases: some lines of them can stand for more values than a computer can hold.
+    """
+
+    yaml_implicit_resolvers = {  # noqa: RUF012  # PyYAML's attribute, and it has no type there
+        first: [pair for pair in pairs if pair[0] != "tag:yaml.org,2002:timestamp"]
+        for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            mark = cast("Any", self).peek_event().start_mark
+            self._reject("aliases such as *name are not supported", mark)
+        return super().compose_node(parent, index)
+
+    def construct_number(self, node: yaml.ScalarNode) -> int | float:
+        if len(node.value) > MAX_DIGITS:
+            text = f"a number with more than {MAX_DIGITS} digits"
+            self._reject(text, node.start_mark)
+        if node.tag.endswith("int"):
+            return self.construct_yaml_int(node)
+        return self.construct_yaml_float(node)
+
+    def _reject(self, problem: str, mark: yaml.Mark) -> NoReturn:
+        raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
+
+
+for _kind in ("int", "float"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", _Loader.construct_number)
+
+cast("Any", _Loader).add_implicit_resolver(  # the stub has no types for it
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)[eE][-+]?\d+"),
+    list("-+0123456789."),
+)
+
+
+def _parse(text: str) -> Any:
+    with suppress(ValueError, RecursionError):
+        return json.loads(text)  # faster, and some JSON text is not YAML
+    try:
+        goal = yaml.load(text, _Loader)
+        return {} if goal is None and yaml.compose(text, _Loader) is None else goal
+    except yaml.MarkedYAMLError as exc:
+        mark = exc.problem_mark or exc.context_mark
+        where = f" (line {mark.line + 1}, column {mark.column + 1})" if mark else ""
+        problem = ", ".join(filter(None, (exc.context, exc.problem)))
+        raise _unusable(f"the goal is not valid YAML{where}: {problem}") from exc
+    except (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError) as exc:
+        # PyYAML raises any of these for a value with a wrong tag, such as `!!int x`.
+        raise _unusable(f"the goal is not valid YAML: {exc}") from exc
+
+
+def _unusable(text: str) -> Failure:
+    return Failure(text, ExitCode.USAGE)

@@ -1,0 +1,126 @@
+"""Lookup of goals: those of one action or of all, and one by the beginning of its ID."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import anyio
+
+from fibaction._api import ClientConnection
+from fibaction.cli.arguments.action_names import find_action, shown
+from fibaction.cli.output.goal_table import GoalRow
+from fibaction.cli.output.lines import note
+from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of
+from fibaction.observe.monitor import AnyClient
+from fibaction.types.action import Action, ActionInfo
+from fibaction.words.errors import ActionError
+from fibaction.words.goals import GoalID
+
+MOST_AT_ONCE = 100
+"""Actions that are asked at the same time: a server limits the requests of a connection."""
+
+
+class ActionClients:
+    """A client for each action that is served, or for the one that the user names."""
+
+    def __init__(self, connection: ClientConnection, name: str | None = None) -> None:
+        self._connection = connection
+        self._name = name
+        self._all: dict[str, AnyClient | None] = {}
+
+    async def now(self) -> dict[str, AnyClient]:
+        """Return the clients of the actions that are served now, by name.
+
+        An action that cannot be used from here, because its ROS type is not installed, is left out
+        with a remark.
+
+        Raises:
+            Failure: The named action is not served.
+            ActionError: The server cannot be asked, or the named action cannot be used from here.
+        """
+        if self._name is not None:
+            if not self._all:
+                info = await find_action(self._connection, self._name)
+                self._all[info.name] = self._connection.client(Action.untyped(info))
+            actions = list(self._all)
+        else:
+            infos = sorted(await self._connection.actions(), key=lambda info: shown(info.name))
+            for info in infos:
+                if info.name not in self._all:
+                    self._all[info.name] = self._client(info)
+            actions = [info.name for info in infos]
+        found = ((name, self._all[name]) for name in actions)
+        return {name: client for name, client in found if client is not None}
+
+    def _client(self, info: ActionInfo) -> AnyClient | None:
+        try:
+            return self._connection.client(Action.untyped(info))
+        except ActionError as exc:
+            note(f"{shown(info.name)} is left out: {message_of(exc)}")
+            return None
+
+
+async def goals_of(clients: Mapping[str, AnyClient]) -> list[GoalRow]:
+    """Return all goals of these clients' servers, in the order in which they were accepted.
+
+    Servers that cannot be asked are left out: they have stopped in the meantime.
+
+    Raises:
+        ActionError: None of them can be asked.
+    """
+    rows: list[GoalRow] = []
+    errors: list[ActionError] = []
+
+    async def ask(name: str, client: AnyClient) -> None:
+        try:
+            async with limit:
+                rows.extend(GoalRow(name, info) for info in await client.goals())
+        except ActionError as exc:
+            errors.append(exc)
+
+    limit = anyio.CapacityLimiter(MOST_AT_ONCE)
+    async with anyio.create_task_group() as tasks:
+        for name, client in clients.items():
+            tasks.start_soon(ask, name, client)
+    if errors and len(errors) == len(clients):
+        raise errors[0]
+    return sorted(rows, key=lambda row: row.info.stamp)
+
+
+def goal_digits(text: str) -> str:
+    """Return the digits of a goal's ID, or of its beginning.
+
+    Raises:
+        Failure: The text is neither.
+    """
+    digits = text.replace("-", "").lower()
+    if not digits or len(digits) > 32 or set(digits) - set("0123456789abcdef"):
+        raise Failure(
+            f"a goal ID has 32 hexadecimal digits, or is the beginning of one, unlike {text!r}",
+            ExitCode.USAGE,
+        )
+    return digits
+
+
+async def find_goal(clients: Mapping[str, AnyClient], digits: str) -> tuple[str, GoalID]:
+    """Return the action and the ID of the goal whose ID begins so; the active one if several do.
+
+    Raises:
+        Failure: There is no such goal, or more than one.
+        ActionError: The server cannot be asked.
+    """
+    if len(digits) == 32 and len(clients) == 1:
+        return next(iter(clients)), GoalID.parse(digits)  # even if it is not yet accepted
+    found = [row for row in await goals_of(clients) if row.goal_id.startswith(digits)]
+    if len(found) > 1:
+        found = [row for row in found if row.info.status.is_active] or found
+    if not found:
+        where = f"the server of {shown(next(iter(clients)))}" if len(clients) == 1 else "any server"
+        raise Failure(f"there is no goal {digits} at {where}", ExitCode.USAGE)
+    if len(found) > 1:
+        ids = ", ".join(row.goal_id for row in found[:5])
+        more = ", ..." if len(found) > 5 else ""
+        raise Failure(
+            f"{len(found)} goals have an ID that begins with {digits}: {ids}{more}", ExitCode.USAGE
+        )
+    return found[0].action, found[0].info.goal_id

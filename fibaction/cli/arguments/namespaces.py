@@ -1,0 +1,122 @@
+"""Namespaces: the actions of one robot among those of a fleet.
+
+A namespace is a path such as `/robot1`. It holds the actions whose names begin with all of its
+parts: `/robot1/navigate` and `/robot1/arm/pick`, but not `/robot10/navigate`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Any, NamedTuple, Self
+
+from fibaction._api import ClientConnection
+from fibaction.border.abc import Connection, Endpoint
+from fibaction.cli.arguments.action_names import LONGEST_COMPARED, MOST_SUGGESTED, nearest, shown
+from fibaction.cli.output.escape import excerpt
+from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.types.action import Action, ActionInfo
+
+_PATH = re.compile(r"/|/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*/?", re.ASCII)
+
+
+class Namespace(NamedTuple):
+    """A namespace of actions."""
+
+    path: str
+    """The parts of the namespace, such as `/robot1/arm`; `/` for that of all actions."""
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return the namespace that a user has written; the slash in front is optional.
+
+        Raises:
+            Failure: The text is not a namespace.
+        """
+        if not _PATH.fullmatch(text):
+            text = f"a namespace is like /robot1 or /robot1/arm, unlike {excerpt(text)!r}"
+            raise Failure(text, ExitCode.USAGE)
+        return cls(f"/{text.strip('/')}")
+
+    def holds(self, name: str) -> bool:
+        """Return whether an action is in this namespace, judging by its name."""
+        return self == ROOT or shown(name).startswith(f"{self.path}/")
+
+    def absolute(self, name: str) -> str:
+        """Return the full name of an action: one without a slash in front is relative."""
+        return name if shown(name) == name else f"{self.path.rstrip('/')}/{name}"
+
+    def relative(self, name: str) -> str:
+        """Return the name of an action in this namespace without the namespace."""
+        return name if self == ROOT else shown(name).removeprefix(f"{self.path}/")
+
+    def narrow(self, connection: ClientConnection) -> ClientConnection:
+        """Return the connection with the actions of this namespace only.
+
+        Its `actions` raises a `Failure` as long as there has been none.
+        """
+        if self == ROOT:
+            return connection
+        return ClientConnection(_NarrowConnection(connection, self))
+
+
+ROOT = Namespace("/")
+
+
+class _NarrowConnection(Connection):
+    """A connection that lists the actions of one namespace."""
+
+    def __init__(self, connection: Connection, namespace: Namespace) -> None:
+        self._connection = connection
+        self._namespace = namespace
+        self._exists = False
+
+    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
+        return self._connection.endpoint(action)
+
+    async def actions(self) -> list[ActionInfo]:
+        """Return the actions of the namespace.
+
+        Raises:
+            Failure: There is none, and there has been none before.
+            TransportError, ProtocolError: The server cannot be asked.
+        """
+        infos = await self._connection.actions()
+        found = [info for info in infos if self._namespace.holds(info.name)]
+        self._exists = self._exists or bool(found)
+        if not self._exists:
+            raise no_namespace(self._namespace, (info.name for info in infos))
+        return found
+
+
+def no_namespace(namespace: Namespace, names: Iterable[str]) -> Failure:
+    """Return the error for a namespace without actions, with the most similar namespace."""
+    known = sorted(namespaces_of(names))
+    text = f"there is no action in the namespace {namespace.path}"
+    if near := nearest(namespace.path, known):
+        text += f"; did you mean {excerpt(near)}?"
+    elif known:
+        some = ", ".join(map(excerpt, known[:MOST_SUGGESTED]))
+        text += f"; there is {some}{', ...' if len(known) > MOST_SUGGESTED else ''}"
+    else:
+        text += ", nor in any other"
+    return Failure(text, ExitCode.UNREACHABLE)
+
+
+def namespaces_of(names: Iterable[str]) -> set[str]:
+    """Return the namespaces that hold the actions of these names, without `/`.
+
+    Those of more than `LONGEST_COMPARED` characters are left out.
+    """
+    return {
+        name[:end]
+        for name in map(shown, names)
+        if name.startswith("/")
+        for end, character in enumerate(name[: LONGEST_COMPARED + 1])
+        if character == "/" and end
+    }
+
+
+def namespace_of(name: str) -> str:
+    """Return the namespace that an action is in itself: `/robot1/arm` for `robot1/arm/pick`."""
+    return shown(name).rpartition("/")[0] or ROOT.path

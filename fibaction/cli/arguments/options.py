@@ -1,0 +1,79 @@
+"""The options that most verbs have: `--url` and `--json`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+from fibaction.cli.process.exit_codes import ExitCode, Failure
+
+FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
+
+URL = "tcp://127.0.0.1:7400"
+"""The default URL; the TCP transport's own default."""
+
+
+def url_of(context: click.Context) -> str:
+    """Return the URL that counts for a verb: its own --url or FROM_URL, or what is said before the
+    verb.
+
+    Raises:
+        Failure: The named address is not known.
+    """
+    if own := context.params.get("url") or context.params.get("from_url"):
+        return str(own)
+    before = context.find_root().params
+    if name := before.get("address"):
+        from fibaction.cli.arguments.addresses import (
+            address_of,  # its imports would slow down --help
+        )
+
+        return address_of(name)
+    return before.get("url") or URL
+
+
+def reject_inproc(*urls: str) -> None:
+    """Check that another process can be reached by at least one of these URLs.
+
+    Raises:
+        Failure: All of them are `inproc://`.
+    """
+    if all(url.startswith("inproc://") for url in urls):
+        from fibaction.border.urls import without_settings  # its imports would slow down --help
+
+        raise Failure(
+            f"{without_settings(urls[0])} is for clients in the process of the server:"
+            f" between processes, use tcp:// or unix://",
+            ExitCode.USAGE,
+        )
+
+
+def _url_to_reach(context: click.Context, _: click.Parameter, value: str | None) -> str:
+    url = value or url_of(context)
+    reject_inproc(url)
+    return url
+
+
+def url_option(function: FunctionT) -> FunctionT:
+    """Add `--url` to a verb. The function gets `url`: by default the group's."""
+    return click.option(
+        "-u",
+        "--url",
+        metavar="URL",
+        callback=_url_to_reach,
+        help="URL of the server.  [as in fibaction --help]",
+    )(function)
+
+
+def json_option(function: FunctionT) -> FunctionT:
+    """Add `--json` to a verb. The function gets `as_json`."""
+    return click.option("--json", "as_json", is_flag=True, help="Print JSON, one value per line.")(
+        function
+    )
+
+
+def full_option(function: FunctionT) -> FunctionT:
+    """Add `--full` to a verb. The function gets `full`."""
+    return click.option("--full", is_flag=True, help="Show long lists and texts in full.")(function)

@@ -1,0 +1,49 @@
+"""The goals in a store, for `fibaction goals --store`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from fibaction.border.goal_store import StoredGoal
+from fibaction.cli.arguments.action_names import shown
+from fibaction.cli.output.goal_table import GoalRow
+from fibaction.cli.output.outcomes import with_outcome
+from fibaction.words.goals import GoalInfo, Outcome
+
+
+async def rows_of_store(path: str, name: str | None) -> list[GoalRow]:
+    """Return the goals in the file, of one action or of all, in the order of their acceptance.
+
+    Raises:
+        StoreError: The file cannot be read.
+    """
+    from fibaction.stores._copy import stored_goals  # sqlite3 would slow down --help
+
+    rows = [
+        with_outcome(GoalRow(action, _info(goal)), _outcome(goal))
+        for action, goals in (await stored_goals(path)).items()
+        if name is None or shown(action) == shown(name)
+        for goal in goals
+    ]
+    return sorted(rows, key=lambda row: row.info.stamp)
+
+
+def _info(goal: StoredGoal) -> GoalInfo:
+    return GoalInfo(
+        goal.goal_id,
+        goal.stamp,
+        goal.told_status,
+        goal.feedback_count,
+        str(goal.sender),
+        attempt=max(goal.attempt, 1),
+    )
+
+
+def _outcome(goal: StoredGoal) -> Outcome[Any] | None:
+    """Return the outcome of a goal that has ended, its result as plain data."""
+    if goal.told_status.is_active:
+        return None
+    result = None if goal.result is None else msgspec.msgpack.decode(goal.result)
+    return Outcome(goal.told_status, result, goal.reason)

@@ -1,0 +1,1 @@
+"""What the command prints: lines, JSON, YAML, tables, progress and the live screen."""

@@ -1,0 +1,113 @@
+"""The details of goals on the screen of `fibaction top`: each is asked for once, when it is shown.
+
+Feedback and statuses arrive by themselves; a goal, its result and the reason of its end do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Collection, Iterable
+from typing import NamedTuple
+
+import anyio
+
+from fibaction.cli.output.escape import excerpt
+from fibaction.cli.output.outcomes import end_of
+from fibaction.cli.output.yaml_text import as_yaml
+from fibaction.cli.process.exit_codes import message_of
+from fibaction.observe.monitor import GoalKey, Monitor
+from fibaction.words.errors import ActionError
+
+MOST_AT_ONCE = 10
+"""Goals that are asked for at once."""
+TIMEOUT = 5.0
+"""Seconds for the answer."""
+
+
+class Detail(NamedTuple):
+    """A detail as text."""
+
+    line: str
+    """On one line."""
+    text: str
+    """In full, with a heading; large values are cut."""
+
+
+_ASKED = Detail("", "")
+
+
+class Question(NamedTuple):
+    """A question about a goal, and where its answer goes."""
+
+    what: str
+    key: GoalKey
+    answers: dict[GoalKey, Detail]
+    ask: Callable[[GoalKey], Awaitable[Detail]]
+
+
+class GoalDetails:
+    """The ends of goals, and the goals as they were sent."""
+
+    def __init__(self, monitor: Monitor) -> None:
+        self._monitor = monitor
+        self._ends: dict[GoalKey, Detail] = {}
+        self._requests: dict[GoalKey, Detail] = {}
+
+    def end(self, key: GoalKey) -> Detail:
+        """Return the reason and the result of a goal; empty until they have come."""
+        return self._ends.get(key, _ASKED)
+
+    def request(self, key: GoalKey) -> Detail:
+        """Return the goal as it was sent; empty until it has come, and if it cannot be had."""
+        return self._requests.get(key, _ASKED)
+
+    def keep(self, keys: Collection[GoalKey]) -> None:
+        """Forget all goals but these."""
+        for details in (self._ends, self._requests):
+            for key in details.keys() - set(keys):
+                del details[key]
+
+    def unknown(self, ended: Iterable[GoalKey], active: Iterable[GoalKey]) -> list[Question]:
+        """Return the questions for the ends of some goals, and for other goals as they were sent.
+
+        What has been asked for is left out, and what is returned counts as asked for.
+        """
+        wanted = [Question("result", key, self._ends, self._ask_end) for key in ended]
+        wanted += [Question("goal", key, self._requests, self._ask_request) for key in active]
+        questions = [question for question in wanted if question.key not in question.answers]
+        for question in questions:
+            question.answers[question.key] = _ASKED
+        return questions
+
+    async def ask(self, questions: Iterable[Question]) -> None:
+        """Ask the questions, some at once, and keep the answers."""
+        limit = anyio.CapacityLimiter(MOST_AT_ONCE)
+
+        async def ask(question: Question) -> None:
+            async with limit:
+                question.answers[question.key] = await _answer(question)
+
+        async with anyio.create_task_group() as tasks:
+            for question in questions:
+                tasks.start_soon(ask, question)
+
+    async def _ask_end(self, key: GoalKey) -> Detail:
+        outcome = await self._monitor.outcome(key)
+        parts = [f"Reason: {excerpt(outcome.reason)}"] if outcome.reason else []
+        if outcome.result is not None:
+            parts.append(f"Result:\n{as_yaml(outcome.result, indent=2)}")
+        return Detail(end_of(outcome), "\n".join(parts) or "There is no result.")
+
+    async def _ask_request(self, key: GoalKey) -> Detail:
+        goal = await self._monitor.request(key)
+        return _ASKED if goal is None else Detail("", f"Goal:\n{as_yaml(goal, indent=2)}")
+
+
+async def _answer(question: Question) -> Detail:
+    """Return the answer; the reason instead, if it cannot be had."""
+    reason = f"there was no answer within {TIMEOUT:g} s"
+    with anyio.move_on_after(TIMEOUT):
+        try:
+            return await question.ask(question.key)
+        except ActionError as exc:
+            reason = excerpt(message_of(exc))
+    return Detail("", f"The {question.what} cannot be had: {reason}")

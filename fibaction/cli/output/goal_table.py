@@ -1,0 +1,231 @@
+"""Goals in columns, for `goals` and `top`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from fibaction.cli.arguments.action_names import shown
+from fibaction.cli.output.escape import excerpt
+from fibaction.observe.monitor import newest_active_first
+from fibaction.words.goals import GoalInfo, Outcome
+from fibaction.words.statuses import GoalStatus
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.text import Text
+
+SHORT = 8
+"""Digits of a goal's ID where there is no room for all 32; more if so many do not tell the goals
+apart."""
+GAP = "  "
+LEAST_END = 14
+"""Least room for the reason or the result of a goal; with less they are left out."""
+GOOD_END = 30
+"""Room for the reason or the result that is worth shorter IDs."""
+LONGEST_END = 100
+"""Characters of a reason or a result where the width is not limited."""
+
+STYLES = {
+    GoalStatus.ACCEPTED: "cyan",
+    GoalStatus.EXECUTING: "bold green",
+    GoalStatus.CANCELING: "bold yellow",
+    GoalStatus.SUCCEEDED: "green",
+    GoalStatus.CANCELED: "yellow",
+    GoalStatus.ABORTED: "red",
+}
+"""The style of each status on a terminal."""
+
+
+class GoalRow(msgspec.Struct, frozen=True):
+    """A goal of an action, with the texts of its cells."""
+
+    action: str
+    info: GoalInfo
+    outcome: Outcome[Any] | None = None
+    """The outcome of a goal that has ended; None if it is not known."""
+    end: str = ""
+    """The reason or the result on one line."""
+
+    @property
+    def goal_id(self) -> str:
+        """The goal's ID as text."""
+        return str(self.info.goal_id)
+
+    @property
+    def status(self) -> str:
+        """The goal's status, or its place in the queue if it waits."""
+        info = self.info
+        if info.place:
+            return f"waits, {ordinal(info.place)} of {info.queue_length}"
+        return info.status.name
+
+    @property
+    def feedback(self) -> str:
+        """The number of feedback messages; `-` over ROS, which counts none and names no clients."""
+        count, client = self.info.feedback_count, self.info.client
+        return str(count) if count or client else "-"
+
+    @property
+    def client(self) -> str:
+        """The client that sent it."""
+        return excerpt(self.info.client) or "-"
+
+    def age(self, now: float) -> str:
+        """Return the time since it was accepted, if the clocks agree."""
+        return duration(now - self.info.stamp / 1e9)
+
+    def json(self) -> dict[str, Any]:
+        """Return the row for a program."""
+        info, outcome = self.info, self.outcome
+        end = {} if outcome is None else {"reason": outcome.reason, "result": outcome.result}
+        return {
+            "action": self.action,
+            "goal_id": self.goal_id,
+            "stamp": info.stamp,
+            "status": info.status.name,
+            "feedback_count": info.feedback_count,
+            "client": info.client,
+            "place": info.place,
+            "queue_length": info.queue_length,
+            "attempt": info.attempt,
+            **end,
+        }
+
+
+def ordinal(number: int) -> str:
+    """Return a number as a place: 1st, 2nd, 3rd, 4th, 11th, 21st."""
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
+    return f"{number}{'th' if number % 100 in (11, 12, 13) else ending}"
+
+
+def duration(seconds: float) -> str:
+    """Return a time that has passed, with the precision that a person needs."""
+    if seconds < 10:
+        return f"{max(seconds, 0):.1f} s"
+    for unit, size, most in (("s", 1, 120), ("min", 60, 120), ("h", 3600, 48)):
+        if seconds < size * most:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds / 86400:.0f} d"
+
+
+def in_columns(
+    rows: Sequence[GoalRow], *, actions: bool, width: int | None = None, now: float | None = None
+) -> list[str]:
+    """Return the rows as lines below a line of headings. With `width`, they are made to fit."""
+    now = time.time() if now is None else now
+    digits = 32
+    table = _cells(rows, digits, now, actions=actions)
+    needed = _width(table) + (GOOD_END if any(row.end for row in rows) else 0)
+    if width is not None and needed > width:
+        digits = unambiguous(row.goal_id for row in rows)
+        table = _cells(rows, digits, now, actions=actions)
+    spare = None if width is None else width - _width(table)
+    if spare is not None and spare < 0:
+        table = _narrowed(table, -spare, actions=actions)
+    return _with_ends(aligned(table), [row.end for row in rows], width)
+
+
+def _with_ends(lines: list[str], ends: list[str], width: int | None) -> list[str]:
+    """Return the lines with the ends of the goals behind them, as far as there is room."""
+    longest = max(map(len, lines))
+    room = LONGEST_END if width is None else width - longest - len(GAP)
+    if not any(ends) or room < LEAST_END:
+        return lines
+    cut = (end if len(end) <= room else f"{end[: room - 1]}…" for end in ends)
+    table = zip(lines, ["REASON, RESULT"[:room], *cut], strict=True)
+    return [f"{line.ljust(longest)}{GAP}{end}".rstrip() for line, end in table]
+
+
+def aligned(table: Sequence[Sequence[str]]) -> list[str]:
+    """Return the rows of a table as lines, with the cells of each column below each other."""
+    widths = _widths(table)
+    return [_joined(cells, widths) for cells in table]
+
+
+def in_color(rows: Sequence[GoalRow], lines: Sequence[str]) -> list[Text]:
+    """Return the lines of `in_columns` for a terminal."""
+    from rich.text import Text
+
+    heading, *texts = lines
+    colored = [Text(heading, "bold")]
+    for row, text in zip(rows, texts, strict=True):
+        status = row.info.status
+        line = Text(text, "" if status.is_active else "dim")
+        line.highlight_regex(rf"(?<= ){row.status}(?= )", STYLES.get(status, ""))
+        colored.append(line)
+    return colored
+
+
+def picture(screen: Console, rows: Sequence[GoalRow], away: str, *, actions: bool) -> Text:
+    """Return the list as it fits on the screen: active goals first, the newest first among each."""
+    from rich.text import Text
+
+    fitting = max(screen.height - 3, 1)
+    seen = sorted(rows, key=lambda row: newest_active_first(row.info))[:fitting]
+    lines = in_color(seen, in_columns(seen, actions=actions, width=screen.width - 1))
+    active = sum(row.info.status.is_active for row in rows)
+    state = f"{active} active, {len(rows) - active} ended"
+    if len(seen) < len(rows):
+        state += f"; {len(rows) - len(seen)} not shown"
+    if away:
+        lines.append(Text(f"The server is away: {excerpt(away)}", "bold red"))
+    else:
+        lines.append(Text(state, "dim"))
+    return Text("\n", no_wrap=True, overflow="ellipsis").join(lines)
+
+
+def unambiguous(goal_ids: Iterable[str]) -> int:
+    """Return how many digits tell these IDs apart, at least `SHORT`."""
+    ids = sorted(set(goal_ids))
+    digits = SHORT
+    for one, next_one in pairwise(ids):
+        while one[:digits] == next_one[:digits]:
+            digits += 1
+    return digits
+
+
+def _cells(rows: Iterable[GoalRow], digits: int, now: float, *, actions: bool) -> list[list[str]]:
+    table = [["ID", "ACTION", "STATUS", "AGE", "FEEDBACK", "CLIENT"]]
+    for row in rows:
+        action = excerpt(shown(row.action))
+        cells = [row.goal_id[:digits], action, row.status, row.age(now)]
+        table.append([*cells, row.feedback, row.client])
+    return table if actions else [[cells[0], *cells[2:]] for cells in table]
+
+
+def _widths(table: Sequence[Sequence[str]]) -> list[int]:
+    return [max(map(len, column)) for column in zip(*table, strict=True)]
+
+
+def _width(table: Sequence[Sequence[str]]) -> int:
+    widths = _widths(table)
+    return sum(widths) + len(GAP) * (len(widths) - 1)
+
+
+def _narrowed(table: list[list[str]], excess: int, *, actions: bool) -> list[list[str]]:
+    """Return the table, with the clients and then the actions shortened by the excess."""
+    widths = _widths(table)
+    narrowed = [list(cells) for cells in table]
+    # The client first: people look for the name of the action.
+    for column in (-1, 1) if actions else (-1,):
+        room = max(widths[column] - excess, SHORT)
+        excess -= widths[column] - room
+        for cells in narrowed:
+            if len(cells[column]) > room:
+                cells[column] = cells[column][: room - 1] + "…"
+    return narrowed
+
+
+def _joined(cells: Sequence[str], widths: Sequence[int]) -> str:
+    # Ages and counts to the right.
+    last = len(cells) - 1
+    padded = (
+        cell.rjust(width) if last - 2 <= column < last else cell.ljust(width)
+        for column, (cell, width) in enumerate(zip(cells, widths, strict=True))
+    )
+    return GAP.join(padded).rstrip()

@@ -1,0 +1,179 @@
+"""Printing of one goal's events: as text as `ros2 action` does, on a live line, or as JSON."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Generator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from fibaction.border.abc import FeedbackItem, GoalStream
+from fibaction.cli.output.escape import clean
+from fibaction.cli.output.lines import console, note, on_terminal, say, say_json
+from fibaction.cli.output.yaml_text import as_yaml
+from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.process.logs import log_connection
+from fibaction.types.action import Action
+from fibaction.words.goals import GoalID, Outcome
+from fibaction.words.statuses import GoalStatus
+
+if TYPE_CHECKING:
+    from fibaction.cli.output.progress import LiveLine
+
+INDENT = 4
+"""Spaces in front of a goal, a feedback or a result, as `ros2 action` prints them."""
+
+CODES = {
+    GoalStatus.SUCCEEDED: ExitCode.SUCCEEDED,
+    GoalStatus.CANCELED: ExitCode.CANCELED,
+    GoalStatus.ABORTED: ExitCode.ABORTED,
+    GoalStatus.UNKNOWN: ExitCode.ABORTED,  # the server has forgotten how it ended
+}
+"""The exit code for each status of a goal that has ended."""
+
+
+class GoalPrinter(ABC):
+    """Prints the events of one goal."""
+
+    wants_all = False
+    """True if statuses are printed as well; for those the feedback has to be read, too."""
+
+    @abstractmethod
+    def sending(self, goal: Any) -> None:
+        """Print the goal, before it is sent."""
+
+    @abstractmethod
+    def accepted(self, goal_id: GoalID, stamp: int) -> None:
+        """Print that the server has accepted it."""
+
+    @abstractmethod
+    def rejected(self, goal_id: GoalID, reason: str) -> None:
+        """Print that the server has rejected it."""
+
+    @abstractmethod
+    def status(self, status: GoalStatus) -> None:
+        """Print its new status."""
+
+    @abstractmethod
+    def feedback(self, number: int, feedback: Any) -> None:
+        """Print a feedback message."""
+
+    @abstractmethod
+    def ended(self, outcome: Outcome[Any]) -> None:
+        """Print how it ended."""
+
+
+class TextPrinter(GoalPrinter):
+    """Prints lines as `ros2 action send_goal` does."""
+
+    def __init__(self, *, full: bool = False, line: LiveLine | None = None) -> None:
+        """Make a printer. With `line`, each feedback is shown there until the next one."""
+        self._full = full
+        self._line = line
+
+    def sending(self, goal: Any) -> None:
+        self._say("Sending goal:", goal)
+
+    def accepted(self, goal_id: GoalID, stamp: int) -> None:
+        say(f"Goal accepted with ID: {goal_id}\n")
+
+    def rejected(self, goal_id: GoalID, reason: str) -> None:
+        say(f"Goal was rejected: {clean(reason)}" if reason else "Goal was rejected.")
+
+    def status(self, status: GoalStatus) -> None:
+        pass  # the verb prints a remark when it causes a change
+
+    def feedback(self, number: int, feedback: Any) -> None:
+        if self._line is not None:
+            self._line.show(number, feedback)
+        else:
+            self._say("Feedback:", feedback)
+
+    def ended(self, outcome: Outcome[Any]) -> None:
+        if outcome.result is not None:
+            self._say("Result:", outcome.result)
+        reason = f" ({clean(outcome.reason)})" if outcome.reason else ""
+        say(f"Goal finished with status: {outcome.status.name}{reason}")
+
+    def _say(self, title: str, value: Any) -> None:
+        say(f"{title}\n{as_yaml(value, full=self._full, indent=INDENT)}\n")
+
+
+class JsonPrinter(GoalPrinter):
+    """Prints each event as one JSON object, with nothing left out."""
+
+    wants_all = True
+
+    def __init__(self, *, feedback: bool) -> None:
+        self._feedback = feedback
+
+    def sending(self, goal: Any) -> None:
+        pass
+
+    def accepted(self, goal_id: GoalID, stamp: int) -> None:
+        say_json({"event": "accepted", "goal_id": str(goal_id), "stamp": stamp})
+
+    def rejected(self, goal_id: GoalID, reason: str) -> None:
+        say_json({"event": "rejected", "goal_id": str(goal_id), "reason": reason})
+
+    def status(self, status: GoalStatus) -> None:
+        say_json({"event": "status", "status": status.name})
+
+    def feedback(self, number: int, feedback: Any) -> None:
+        if self._feedback:
+            say_json({"event": "feedback", "number": number, "feedback": feedback})
+
+    def ended(self, outcome: Outcome[Any]) -> None:
+        say_json(
+            {
+                "event": "result",
+                "status": outcome.status.name,
+                "result": outcome.result,
+                "reason": outcome.reason,
+            }
+        )
+
+
+def goal_printer(*, feedback: bool, as_json: bool, full: bool) -> GoalPrinter:
+    """Return the printer for these options of a command."""
+    return JsonPrinter(feedback=feedback) if as_json else TextPrinter(full=full)
+
+
+async def print_goal(
+    stream: GoalStream, action: Action[Any, Any, Any], printer: GoalPrinter, *, live: bool
+) -> ExitCode:
+    """Print the events of a goal until it ends, and return the exit code for its end.
+
+    With `live`, the feedback is on one line if stdout is a terminal.
+
+    Raises:
+        ConnectionLost: The connection ended before the goal did.
+        ProtocolError: The server sent what cannot be read.
+    """
+    log_connection()
+    with stream:
+        with _live_line(printer, live) as shown:
+            async for update in stream:
+                if isinstance(update, FeedbackItem):
+                    shown.feedback(update.number, action.feedback.decode(update.payload))
+                elif isinstance(update, GoalStatus):
+                    shown.status(update)
+        raw = await stream.outcome()
+    if stream.dropped:
+        note(
+            f"{stream.dropped} feedback messages were missed: they came faster than they were read"
+        )
+    result = None if raw.result is None else action.result.decode(raw.result)
+    printer.ended(Outcome(raw.status, result, raw.reason))
+    return CODES[raw.status]
+
+
+@contextmanager
+def _live_line(printer: GoalPrinter, wanted: bool) -> Generator[GoalPrinter, None, None]:
+    if not (wanted and isinstance(printer, TextPrinter) and on_terminal()):
+        yield printer
+        return
+    from fibaction.cli.output.progress import LiveLine
+
+    with LiveLine(console()) as line:
+        yield TextPrinter(line=line)

@@ -1,0 +1,146 @@
+"""The tables on the screen of `fibaction top`: the cells of each action and of each goal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Self
+
+from rich.text import Text
+
+from fibaction.cli.arguments.action_names import shown
+from fibaction.cli.output.escape import excerpt
+from fibaction.cli.output.goal_details import GoalDetails
+from fibaction.cli.output.goal_table import STYLES, GoalRow, unambiguous
+from fibaction.cli.output.progress import Meter, on_one_line
+from fibaction.cli.output.yaml_text import as_yaml
+from fibaction.cli.process.exit_codes import message_of
+from fibaction.observe.monitor import ActionSnapshot, GoalKey, GoalSnapshot
+
+WIDE = 110
+"""Width of a screen with room for the client, too."""
+BARS = {100: 10, 0: 0}
+"""Widths of a bar, by the least width of the screen: a narrow one has room for the figure only."""
+NUMBERS = ("ACTIVE", "ENDED", "FEEDBACK/S", "AGE", "FEEDBACK", "/S")
+"""Columns that are aligned to the right."""
+PADDING = 2
+"""Spaces that a table puts around each cell."""
+LEAST = 10
+"""Least width of the last column; a table that is too wide can be scrolled."""
+
+
+class FeedbackText(NamedTuple):
+    """Feedback as text."""
+
+    line: str
+    """On one line, without the progress; large feedback is cut."""
+    yaml: str
+    """As YAML; large feedback is cut."""
+    progress: dict[str, Any]
+    """The field that tells the progress of the goal, if there is one."""
+
+    @classmethod
+    def of(cls, feedback: Any) -> Self:
+        """Make the texts of a feedback."""
+        meter = Meter()
+        if meter.read(feedback) is None:
+            return cls(on_one_line(feedback), as_yaml(feedback, indent=2), {})
+        rest = {name: feedback[name] for name in feedback if name != meter.field}
+        return cls(
+            on_one_line(rest), as_yaml(feedback, indent=2), {meter.field: feedback[meter.field]}
+        )
+
+
+class Table(NamedTuple):
+    """The content of a table."""
+
+    heads: list[str]
+    rows: list[list[Text]]
+
+    def widths(self, room: int) -> list[int]:
+        """Return the widths of the columns; the last one gets what is left of the room."""
+        texts = [[cell.plain for cell in row] for row in self.rows]
+        widths = [max(map(len, column)) for column in zip(self.heads, *texts, strict=True)]
+        left = room - sum(widths[:-1]) - PADDING * len(widths) - PADDING
+        return [*widths[:-1], max(left, LEAST)]
+
+    def labels(self) -> list[Text]:
+        """Return the headings as they are aligned."""
+        return [_right(head) if head in NUMBERS else Text(head) for head in self.heads]
+
+
+def action_table(actions: Sequence[ActionSnapshot]) -> Table:
+    """Return the table of the actions."""
+    rows = [
+        [
+            Text(excerpt(shown(one.info.name))),
+            _right(f"{one.active}"),
+            _right(f"{one.ended}"),
+            _right(f"{one.feedback_rate:.1f}"),
+            Text(f"away: {excerpt(message_of(one.away))}", "red")
+            if one.away
+            else Text(excerpt(one.info.type_name)),
+        ]
+        for one in actions
+    ]
+    return Table(["ACTION", "ACTIVE", "ENDED", "FEEDBACK/S", "TYPE"], rows)
+
+
+class GoalTable:
+    """The table of the goals."""
+
+    def __init__(self, details: GoalDetails) -> None:
+        self._details = details
+        self._meters: dict[GoalKey, Meter] = {}
+
+    def table(self, goals: Sequence[GoalSnapshot], width: int, now: float) -> Table:
+        """Return the table for a screen of that width, at a time in seconds since 1970."""
+        self._meters = {goal.key: self._meters.get(goal.key) or Meter() for goal in goals}
+        done = [self._progress(goal) for goal in goals]
+        has_bars = any(fraction is not None for fraction in done)
+        digits = unambiguous(str(goal.info.goal_id) for goal in goals)
+        heads = ["ID", "ACTION", "STATUS", *(["DONE"] if has_bars else [])]
+        heads += ["AGE", "FEEDBACK", "/S", *(["CLIENT"] if width >= WIDE else []), "LATEST"]
+        bar = next(cells for least, cells in BARS.items() if width >= least)
+        rows: list[list[Text]] = []
+        for goal, fraction in zip(goals, done, strict=True):
+            row = GoalRow(goal.action, goal.info)
+            is_active = row.info.status.is_active
+            cells = {
+                "ID": Text(row.goal_id[:digits]),
+                "ACTION": Text(excerpt(shown(row.action))),
+                "STATUS": Text(row.status, STYLES.get(row.info.status, "")),
+                "DONE": _bar(fraction, bar),
+                "AGE": _right(row.age(now)),
+                "FEEDBACK": _right(row.feedback),
+                "/S": _right(f"{goal.feedback_rate:.1f}" if is_active else ""),
+                "CLIENT": Text(row.client),
+                "LATEST": self._latest(goal),
+            }
+            rows.append([cells[head] for head in heads])
+        return Table(heads, rows)
+
+    def _progress(self, goal: GoalSnapshot) -> float | None:
+        if goal.latest is None or not goal.info.status.is_active:
+            return None
+        return self._meters[goal.key].read(goal.latest.progress)
+
+    def _latest(self, goal: GoalSnapshot) -> Text:
+        """Return the reason or the result of a goal that has ended, or else the latest feedback."""
+        end = self._details.end(goal.key).line
+        latest = goal.latest.line if goal.latest else ""
+        return Text(end or latest, no_wrap=True, overflow="ellipsis")
+
+
+def _bar(fraction: float | None, width: int) -> Text:
+    if fraction is None:
+        return Text("")
+    halves = round(fraction * width * 2)
+    full = "━" * (halves // 2) + "╸" * (halves % 2)
+    rest = "─" * (width - len(full))
+    return Text.assemble(
+        (full, "green"), (rest, "bright_black"), f"{fraction:5.0%}" if width else f"{fraction:4.0%}"
+    )
+
+
+def _right(text: str) -> Text:
+    return Text(text, justify="right")

@@ -1,0 +1,170 @@
+"""Ctrl-C and SIGTERM.
+
+- Before a verb runs, Ctrl-C exits at once: `fibaction.cli.main`.
+- `send_goal` cancels the goal at the first Ctrl-C and leaves at the second: `send_goal.py`.
+- Verbs that watch run `until_interrupted`.
+- `serve` and `bridge` stop gracefully at the first signal, and end at once at the second:
+  `stop_signals`.
+- All others exit at once: `exit_codes.run`.
+
+An event loop handles signals between its tasks only, so a task that computes would keep them
+waiting. `SignalReceiver` ends the process if the loop has not taken a signal within `GRACE`.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import ExitStack, asynccontextmanager, suppress
+from signal import SIGINT, SIGTERM
+from types import TracebackType
+from typing import Any, Self
+
+import anyio
+
+from fibaction._runtime.tasks import Background
+from fibaction.cli.process.exit_codes import ExitCode
+
+SAME_SIGNAL = 0.1
+"""Seconds within which a second signal counts as the first again: some programs, such as `timeout`,
+signal a process and then its group. A person does not type Ctrl-C twice as fast as that."""
+GRACE = 1.0
+"""Seconds for the event loop to take a signal: longer than a short computation, for example the
+printing of a large message."""
+_SCREEN_OFF = "\x1b[?1049l\x1b[?1000l\x1b[?1003l\x1b[?1006l\x1b[?2004l\x1b[?25h"
+"""Escape sequences that end a screen: they restore the lines and the cursor, without the mouse."""
+
+
+class SignalReceiver:
+    """Receives SIGINT and SIGTERM, one for each `next`, during its block.
+
+    If a signal is not taken within `GRACE` seconds, because something computes, the process exits
+    with the code for an interruption.
+    """
+
+    def __init__(self, last_words: Callable[[], object] = lambda: None) -> None:
+        """Make a receiver. `last_words` is called before such an exit."""
+        self._last_words = last_words
+        self._stack = ExitStack()
+        self._signals: Any = None
+        self._terminal = _Terminal()
+
+    def __enter__(self) -> Self:
+        self._signals = self._stack.enter_context(anyio.open_signal_receiver(SIGINT, SIGTERM))
+        # The loop learns of a signal from the file descriptor that it has set, not from a handler.
+        _handle_with(self._set_alarm)
+        before = signal.signal(signal.SIGALRM, self._exit)
+        self._stack.callback(signal.signal, signal.SIGALRM, before)
+        self._stack.callback(signal.setitimer, signal.ITIMER_REAL, 0)
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(exc_type, exc, traceback)
+
+    async def next(self) -> None:
+        """Wait for the next signal."""
+        await anext(self._signals)
+        signal.setitimer(signal.ITIMER_REAL, 0)
+
+    def _set_alarm(self, _number: int, _frame: object) -> None:
+        if signal.getitimer(signal.ITIMER_REAL)[0] == 0:  # more signals are no reprieve
+            signal.setitimer(signal.ITIMER_REAL, GRACE)
+
+    def _exit(self, _number: int, _frame: object) -> None:
+        with suppress(Exception):  # the computation may be within the same stream
+            self._terminal.restore()
+            self._last_words()
+        os._exit(ExitCode.INTERRUPTED)
+
+
+class _Terminal:
+    """The state of the terminal, for an exit without clean-up."""
+
+    def __init__(self) -> None:
+        self._state: list[Any] | None = None
+        if sys.__stdin__ is not None and sys.__stdin__.isatty():
+            import termios
+
+            self._state = termios.tcgetattr(sys.__stdin__)
+
+    def restore(self) -> None:
+        """Restore the state from when this object was made."""
+        if self._state is not None:
+            import termios
+
+            assert sys.__stdin__ is not None
+            termios.tcsetattr(sys.__stdin__, termios.TCSANOW, self._state)
+        for stream in (sys.__stdout__, sys.__stderr__):
+            if stream is not None and stream.isatty():
+                os.write(stream.fileno(), _SCREEN_OFF.encode())
+                break
+
+
+async def until_interrupted(body: Callable[[], Awaitable[object]]) -> bool:
+    """Run `body` until it ends, or until Ctrl-C or SIGTERM. Return whether a signal ended it."""
+    scope = anyio.CancelScope()
+
+    async def cancel_at_signal() -> None:
+        await signals.next()
+        scope.cancel()
+
+    with SignalReceiver() as signals:
+        async with Background() as tasks:
+            tasks.start_soon(cancel_at_signal)
+            with scope:
+                await body()
+    return scope.cancelled_caught
+
+
+@asynccontextmanager
+async def stop_signals(same: float | None = None) -> AsyncGenerator[anyio.Event, None]:
+    """Give an event that is set by the first SIGINT or SIGTERM. The second ends the process.
+
+    It does so also behind the block, where Python may wait for threads. A signal within `same`
+    seconds counts as the first again; `SAME_SIGNAL` if it is None.
+    """
+    stop = anyio.Event()
+    first: float | None = None
+
+    def handle(number: int, _frame: object) -> None:
+        nonlocal first
+        now = time.monotonic()
+        if first is None:
+            first = now
+        elif now - first >= (SAME_SIGNAL if same is None else same):
+            end_by(signal.Signals(number))
+
+    async def wait_for_first(*, task_status: anyio.abc.TaskStatus[None]) -> None:
+        with anyio.open_signal_receiver(SIGINT, SIGTERM) as signals:
+            # Not by a task: an executor or a clean-up may block the event loop, and the second
+            # signal must end the process at once. The loop learns of the first one all the same.
+            _handle_with(handle)
+            task_status.started()
+            await anext(signals)
+            stop.set()
+            await anyio.sleep_forever()
+
+    async with Background() as tasks:
+        await tasks.start(wait_for_first)
+        yield stop
+    if stop.is_set():
+        _handle_with(handle)  # the receiver has restored Python's, which raises KeyboardInterrupt
+
+
+def _handle_with(handler: Callable[[int, object], None]) -> None:
+    for number in (SIGINT, SIGTERM):
+        signal.signal(number, handler)
+
+
+def end_by(number: signal.Signals) -> None:
+    """End this process as that signal does in a process without a handler."""
+    signal.signal(number, signal.SIG_DFL)
+    os.kill(os.getpid(), number)

@@ -1,0 +1,138 @@
+"""`fibaction console`: the page to operate the actions of any server, on this machine only.
+
+The page is part of every web server of this library. So this verb serves what it has connected to
+once more, at an `http://` address of this machine, and opens that. Actions that come later are
+served as soon as they are found. The address has a new token each time, in its fragment, which a
+browser does not send or log.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import sys
+import webbrowser
+from collections.abc import Mapping
+
+import anyio
+import click
+from anyio import to_thread
+
+from fibaction._api import connect
+from fibaction.border.abc import Connection, Endpoint
+from fibaction.border.urls import transport_for, without_settings
+from fibaction.cli.arguments.action_names import shown
+from fibaction.cli.arguments.options import reject_inproc, url_of
+from fibaction.cli.output.lines import note, say
+from fibaction.cli.process.exit_codes import ExitCode, message_of, run
+from fibaction.cli.process.logs import log_with_time
+from fibaction.cli.process.signals import stop_signals
+from fibaction.types.action import ActionInfo
+from fibaction.wire.transport import WireTransport
+from fibaction.wire.wire_server import open_server
+from fibaction.words.errors import ActionError, TransportError
+
+PERIOD = 1.0
+"""Seconds between two looks for actions that have come or gone."""
+
+
+@click.command(
+    "console",
+    epilog="""\b
+Examples:
+  fibaction console tcp://192.168.0.7:7400
+  fibaction console ros2:// --port 8080
+  fibaction console nats://127.0.0.1:4222/fleet --no-open""",
+)
+@click.argument("url", metavar="[URL]", required=False)
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=0,
+    show_default=True,
+    help="Port of the page on this machine; 0 is a free one.",
+)
+@click.option("--no-open", is_flag=True, help="Print the address, and open no browser.")
+@click.pass_context
+def console_command(context: click.Context, url: str | None, port: int, no_open: bool) -> None:
+    """Open a page in the browser to watch and operate the actions of a server.
+
+    The page is served on this machine only, with a token of its own in the address.
+
+    Ctrl-C or SIGTERM ends it; the goals go on at their server. A second one ends at once.
+    """
+    there = url or url_of(context)
+    reject_inproc(there)
+    with log_with_time():
+        run(console, there, port, opens=not no_open and can_open(os.environ, sys.platform))
+
+
+def can_open(environment: Mapping[str, str], platform: str) -> bool:
+    """Return whether a browser with a window can be opened from here."""
+    if not platform.startswith("linux"):
+        return True
+    return any(name in environment for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
+
+
+async def console(url: str, port: int, *, opens: bool) -> int:
+    """Serve the actions of a server with the console, until a signal comes."""
+    token = secrets.token_urlsafe(16)
+    page = transport_for(f"http://127.0.0.1:{port}", tokens={token: "console"})
+    assert isinstance(page, WireTransport)
+    async with stop_signals() as stop, connect(url) as connection:
+        found = Found(connection)
+        found.take(await connection.actions())
+        async with (
+            open_server(found.endpoints, page.server_settings) as server,
+            page.accept_lines(server) as where,
+            anyio.create_task_group() as tasks,
+        ):
+            address = f"{where}/#token={token}"
+            say(f"console of {without_settings(url)} at {address} , Ctrl-C stops it")
+            tasks.start_soon(found.follow)
+            if opens:
+                tasks.start_soon(open_page, address)
+            await stop.wait()
+            tasks.cancel_scope.cancel()
+    return ExitCode.SUCCEEDED
+
+
+async def open_page(address: str) -> None:
+    """Open an address in the browser, in a thread: some take their time to come back."""
+    await to_thread.run_sync(webbrowser.open, address, abandon_on_cancel=True)
+
+
+class Found:
+    """The endpoints of all actions that can be reached now."""
+
+    def __init__(self, connection: Connection) -> None:
+        self.endpoints: dict[str, Endpoint] = {}
+        """The endpoints by the names of their actions."""
+        self._connection = connection
+        self._infos: dict[str, ActionInfo] = {}
+
+    def take(self, infos: list[ActionInfo]) -> None:
+        """Serve these actions from now on, and no others."""
+        named = {info.name: info for info in infos}
+        for name in self._infos.keys() - named.keys():
+            self.endpoints.pop(name, None)
+        for name, info in named.items():
+            if self._infos.get(name) != info:
+                self._add(info)
+        self._infos = named
+
+    def _add(self, info: ActionInfo) -> None:
+        try:
+            self.endpoints[info.name] = self._connection.endpoint(info)
+        except TransportError as exc:
+            note(f"{shown(info.name)} is left out: {message_of(exc)}")
+
+    async def follow(self) -> None:
+        """Look for actions that have come or gone, until canceled."""
+        while True:
+            await anyio.sleep(PERIOD)
+            try:
+                infos = await self._connection.actions()
+            except ActionError:
+                continue  # the server is away; its goals can be followed again when it is back
+            self.take(infos)

@@ -1,0 +1,147 @@
+"""`fibaction echo`: print every status and feedback of an action."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from typing import Any
+
+import click
+
+from fibaction._api import ClientConnection, connect
+from fibaction.cli.arguments.action_names import find_action, shown
+from fibaction.cli.arguments.completion import ACTION
+from fibaction.cli.arguments.options import full_option, json_option, url_option
+from fibaction.cli.output.escape import excerpt
+from fibaction.cli.output.goal_table import GoalRow
+from fibaction.cli.output.lines import note, say, say_json
+from fibaction.cli.output.render import INDENT
+from fibaction.cli.output.yaml_text import as_yaml
+from fibaction.cli.process.exit_codes import ExitCode, message_of, run
+from fibaction.cli.process.logs import log_connection
+from fibaction.cli.process.signals import until_interrupted
+from fibaction.client.events import GoalFeedback
+from fibaction.observe.monitor import ActionListener, AnyClient, follow_action, follow_actions
+from fibaction.types.action import Action, ActionInfo
+from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.statuses import GoalStatus
+
+REMEMBERED = 10_000
+"""Goals whose last status is remembered, so that none is printed twice: as many as a server has."""
+
+
+@click.command(
+    "echo", epilog="\b\nExamples:\n  fibaction echo fibonacci\n  fibaction echo fibonacci --json"
+)
+@click.argument("name", type=ACTION)
+@full_option
+@json_option
+@url_option
+def echo_command(name: str, full: bool, as_json: bool, url: str) -> None:
+    """Print the feedback of all goals of the action NAME, and every change of their statuses, until
+    Ctrl-C. The statuses of the goals that the server knows come first.
+    """
+    run(echo, url, name, full=full, as_json=as_json)
+
+
+async def echo(url: str, name: str, *, full: bool, as_json: bool) -> int:
+    """Print all events of an action, until Ctrl-C."""
+    async with connect(url) as connection:
+        printer = EchoPrinter(as_json, full=full)
+        await until_interrupted(partial(print_events, connection, name, printer, feedback=True))
+    return ExitCode.SUCCEEDED
+
+
+async def print_events(
+    connection: ClientConnection, name: str | None, printer: EventPrinter, *, feedback: bool
+) -> None:
+    """Print the events of one action, or of all, until canceled.
+
+    Raises:
+        Failure: The action is not served.
+        ActionError: The connection is lost and is not reopened.
+    """
+    log_connection()
+    if name is None:
+        await follow_actions(connection, printer, feedback=feedback)
+    else:
+        info = await find_action(connection, name)
+        client = connection.client(Action.untyped(info))
+        await follow_action(client, info, printer, feedback=feedback)
+
+
+class EventPrinter(ActionListener):
+    """Prints each change of a status as a line."""
+
+    def __init__(self, as_json: bool) -> None:
+        self._as_json = as_json
+        self._statuses: dict[tuple[str, GoalID], GoalStatus] = {}
+        self._away: set[str] = set()
+
+    def on_action_found(self, info: ActionInfo, client: AnyClient) -> None:
+        if info.name in self._away:
+            self._away.remove(info.name)
+            note(f"{shown(info.name)} is back")
+
+    def on_event(self, action: str, event: GoalInfo | GoalFeedback[Any]) -> None:
+        if isinstance(event, GoalFeedback):
+            self.print_feedback(event)
+        elif self._is_news((action, event.goal_id), event.status):
+            self.print_status(GoalRow(action, event))
+
+    def on_action_lost(self, action: str, reason: str) -> None:
+        self._away.add(action)
+        note(f"{shown(action)} is away: {message_of(reason)}")
+
+    def on_actions(self, actions: list[ActionInfo] | None, reason: str) -> None:
+        pass  # each action is reported by itself
+
+    def print_status(self, row: GoalRow) -> None:
+        """Print a goal that has another status."""
+        if self._as_json:
+            say_json(row.json())
+        else:
+            when = time.strftime("%H:%M:%S")
+            cells = [when, row.goal_id, f"{_word(row.info.status):9}", excerpt(shown(row.action))]
+            say("  ".join([*cells, row.feedback, row.client]))
+
+    def print_feedback(self, event: GoalFeedback[Any]) -> None:
+        """Print feedback of a goal; here it is left out."""
+
+    def _is_news(self, goal: tuple[str, GoalID], status: GoalStatus) -> bool:
+        # After a connection was lost, the statuses of all goals come again.
+        before = self._statuses.pop(goal, None)
+        if status is GoalStatus.UNKNOWN:
+            return before is not None
+        self._statuses[goal] = status
+        if len(self._statuses) > REMEMBERED:
+            del self._statuses[next(iter(self._statuses))]
+        return before is not status
+
+
+class EchoPrinter(EventPrinter):
+    """Prints statuses and feedback."""
+
+    def __init__(self, as_json: bool, *, full: bool) -> None:
+        super().__init__(as_json)
+        self._full = full
+
+    def print_status(self, row: GoalRow) -> None:
+        if self._as_json:
+            say_json({"event": "status", **row.json()})
+        else:
+            say(f"Goal {row.goal_id}: {_word(row.info.status)}\n")
+
+    def print_feedback(self, event: GoalFeedback[Any]) -> None:
+        goal_id, number, feedback = str(event.goal_id), event.number, event.feedback
+        if self._as_json:
+            say_json(
+                {"event": "feedback", "goal_id": goal_id, "number": number, "feedback": feedback}
+            )
+        else:
+            text = as_yaml(feedback, full=self._full, indent=INDENT)
+            say(f"Goal {goal_id}: feedback {number}\n{text}\n")
+
+
+def _word(status: GoalStatus) -> str:
+    return "forgotten" if status is GoalStatus.UNKNOWN else status.name

@@ -1,0 +1,68 @@
+"""`fibaction info`: show an action as `ros2 action info` does, and a template of its goal."""
+
+from __future__ import annotations
+
+import click
+
+from fibaction._api import connect
+from fibaction.cli.arguments.action_names import no_action, shown
+from fibaction.cli.arguments.completion import ACTION
+from fibaction.cli.arguments.goal_template import GoalTemplate
+from fibaction.cli.arguments.options import json_option, url_option
+from fibaction.cli.output.escape import excerpt
+from fibaction.cli.output.lines import say, say_json
+from fibaction.cli.process.exit_codes import ExitCode, run
+from fibaction.cli.verbs.list import count_option, types_option, with_type
+from fibaction.types.action import ActionInfo
+from fibaction.words.errors import ServerNotFound
+
+
+@click.command("info", epilog="\b\nExample:\n  fibaction info fibonacci")
+@click.argument("name", type=ACTION)
+@types_option
+@count_option
+@json_option
+@url_option
+def info_command(name: str, show_types: bool, count: bool, as_json: bool, url: str) -> None:
+    """Show the servers and the clients of the action NAME, and its goal as a template to fill in.
+    With --json, also the JSON Schemas of its goal, feedback and result.
+    """
+    run(print_info, url, name, show_types=show_types, count=count, as_json=as_json)
+
+
+async def print_info(url: str, name: str, *, show_types: bool, count: bool, as_json: bool) -> int:
+    """Print the clients and the servers of an action.
+
+    Raises:
+        Failure: It has neither.
+    """
+    async with connect(url) as connection:
+        actions = await connection.actions()
+        found = [info for info in actions if shown(info.name) == shown(name)]
+        info = found[0] if found else ActionInfo(name)
+        try:
+            peers = await connection.peers(info.name)
+        except (ServerNotFound, UnicodeError) as exc:  # a name that is not text has no server
+            raise no_action(name, actions) from exc
+    if not (found or peers.servers or peers.clients):
+        raise no_action(name, actions)
+    if as_json:
+        schemas = {
+            "goal": info.goal,
+            "feedback": info.feedback,
+            "result": info.result,
+            "template": GoalTemplate(info.goal).goal,
+        }
+        names = {"clients": peers.clients, "servers": peers.servers}
+        say_json({"name": info.name, "type": info.type_name, **names, **({} if count else schemas)})
+        return ExitCode.SUCCEEDED
+    say(f"Action: {excerpt(shown(info.name))}")
+    for role, peer_names in (("clients", peers.clients), ("servers", peers.servers)):
+        say(f"Action {role}: {len(peer_names)}")
+        for one in () if count else peer_names:
+            say(f"    {with_type(one, info.type_name if show_types else '')}")
+    if info.goal and not count:
+        say("Goal:")
+        for line in GoalTemplate(info.goal).lines():
+            say(f"    {line}")
+    return ExitCode.SUCCEEDED

@@ -1,0 +1,110 @@
+"""`fibaction list`: list the actions that are served, as `ros2 action list` prints them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from itertools import groupby
+
+import click
+
+from fibaction._api import connect
+from fibaction.cli.arguments.action_names import shown
+from fibaction.cli.arguments.namespace_option import namespace_option
+from fibaction.cli.arguments.namespaces import ROOT, Namespace, namespace_of
+from fibaction.cli.arguments.options import json_option, url_option
+from fibaction.cli.output.escape import excerpt
+from fibaction.cli.output.lines import say, say_json
+from fibaction.cli.process.exit_codes import ExitCode, run
+from fibaction.types.action import ActionInfo
+
+types_option = click.option("-t", "--show-types", is_flag=True, help="Show the types, too.")
+count_option = click.option(
+    "-c", "--count", "--count-actions", "count", is_flag=True, help="Show only the number."
+)
+
+
+@click.command(
+    "list",
+    epilog="""\b
+Examples:
+  fibaction list -t
+  fibaction list -n /robot1
+  fibaction list --group""",
+)
+@types_option
+@count_option
+@namespace_option
+@click.option("-g", "--group", is_flag=True, help="Show each namespace, and its actions below it.")
+@json_option
+@url_option
+def list_command(
+    show_types: bool, count: bool, namespace: Namespace, group: bool, as_json: bool, url: str
+) -> None:
+    """List the actions that are served."""
+    settings = {"show_types": show_types, "count": count, "as_json": as_json}
+    run(list_actions, url, namespace, group=group, **settings)
+
+
+async def list_actions(
+    url: str,
+    namespace: Namespace = ROOT,
+    *,
+    group: bool = False,
+    show_types: bool,
+    count: bool,
+    as_json: bool,
+) -> int:
+    """Print the names of the actions, one a line, or their number.
+
+    Raises:
+        Failure: The namespace has no actions.
+    """
+    async with connect(url) as connection:
+        actions = await namespace.narrow(connection).actions()
+    print_found = print_groups if group else print_actions
+    print_found(actions, show_types=show_types, count=count, as_json=as_json)
+    return ExitCode.SUCCEEDED
+
+
+def print_actions(
+    actions: Collection[ActionInfo], *, show_types: bool, count: bool, as_json: bool
+) -> None:
+    """Print the actions in the order of their names, or their number."""
+    if count:
+        number = len(actions)
+        say_json({"count": number}) if as_json else say(str(number))
+        return
+    for info in sorted(actions, key=lambda info: shown(info.name)):
+        if as_json:
+            say_json(_json(info))
+        else:
+            say(with_type(shown(info.name), info.type_name if show_types else ""))
+
+
+def print_groups(
+    actions: Collection[ActionInfo], *, show_types: bool, count: bool, as_json: bool
+) -> None:
+    """Print each namespace, and below it its actions, or behind it their number."""
+
+    def key(info: ActionInfo) -> tuple[str, str]:
+        return namespace_of(info.name), shown(info.name)
+
+    for namespace, group in groupby(sorted(actions, key=key), key=lambda info: key(info)[0]):
+        infos = list(group)
+        if as_json:
+            for value in [{"count": len(infos)}] if count else map(_json, infos):
+                say_json({"namespace": namespace, **value})
+            continue
+        say(f"{excerpt(namespace)}{f': {len(infos)}' if count else ''}")
+        for info in () if count else infos:
+            name = shown(info.name).rpartition("/")[2]
+            say(f"    {with_type(name, info.type_name if show_types else '')}")
+
+
+def _json(info: ActionInfo) -> dict[str, object]:
+    return {"name": info.name, "type": info.type_name}
+
+
+def with_type(name: str, type_name: str) -> str:
+    """Return a name with its type in brackets, if there is one."""
+    return f"{excerpt(name)} [{excerpt(type_name)}]" if type_name else excerpt(name)

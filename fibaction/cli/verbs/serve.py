@@ -1,0 +1,193 @@
+"""`fibaction serve`: serve the servers of a user's module, by `fibaction.serve`."""
+
+from __future__ import annotations
+
+import gc
+import os
+from collections.abc import AsyncGenerator, Callable, Generator, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from typing import Literal
+
+import anyio
+import click
+
+from fibaction._api import serve
+from fibaction._runtime.log import clean_logger
+from fibaction.border.abc import StatusStream
+from fibaction.cli.arguments.action_names import names_of
+from fibaction.cli.arguments.import_target import AnyServer, import_servers
+from fibaction.cli.arguments.options import reject_inproc, url_of
+from fibaction.cli.output.lines import say
+from fibaction.cli.process.exit_codes import ExitCode, Failure, run
+from fibaction.cli.process.last_seconds import LastSeconds
+from fibaction.cli.process.logs import log_events, log_with_time
+from fibaction.cli.process.reload import SAME_STOP, run_reloading, started_by
+from fibaction.cli.process.serve_watchers import metrics_of, recorded
+from fibaction.cli.process.signals import stop_signals
+from fibaction.stores.sqlite_store import SqliteStore
+from fibaction.words.statuses import GoalStatus
+
+LAST_SECONDS = 0.5
+"""Seconds between the stop of all servers and the end of the process, at most."""
+
+COLLECTIONS = (20_000, 20, 20)
+"""Thresholds of the garbage collector while goals run; by default the first is 700, and the others
+are 10."""
+
+logger = clean_logger(__name__)
+
+
+@click.command(
+    "serve",
+    epilog="""\b
+Examples:
+  fibaction serve robot:server
+  fibaction serve robot:make_servers tcp://127.0.0.1:7400 unix:///run/robot.sock ros2://
+  fibaction serve robot:server --store goals.db
+  fibaction serve robot:server --record today.jsonl --metrics :9464
+  fibaction serve robot:server --reload""",
+)
+@click.argument("target", metavar="MODULE:SERVER")
+@click.argument("urls", metavar="[URL]...", nargs=-1)
+@click.option("--store", metavar="FILE", help="Keep the goals in this file, over restarts.")
+@click.option(
+    "--sync",
+    type=click.Choice(["full", "normal"]),
+    help="With --store: normal is faster, and may lose the last goals if the power fails.",
+)
+@click.option("--log-json", is_flag=True, help="Log JSON objects, one on a line, with goal IDs.")
+@click.option("--metrics", metavar="[HOST]:PORT", help="Serve /metrics and /healthz here, by HTTP.")
+@click.option("--record", metavar="FILE", help="Record everything that happens to goals.")
+@click.option("--reload", is_flag=True, help="Start again when the module's .py files change.")
+@click.option("--started-by", "parent", type=int, hidden=True)
+@click.pass_context
+def serve_command(
+    context: click.Context,
+    target: str,
+    urls: tuple[str, ...],
+    store: str | None,
+    sync: Literal["full", "normal"] | None,
+    log_json: bool,
+    metrics: str | None,
+    record: str | None,
+    reload: bool,
+    parent: int | None,
+) -> None:
+    """Run the action servers of a module of yours, at one URL or at several at once.
+
+    SERVER is an ActionServer, a list of several, or a function without arguments that returns them.
+    The module is looked for in the current folder first.
+
+    Ctrl-C or SIGTERM ends all goals, tells their clients and stops. A second one ends at once.
+
+    With --store, servers that have no store of their own keep their goals in that file: their
+    `recovery` and `at_stop` say what becomes of active ones.
+    """
+    if sync is not None and store is None:
+        raise Failure("--sync is a setting of --store FILE", ExitCode.USAGE)
+    where = urls or (url_of(context),)
+    reject_inproc(*where)  # beside another one it is for clients in the module itself
+    sync = sync or "full"
+    if record is not None:
+        record = os.path.abspath(record)
+    if store is not None:
+        store = os.path.abspath(store)  # the module may change the folder when it is imported
+    with log_with_time(as_json=log_json):
+        if reload:
+            options: tuple[str, ...] = () if store is None else ("--store", store, "--sync", sync)
+            options += ("--log-json",) if log_json else ()
+            options += () if metrics is None else ("--metrics", metrics)
+            options += () if record is None else ("--record", record)
+            run_reloading(target, urls, url_of(context), options)
+        else:
+            with started_by(parent):
+                same = None if parent is None else SAME_STOP
+                servers = import_servers(target)
+                if store is not None:
+                    keep_in_file(servers, store, sync)
+                with LastSeconds(LAST_SECONDS, ExitCode.SUCCEEDED) as last:
+                    run(
+                        serve_servers,
+                        servers,
+                        where,
+                        metrics=metrics,
+                        record=record,
+                        same=same,
+                        at_end=last.begin,
+                        uvloop=True,
+                    )
+
+
+def keep_in_file(servers: Sequence[AnyServer], path: str, sync: Literal["full", "normal"]) -> None:
+    """Let the servers that have no store keep their goals in a file."""
+    store = SqliteStore(path, sync=sync)
+    for server in servers:
+        if server.store is None:
+            server.keep_in(store)
+
+
+async def serve_servers(
+    servers: Sequence[AnyServer],
+    urls: Sequence[str],
+    *,
+    metrics: str | None = None,
+    record: str | None = None,
+    same: float | None = None,
+    at_end: Callable[[], None],
+) -> int:
+    """Serve until a signal comes, then let the goals end and tell their clients.
+
+    With `metrics`, an address, metrics are served there, and with `record` everything is recorded
+    in that file. A signal within `same` seconds of the first one is ignored: see `stop_signals`.
+    `at_end` is called when all servers have stopped.
+    """
+    async with AsyncExitStack() as stack:
+        stop = await stack.enter_async_context(stop_signals(same))
+        if metrics is not None:
+            await stack.enter_async_context(metrics_of(servers, metrics))
+        if record is not None:
+            stack.enter_context(recorded(servers, record))
+        where = await stack.enter_async_context(served(servers, *urls))
+        say(f"serving {names_of(servers)} at {', '.join(where)}, Ctrl-C stops it")
+        with rare_collections():
+            await stop.wait()
+    at_end()
+    return ExitCode.SUCCEEDED
+
+
+@contextmanager
+def rare_collections() -> Generator[None, None, None]:
+    """Collect garbage less often during the block.
+
+    With 10,000 active goals a full collection stops all for 0.1 s or more. What fibaction makes is
+    freed without one, so collections are for the executors.
+    """
+    before = gc.get_threshold()
+    gc.collect()
+    gc.freeze()  # what was imported stays
+    gc.set_threshold(*COLLECTIONS)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+        gc.unfreeze()
+
+
+@asynccontextmanager
+async def served(servers: Sequence[AnyServer], *urls: str) -> AsyncGenerator[tuple[str, ...], None]:
+    """Run `fibaction.serve` during the block, and log each change of a goal's status."""
+    async with serve(servers, *urls) as where, anyio.create_task_group() as tasks:
+        log_events()  # not sooner: if it cannot serve, it is of no interest that servers stop
+        for server in servers:
+            tasks.start_soon(_log_goals, server.action.name, await server.status())
+        yield where
+        # Ends the streams of statuses too, after the last status, and with them the tasks above.
+        for server in servers:
+            tasks.start_soon(server.stop)
+
+
+async def _log_goals(action: str, changes: StatusStream) -> None:
+    with changes:
+        while (goal := await changes.receive()) is not None:
+            if goal.status is not GoalStatus.UNKNOWN:  # its end was logged before
+                logger.info("goal %s of action %r: %s", goal.goal_id, action, goal.status.name)

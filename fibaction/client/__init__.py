@@ -1,0 +1,1 @@
+"""The client of an action: goals that are sent, followed, tried again and canceled."""

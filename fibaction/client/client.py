@@ -1,0 +1,308 @@
+"""`ActionClient`: send goals to an endpoint, follow and cancel them.
+
+A client calls the methods of an `Endpoint`, which may be a server in the same process or the client
+half of a transport. The client adds the types of the `Action`: it encodes goals, and decodes
+feedback and results. It keeps no state about goals but one table, `_blocks`, in their order.
+
+Sending: `send_goal` returns a `SendingGoal`, which is both awaitable and an async context manager.
+Nothing is sent before one of the two begins. If the task is canceled while it waits for the answer,
+the goal may have been accepted already; so the client cancels it by its ID, which it made itself.
+
+Following and leaving a goal: see `client_goal`. Timeouts and retries: see `_attempts`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from operator import index
+from typing import TYPE_CHECKING, Generic
+
+import anyio
+from anyio import get_cancelled_exc_class
+
+from fibaction._runtime.own_thread import OwnThread
+from fibaction.border.abc import Endpoint
+from fibaction.border.goal_span import NO_SPAN
+from fibaction.client.attempts import Attempts, cancel_left, check_timeout
+from fibaction.client.events import Events, events_of
+from fibaction.client.goal import Blocks, ClientGoal, SendingGoal, leave_blocks
+from fibaction.client.kept_connection import KeptEndpoint
+from fibaction.client.retry import Retry
+from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.words.errors import ServerNotFound
+from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo
+
+if TYPE_CHECKING:
+    from fibaction.observe.otel import Tracing
+
+
+class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
+    """A client of one action at one endpoint, which need not be closed.
+
+    It belongs to one event loop: what waits raises `RuntimeError` in another thread, for this class
+    as for `ClientGoal`.
+
+    For example:
+
+        async with connect("tcp://127.0.0.1:7400", DRIVE) as client:
+            print(await client.call(3, on_feedback=print))
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        action: Action[GoalT, FeedbackT, ResultT],
+        blocks: Blocks | None = None,
+        *,
+        tracing: Tracing | None = None,
+    ) -> None:
+        """Make a client; `blocks` are the open blocks of its connection, if it has one. `tracing`
+        makes a span for each goal that is sent.
+        """
+        self.endpoint = endpoint
+        """The endpoint that the goals are sent to."""
+        self.action = action
+        self._thread = OwnThread()
+        self._blocks: Blocks = {} if blocks is None else blocks
+        self._tracing = tracing
+
+    def send_goal(
+        self, goal: GoalT, *, goal_id: GoalID | None = None, timeout: float | None = None
+    ) -> SendingGoal[FeedbackT, ResultT]:
+        """Send a goal: `async with` the returned object, or `await` it.
+
+        Both return a `ClientGoal` as soon as the server has accepted the goal. The end of the block
+        of `async with` cancels the goal if it has not ended, without waiting for the executor's
+        clean-up; after `await`, the goal goes on by itself. A cancellation of the task before the
+        answer has arrived cancels the goal, too. `goal_id` serves to send the same goal again after
+        its answer was lost.
+
+        `timeout` is the number of seconds for the goal as a whole, from here to its end. Then each
+        wait for the goal ends: for its acceptance, its feedback, its outcome. It cancels the goal,
+        waits some seconds at most for the answer to that, and raises `GoalTimeout`. A goal that no
+        task waits for is not canceled. The executor finds the time in `GoalHandle.deadline`.
+
+        Raises:
+            GoalTimeout: The server did not accept the goal within `timeout` seconds.
+            GoalRejected: The server did not accept the goal; `reason` says why.
+            ServerNotFound: This action is not served.
+            ConnectionLost: The connection ended before the answer.
+            AuthenticationFailed: This client lacks the permission.
+            InvalidMessage: The goal is too large to be sent; nothing was sent.
+            ProtocolError: The server sent an invalid message, which ended the connection.
+            TypeError, ValueError, OverflowError, RecursionError: The goal cannot be encoded: see
+                `Codec.encode`.
+            TypeError: `goal_id` is not a `GoalID`.
+            ValueError: `timeout` is not more than 0.
+        """
+        if goal_id is None:
+            goal_id = GoalID.random()
+        _check_is_id(goal_id)
+        attempts = self._attempts(goal_id, timeout, None)
+        sending = self._send(goal, goal_id, attempts)
+        return SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts)
+
+    async def call(
+        self,
+        goal: GoalT,
+        *,
+        on_feedback: Callable[[FeedbackT], Awaitable[object] | object] | None = None,
+        timeout: float | None = None,
+        retry: Retry | None = None,
+    ) -> ResultT:
+        """Send a goal, and return its result.
+
+        `on_feedback`, sync or async, is called with each feedback. A cancellation of the calling
+        task, or an exception of `on_feedback`, cancels the goal. If feedback was lost, for example
+        with a connection, the number of lost messages is logged as a warning of
+        `fibaction.client`, unless the server's policy is `feedback="latest"`.
+
+        `timeout` is the number of seconds for all of it, from here to the result, all attempts
+        included; then the goal is canceled. `on_feedback` is not interrupted: the time is checked
+        again when it returns.
+
+        With `retry`, another attempt follows an error after which it is safe: see `Retry`. The goal
+        keeps its ID, and runs once, as long as the server remembers it. Each attempt after the
+        first is logged as information of `fibaction.client`.
+
+        Raises:
+            GoalTimeout: It took longer than `timeout` seconds.
+            GoalRejected, ServerNotFound, ConnectionLost, AuthenticationFailed, ProtocolError,
+                TypeError, ValueError, OverflowError, RecursionError: As for `send_goal`.
+            GoalAborted, GoalCanceled, UnknownGoal, TransportError: As for `ClientGoal.result`.
+            ValueError: `timeout` is not more than 0.
+            TypeError: `retry` is not a `Retry`.
+        """
+        goal_id = GoalID.random()
+        attempts = self._attempts(goal_id, timeout, retry)
+        sending = self._send(goal, goal_id, attempts, feedback=on_feedback is not None)
+        async with SendingGoal(self.endpoint, goal_id, sending, self._blocks, attempts) as sent:
+            if on_feedback is not None:
+                async for feedback in sent.feedback:
+                    answer = on_feedback(feedback)
+                    if isinstance(answer, Awaitable):
+                        await answer
+                sent.feedback.warn_of_loss()
+            return await sent.result()
+
+    async def attach(
+        self, goal_id: GoalID, *, after: int | None = None, attempt: int = 1
+    ) -> ClientGoal[FeedbackT, ResultT]:
+        """Follow a goal that any client sent: its feedback from now on, and its result.
+
+        With `after`, the feedback begins behind that number, as far back as the server remembers:
+        `goal.feedback.number` is the number of the feedback that was read last. `attempt` is the
+        attempt that the number is of, `goal.feedback.attempt`; if the server has run the goal again
+        since, the feedback begins with the first of the new attempt.
+
+        Raises:
+            UnknownGoal: The server has no such goal.
+            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
+            TransportError: As for `ClientGoal.cancel`.
+            TypeError: `goal_id` is not a `GoalID`, or a number is not a whole one.
+        """
+        _check_is_id(goal_id)
+        after = None if after is None else index(after)
+        self._thread.check()
+        stream = await self.endpoint.feedback(goal_id, after=after, attempt=index(attempt))
+        return ClientGoal(self.endpoint, self.action, stream, self._thread)
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, *, before: int | None = None
+    ) -> CancelAnswer:
+        """Ask the server to cancel goals of any clients.
+
+        Without arguments, this means all goals; with `before`, those accepted at or before that
+        stamp; with `goal_id`, that goal; with both, that goal and those.
+
+        Raises:
+            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
+            TransportError: As for `ClientGoal.cancel`.
+            TypeError: `goal_id` is not a `GoalID`, or `before` is not a whole number.
+        """
+        if goal_id is not None:
+            _check_is_id(goal_id)
+        before = None if before is None else index(before)
+        self._thread.check()
+        return await self.endpoint.cancel_goals(goal_id, before)
+
+    async def goals(self) -> list[GoalInfo]:
+        """Return every goal that the server knows: those that have ended, then the active ones.
+
+        Raises:
+            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
+            TransportError: As for `ClientGoal.cancel`.
+        """
+        self._thread.check()
+        with await self.endpoint.status() as statuses:
+            return await statuses.listed()
+
+    def events(self, *, feedback: bool = True) -> AbstractAsyncContextManager[Events[FeedbackT]]:
+        """Return a block whose value is an iterator over all events of the action's goals.
+
+        The events are first every goal that the server knows, then each change of a status, and,
+        with `feedback`, the feedback of all goals, of new ones from the beginning, as far back as
+        the server remembers. The end of a goal comes after its feedback.
+
+            async with client.events() as events:
+                async for event in events:
+                    ...
+
+        Raises:
+            ServerNotFound, ConnectionLost, AuthenticationFailed: As for `send_goal`.
+            TransportError: As for `ClientGoal.cancel`.
+        """
+        return self._events(feedback)
+
+    @asynccontextmanager
+    async def _events(self, feedback: bool) -> AsyncGenerator[Events[FeedbackT], None]:
+        self._thread.check()
+        async with events_of(self.endpoint, self.action.feedback, feedback=feedback) as events:
+            yield events
+
+    async def wait_for_server(self, timeout: float | None = None) -> None:
+        """Wait until the action is served.
+
+        Raises:
+            ServerNotFound: It was not served within `timeout` seconds (None: no limit).
+            TransportError: The connection ended for good, or the server does not answer.
+        """
+        self._thread.check()
+        with anyio.move_on_after(timeout):
+            return await self.endpoint.wait_for_server()
+        raise ServerNotFound(f"the action {self.action.name!r} was not served within {timeout:g} s")
+
+    async def leave(self) -> None:
+        """Cancel the goals of `call`, and of blocks of `send_goal`, that have not ended.
+
+        The end of the block of `connect` calls this, before it closes the connection.
+        """
+        await leave_blocks(self._blocks)
+
+    async def aclose(self) -> None:
+        """Close the connection that `await connect(...)` has opened, from any task.
+
+        Goals of `call`, and of blocks of `send_goal`, that have not ended are canceled first.
+        Closing twice does nothing.
+
+        Raises:
+            RuntimeError: This client was not made by `await connect(...)`.
+        """
+        if not isinstance(self.endpoint, KeptEndpoint):
+            raise RuntimeError(
+                "this client need not be closed: the block of `async with connect(...)` closes its"
+                " connection, and aclose() is for `client = await connect(...)`"
+            )
+        await self.endpoint.connection.aclose()
+
+    def _attempts(
+        self, goal_id: GoalID, timeout: float | None, retry: Retry | None
+    ) -> Attempts | None:
+        """Return what limits and repeats the waits for a goal; None if nothing does."""
+        if timeout is None and retry is None:
+            return None
+        check_timeout(timeout)
+        _check_is_retry(retry)
+        return Attempts(self.endpoint, goal_id, timeout, retry)
+
+    async def _send(
+        self, goal: GoalT, goal_id: GoalID, attempts: Attempts | None, *, feedback: bool = True
+    ) -> ClientGoal[FeedbackT, ResultT]:
+        self._thread.check()
+        payload = self.action.goal.encode(goal)
+        span = NO_SPAN
+        if self._tracing is not None:
+            span = self._tracing.sending(self.action.name, goal_id)
+        try:
+            if attempts is not None:
+                stream = await attempts.send(payload, feedback=feedback, meta=span.meta)
+            else:
+                stream = await self.endpoint.send_goal(
+                    goal_id, payload, feedback=feedback, meta=span.meta
+                )
+        except BaseException as exc:
+            span.failed(exc)
+            if attempts is None and isinstance(exc, get_cancelled_exc_class()):
+                # The server may have accepted the goal, and it would run without a client.
+                await cancel_left(self.endpoint, goal_id)
+            raise
+        span.accepted(stream)
+        return ClientGoal(self.endpoint, self.action, stream, self._thread, attempts, span)
+
+    # Python warns with this name if a goal is never awaited, and so never sent.
+    _send.__qualname__ = "ActionClient.send_goal"
+
+    def __repr__(self) -> str:
+        return f"<ActionClient of {self.action!r}>"
+
+
+def _check_is_id(goal_id: object) -> None:
+    """Raise TypeError here; a server closes the connection of a client that sends other bytes."""
+    if not isinstance(goal_id, GoalID):
+        raise TypeError(f"goal_id is a GoalID, as from GoalID.parse(), not {goal_id!r}")
+
+
+def _check_is_retry(retry: object) -> None:
+    if not isinstance(retry, Retry | None):
+        raise TypeError(f"retry is a Retry, such as Retry(attempts=3), not {retry!r}")

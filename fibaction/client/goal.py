@@ -1,0 +1,407 @@
+"""`ClientGoal`: one goal that was sent, its feedback and its outcome.
+
+Theory of operation
+-------------------
+
+Following: a `ClientGoal` has one `GoalStream`. `feedback` reads it item by item; `outcome` waits
+for its end, whether or not the feedback is read. An outcome is decoded once and kept.
+
+Holding: by default, a server loses no feedback of a goal that its own client reads, so the executor
+waits for a slow reader. A client that waits for the outcome without reading would wait for an
+executor that waits for the client. `outcome` therefore releases the executor (`GoalStream.hold`) if
+the calling task is the reader, or if the feedback has no reader; the next read holds it again. A
+reader in another task keeps the executor waiting, since that task goes on reading. A feedback
+reader that is garbage collected closes its stream, which releases the executor, too.
+
+Leaving: the end of a block of `send_goal`, or of `call`, cancels a goal that has not ended, and
+waits for the server's answer for a few seconds at most, shielded from a cancellation of the block
+itself: see `_attempts.cancel_left`. If the connection ends first, as at the end of the block of
+`connect`, then `ActionClient.leave` cancels the goals of all blocks that are still open, side by
+side, while the connection can still carry the cancels. A block that ends afterwards is no longer in
+`_blocks`, and does not cancel again.
+
+Timeouts and retries: a goal that has either has `Attempts`, through which it waits. The reader has
+the stream, which is another one after a retry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Coroutine, Generator
+from contextvars import ContextVar
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeAlias, TypeVar
+
+import anyio
+
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.own_thread import OwnThread
+from fibaction.border.abc import Endpoint, FeedbackItem, GoalStream
+from fibaction.border.goal_span import NO_SPAN, GoalSpan
+from fibaction.client.attempts import Attempts, cancel_left
+from fibaction.types.action import Action, Codec, FeedbackT, ResultT
+from fibaction.words.errors import (
+    ActionError,
+    ConnectionLost,
+    GoalAborted,
+    GoalCanceled,
+    UnknownGoal,
+)
+from fibaction.words.goals import CancelAnswer, GoalID, Outcome
+from fibaction.words.statuses import GoalStatus
+
+T = TypeVar("T")
+
+logger = clean_logger("fibaction.client")
+
+CALLER: ContextVar[int] = ContextVar("CALLER", default=0)
+"""The thread on whose behalf a task of `fibaction.blocking` runs; 0 for a task of its own."""
+
+
+def _caller() -> int:
+    """Return the task that reads or waits, or the thread that waits for this task."""
+    return CALLER.get() or anyio.get_current_task().id
+
+
+class FeedbackReader(Generic[FeedbackT]):
+    """The feedback of one goal, for `async for`; the iteration ends when the goal does."""
+
+    def __init__(
+        self,
+        stream: GoalStream,
+        codec: Codec[FeedbackT],
+        thread: OwnThread,
+        attempts: Attempts | None = None,
+        endpoint: Endpoint | None = None,
+        span: GoalSpan = NO_SPAN,
+    ) -> None:
+        self.stream = stream
+        self.span = span
+        self._endpoint = endpoint  # of a connection that is not to be collected before its reader
+        self._thread = thread
+        self._codec = codec
+        self._attempts = attempts
+        self._dropped = 0  # before this stream
+        self._reader: int | None = None
+        self._holding = True
+
+    def __aiter__(self) -> FeedbackReader[FeedbackT]:
+        self._reader = _caller()
+        return self
+
+    async def __anext__(self) -> FeedbackT:
+        """Return the next feedback.
+
+        Raises:
+            StopAsyncIteration: The goal has ended, and all its feedback has been read.
+            GoalTimeout: As for `ClientGoal.outcome`.
+            ConnectionLost: The connection ended before the goal did.
+            TransportError: As for `ClientGoal.outcome`.
+            ProtocolError: The feedback is not of its type.
+        """
+        self._thread.check()
+        if not self._holding:
+            self._holding = True
+            self.stream.hold(True)
+        if self._attempts is not None:
+            return await self._next_in_time(self._attempts)
+        stream = self.stream
+        # Feedback that has arrived need not be awaited. A status is of no use here, and the outcome
+        # is given again.
+        updates = stream.take() if stream.reads else ()
+        item = updates[0] if updates else None
+        if not isinstance(item, FeedbackItem):
+            item = await stream.receive()
+        if item is None:
+            raise StopAsyncIteration
+        return self._codec.decode(item.payload)
+
+    async def _next_in_time(self, attempts: Attempts) -> FeedbackT:
+        item = await self.wait(GoalStream.receive)
+        if item is None:
+            raise StopAsyncIteration
+        feedback = self._codec.decode(item.payload)
+        attempts.note_feedback(feedback)
+        return feedback
+
+    def wait(self, wait: Callable[[GoalStream], Awaitable[T]]) -> Awaitable[T]:
+        """Wait for something of the stream, and follow the goal again if the connection is lost, as
+        far as the goal's attempts allow.
+        """
+        # Most goals have no attempts, and need no coroutine around that of the stream.
+        return wait(self.stream) if self._attempts is None else self._wait(self._attempts, wait)
+
+    async def _wait(self, attempts: Attempts, wait: Callable[[GoalStream], Awaitable[T]]) -> T:
+        while True:
+            stream = self.stream
+            try:
+                return await attempts.wait(stream, wait)
+            except ConnectionLost as exc:
+                error = exc
+            try:
+                self.stream = await attempts.follow_again(error, stream)
+            finally:
+                del error  # its traceback references this frame
+            self._dropped += stream.dropped
+            if not self._holding:
+                self.stream.hold(False)
+
+    @property
+    def number(self) -> int:
+        """The number of the feedback that was read last, from 1; 0 before the first.
+
+        It is what `ActionClient.attach` takes as `after`, to go on behind this feedback. A message
+        that was not delivered has a number, too. Each attempt at the goal has numbers of its own.
+        """
+        return self.stream.cursor
+
+    @property
+    def attempt(self) -> int:
+        """The attempt at the goal that `number` belongs to, from 1."""
+        return self.stream.attempt
+
+    @property
+    def dropped(self) -> int:
+        """The number of feedback messages that were not delivered."""
+        return self._dropped + self.stream.dropped
+
+    def release(self) -> None:
+        """Stop making the executor wait for this reader, until its next read.
+
+        Does nothing if another task reads. Called by a task that is about to wait for the result.
+        """
+        if self._reader is None or self._reader == _caller():
+            self._holding = False
+            self.stream.hold(False)
+
+    def warn_of_loss(self) -> None:
+        """Log the number of messages that were lost, if the server's policy is to lose none."""
+        stream = self.stream
+        if self.dropped and not stream.latest:
+            logger.warning(
+                "goal %s: %d feedback messages were lost, with a connection or because they were"
+                " not read in time",
+                stream.goal_id,
+                self.dropped,
+            )
+
+    def __del__(self) -> None:
+        # The executor must not wait for a reader that no longer exists.
+        self.stream.close()
+        self.span.left(self.stream)
+
+
+class ClientGoal(Generic[FeedbackT, ResultT]):
+    """One accepted goal, as its client sees it.
+
+    For example:
+
+        async with client.send_goal(3) as goal:
+            async for meters in goal.feedback:
+                print(meters)
+            print(await goal.result())
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        action: Action[Any, FeedbackT, ResultT],
+        stream: GoalStream,
+        thread: OwnThread,
+        attempts: Attempts | None = None,
+        span: GoalSpan = NO_SPAN,
+    ) -> None:
+        """Make a goal that belongs to the thread of its client."""
+        self._thread = thread
+        self.feedback = FeedbackReader(stream, action.feedback, thread, attempts, endpoint, span)
+        """The feedback, for `async for`. While it is not read, the server keeps the newest."""
+        self._endpoint = endpoint
+        self._codec = action.result
+        self._outcome: Outcome[ResultT] | None = None
+
+    @property
+    def goal_id(self) -> GoalID:
+        """The goal's ID."""
+        return self.feedback.stream.goal_id
+
+    @property
+    def stamp(self) -> int:
+        """The time of the acceptance: nanoseconds since 1970, by the server's clock."""
+        return self.feedback.stream.stamp
+
+    @property
+    def status(self) -> GoalStatus:
+        """The newest status that this client knows."""
+        return self.feedback.stream.status
+
+    @property
+    def attempt(self) -> int:
+        """The newest attempt at the goal that this client knows, from 1.
+
+        A server that keeps its goals in a store may run a goal again after a restart. The feedback
+        of the new attempt follows what is unread of the one before.
+        """
+        return self.feedback.stream.newest_attempt
+
+    @property
+    def feedback_dropped(self) -> int:
+        """The number of feedback messages that were not delivered, because they were not read in
+        time.
+
+        It counts the messages before the last one that was read; at the end of the feedback, all.
+        The rest of an attempt that ended with its server is not known, and not counted.
+        """
+        return self.feedback.dropped
+
+    def __aiter__(self) -> FeedbackReader[FeedbackT]:
+        """Iterate over the feedback: `async for feedback in goal`."""
+        return self.feedback.__aiter__()
+
+    async def outcome(self) -> Outcome[ResultT]:
+        """Wait for the end of the goal, and return its outcome.
+
+        The executor does not wait for unread feedback while this is awaited, unless another task
+        reads the feedback.
+
+        Raises:
+            GoalTimeout: The goal took longer than its `timeout`, and was canceled.
+            ConnectionLost: The connection ended before the goal did.
+            TransportError: The outcome cannot be received, for example because the result is larger
+                than this client's limit.
+            ProtocolError: The result is not of its type.
+        """
+        self._thread.check()
+        if self._outcome is None:
+            self.feedback.release()
+            try:
+                raw = await self.feedback.wait(GoalStream.outcome)
+            except ActionError as exc:
+                self.feedback.span.failed(exc)
+                raise
+            self.feedback.span.ended(raw)
+            result = None if raw.result is None else self._codec.decode(raw.result)
+            self._outcome = Outcome(raw.status, result, raw.reason)
+        return self._outcome
+
+    async def result(self) -> ResultT:
+        """Wait for the end of the goal, and return its result.
+
+        Raises:
+            GoalAborted: It was aborted; `reason` says why, `result` is the partial result.
+            GoalCanceled: It was canceled; `result` is the partial result.
+            UnknownGoal: The server has forgotten the goal.
+            GoalTimeout, ConnectionLost, TransportError, ProtocolError: As for `outcome`.
+        """
+        outcome = await self.outcome()
+        if outcome.status is GoalStatus.SUCCEEDED:
+            return outcome.result  # type: ignore[return-value]  # a success has a result, maybe None
+        if outcome.status is GoalStatus.UNKNOWN:
+            raise UnknownGoal(self.goal_id)
+        error = GoalCanceled if outcome.status is GoalStatus.CANCELED else GoalAborted
+        raise error(outcome.reason, result=outcome.result, goal_id=self.goal_id)
+
+    async def cancel(self) -> CancelAnswer:
+        """Ask the server to cancel the goal, and return its answer.
+
+        An accepted cancel does not mean that the goal will end as CANCELED: see `outcome()`.
+
+        Raises:
+            ServerNotFound, ConnectionLost: The server cannot be reached.
+            AuthenticationFailed: This client lacks the permission to cancel.
+            TransportError: The server has too many requests of this client already.
+        """
+        self._thread.check()
+        return await self._endpoint.cancel_goals(self.goal_id)
+
+    def close(self) -> None:
+        """Stop reading feedback. The goal goes on, and `outcome()` still works."""
+        self._thread.check()
+        self.feedback.stream.close()
+
+    def __repr__(self) -> str:
+        return f"<ClientGoal {self.goal_id} {self.status.name}>"
+
+
+class SendingGoal(Generic[FeedbackT, ResultT]):
+    """A goal to be sent, by `await` or `async with`: see `ActionClient.send_goal`."""
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        goal_id: GoalID,
+        sending: Coroutine[Any, Any, ClientGoal[FeedbackT, ResultT]],
+        blocks: Blocks,
+        attempts: Attempts | None = None,
+    ) -> None:
+        """Prepare to send a goal; `blocks` are the open blocks of its client."""
+        self._endpoint = endpoint
+        self._goal_id = goal_id
+        self._blocks = blocks
+        self._attempts = attempts
+        self._sending = sending
+        self._goal: ClientGoal[FeedbackT, ResultT] | None = None
+
+    def __await__(self) -> Generator[Any, Any, ClientGoal[FeedbackT, ResultT]]:
+        return self._sending.__await__()
+
+    # For type checkers, each name would be an attribute.
+    if not TYPE_CHECKING:  # pragma: no branch  # it is always true at run time
+
+        def __getattr__(self, name: str) -> NoReturn:
+            raise AttributeError(
+                f"the goal has no attribute {name!r}, because it was not sent: write"
+                f" `goal = await client.send_goal(...)`, or"
+                f" `async with client.send_goal(...) as goal`"
+            )
+
+    async def __aenter__(self) -> ClientGoal[FeedbackT, ResultT]:
+        self._blocks[self] = None
+        try:
+            self._goal = await self._sending
+        except BaseException:
+            self._blocks.pop(self, None)
+            raise
+        return self._goal
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        assert self._goal is not None
+        self._goal.close()
+        self._goal.feedback.span.left(self._goal.feedback.stream, exc)
+        if self in self._blocks:  # else `ActionClient.leave` has canceled the goal
+            del self._blocks[self]
+            if not self._goal.status.is_terminal:
+                await self.leave()
+
+    def detach(self) -> None:
+        """Let the goal go on by itself: the end of no block cancels it any more."""
+        self._blocks.pop(self, None)
+
+    async def leave(self) -> None:
+        """Cancel the goal if it has not ended, wait for the answer, and log if the goal runs on."""
+        goal_id = self._goal_id
+        if self._goal is not None:
+            if self._goal.status.is_terminal:
+                return
+            goal_id = self._goal.goal_id
+        if self._attempts is not None:
+            self._attempts.stop()
+            await self._attempts.give_up()
+        else:
+            await cancel_left(self._endpoint, goal_id)
+
+
+Blocks: TypeAlias = dict[SendingGoal[Any, Any], None]
+"""The open blocks of goals of a client or of a connection, in their order."""
+
+
+async def leave_blocks(blocks: Blocks) -> None:
+    """Cancel the goals of open blocks, side by side, and close the blocks."""
+    left = tuple(blocks)
+    blocks.clear()
+    async with anyio.create_task_group() as tasks:
+        for block in left:
+            tasks.start_soon(block.leave)

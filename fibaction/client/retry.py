@@ -1,0 +1,111 @@
+"""`Retry`: the rule by which `ActionClient.call` tries again, without running a goal twice."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import msgspec
+
+from fibaction.words.errors import (
+    ActionError,
+    ConnectionLost,
+    GoalAborted,
+    GoalCanceled,
+    GoalRejected,
+    GoalTimeout,
+    LimitReached,
+    ServerNotFound,
+    UnknownGoal,
+)
+
+_SAFE: tuple[type[ActionError], ...] = (
+    ServerNotFound,
+    ConnectionLost,
+    LimitReached,
+    GoalRejected,
+)
+_AFTER_A_RUN = (GoalAborted, GoalCanceled, GoalTimeout, UnknownGoal)
+
+_MOST_DOUBLINGS = 60
+"""More would be a number that no float can hold, and each delay is limited anyway."""
+
+
+class Retry(msgspec.Struct, frozen=True, kw_only=True):
+    """The rule by which `ActionClient.call` tries again, without running a goal twice.
+
+    A goal keeps its ID. Until its acceptance is known, the same goal is sent again; a server that
+    knows it gives the first answer again. From then on the goal is only followed again: it is never
+    sent a second time.
+
+    For example:
+
+        await client.call(3, timeout=60, retry=Retry(attempts=5, delay=0.5))
+    """
+
+    attempts: int = 3
+    """The number of attempts in all, the first one included."""
+    delay: float = 0.5
+    """Seconds before the second attempt. Each further delay is twice as long. All delays are
+    shortened by chance, to half at most, so that the clients of a busy server do not come
+    together."""
+    max_delay: float = 10.0
+    """Seconds that a delay takes at most."""
+    on: tuple[type[ActionError], ...] = _SAFE
+    """The errors after which there is another attempt: all of `ServerNotFound`, `ConnectionLost`,
+    `LimitReached` and `GoalRejected`, or some of them. Of the rejections, only those of a busy
+    server are retried (`GoalRejected.is_busy`): any other one is the server's decision."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            TypeError: `attempts` is not a whole number, or `on` is not a tuple of error classes.
+            ValueError: A number is out of range, or a class of `on` cannot be retried.
+        """
+        _check_attempts(self.attempts)
+        for name, seconds in (("delay", self.delay), ("max_delay", self.max_delay)):
+            if not 0 <= seconds < float("inf"):
+                raise ValueError(f"{name} is a number of seconds, 0 or more, not {seconds}")
+        if self.max_delay < self.delay:
+            raise ValueError(
+                f"max_delay is at least the delay of {self.delay:g} s, not {self.max_delay:g} s"
+            )
+        _check_are_safe(self.on)
+
+    def is_for(self, error: ActionError) -> bool:
+        """Return whether there may be another attempt after this error."""
+        if isinstance(error, GoalRejected) and not error.is_busy:
+            return False
+        return isinstance(error, self.on)
+
+    def delay_before(self, attempt: int) -> float:
+        """Return the seconds to wait before an attempt: 2 for the second, 3 for the third."""
+        doubled: float = self.delay * 2.0 ** min(attempt - 2, _MOST_DOUBLINGS)
+        import random  # here, since most programs never retry, and it takes milliseconds
+
+        return min(doubled, self.max_delay) * random.uniform(0.5, 1)  # not a secret
+
+
+def _check_attempts(attempts: object) -> None:
+    if not isinstance(attempts, int):
+        raise TypeError(f"attempts is a whole number, not {attempts!r}")
+    if attempts < 1:
+        raise ValueError(f"attempts is 1 or more, not {attempts}")
+
+
+def _check_are_safe(classes: object) -> None:
+    """Raise an error if a goal could run twice after one of these classes of errors."""
+    if not isinstance(classes, tuple):
+        raise TypeError(
+            f"on is a tuple of error classes, such as (ServerNotFound,), not {classes!r}"
+        )
+    names = ", ".join(kind.__name__ for kind in _SAFE)
+    for kind in cast("tuple[type[object], ...]", classes):
+        if kind in _AFTER_A_RUN:
+            raise ValueError(
+                f"on does not take {kind.__name__}: such a goal has run, or may have, and running"
+                f" it again is the caller's decision; on takes {names}"
+            )
+        if kind not in _SAFE:
+            name = getattr(kind, "__name__", repr(kind))
+            raise ValueError(f"on does not take {name}, only {names}")

@@ -1,0 +1,1 @@
+"""What is seen of goals: metrics, monitor, recordings and replay, traces, records of logs."""

@@ -1,0 +1,217 @@
+"""`Metrics`: a watcher that counts for Prometheus what happens to goals.
+
+It needs prometheus-client, which `pip install "fibaction[metrics]"` installs. No series is labelled
+by goal or client, so their number depends on the number of actions only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from time import monotonic
+from typing import TYPE_CHECKING
+
+import anyio
+
+from fibaction._runtime.connection_counts import CONNECTIONS
+from fibaction.border.abc import FeedbackItem, Meta
+from fibaction.border.watchers import Watcher
+from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome, Sender
+from fibaction.words.statuses import GoalStatus
+
+if TYPE_CHECKING:
+    from prometheus_client import CollectorRegistry, Counter
+    from prometheus_client.core import Metric
+
+__all__ = ["CONTENT_TYPE", "Metrics"]
+
+CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+"""The content type of `Metrics.text`."""
+
+DURATIONS = (0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 60, 300, 900, 3600)
+"""Bounds of the buckets for durations, in seconds."""
+LAGS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3, 10)
+"""Bounds of the buckets for the lag of the event loop, in seconds."""
+BEAT = 0.25
+"""Seconds between two measurements of the lag."""
+
+
+class _Goal:
+    """An active goal."""
+
+    __slots__ = ("accepted_at", "is_waiting")
+
+    def __init__(self, *, is_waiting: bool) -> None:
+        self.accepted_at = monotonic()
+        self.is_waiting = is_waiting
+
+
+class _ConnectionErrors:
+    """The source of the series of errors, which has as many kinds as have come."""
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield the series, as prometheus-client asks for it."""
+        from prometheus_client.core import CounterMetricFamily
+
+        family = CounterMetricFamily(
+            "fibaction_connection_errors", "Connections ended by an error.", labels=["kind"]
+        )
+        for kind, count in CONNECTIONS.errors.copy().items():
+            family.add_metric([kind], count)
+        yield family
+
+
+class Metrics(Watcher):
+    """The series of any number of servers of this process.
+
+    For example:
+
+        metrics = Metrics()
+        async with serve(server, "tcp://127.0.0.1:7400", watchers=[metrics]):
+            ...
+            print(metrics.text().decode())
+    """
+
+    def __init__(self, registry: CollectorRegistry | None = None) -> None:
+        """Add the series to a registry of prometheus-client, or to a new one.
+
+        Raises:
+            ImportError: prometheus-client is not installed.
+            ValueError: The registry has such series already.
+        """
+        try:
+            import prometheus_client as prometheus
+        except ImportError as exc:
+            raise ImportError(
+                'Metrics needs prometheus-client: pip install "fibaction[metrics]"'
+            ) from exc
+        self.registry = prometheus.CollectorRegistry() if registry is None else registry
+        """The registry that has the series."""
+        into = self.registry
+        self._goals = prometheus.Counter(
+            "fibaction_goals", "Goals that ended or were rejected.", ["action", "status"],
+            registry=into,
+        )  # fmt: skip
+        self._active = prometheus.Gauge(
+            "fibaction_goals_active", "Accepted goals that have not ended.", ["action"],
+            registry=into,
+        )  # fmt: skip
+        self._waiting = prometheus.Gauge(
+            "fibaction_goals_waiting", "Accepted goals whose executor has not begun.", ["action"],
+            registry=into,
+        )  # fmt: skip
+        self._durations = prometheus.Histogram(
+            "fibaction_goal_duration_seconds", "Time from the acceptance of a goal to its end.",
+            ["action", "status"], buckets=DURATIONS, registry=into,
+        )  # fmt: skip
+        self._queued = prometheus.Histogram(
+            "fibaction_goal_queue_seconds", "Time from the acceptance of a goal to its begin.",
+            ["action"], buckets=DURATIONS, registry=into,
+        )  # fmt: skip
+        self._feedback = prometheus.Counter(
+            "fibaction_feedback", "Feedback messages of executors.", ["action"], registry=into
+        )
+        self._cancels = prometheus.Counter(
+            "fibaction_cancels", "Answers to cancels.", ["action", "answer"], registry=into
+        )
+        self._taken = prometheus.Counter(
+            "fibaction_goals_taken_over", "Goals of an earlier process, or of another server.",
+            ["action"], registry=into,
+        )  # fmt: skip
+        self._left = prometheus.Counter(
+            "fibaction_goals_left", "Accepted goals that a store keeps, or another server has.",
+            ["action"], registry=into,
+        )  # fmt: skip
+        self._lag = prometheus.Histogram(
+            "fibaction_event_loop_lag_seconds", "Delay of a task that was due.",
+            buckets=LAGS, registry=into,
+        )  # fmt: skip
+        self._dropped = prometheus.Counter(
+            "fibaction_feedback_dropped", "Feedback messages that followers have missed.",
+            ["action"], registry=into,
+        )  # fmt: skip
+        prometheus.Gauge(
+            "fibaction_connections", "Open connections of clients to this process.", registry=into
+        ).set_function(lambda: CONNECTIONS.open)
+        into.register(_ConnectionErrors())
+        self._feedback_of: dict[str, Counter] = {}  # to look up a label takes longer than to count
+        self._undecided: set[GoalID] = set()
+        self._running: dict[GoalID, _Goal] = {}
+        self.beat_at = monotonic()
+        """Time of the last turn of the event loop that `run` has seen, by `time.monotonic`."""
+
+    def text(self) -> bytes:
+        """Return all series in the text format of Prometheus; `CONTENT_TYPE` is its type.
+
+        Any thread may call it.
+        """
+        from prometheus_client import generate_latest
+
+        return generate_latest(self.registry)
+
+    async def run(self) -> None:
+        """Measure the lag of the event loop, until canceled."""
+        while True:
+            due = anyio.current_time() + BEAT
+            await anyio.sleep(BEAT)
+            self._lag.observe(max(0.0, anyio.current_time() - due))
+            self.beat_at = monotonic()
+
+    # As a watcher
+
+    def offered(
+        self, action: str, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta
+    ) -> None:
+        self._undecided.add(goal_id)
+
+    def rejected(self, action: str, goal_id: GoalID, reason: str) -> None:
+        self._undecided.discard(goal_id)
+        self._goals.labels(action, "REJECTED").inc()
+
+    def accepted(self, action: str, info: GoalInfo, goal: bytes) -> None:
+        if info.goal_id in self._undecided:
+            self._undecided.remove(info.goal_id)
+        else:
+            self._taken.labels(action).inc()
+        self._active.labels(action).inc()
+        is_waiting = info.status is GoalStatus.ACCEPTED
+        self._running[info.goal_id] = _Goal(is_waiting=is_waiting)
+        if is_waiting:
+            self._waiting.labels(action).inc()
+
+    def changed(self, action: str, info: GoalInfo) -> None:
+        if info.status is not GoalStatus.EXECUTING:
+            return
+        goal = self._running[info.goal_id]
+        goal.is_waiting = False
+        self._waiting.labels(action).dec()
+        self._queued.labels(action).observe(monotonic() - goal.accepted_at)
+
+    def feedback(self, action: str, goal_id: GoalID, item: FeedbackItem) -> None:
+        count = self._feedback_of.get(action)
+        if count is None:
+            count = self._feedback_of[action] = self._feedback.labels(action)
+        count.inc()
+
+    def missed(self, action: str, goal_id: GoalID, count: int) -> None:
+        self._dropped.labels(action).inc(count)
+
+    def canceled(self, action: str, goal_id: GoalID | None, answer: CancelAnswer) -> None:
+        self._cancels.labels(action, answer.return_code.name).inc()
+
+    def ended(self, action: str, info: GoalInfo, outcome: Outcome[bytes]) -> None:
+        seconds = self._remove(action, info)
+        status = outcome.status.name
+        self._goals.labels(action, status).inc()
+        self._durations.labels(action, status).observe(seconds)
+
+    def left(self, action: str, info: GoalInfo, reason: str) -> None:
+        self._remove(action, info)
+        self._left.labels(action).inc()
+
+    def _remove(self, action: str, info: GoalInfo) -> float:
+        """Remove an active goal, and return the seconds since its acceptance."""
+        goal = self._running.pop(info.goal_id)
+        self._active.labels(action).dec()
+        if goal.is_waiting:
+            self._waiting.labels(action).dec()
+        return monotonic() - goal.accepted_at

@@ -1,0 +1,243 @@
+"""`Recorder`: a watcher that writes everything that happens to goals to a file.
+
+Theory of operation
+-------------------
+
+The server's event loop only puts records into a queue. A thread takes them out every FLUSH seconds,
+makes JSON of them and writes them, so a slow disk delays no goal. The queue is bounded in bytes: if
+the disk is slower than the executors for long, feedback is dropped, which is counted, logged once
+and written to the recording. Goals, statuses and ends are never dropped.
+
+The number of bytes in the queue is the difference of two numbers. Each is changed by one thread
+only, so no lock is needed.
+"""
+
+from __future__ import annotations
+
+import base64
+import threading
+import time
+from collections import deque
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self, TypeAlias, cast
+
+import msgspec
+
+from fibaction._runtime.log import clean_logger
+from fibaction.border.abc import FeedbackItem, Meta
+from fibaction.border.watchers import Watcher
+from fibaction.observe.recording_file import Record
+from fibaction.types.action import ActionInfo
+from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome, Sender
+
+__all__ = ["Recorder"]
+
+FLUSH = 0.05
+"""Seconds for which records wait in memory at most; a kill of the process loses as much."""
+MAX_BYTES = 64 * 2**20
+"""Bytes of feedback that may wait for the disk."""
+OVERHEAD = 500
+"""Bytes that a record takes beside its payload."""
+BATCH = 1000
+"""Records of one write."""
+
+_Feedback: TypeAlias = tuple[int, str, GoalID, FeedbackItem]
+"""A feedback message with its time, its action and its goal; the thread makes the record, because
+there are many."""
+
+logger = clean_logger("fibaction.recorder")
+
+
+class Recorder(Watcher):
+    """A recording of any number of servers, of one event loop.
+
+    For example:
+
+        with Recorder("today.jsonl") as recorder:
+            async with serve(server, "tcp://127.0.0.1:7400", watchers=[recorder]):
+                ...
+
+    The file is appended to. If it cannot be written to any longer, for example because the disk is
+    full, the log says so once, and goals go on.
+    """
+
+    def __init__(self, path: str | Path, *, max_bytes: int = MAX_BYTES) -> None:
+        """Open the file. At most `max_bytes` bytes of feedback wait in memory to be written.
+
+        Raises:
+            OSError: The file cannot be written to.
+        """
+        self.path = Path(path)
+        self.dropped = 0
+        """The number of feedback messages that are not in the recording."""
+        self.error: OSError | None = None
+        """The error that has ended the recording; None if none has."""
+        self._max_bytes = max_bytes
+        self._file = _opened(self.path)
+        self._queue: deque[Record | _Feedback] = deque()
+        self._put = self._taken = 0
+        self._dropped_before = 0
+        self._is_slow = False
+        self._undecided: dict[GoalID, tuple[bytes, str]] = {}
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Write what is left, and close the file. Closing twice does nothing.
+
+        It waits for the disk, so call it when the servers have stopped.
+        """
+        self._stop.set()
+        self._thread.join()
+
+    # As a watcher
+
+    def opened(self, info: ActionInfo) -> None:
+        self._add(Record(time.time_ns(), "server", info.name, info=info))
+
+    def offered(
+        self, action: str, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta
+    ) -> None:
+        self._undecided[goal_id] = (goal, str(sender))
+
+    def rejected(self, action: str, goal_id: GoalID, reason: str) -> None:
+        goal, client = self._undecided.pop(goal_id)
+        at, text = time.time_ns(), str(goal_id)
+        self._add(Record(at, "rejected", action, text, reason=reason, client=client, data=goal))
+
+    def accepted(self, action: str, info: GoalInfo, goal: bytes) -> None:
+        self._undecided.pop(info.goal_id, None)
+        self._add(_record("accepted", action, info, data=goal))
+
+    def changed(self, action: str, info: GoalInfo) -> None:
+        self._add(_record("status", action, info))
+
+    def feedback(self, action: str, goal_id: GoalID, item: FeedbackItem) -> None:
+        if self._put - self._taken > self._max_bytes:
+            if not self._is_slow:
+                self._is_slow = True
+                logger.warning(
+                    "%s is written too slowly, and some feedback is left out of the recording",
+                    self.path,
+                )
+            self.dropped += 1
+            return
+        if self.error is None:
+            self._put += OVERHEAD + len(item.payload)
+            self._queue.append((time.time_ns(), action, goal_id, item))
+
+    def canceled(self, action: str, goal_id: GoalID | None, answer: CancelAnswer) -> None:
+        text = "" if goal_id is None else str(goal_id)
+        status, reason = answer.return_code.name, answer.reason
+        self._add(Record(time.time_ns(), "cancel", action, text, status=status, reason=reason))
+
+    def ended(self, action: str, info: GoalInfo, outcome: Outcome[bytes]) -> None:
+        result = msgspec.UNSET if outcome.result is None else outcome.result
+        self._add(_record("end", action, info, reason=outcome.reason, data=result))
+
+    def left(self, action: str, info: GoalInfo, reason: str) -> None:
+        self._add(_record("left", action, info, reason=reason))
+
+    def add_dropped(self, count: int) -> None:
+        """Note in the recording that feedback is missing which has not reached the recorder."""
+        self.dropped += count
+
+    def _add(self, record: Record) -> None:
+        if self.error is None:
+            self._put += _size_of(record)
+            self._queue.append(record)
+
+    # In the thread
+
+    def _write_all(self) -> None:
+        encoder = msgspec.json.Encoder(enc_hook=_without_extension)
+        with self._file:
+            while not self._stop.wait(FLUSH):
+                self._write_queue(encoder)
+            self._write_queue(encoder)
+
+    def _write_queue(self, encoder: msgspec.json.Encoder) -> None:
+        queue = self._queue
+        while (queue or self.dropped > self._dropped_before) and self.error is None:
+            records = [queue.popleft() for _ in range(min(BATCH, len(queue)))]
+            if self.dropped > self._dropped_before:
+                left_out = self.dropped - self._dropped_before
+                self._dropped_before += left_out
+                records.append(Record(time.time_ns(), "dropped", "", number=left_out))
+            size = sum(map(_size_of, records))
+            try:
+                self._write(b"".join([_line(encoder, record) for record in records]))
+            except OSError as exc:
+                self.error = exc
+                queue.clear()
+                logger.error(
+                    "the recording %s ends here, and goals go on: it cannot be written to: %s",
+                    self.path,
+                    exc.strerror,
+                )
+            self._taken += size
+
+    def _write(self, lines: bytes) -> None:
+        """Write all of it: a disk that is almost full may take a part first."""
+        rest = memoryview(lines)
+        while rest:
+            rest = rest[self._file.write(rest) :]
+
+
+def _opened(path: Path) -> BinaryIO:
+    """Open a recording to append to it, behind a line that a kill may have cut off."""
+    file = open(path, "a+b", buffering=0)  # noqa: SIM115  # the thread closes it
+    if file.tell():
+        file.seek(-1, 2)
+        if file.read(1) != b"\n":
+            file.write(b"\n")
+    return cast("BinaryIO", file)
+
+
+def _record(event: Any, action: str, info: GoalInfo, **more: Any) -> Record:
+    """Return a record of an event of a goal."""
+    goal_id, status = str(info.goal_id), info.status.name
+    at, attempt, client = time.time_ns(), info.attempt, info.client
+    return Record(at, event, action, goal_id, status, attempt=attempt, client=client, **more)
+
+
+def _size_of(record: Record | _Feedback) -> int:
+    payload = record[3].payload if isinstance(record, tuple) else record.data
+    return OVERHEAD + (len(payload) if isinstance(payload, bytes) else 0)
+
+
+def _line(encoder: msgspec.json.Encoder, record: Record | _Feedback) -> bytes:
+    """Return the line of a record, whose payload becomes JSON data."""
+    if isinstance(record, tuple):
+        at, action, goal_id, item = record
+        number, attempt, payload = item.number, item.attempt, item.payload
+        record = Record(
+            at, "feedback", action, goal_id.hex(), number=number, attempt=attempt, data=payload
+        )
+    payload = record.data
+    if isinstance(payload, bytes):
+        try:
+            record.data = msgspec.msgpack.decode(payload)
+            return encoder.encode(record) + b"\n"
+        except (msgspec.MsgspecError, UnicodeError, RecursionError, TypeError, ValueError):
+            record.data, record.raw = msgspec.UNSET, payload
+    return encoder.encode(record) + b"\n"
+
+
+def _without_extension(value: Any) -> Any:
+    if isinstance(value, msgspec.msgpack.Ext):
+        return {"ext": value.code, "data": base64.b64encode(value.data).decode()}
+    raise TypeError(f"JSON has no {type(value).__name__}")

@@ -1,0 +1,1 @@
+"""JSON data by the JSON Schema of a peer, checked within bounds; and TypeScript from a schema."""

@@ -1,0 +1,390 @@
+"""Decisions on goals: `Admission` calls `on_goal`, and carries out its answers.
+
+Theory of operation
+-------------------
+
+A goal that is sent goes through `offer`. The registry says whether it is new, the same goal sent
+again, or another goal with the same ID. A new goal is decoded, `on_goal` is called, and the goal is
+accepted or rejected; if the call is canceled before that, the goal is withdrawn. Only an async
+`on_goal` has to be waited for. So `offer` returns the goal's stream itself if it can, and otherwise
+a coroutine: the server half of a transport then starts no task for most goals, and serves short
+goals over TCP 1.4 times as fast (`python -m tests.tools.benchmarks.parts`).
+
+A goal that is sent again while it is being decided waits for the decision (`decided`), and so does
+a cancel with its ID. They wait for that goal alone: `_decisions` has one notifier per undecided
+goal, made by the first task that waits.
+
+With a store, an acceptance is written before the goal is accepted and anything is told. Until then
+the goal counts as undecided; its place in the schedule is taken already. If the call is canceled
+meanwhile, the goal is accepted all the same. `_AcceptanceInWriting` has what is to be done when the
+write is durable. If another server turns out to have the goal (`lose`), the call is told so.
+
+A server that drains rejects new goals as busy, so that clients of several servers go elsewhere.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Awaitable, Callable, Coroutine
+from contextvars import Context, copy_context
+from typing import Any, Generic, NamedTuple
+
+from anyio import current_time
+
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.text import excerpt, shortened
+from fibaction.border.goal_store import RecordTooLarge
+from fibaction.server.admission.callbacks import SERVER_STOPPING, Callbacks
+from fibaction.server.admission.sender_argument import GoalFunction, with_sender
+from fibaction.server.durability.keeper import GOAL_IS_TAKEN, GoalKeeper
+from fibaction.server.execution.runs import Runs
+from fibaction.server.feedback_cursor import FeedbackCursor
+from fibaction.server.goal_logs import GoalLogs
+from fibaction.server.registry.goal_record import LEAST_TIME, GoalRecord
+from fibaction.server.registry.registry import GoalRegistry, Verdict
+from fibaction.server.scheduling.dispatcher import Dispatcher
+from fibaction.server.scheduling.scheduler import Act, Busy
+from fibaction.server.watcher_group import WatcherGroup
+from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
+from fibaction.words.errors import (
+    ConnectionLost,
+    GoalRejected,
+    ProtocolError,
+    StoreError,
+)
+from fibaction.words.goals import GoalID, Sender
+from fibaction.words.meta import NO_META
+
+DRAINING = "busy: the server drains"
+WITHDRAWN = "the call was canceled before the decision"
+
+logger = clean_logger("fibaction.server")
+
+
+class Offer(NamedTuple):
+    """A goal that a client has sent."""
+
+    goal_id: GoalID
+    goal: bytes
+    feedback: bool
+    sender: Sender
+    deadline: float
+    meta: dict[str, str] | None
+
+
+class _AcceptanceInWriting:
+    """The acceptance of a goal that the store does not have yet."""
+
+    __slots__ = ("error", "goal", "is_left", "stream")
+
+    def __init__(self, goal: GoalRecord) -> None:
+        self.goal = goal
+        self.stream: FeedbackCursor | None = None
+        """The stream of the goal, once it is accepted."""
+        self.error: GoalRejected | None = None
+        """The rejection of a goal that the store cannot keep."""
+        self.is_left = False
+        """True if the call that has sent the goal does not wait any longer."""
+
+    def leave(self) -> None:
+        """Wait no longer: the call was canceled. Its client may come back, and send it again."""
+        self.is_left = True
+        self.goal.remember_until = current_time() + LEAST_TIME
+        if self.stream is not None:
+            self.stream.close()
+
+
+class Admission(Generic[GoalT, FeedbackT, ResultT]):
+    """The decisions on a server's goals, from arrival to start."""
+
+    def __init__(
+        self,
+        action: Action[GoalT, FeedbackT, ResultT],
+        registry: GoalRegistry,
+        runs: Runs[GoalT, FeedbackT, ResultT],
+        logs: GoalLogs,
+        dispatcher: Dispatcher[GoalT, FeedbackT, ResultT] | None,
+        *,
+        on_goal: GoalFunction[GoalT, Awaitable[None] | None] | None,
+        callbacks: Callbacks,
+    ) -> None:
+        self._action = action
+        self._registry = registry
+        self._runs = runs
+        self._logs = logs
+        self._dispatcher = dispatcher
+        self._keeper: GoalKeeper | None = None
+        self.watchers: WatcherGroup | None = None
+        """The watchers of the server; None if it has none."""
+        self._on_goal = None if on_goal is None else with_sender("on_goal", on_goal)
+        self._callbacks = callbacks
+        self._decisions: dict[GoalID, Notifier] = {}
+        self._writing: dict[GoalID, GoalRecord] = {}  # those that the store does not have yet
+        self._is_draining = False
+        self._is_closed = False
+
+    def keep_by(self, keeper: GoalKeeper) -> None:
+        """Write acceptances through this keeper before they are told."""
+        self._keeper = keeper
+
+    def close(self) -> None:
+        """Reject all goals from now on, and all that are still undecided."""
+        self._is_closed = True
+
+    def drain(self) -> None:
+        """Reject new goals from now on as busy."""
+        self._is_draining = True
+
+    # Goals
+
+    def offer(self, offer: Offer) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
+        """Decide on a goal: return its stream, or a coroutine that waits for the decision.
+
+        Raises:
+            GoalRejected: The goal is rejected at once.
+            GoalKept: The store has failed.
+        """
+        goal_id = offer.goal_id
+        if self._keeper is not None:
+            self._keeper.check()
+        if self._is_closed:
+            raise GoalRejected(SERVER_STOPPING, goal_id=goal_id)
+        verdict = self._registry.admit(goal_id, offer.goal, now=current_time())
+        if verdict is Verdict.WAIT:
+            return self._offer_again(offer)
+        if verdict is Verdict.REPEAT:
+            return self._logs.follow_again(goal_id, feedback=offer.feedback, sender=offer.sender)
+        context = None if self.watchers is None else self._watched(self.watchers, offer)
+        self._check_room(goal_id)
+        try:
+            request = self._decode(offer.goal)
+            if self._on_goal is not None:
+                asking = self._ask(self._on_goal, offer, request, context)
+                if asking is not None:
+                    return self._accept_later(offer, request, asking, context)
+            return self._accept(offer, request, context)
+        except GoalRejected as exc:
+            raise self._reject(goal_id, exc.reason) from None
+        except Busy as exc:
+            raise self._reject_for_now(goal_id, str(exc)) from None
+        except BaseException:
+            self._withdraw_offer(goal_id)
+            raise
+
+    def _watched(self, watchers: WatcherGroup, offer: Offer) -> Context:
+        """Tell the offer to the watchers, and return the context for the goal's executor."""
+        context = copy_context()
+        context.run(
+            watchers.offered, offer.goal_id, offer.goal, offer.sender, offer.meta or NO_META
+        )
+        return context
+
+    def _ask(
+        self,
+        on_goal: Callable[[GoalT, Sender], Awaitable[None] | None],
+        offer: Offer,
+        request: GoalT,
+        context: Context | None,
+    ) -> Coroutine[Any, Any, None] | None:
+        """Call `on_goal`: see `Callbacks.ask`."""
+        asked = (request, offer.sender)
+        if context is None:
+            return self._callbacks.ask("on_goal", on_goal, asked, GoalRejected, offer.goal_id)
+        return context.run(
+            self._callbacks.ask, "on_goal", on_goal, asked, GoalRejected, offer.goal_id
+        )
+
+    def _check_room(self, goal_id: GoalID) -> None:
+        """Reject a new goal if the server is at a limit, or drains."""
+        busy = DRAINING if self._is_draining else self._registry.busy
+        if not busy and self._registry.budget.is_over:
+            while self._logs.expire(current_time()):
+                pass
+            busy = self._registry.busy
+        if busy:
+            raise self._reject_for_now(goal_id, busy)
+
+    async def _offer_again(self, offer: Offer) -> FeedbackCursor:
+        await self.decided(offer.goal_id)
+        offered = self.offer(offer)
+        return offered if isinstance(offered, FeedbackCursor) else await offered
+
+    async def _accept_later(
+        self,
+        offer: Offer,
+        request: GoalT,
+        asking: Awaitable[None],
+        context: Context | None,
+    ) -> FeedbackCursor:
+        try:
+            await asking
+            accepted = self._accept(offer, request, context)
+        except GoalRejected as exc:
+            raise self._reject(offer.goal_id, exc.reason) from None
+        except Busy as exc:
+            raise self._reject_for_now(offer.goal_id, str(exc)) from None
+        except BaseException:
+            self._withdraw_offer(offer.goal_id)
+            raise
+        return accepted if isinstance(accepted, FeedbackCursor) else await accepted
+
+    def _decode(self, goal: bytes) -> GoalT:
+        try:
+            return self._action.goal.decode(goal)
+        except ProtocolError as exc:
+            raise GoalRejected(str(exc)) from exc
+
+    def _accept(
+        self, offer: Offer, request: GoalT, context: Context | None
+    ) -> FeedbackCursor | Coroutine[Any, Any, FeedbackCursor]:
+        """Accept a goal, and return its stream; with a store, a coroutine that waits for it."""
+        if self._is_closed:
+            raise GoalRejected(SERVER_STOPPING)
+        if self._is_draining:
+            raise Busy(DRAINING)
+        goal_id, sender, dispatcher = offer.goal_id, offer.sender, self._dispatcher
+        orders = () if dispatcher is None else dispatcher.offer(goal_id, request, sender)
+        goal = self._registry.prepare(
+            goal_id, stamp=time.time_ns(), sender=sender, deadline=offer.deadline
+        )
+        if self._keeper is not None:
+            is_running = dispatcher is None or any(order.act is Act.START for order in orders)
+            if dispatcher is not None:
+                dispatcher.hold(goal_id, orders)
+            return self._write_acceptance(
+                self._keeper, offer, request, goal, context, is_running=is_running
+            )
+        self._registry.accept(goal)
+        self._tell_decision(goal_id)
+        log = self._runs.add(goal, request, offer.goal, begin=dispatcher is None, context=context)
+        if dispatcher is not None:
+            dispatcher.carry_out(orders)
+        return log.follow(feedback=offer.feedback, own=True)
+
+    # Acceptance with a store
+
+    def _write_acceptance(
+        self,
+        keeper: GoalKeeper,
+        offer: Offer,
+        request: GoalT,
+        goal: GoalRecord,
+        context: Context | None,
+        *,
+        is_running: bool,
+    ) -> Coroutine[Any, Any, FeedbackCursor]:
+        """Begin to write an acceptance, and return the wait for the stream of the goal."""
+        acceptance, context = _AcceptanceInWriting(goal), context or copy_context()
+
+        def accept() -> None:
+            del self._writing[goal.goal_id]
+            self._registry.accept(goal)
+            begin = self._dispatcher is None and not self._is_closed
+            log = self._runs.add(goal, request, offer.goal, begin=begin, context=context)
+            acceptance.stream = log.follow(feedback=offer.feedback, own=True)
+            if acceptance.is_left:
+                acceptance.stream.close()
+            self._tell_decision(goal.goal_id)
+            if self._dispatcher is not None:
+                self._dispatcher.accepted(goal.goal_id)
+
+        def reject(error: RecordTooLarge) -> None:
+            del self._writing[goal.goal_id]
+            acceptance.error = self._reject(goal.goal_id, f"the goal cannot be kept: {error}")
+            if self._dispatcher is not None:
+                self._dispatcher.withdraw(goal.goal_id)
+
+        self._writing[goal.goal_id] = goal
+        write = keeper.accept(
+            goal, offer.goal, offer.meta, is_running=is_running, then=accept, too_large=reject
+        )
+        return self._await_acceptance(keeper, offer, write, acceptance)
+
+    async def _await_acceptance(
+        self, keeper: GoalKeeper, offer: Offer, write: int, acceptance: _AcceptanceInWriting
+    ) -> FeedbackCursor:
+        try:
+            await keeper.kept(write)
+        except StoreError:
+            raise keeper.stopped() from None
+        except BaseException:
+            acceptance.leave()
+            raise
+        if acceptance.error is not None:
+            raise acceptance.error
+        if acceptance.stream is not None:
+            return acceptance.stream
+        if self._registry.is_active(offer.goal_id):  # it has come here from the store meanwhile
+            return self._logs.follow_again(
+                offer.goal_id, feedback=offer.feedback, sender=offer.sender
+            )
+        raise ConnectionLost(GOAL_IS_TAKEN)
+
+    def writing(self, goal_id: GoalID) -> GoalRecord | None:
+        """Return the record of a goal whose acceptance is being written."""
+        return self._writing.get(goal_id)
+
+    def lose(self, goal: GoalRecord) -> None:
+        """Let go of a goal that another server has, if its acceptance is being written here."""
+        if self._writing.get(goal.goal_id) is goal:
+            del self._writing[goal.goal_id]
+            self._withdraw(goal.goal_id)
+            self._tell_rejection(goal.goal_id, GOAL_IS_TAKEN)
+            if self._dispatcher is not None:
+                self._dispatcher.withdraw(goal.goal_id)
+
+    def _reject(self, goal_id: GoalID, reason: str) -> GoalRejected:
+        """Reject a goal, and return the error to raise."""
+        reason = shortened(reason)
+        self._registry.reject(goal_id, reason, now=current_time())
+        self._tell_decision(goal_id)
+        name = self._action.name
+        logger.info("goal %s of action %r: rejected: %s", goal_id, name, excerpt(reason))
+        self._tell_rejection(goal_id, reason)
+        return GoalRejected(reason, goal_id=goal_id)
+
+    def _reject_for_now(self, goal_id: GoalID, busy: str) -> GoalRejected:
+        """Reject a goal for which there is no room, and return the error to raise.
+
+        The rejection is not kept, so that the same goal may be accepted later.
+        """
+        self._withdraw(goal_id)
+        logger.info("goal %s of action %r: rejected: %s", goal_id, self._action.name, busy)
+        self._tell_rejection(goal_id, busy)
+        return GoalRejected(busy, goal_id=goal_id)
+
+    def _tell_rejection(self, goal_id: GoalID, reason: str) -> None:
+        if self.watchers is not None:
+            self.watchers.rejected(goal_id, reason)
+
+    def _withdraw_offer(self, goal_id: GoalID) -> None:
+        self._withdraw(goal_id)
+        self._tell_rejection(goal_id, WITHDRAWN)
+
+    def _withdraw(self, goal_id: GoalID) -> None:
+        """Forget a goal whose decision was canceled; a retry is decided anew."""
+        self._registry.withdraw(goal_id)
+        self._tell_decision(goal_id)
+
+    def wake(self) -> None:
+        """Wake all that wait for decisions: the store answers no more."""
+        for goal_id in tuple(self._decisions):
+            self._tell_decision(goal_id)
+
+    async def decided(self, goal_id: GoalID) -> None:
+        """Wait until the goal is decided; return at once if it is not undecided.
+
+        Raises:
+            GoalKept: The store has failed, or has not answered before the server has stopped.
+        """
+        while self._registry.is_undecided(goal_id):
+            if self._keeper is not None:
+                self._keeper.check()
+            self._callbacks.check_not_within("on_goal", goal_id, "cancels, or sends again,")
+            await self._decisions.setdefault(goal_id, Notifier()).wait()
+
+    def _tell_decision(self, goal_id: GoalID) -> None:
+        decision = self._decisions.pop(goal_id, None)
+        if decision is not None:
+            decision.notify()

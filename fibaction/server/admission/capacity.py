@@ -1,0 +1,80 @@
+"""`Room`: how many more goals a server can take, as its store is told.
+
+A store that several servers share hands goals over by it. It is computed from counters at each
+write of the server, at each answer, and when a goal leaves its place, and told when one of the two
+numbers becomes zero, or more than zero. Bytes are given back by readers, of which nothing is told,
+so a server that has too many looks again after a while.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from anyio import sleep
+
+from fibaction._runtime.notify import Notifier
+from fibaction.server.durability.keeper import GoalKeeper
+from fibaction.server.registry.registry import GoalRegistry
+from fibaction.server.scheduling.dispatcher import Dispatcher
+
+LOOK_AGAIN = 0.1
+"""Seconds after which a server that holds too many bytes looks again."""
+
+
+class Room:
+    """The room of one server for goals."""
+
+    def __init__(
+        self, registry: GoalRegistry, dispatcher: Dispatcher[Any, Any, Any] | None
+    ) -> None:
+        self._registry = registry
+        self._dispatcher = dispatcher
+        self._keeper: GoalKeeper | None = None
+        self._is_open = False
+        self._told = False, False
+        self._shortage = Notifier()
+
+    def keep_by(self, keeper: GoalKeeper) -> None:
+        """Tell this keeper's store."""
+        self._keeper = keeper
+        keeper.on_change = self.update
+        if self._dispatcher is not None:
+            self._dispatcher.on_change = self.update
+
+    def open(self) -> None:
+        """Tell the store from now on that there is room: the server runs."""
+        self._is_open = True
+        self.update()
+
+    def close(self) -> None:
+        """Tell the store that there is no room any more: the server drains, or stops."""
+        self._is_open = False
+        self.update()
+
+    def update(self) -> None:
+        """Tell the store if one of the numbers has become zero, or more than zero."""
+        running, waiting = self.now()
+        has_room = running > 0, waiting > 0
+        if has_room != self._told and self._keeper is not None:
+            self._told = has_room
+            self._keeper.set_room(running, waiting)
+
+    def now(self) -> tuple[float, float]:
+        """Return how many more goals can run now, and how many more can wait."""
+        if not self._is_open:
+            return 0, 0
+        if self._registry.has_too_many_bytes:
+            self._shortage.notify()
+            return 0, 0
+        if self._registry.goals_left <= 0:
+            return 0, 0
+        return (math.inf, 0) if self._dispatcher is None else self._dispatcher.room()
+
+    async def run(self) -> None:
+        """Look again after a shortage of bytes, until canceled."""
+        while True:
+            while not (self._is_open and self._registry.has_too_many_bytes):
+                await self._shortage.wait()
+            await sleep(LOOK_AGAIN)
+            self.update()

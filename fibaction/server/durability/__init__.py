@@ -1,0 +1,1 @@
+"""The goals that a store keeps: writes in order, checkpoints, recovery, losses."""

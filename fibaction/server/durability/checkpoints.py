@@ -1,0 +1,68 @@
+"""`Checkpoints`: the states that executors keep in the store of their server."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from fibaction._runtime.text import excerpt
+from fibaction.border.goal_store import GoalTaken
+from fibaction.server.durability.keeper import GOAL_IS_TAKEN
+from fibaction.words.errors import ProtocolError
+
+if TYPE_CHECKING:
+    from fibaction.server.durability.keeper import GoalKeeper
+    from fibaction.server.registry.goal_record import GoalRecord
+    from fibaction.types.action import Codec
+
+
+class Checkpoints:
+    """The checkpoints of the goals of one server."""
+
+    def __init__(self, action: str, codec: Codec[Any] | None) -> None:
+        self._action = action
+        self._codec = codec
+        self.keeper: GoalKeeper | None = None
+        """The way to the store; None without one, and then nothing is kept."""
+
+    async def keep(self, goal: GoalRecord, state: object) -> None:
+        """Keep the state of a goal, and wait until it is kept.
+
+        Raises:
+            TypeError: The action has no type for checkpoints, or the state is not of it.
+            RuntimeError: The goal has ended.
+            StoreError: It cannot be kept, or the goal belongs to another server by now.
+        """
+        codec, keeper = self._codec, self.keeper
+        if codec is None:
+            raise TypeError(
+                f"action {self._action!r} has no checkpoints: give their type to its Action, as"
+                f" `checkpoint=`"
+            )
+        if not codec.holds(state):
+            raise TypeError(
+                f"a checkpoint of action {self._action!r} is of type"
+                f" {_name_of(codec.type)}, not {excerpt(repr(state))}"
+            )
+        if keeper is None:
+            return
+        if goal.is_over or goal.stored is None:
+            raise RuntimeError(f"goal {goal.goal_id} has ended, and keeps no checkpoint")
+        await keeper.kept(keeper.checkpoint(goal, codec.encode(state)))
+        if goal.is_lost:
+            raise GoalTaken(GOAL_IS_TAKEN)
+
+    def restored(self, goal: GoalRecord) -> Any:
+        """Return the last checkpoint of a goal; None if there is none.
+
+        Raises:
+            ProtocolError: It is not of the type of checkpoints.
+        """
+        if goal.stored is None or goal.stored.checkpoint is None:
+            return None
+        if self._codec is None:
+            raise ProtocolError(f"action {self._action!r} has no checkpoints any more")
+        return self._codec.decode(goal.stored.checkpoint)
+
+
+def _name_of(kind: object) -> str:
+    return getattr(kind, "__qualname__", None) or str(kind)

@@ -1,0 +1,1 @@
+"""Executors from their first step to their end: tasks, turns, interruption, watchdog."""

@@ -1,0 +1,346 @@
+"""Cancels what an executor awaits, exactly once.
+
+Theory of operation
+-------------------
+
+anyio and trio cancel by level: once a scope is canceled, every `await` in it raises. An executor
+that catches the cancellation to clean up could then await nothing. So here a cancellation is an
+edge: the first `await` raises, and the clean-up that follows may await without limits, until it is
+killed.
+
+Two parts do this together. `CancelOnce` has two scopes. The outer one belongs to the task:
+canceling it delivers the cancellation. The inner one, `rest`, can shield its content from the outer
+one. It shields from the beginning, since a task of the pool is used for one goal after another;
+`interrupt()` removes the shield and cancels the outer scope, and `kill()` does so for good.
+
+`Steps` drives the executor's coroutine step by step, in place of the task. So it sees the
+cancellation arrive (`throw`, or trio's `outcome.Error` in `send`). If the coroutine waits after
+that, it is in its clean-up, and the shield is set again. `Steps` also sets the time by which the
+coroutine should have waited (`slice_end`), since executors that never wait must let other tasks
+run.
+
+A server may be cut off from a store that it shares, or frozen. Then its goals may run elsewhere,
+and `fence` interrupts the coroutine, and says that it may not go on. `Steps` lets the task wait for
+that cancellation in place of the step (`_detour`). Only a coroutine that shields itself goes on.
+
+Inside a task group of the executor's own, the backend's rule holds: the group is canceled with all
+its tasks, and clean-up there needs a shield of its own. On trio, a nursery that is open around
+clean-up absorbs the cancellation.
+
+An executor may survive being killed: it catches each cancellation and awaits again, or it waits
+where no cancellation arrives. Since `Steps` drives the coroutine, it can stop doing so: it gives
+the coroutine up after MOST_KILLS cancellations, or when `CancelOnce.abandon()` is called. To the
+task, the coroutine has then returned. The coroutine is kept for ever, because Python would
+otherwise close it, and run its clean-up in the middle of something else (`_keep_for_ever`).
+
+Giving up may leave scopes of the coroutine open, for which asyncio and trio end the task's group.
+So it is done at the end of a server only (`is_for_good`). Before that, a coroutine that survives
+MOST_KILLS cancellations is spared: it runs on, and gets no further one.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Coroutine, Generator
+from contextvars import Context
+from time import perf_counter
+from types import TracebackType
+from typing import Any, Generic, NoReturn, TypeVar
+
+from anyio import CancelScope, TaskHandle, current_effective_deadline, get_cancelled_exc_class
+from anyio.lowlevel import checkpoint
+
+from fibaction.server.execution.turns import Turns
+
+T = TypeVar("T")
+
+EXECUTOR_SLICE = 0.005
+"""Seconds that a task may run without awaiting before other tasks run: short for people and for
+heartbeats, long compared with a turn of the event loop (some 10 microseconds)."""
+
+MOST_KILLS = 100
+"""The cancellations that a killed coroutine gets before it is given up: each of its nested blocks
+may await something in its clean-up, and needs one of them."""
+
+_kept: list[object] = []
+
+
+def _keep_for_ever(coroutine: object) -> None:
+    """Keep a coroutine from being closed, also at the end of the process.
+
+    To close it is to raise GeneratorExit in it. It may catch that, too, and as no event loop runs
+    then, an `await` in a loop would fail at once, again and again: the process would never end.
+    """
+    _kept.append(coroutine)
+    # Others do not close what is left at their end.
+    if sys.implementation.name == "cpython":  # pragma: no branch  # as it is wherever tests run
+        from ctypes import py_object, pythonapi
+
+        pythonapi.Py_IncRef(py_object(coroutine))
+
+
+class CancelOnce:
+    """The two scopes around an executor, which cancel it once, and kill it later."""
+
+    __slots__ = (
+        "_task",
+        "is_abandoned",
+        "is_for_good",
+        "is_killed",
+        "is_spent",
+        "on_wait",
+        "rest",
+        "steps",
+        "turns",
+        "wake",
+    )
+
+    def __init__(self, on_wait: Callable[[], None], turns: Turns | None = None) -> None:
+        self.turns = turns or Turns()
+        """The turns of all executors of the server that do not wait."""
+        self._task: TaskHandle[None] | CancelScope | None = None
+        self.rest = CancelScope(shield=True)
+        self.is_spent = False
+        """True if the scopes are canceled, so that no other job can run in them."""
+        self.is_killed = False
+        """True if every `await` is canceled from now on."""
+        self.is_for_good = False
+        """True if a coroutine that survives being killed is given up."""
+        self.is_abandoned = False
+        """True if a coroutine was given up inside, whose own scopes are still open."""
+        self.on_wait = on_wait
+        """The function that is called when the coroutine inside begins to wait."""
+        self.steps: Steps[Any] | None = None
+        """The coroutine that runs in these scopes now; None if none does."""
+        self.wake: Callable[[], object] | None = None
+        """The function that ends a wait of the task even if scopes shield it; None if none can."""
+
+    def run_by(self, task: TaskHandle[None] | CancelScope) -> None:
+        """Set the task, or the outer scope, in which `rest` is entered.
+
+        `rest` may have been entered already, since an eager task begins before its handle is known.
+        """
+        self._task = task
+        if not self.rest.shield:
+            task.cancel()
+
+    def interrupt(self) -> None:
+        """Deliver a cancellation."""
+        self.is_spent = True
+        self.rest.shield = False
+        if self._task is not None:
+            self._task.cancel()
+
+    def kill(self, *, for_good: bool = True) -> None:
+        """Cancel every `await` from now on; give a coroutine up that survives it, if `for_good`."""
+        self.is_killed = True
+        self.is_for_good |= for_good
+        self.interrupt()
+
+    def spare(self) -> None:
+        """Cancel nothing more, until `kill` is called again."""
+        self.is_killed = False
+        self.rest.shield = True
+
+    def abandon(self) -> None:
+        """Give up the coroutine inside, and end the wait of its task, if anything can."""
+        if self.steps is not None:
+            self.steps.give_up()
+            if self.wake is not None:
+                self.wake()
+
+
+class Current:
+    """The coroutine of a thread whose step runs now; the watchdog reads it from another thread."""
+
+    __slots__ = ("steps",)
+
+    def __init__(self) -> None:
+        self.steps: Steps[Any] | None = None
+
+
+class Steps(Generator[Any, Any, T], Generic[T]):
+    """A coroutine that is awaited step by step: see the theory of operation above."""
+
+    __slots__ = (
+        "_arrived",
+        "_by_outcome",
+        "_context",
+        "_coroutine",
+        "_current",
+        "_delayed",
+        "_detour",
+        "_kills",
+        "_on_given_up",
+        "_on_spared",
+        "_scopes",
+        "fence",
+        "pending",
+        "slice_end",
+    )
+
+    def __init__(
+        self,
+        coroutine: Coroutine[Any, Any, T],
+        scopes: CancelOnce,
+        context: Context,
+        on_given_up: Callable[[], T],
+        on_spared: Callable[[], None] = lambda: None,
+        current: Current | None = None,
+    ) -> None:
+        """Prepare to await the coroutine; `on_given_up` is called if it is given up, and returns a
+        value in place of the coroutine's. `on_spared` is called if it is spared. `current` has this
+        object while a step runs.
+        """
+        self.pending = False
+        """True if a cancellation was sent and has not arrived."""
+        self._coroutine: Coroutine[Any, Any, T] | _GivenUp[T] = coroutine
+        self._scopes = scopes
+        self._context = context
+        self._on_given_up = on_given_up
+        self._on_spared = on_spared
+        self._current = current or Current()
+        self._arrived = False
+        self._by_outcome = False
+        self._kills = 0
+        self.fence: Callable[[], bool] | None = None
+        """The function that interrupts the coroutine, and returns True, if it may not go on."""
+        self._detour: Coroutine[Any, Any, None] | None = None
+        self._delayed: Any = None  # the value of the step that is not taken
+        self.slice_end = 0.0
+        """The time by which the coroutine should have waited, by `perf_counter`."""
+        scopes.steps = self
+
+    def interrupt(self) -> None:
+        """Cancel the coroutine, once."""
+        self.pending = True
+        self._scopes.interrupt()
+
+    def give_up(self) -> None:
+        """Never resume the coroutine again; the next step ends the wait for it."""
+        scopes = self._scopes
+        if scopes.is_abandoned:
+            return  # its last cancellation arrives after its time was over
+        _keep_for_ever(self._coroutine)
+        scopes.steps = None
+        scopes.is_spent = scopes.is_abandoned = True
+        scopes.rest.shield = True  # or tasks that the coroutine has started were canceled for ever
+        self._coroutine = _GivenUp(self._on_given_up())
+
+    def __await__(self) -> Generator[Any, Any, T]:
+        return self
+
+    def __next__(self) -> Any:
+        return self.send(None)
+
+    def send(self, value: Any) -> Any:
+        if value is not None:
+            # trio resumes a task with an `outcome.Error`, and raises its exception further inside.
+            self._by_outcome = True
+            self._note_arrival(getattr(value, "error", None))
+        if self.fence is not None and (self._detour is not None or self.fence()):
+            try:
+                return self._wait_instead(value)
+            except StopIteration:  # the coroutine shields itself
+                value, self._delayed = self._delayed, None
+                self._detour = self.fence = None
+        current = self._current
+        outer = current.steps  # an eager task begins in the step of another one
+        self.slice_end = perf_counter() + EXECUTOR_SLICE  # before the watchdog can see this step
+        current.steps = self
+        try:
+            return self._suspend(self._context.run(self._coroutine.send, value))
+        finally:
+            current.steps = outer
+            del value  # see `throw`
+
+    def throw(
+        self,
+        typ: type[BaseException] | BaseException,
+        val: BaseException | object = None,
+        tb: TracebackType | None = None,
+    ) -> Any:
+        # With one argument it is the exception itself; the other two are deprecated.
+        assert isinstance(typ, BaseException)
+        self._note_arrival(typ)
+        current = self._current
+        outer = current.steps
+        self.slice_end = perf_counter() + EXECUTOR_SLICE
+        current.steps = self
+        # A new cancellation, as of the task itself: a scope inside would absorb anyio's as its own.
+        error = type(typ)() if self._arrived else typ
+        try:
+            return self._suspend(self._context.run(self._coroutine.throw, error))
+        finally:
+            current.steps = outer
+            # The exception references the frames it passes, and those this one, since Python 3.12.
+            del typ, error
+
+    def _wait_instead(self, value: Any) -> Any:
+        """Let the task wait for the cancellation, in place of a step.
+
+        Raises:
+            StopIteration: None arrives.
+        """
+        if self._detour is None:
+            self._detour, self._delayed, value = checkpoint(), value, None
+        return self._detour.send(value)
+
+    def close(self) -> None:
+        self._coroutine.close()
+
+    def _note_arrival(self, error: BaseException | None) -> None:
+        """Note that the cancellation has arrived, if the error is one; count those that kill."""
+        if isinstance(error, get_cancelled_exc_class()):
+            if self.pending:
+                self.pending = False
+                self._arrived = True
+                self.fence = None  # what follows is clean-up
+                if self._detour is not None:
+                    self._detour.close()
+                    self._detour = self._delayed = None
+            elif self._scopes.is_killed:
+                self._kills += 1
+                if self._kills > MOST_KILLS:
+                    self._survive()
+
+    def _survive(self) -> None:
+        if self._scopes.is_for_good:
+            self.give_up()
+        else:
+            self._kills = 0
+            self._scopes.spare()
+            self._on_spared()
+
+    def _suspend(self, waiting_for: Any) -> Any:
+        self._scopes.on_wait()
+        if self._arrived and not self._scopes.is_killed:
+            rest = self._scopes.rest
+            rest.shield = True
+            self._arrived = self._by_outcome and self._is_unwinding()
+            rest.shield = not self._arrived
+        return waiting_for
+
+    def _is_unwinding(self) -> bool:
+        """Return whether the coroutine most likely waits in a nursery that the cancellation passes.
+
+        Such a nursery must see that the cancellation comes from outside, or it would absorb it.
+        """
+        return current_effective_deadline() == -math.inf
+
+
+class _GivenUp(Generic[T]):
+    """In place of a coroutine that was given up: it returns a value at once."""
+
+    def __init__(self, value: T) -> None:
+        self._value = value
+
+    def send(self, value: object) -> NoReturn:
+        raise StopIteration(self._value)
+
+    def throw(self, error: object, value: object = None, traceback: object = None) -> NoReturn:
+        raise StopIteration(self._value)
+
+    def close(self) -> None:
+        """Do nothing: the coroutine must not be closed."""

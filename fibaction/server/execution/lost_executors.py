@@ -1,0 +1,89 @@
+"""`LostExecutors`: executors of goals that belong to other servers by now, until they have ended.
+
+They are interrupted, have the time of a clean-up, and are killed then: one task, `run`, waits for
+that. A goal may come back to this server before its old executor has ended (`left`).
+
+An executor that is only fenced off is still that of an active goal, but is killed in the same way.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+from anyio import current_time, sleep_until
+
+from fibaction._runtime.notify import Notifier
+from fibaction.server.execution.executor import Execution, warn_of_kill
+from fibaction.words.goals import GoalID
+
+AnyExecution: TypeAlias = Execution[Any, Any, Any]
+
+
+class LostExecutors:
+    """The executors of lost goals of one server."""
+
+    def __init__(
+        self, action: str, *, kill_after: float, kill: Callable[[AnyExecution], None]
+    ) -> None:
+        """Call `kill` for those that have not ended `kill_after` seconds after an interruption."""
+        self._action = action
+        self._kill_after = kill_after
+        self._kill = kill
+        self._executions: dict[GoalID, AnyExecution] = {}
+        self._due: deque[tuple[float, AnyExecution]] = deque()
+        self._news = Notifier()
+        self._left = Notifier()
+
+    def __len__(self) -> int:
+        return len(self._executions)
+
+    def __contains__(self, goal_id: GoalID) -> bool:
+        return goal_id in self._executions
+
+    def add(self, execution: AnyExecution) -> None:
+        """Interrupt the executor of a goal that is lost, and note it until it has ended."""
+        self._executions[execution.goal.goal_id] = execution
+        self.interrupt(execution)
+
+    def interrupt(self, execution: AnyExecution) -> None:
+        """Interrupt an executor, and kill it if it does not end in time."""
+        execution.interrupt()
+        self._due.append((current_time() + self._kill_after, execution))
+        self._news.notify()
+
+    def discard(self, execution: AnyExecution) -> bool:
+        """Forget an executor that has ended; return whether it was one of these."""
+        if self._executions.get(execution.goal.goal_id) is not execution:
+            return False
+        del self._executions[execution.goal.goal_id]
+        self._left.notify()
+        return True
+
+    async def left(self, goal_id: GoalID) -> None:
+        """Wait until no executor of that goal is left from before."""
+        while goal_id in self._executions:
+            await self._left.wait()
+
+    async def run(self) -> None:
+        """Kill executors whose time is over, until canceled."""
+        while True:
+            while not self._due:
+                await self._news.wait()
+            await self._kill_first()
+
+    async def _kill_first(self) -> None:
+        # Its own function, as `run` would reference the last executor until the next one is lost.
+        at, execution = self._due[0]
+        if not execution.has_ended:
+            await sleep_until(at)
+        self._due.popleft()
+        if not execution.has_ended:
+            warn_of_kill(execution.goal.goal_id, self._action, self._kill_after)
+            self._kill(execution)
+
+    def kill_all(self) -> None:
+        """Kill all of them for good: the server stops."""
+        for execution in self._executions.values():
+            execution.kill()

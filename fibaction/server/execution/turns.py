@@ -1,0 +1,55 @@
+"""`Turns`: executors that do not wait run one after another, each for a slice of time.
+
+Otherwise a turn of the event loop would take a slice for each of them, and a client with many goals
+would have as much time as all others together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+
+from anyio import Event
+from anyio.lowlevel import checkpoint
+
+from fibaction.server.execution.fair_queue import FairQueue
+
+
+class Turns:
+    """The executors of a server that have used their slice up, and wait for the next one.
+
+    In each turn of the event loop one of them goes on: the one that was woken wakes the next, which
+    runs in the next turn. Keys take turns.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: FairQueue[Event] = FairQueue()
+        self._gone: set[Event] = set()  # those that were canceled, and are still in the queue
+        self._is_passing = False
+
+    async def pause(self, key: Hashable) -> None:
+        """Let other tasks run, and wait for the next slice."""
+        if not self._is_passing:
+            self._is_passing = True
+            try:
+                await checkpoint()
+            finally:
+                self._pass_on()
+            return
+        event = Event()
+        self._waiting.append(event, key)
+        try:
+            await event.wait()
+        finally:
+            if event.is_set():
+                self._pass_on()
+            else:
+                self._gone.add(event)
+
+    def _pass_on(self) -> None:
+        while self._waiting.count:
+            event = self._waiting.popleft()
+            if event not in self._gone:
+                event.set()
+                return
+            self._gone.remove(event)
+        self._is_passing = False

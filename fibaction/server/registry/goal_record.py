@@ -1,0 +1,142 @@
+"""The record of an accepted goal, and the ending of its executor, as plain values."""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+from hashlib import blake2b
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from fibaction._runtime.budget import CountedBytes
+from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender
+from fibaction.words.statuses import INITIAL, GoalStatus
+
+if TYPE_CHECKING:
+    from fibaction.border.goal_store import StoredGoal
+
+NO_PLACE = (0, 0)
+"""The place of a goal that does not wait."""
+
+LEAST_TIME = 30.0
+"""Seconds for which an outcome is remembered at least, if the client of the goal may not have been
+told the acceptance, or was away with the server: it comes back within that time."""
+
+DIGEST_SIZE = 16
+"""Bytes of a digest: enough that two payloads never have the same digest by chance."""
+
+
+def digest_of(payload: bytes) -> bytes:
+    """Return a digest of a goal, which tells a retry from another goal with the same ID.
+
+    It is the same in every process, so it can be stored, and it does not keep the payload alive.
+    """
+    return blake2b(payload, digest_size=DIGEST_SIZE).digest()
+
+
+class GoalRecord:
+    """The record of one accepted goal."""
+
+    __slots__ = (
+        "attempt",
+        "changed",
+        "deadline",
+        "digest",
+        "earlier_status",
+        "ended_at",
+        "feedback_count",
+        "goal_id",
+        "held",
+        "is_lost",
+        "is_over",
+        "outcome",
+        "place",
+        "remember_until",
+        "sender",
+        "stamp",
+        "status",
+        "stop_reason",
+        "stored",
+    )
+
+    def __init__(
+        self,
+        goal_id: GoalID,
+        digest: bytes,
+        stamp: int,
+        sender: Sender,
+        held: CountedBytes | None = None,
+        deadline: float = math.inf,
+    ) -> None:
+        self.goal_id = goal_id
+        self.digest = digest
+        self.stamp = stamp
+        """Time of the acceptance: nanoseconds since 1970, different for each goal."""
+        self.sender = sender
+        """The client that sent the goal, and owns it."""
+        self.deadline = deadline
+        """Time at which the client gives the goal up, by the event loop's clock."""
+        self.attempt = 1
+        """Number of the attempt that runs, or that comes next. A server without a store makes one.
+        """
+        self.status: GoalStatus = INITIAL
+        self.earlier_status: GoalStatus | None = None
+        """The status before a change that is still being written; None if none is."""
+        self.outcome: Outcome[bytes] | None = None
+        """The outcome; None while the goal is active, and again after the server has forgotten it.
+        The log of the goal has its own reference, for those that still follow it."""
+        self.is_over = False
+        """True as soon as the outcome is fixed. The status follows when the end is kept."""
+        self.is_lost = False
+        """True if the goal belongs to another server by now: nothing is told or kept of it here."""
+        self.stored: StoredGoal | None = None
+        """The goal as its store has it; None without a store, and after the end."""
+        self.held = held
+        """The bytes that are held of the goal: its payload, then its result."""
+        self.ended_at = 0
+        """Time of the end: nanoseconds since 1970; 0 while the goal is active."""
+        self.remember_until = 0.0
+        """Time until which the outcome is remembered at least, by the event loop's clock."""
+        self.feedback_count = 0
+        self.changed = 0
+        """Number of the last published change of its status; 0 if no one follows the statuses."""
+        self.place: tuple[int, int] = NO_PLACE
+        """Place among the goals that wait, from 1, and their number. It counts while the goal is
+        ACCEPTED, and is brought up to date before a list of goals is made."""
+        self.stop_reason = ""
+        """The reason for which the server ends the goal by itself; empty if it does not."""
+
+    @property
+    def told_status(self) -> GoalStatus:
+        """The status that followers may know: without a change that is still being written."""
+        return self.status if self.earlier_status is None else self.earlier_status
+
+    @property
+    def info(self) -> GoalInfo:
+        """The goal as an entry of the status list."""
+        return self.info_as(self.told_status)
+
+    def info_as(self, status: GoalStatus) -> GoalInfo:
+        """Return the goal as an entry of a list, with this status."""
+        place, length = self.place if status is INITIAL else NO_PLACE
+        sender, count = str(self.sender), self.feedback_count
+        return GoalInfo(
+            self.goal_id, self.stamp, status, count, sender, place, length, self.attempt
+        )
+
+
+class EndKind(Enum):
+    """The way in which an executor ended."""
+
+    RESULT = "result"
+    CANCELED = "canceled"
+    FAILED = "failed"
+
+
+class Ending(msgspec.Struct, frozen=True):
+    """The end of an executor. The registry turns it into the goal's outcome."""
+
+    kind: EndKind
+    result: bytes | None = None
+    reason: str = ""

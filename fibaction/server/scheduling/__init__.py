@@ -1,0 +1,1 @@
+"""The order in which accepted goals run, wait and give way."""

@@ -1,0 +1,120 @@
+"""`Schedule`: the rules by which a server runs its accepted goals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable
+from inspect import iscoroutinefunction
+from typing import Any, Literal
+
+import msgspec
+
+from fibaction.server.admission.sender_argument import GoalFunction, with_sender
+
+WORDS = ("reject", "preempt", "replace")
+
+
+class Schedule(msgspec.Struct, frozen=True, kw_only=True):
+    """The rules by which a server runs its accepted goals. Without one, all run at once.
+
+    One arm that always moves to the newest target, as `SimpleActionServer` of ROS 1 does:
+
+        ActionServer(MOVE, move, schedule=Schedule(concurrency=1, when_full="preempt"))
+
+    Four workers, and a hundred goals that wait, the most urgent first:
+
+        Schedule(concurrency=4, queue=100, priority=lambda goal: goal.urgency)
+
+    A goal that waits is ACCEPTED. A goal that is preempted, replaced or too late ends as ABORTED,
+    and the reason says so. If its executor has begun, it is interrupted, also on a server with
+    `interrupt_on_cancel=False`. Its place is free when its clean-up has ended.
+    """
+
+    concurrency: int | None = None
+    """Executors that run at the same time, for each key; None for any number."""
+    queue: int = 0
+    """Accepted goals that may wait for a place, for each key."""
+    when_full: Literal["reject", "preempt", "replace"] = "reject"
+    """The goal that gives way when no place is free to run or to wait: with `reject` the new one,
+    with `preempt` the one that has run longest, with `replace` the newest one that waits."""
+    key: GoalFunction[Any, Hashable] | None = None
+    """A function that returns the key of a goal, for example its joint group; None for one key. It
+    may have a second parameter, the `Sender` of the goal."""
+    total: int | None = None
+    """Executors that run at the same time, for all keys together; None for any number."""
+    priority: GoalFunction[Any, float] | None = None
+    """A function that returns the urgency of a goal, which may have the `Sender` as its second
+    parameter: goals with smaller numbers start first, equal ones in the order of their arrival. A
+    goal preempts only less urgent ones, and then at once, even if there is room to wait."""
+    queue_timeout: float = math.inf
+    """Seconds that a goal may wait; then it ends as ABORTED."""
+    run_timeout: float = math.inf
+    """Seconds that an executor may run; then it is interrupted, and its goal ends as ABORTED. If
+    its clean-up takes longer than the server's `shutdown_timeout`, it is killed."""
+    handover: float = 0.0
+    """Seconds that a goal which is preempted has to take its successor over (`goal.take_over()`),
+    before it is interrupted; `math.inf` never to interrupt it."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            TypeError: A limit is not a whole number, a time is not a number, or `key` or `priority`
+                is not a function of a goal, or of a goal and its sender, or is async.
+            ValueError: A number is out of range, `when_full` is another word, or a rule can never
+                apply.
+        """
+        for name, least in (("concurrency", 1), ("total", 1), ("queue", 0)):
+            _check_is_limit(name, getattr(self, name), least)
+        if self.when_full not in WORDS:
+            raise ValueError(
+                f"when_full is 'reject', 'preempt' or 'replace', not {self.when_full!r}"
+            )
+        for name in ("key", "priority"):
+            function = getattr(self, name)
+            if function is not None:
+                with_sender(name, function)
+                if iscoroutinefunction(function):
+                    raise TypeError(f"{name} is a function that does not wait, without `async`")
+        for name in ("queue_timeout", "run_timeout", "handover"):
+            _check_is_time(name, getattr(self, name))
+        self._check_has_effect()
+
+    def _check_has_effect(self) -> None:
+        if self.concurrency is None and self.total is None:
+            for rule, is_set in (
+                (f"queue={self.queue}", self.queue),
+                (f"when_full={self.when_full!r}", self.when_full != "reject"),
+                ("priority", self.priority),
+            ):
+                if is_set:
+                    raise ValueError(f"{rule} needs a limit: set concurrency or total, too")
+        if self.when_full == "replace" and not self.queue:
+            raise ValueError("when_full='replace' needs a queue of at least 1, not 0")
+        if self.when_full == "preempt":
+            return
+        if self.handover:
+            raise ValueError(f"handover={self.handover:g} needs when_full='preempt'")
+        if self.queue_timeout < math.inf and not self.queue:
+            raise ValueError(
+                f"queue_timeout={self.queue_timeout:g} needs a queue of at least 1, not 0"
+            )
+
+
+def _check_is_limit(name: str, limit: object, least: int) -> None:
+    if limit is None and least:
+        return
+    if not isinstance(limit, int) or isinstance(limit, bool):
+        raise TypeError(f"{name} is a whole number, not {limit!r}")
+    if limit < least:
+        raise ValueError(f"{name} is {least} or more, not {limit}")
+
+
+def _check_is_time(name: str, seconds: object) -> None:
+    if not isinstance(seconds, int | float):
+        raise TypeError(f"{name} is a number of seconds, not {seconds!r}")
+    if name == "handover" and seconds == 0:
+        return
+    if not seconds > 0:
+        least = "0 or more" if name == "handover" else "more than 0"
+        raise ValueError(f"{name} is {least}, not {seconds}")

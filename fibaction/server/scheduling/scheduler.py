@@ -1,0 +1,391 @@
+"""`Scheduler`: the order in which accepted goals run, wait and give way.
+
+Theory of operation
+-------------------
+
+A `Schedule` is a server's setting, and a `Scheduler` carries it out. The scheduler is sans-I/O: it
+is told of each goal that is offered (`offer`) and of each that has left (`leave`), and of the time
+as `now`. It returns a list of `Order`s, which its caller carries out: start a goal, end a goal that
+waits, interrupt or kill one that runs. It calls no executors and reads no clock.
+
+Goals are grouped by key; without a key, all goals are one group. A group has `concurrency` places
+for goals that run, and `queue` places for goals that wait. `total` limits the goals that run in all
+groups together.
+
+A goal that is offered starts if a place is free, and waits if the queue has room. Otherwise
+`when_full` decides:
+
+- `"reject"`: the goal is rejected.
+- `"preempt"`: the goal becomes the *successor* of one that runs, its predecessor. The predecessor
+  is interrupted, and its successor starts when it has left, or another goal of its group, ahead of
+  the queue. A successor that has not started yet gives way to a newer one, and goes back into the
+  queue if there is room. With a priority, a goal preempts only goals that are less urgent, and does
+  not wait before.
+- `"replace"`: the newest waiting goal gives way.
+
+With `handover`, a predecessor is told of its successor first (`Act.TELL`), and interrupted only
+later. Meanwhile it can take its successor over (`take_over`): it leaves, and its executor and its
+place are the successor's. If the successor gives way or is canceled, the predecessor just goes on.
+
+A place is free again only when its goal has left, so a successor never runs beside the clean-up of
+its predecessor. A goal leaves once, whether it ended, was canceled while it waited, or was killed.
+
+Waiting goals start in the order of their urgency, and of their arrival within. Each group has a
+heap of its waiting goals. If `total` keeps several groups waiting, `_heads` orders them by their
+first goals. Entries of heaps that are out of date are skipped when they come up, so every step
+costs O(log n).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Hashable
+from enum import Enum
+from heapq import heapify, heappop, heappush
+from typing import NamedTuple
+
+from fibaction.server.scheduling.group import Entry, Group, Urgency
+from fibaction.server.scheduling.schedule import Schedule
+from fibaction.words.goals import GoalID
+
+
+class Act(Enum):
+    """A kind of order."""
+
+    START = "start"
+    """Run the goal's executor."""
+    END = "end"
+    """End a goal that has not started, for the reason. It has left already."""
+    TELL = "tell"
+    """Tell the goal's executor that it has a successor, which it may take over."""
+    INTERRUPT = "interrupt"
+    """Interrupt the goal's executor for the reason; call `leave` when it has ended."""
+    KILL = "kill"
+    """Kill the goal's executor, which was interrupted and has not ended in time; call `leave`."""
+
+
+class Order(NamedTuple):
+    """One step that the caller of a scheduler carries out."""
+
+    act: Act
+    goal_id: GoalID
+    reason: str = ""
+
+
+class Busy(Exception):
+    """A goal can neither run nor wait; the text says how many do."""
+
+
+class Scheduler:
+    """The goals of one server that run and wait."""
+
+    def __init__(self, schedule: Schedule, *, kill_after: float = math.inf) -> None:
+        """Kill an interrupted executor that has not ended `kill_after` seconds later."""
+        self._schedule = schedule
+        self._kill_after = kill_after
+        self._groups: dict[Hashable, Group] = {}
+        self._entries: dict[GoalID, Entry] = {}
+        self._arrivals = 0
+        self._running = 0
+        # In the order of their times, so that the first is due first. To find the first of a plain
+        # dict takes longer, the more have been removed before it.
+        self._waiting: OrderedDict[GoalID, Entry] = OrderedDict()
+        self._timed: OrderedDict[GoalID, Entry] = OrderedDict()  # they run, and are not interrupted
+        self._told: OrderedDict[GoalID, Entry] = OrderedDict()  # of these, those that may take over
+        self._interrupted: OrderedDict[GoalID, Entry] = OrderedDict()
+        self._heads: list[tuple[Urgency, Group]] = []
+
+    # Events
+
+    def offer(
+        self, goal_id: GoalID, *, key: Hashable = None, urgency: float = 0, now: float
+    ) -> list[Order]:
+        """Take a goal that was accepted: it runs, waits, or makes another one give way.
+
+        Raises:
+            Busy: It can do none of these, and was not taken.
+        """
+        if goal_id in self._entries:
+            raise Busy(f"busy: an earlier goal {goal_id} was killed, and has not ended yet")
+        group = self._groups.get(key) or Group(key)
+        self._arrivals += 1
+        entry = Entry(goal_id, group, (urgency, self._arrivals), now)
+        orders: list[Order] = []
+        has_room = len(group.queue) < self._schedule.queue
+        if self._has_place(group):
+            orders.append(self._start(entry, now))
+        elif (predecessor := self._predecessor(entry, has_room=has_room)) is not None:
+            orders += self._preempt(predecessor, entry, now)
+        elif has_room:
+            self._wait(entry)
+        elif self._schedule.when_full == "replace":
+            newest = next(reversed(group.queue.values()))
+            orders.append(self._give_way(newest, f"replaced by {goal_id}"))
+            self._wait(entry)
+        else:
+            raise Busy(self._busy(group))
+        self._groups[key] = group
+        self._entries[goal_id] = entry
+        return orders
+
+    def restore(
+        self, goal_id: GoalID, *, key: Hashable = None, urgency: float = 0, now: float
+    ) -> list[Order]:
+        """Take a goal that was accepted before this scheduler began: it runs, or waits beyond any
+        limit.
+        """
+        group = self._groups.setdefault(key, Group(key))
+        self._arrivals += 1
+        entry = self._entries[goal_id] = Entry(goal_id, group, (urgency, self._arrivals), now)
+        if self._has_place(group):
+            return [self._start(entry, now)]
+        self._wait(entry)
+        return []
+
+    def leave(self, goal_id: GoalID, now: float) -> list[Order]:
+        """Give back the place of a goal that has ended; of an unknown one, nothing."""
+        entry = self._entries.get(goal_id)
+        if entry is None:
+            return []
+        self._remove(entry)
+        successor = entry.successor
+        if successor is None and self._schedule.when_full == "preempt":
+            # That of another goal need not wait for the end of just this one.
+            successor = entry.group.next_successor()
+        if successor is None or not self._has_place(entry.group):
+            return self._start_waiting(now)
+        self._part(successor)
+        return [self._start(successor, now)]
+
+    def lose(self, goal_id: GoalID) -> None:
+        """Order nothing more for a goal that runs. It keeps its place until it leaves."""
+        for entries in (self._timed, self._told, self._interrupted):
+            entries.pop(goal_id, None)
+
+    def take_over(self, goal_id: GoalID, now: float) -> GoalID | None:
+        """Let the successor of a goal take its place, and the goal leave; return the successor.
+
+        Return None, and change nothing, if the goal has none that it may take over.
+        """
+        entry = self._told.get(goal_id)
+        if entry is None:
+            return None
+        successor = entry.successor
+        assert successor is not None
+        self._remove(entry)
+        self._part(successor)
+        self._start(successor, now)
+        return successor.goal_id
+
+    def due(self, now: float, limit: int | None = None) -> list[Order]:
+        """Return orders that are due because time has passed, at most `limit`."""
+        orders: list[Order] = []
+        while len(orders) != limit and (order := self._next_order(now)) is not None:
+            orders.append(order)
+        return orders
+
+    def _next_order(self, now: float) -> Order | None:
+        rules = self._schedule
+        if (entry := _first(self._waiting)) and entry.since + rules.queue_timeout <= now:
+            return self._give_way(entry, f"waited for {rules.queue_timeout:g} s")
+        if (entry := _first(self._timed)) and entry.since + rules.run_timeout <= now:
+            return self._interrupt(entry, f"took longer than {rules.run_timeout:g} s", now)
+        if (entry := _first(self._told)) and entry.told_at + rules.handover <= now:
+            assert entry.successor is not None
+            return self._interrupt(entry, f"preempted by {entry.successor.goal_id}", now)
+        if (entry := _first(self._interrupted)) and entry.since + self._kill_after <= now:
+            del self._interrupted[entry.goal_id]
+            return Order(Act.KILL, entry.goal_id)
+        return None
+
+    # Queries
+
+    @property
+    def next_due(self) -> float:
+        """The time at which `due` has orders; `math.inf` if time alone makes none."""
+        rules = self._schedule
+        due = math.inf
+        if rules.queue_timeout < math.inf and (entry := _first(self._waiting)):
+            due = entry.since + rules.queue_timeout
+        if rules.run_timeout < math.inf and (entry := _first(self._timed)):
+            due = min(due, entry.since + rules.run_timeout)
+        if self._told and (entry := _first(self._told)):
+            due = min(due, entry.told_at + rules.handover)
+        if self._interrupted and (entry := _first(self._interrupted)):
+            due = min(due, entry.since + self._kill_after)
+        return due
+
+    @property
+    def waiting(self) -> int:
+        """The number of goals that wait."""
+        return len(self._waiting)
+
+    def room(self) -> tuple[float, float]:
+        """Return how many more goals can run now, and how many more can wait; `math.inf` if there
+        is no limit, or if it depends on the goal.
+        """
+        rules = self._schedule
+        running = math.inf if rules.total is None else rules.total - self._running
+        # With keys there are any number of queues; otherwise a new goal makes another give way.
+        waiting = math.inf if rules.queue or rules.when_full == "preempt" else 0.0
+        if rules.key is None:
+            group = self._groups.get(None)
+            started, queued = (len(group.running), len(group.queue)) if group else (0, 0)
+            if rules.concurrency is not None:
+                running = min(running, rules.concurrency - started)
+            if rules.when_full == "reject":
+                waiting = rules.queue - queued
+        return max(running, 0), max(waiting, 0)
+
+    def successor(self, goal_id: GoalID) -> GoalID | None:
+        """Return the goal that this one may take over; None if there is none."""
+        entry = self._told.get(goal_id)
+        return entry.successor.goal_id if entry and entry.successor else None
+
+    def places(self) -> dict[GoalID, tuple[int, int]]:
+        """Return the place of each waiting goal, from 1, and the number that wait for its key."""
+        places: dict[GoalID, tuple[int, int]] = {}
+        groups: dict[Hashable, list[Entry]] = {}
+        for entry in self._waiting.values():
+            groups.setdefault(entry.group.key, []).append(entry)
+        for entries in groups.values():
+            # Successors are ahead of the queue.
+            entries.sort(key=lambda one: (one.predecessor is None, one.urgency))
+            for place, entry in enumerate(entries, 1):
+                places[entry.goal_id] = (place, len(entries))
+        return places
+
+    # Steps
+
+    def _has_place(self, group: Group) -> bool:
+        concurrency, total = self._schedule.concurrency, self._schedule.total
+        return (concurrency is None or len(group.running) < concurrency) and (
+            total is None or self._running < total
+        )
+
+    def _start(self, entry: Entry, now: float) -> Order:
+        group = entry.group
+        group.queue.pop(entry.goal_id, None)
+        self._waiting.pop(entry.goal_id, None)
+        group.running[entry.goal_id] = self._timed[entry.goal_id] = entry
+        entry.since = now
+        self._running += 1
+        self._push_head(group)
+        return Order(Act.START, entry.goal_id)
+
+    def _wait(self, entry: Entry) -> None:
+        entry.group.add(entry)
+        self._waiting[entry.goal_id] = entry
+        self._push_head(entry.group)
+
+    def _give_way(self, entry: Entry, reason: str) -> Order:
+        self._remove(entry)
+        return Order(Act.END, entry.goal_id, reason)
+
+    def _remove(self, entry: Entry) -> None:
+        goal_id, group = entry.goal_id, entry.group
+        del self._entries[goal_id]
+        if group.running.pop(goal_id, None) is not None:
+            self._running -= 1
+            self.lose(goal_id)
+        else:
+            del self._waiting[goal_id]
+            group.queue.pop(goal_id, None)  # a successor is not in it
+        self._part(entry)
+        if group.running or group.queue:
+            self._push_head(group)
+        elif entry.successor is None:
+            self._groups.pop(group.key, None)
+            group.listed = None
+
+    def _part(self, entry: Entry) -> None:
+        """Make a goal no successor any more; its predecessor goes on, unless it was interrupted."""
+        if entry.predecessor is not None:
+            entry.predecessor.successor = None
+            self._told.pop(entry.predecessor.goal_id, None)
+            entry.predecessor = None
+
+    def _start_waiting(self, now: float) -> list[Order]:
+        orders: list[Order] = []
+        while self._heads:
+            if self._schedule.total is not None and self._running >= self._schedule.total:
+                break
+            urgency, group = heappop(self._heads)
+            if urgency != group.listed:
+                continue  # another goal of the group came before it, and is listed
+            group.listed = None
+            first = group.first()
+            if first is None or not self._has_place(group):
+                continue  # it is listed again when a goal of the group arrives or leaves
+            orders.append(self._start(first, now))
+        return orders
+
+    def _push_head(self, group: Group) -> None:
+        """List the group by its first waiting goal, unless it is listed so."""
+        first = group.first()
+        if first is None or first.urgency == group.listed:
+            return
+        group.listed = first.urgency
+        heappush(self._heads, (first.urgency, group))
+        if len(self._heads) > 2 * len(self._groups) + 16:  # most are out of date
+            self._heads = [head for head in self._heads if head[1].listed == head[0]]
+            heapify(self._heads)
+
+    # Preempting
+
+    def _predecessor(self, entry: Entry, *, has_room: bool) -> Entry | None:
+        """Return the goal that is to give way to a new one; None if none may."""
+        by_priority = self._schedule.priority is not None
+        if self._schedule.when_full != "preempt" or (has_room and not by_priority):
+            return None
+        if not by_priority:
+            return entry.group.oldest()
+        least = entry.group.least_urgent()
+        if least is None or entry.urgency[0] >= least.last.urgency[0]:
+            return None
+        return least
+
+    def _preempt(self, predecessor: Entry, entry: Entry, now: float) -> list[Order]:
+        reason = f"preempted by {entry.goal_id}"
+        orders: list[Order] = []
+        earlier = predecessor.successor
+        predecessor.successor, entry.predecessor = entry, predecessor
+        if earlier is not None:
+            earlier.predecessor = None
+            if len(entry.group.queue) < self._schedule.queue:
+                self._wait(earlier)
+            else:
+                orders.append(self._give_way(earlier, reason))
+        self._waiting[entry.goal_id] = entry
+        if predecessor.goal_id not in self._timed or predecessor.goal_id in self._told:
+            return orders  # it was interrupted, or told, because of an earlier goal
+        if self._schedule.handover:
+            self._told[predecessor.goal_id] = predecessor
+            predecessor.told_at = now
+            orders.append(Order(Act.TELL, predecessor.goal_id))
+        else:
+            orders.append(self._interrupt(predecessor, reason, now))
+        return orders
+
+    def _interrupt(self, entry: Entry, reason: str, now: float) -> Order:
+        del self._timed[entry.goal_id]
+        self._told.pop(entry.goal_id, None)
+        self._interrupted[entry.goal_id] = entry
+        entry.since = now
+        return Order(Act.INTERRUPT, entry.goal_id, reason)
+
+    def _busy(self, group: Group) -> str:
+        limits = self._schedule
+        waiting = f"{len(group.queue)} of {limits.queue} waiting"
+        in_all = f"{self._running} of {limits.total}"
+        if limits.concurrency is None:
+            return f"busy: {in_all} running, {waiting}"
+        text = f"busy: {len(group.running)} of {limits.concurrency} running"
+        if limits.total is not None:
+            text += f" ({in_all} in all)"
+        return f"{text}, {waiting}"
+
+
+def _first(entries: OrderedDict[GoalID, Entry]) -> Entry | None:
+    return next(iter(entries.values()), None)

@@ -1,0 +1,254 @@
+"""`Action`: a name and three message types, each with its encoding.
+
+Payloads are msgpack, decoded strictly. This module does not depend on goals, servers or transports.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any, Generic, TypeGuard, TypeVar, cast
+
+import msgspec
+
+from fibaction._runtime.text import excerpt
+from fibaction.types.encodings import encoding_of
+from fibaction.words.errors import ProtocolError, TransportError, text_of
+
+GoalT = TypeVar("GoalT")
+FeedbackT = TypeVar("FeedbackT")
+ResultT = TypeVar("ResultT")
+T = TypeVar("T")
+
+INTERFACES = "fibaction.interfaces"
+"""The entry-point group of functions that make message types. Such a function takes the name of a
+ROS 2 type, and returns the types of the goal, the feedback and the result, or raises
+TransportError."""
+
+# ROS 2's rule for names (REP 144, `rmw/validate_full_topic_name.h`), so that an action can be
+# served over ROS under the same name: tokens that do not start with a digit, a `~` only in front.
+_NAME = re.compile(r"(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
+
+
+class Codec(Generic[T]):
+    """The encoding of one message type of an action, from values to bytes and back."""
+
+    __slots__ = ("_decode", "_encode", "_encoding", "_sent", "classes", "type")
+
+    def __init__(self, message_type: type[T], sent: str = "") -> None:
+        """Make a codec.
+
+        `sent` names the messages that servers send with it, for the text of errors, for example
+        `feedback of action 'dock'`; it is empty for messages of clients.
+
+        Raises:
+            TypeError: Such a type cannot be encoded and decoded.
+        """
+        self.type = message_type
+        """The message type, unchanged."""
+        self._sent = sent
+        self._encoding = encoding_of(message_type)
+        self._encode: Callable[[T], bytes] = self._encoding.encode
+        self._decode: Callable[[bytes], T] = self._encoding.decode
+        self.classes = self._encoding.classes
+        """The classes that a value of this type is an instance of; `object` for any."""
+
+    def holds(self, value: object) -> TypeGuard[T]:
+        """Return whether the value is of this type, judging by its class alone."""
+        return isinstance(value, self.classes)
+
+    def encode(self, value: T) -> bytes:
+        """Turn a value into bytes.
+
+        Raises:
+            TypeError: It contains an object that msgpack cannot express.
+            OverflowError: It contains an integer of more than 64 bits.
+            ValueError: It contains text that is not valid Unicode.
+            RecursionError: It contains itself.
+        """
+        return self._encode(value)
+
+    def decode(self, payload: bytes) -> T:
+        """Turn bytes into a value; only pydantic models convert from one type to another.
+
+        Raises:
+            ProtocolError: They are not a value of this type; the text names the field.
+        """
+        try:
+            return self._decode(payload)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError) as exc:
+            # msgspec raises TypeError for a set of unhashable values.
+            text = excerpt(str(exc))
+        except Exception as exc:  # of the type's own, for instance in its `__post_init__`
+            raise self._misread(text_of(exc)) from exc
+        # Raised here, so that it does not keep msgspec's error, which may hold the whole payload.
+        raise self._misread(text)
+
+    def _misread(self, text: str) -> ProtocolError:
+        # Without the sender, the reader of the text would look for the fault in the client's code.
+        if self._sent:
+            text = f"{self._sent} is not of its type, as its server sent it: {text}"
+        return ProtocolError(text)
+
+    def schema(self) -> dict[str, Any]:
+        """Return the type's JSON Schema.
+
+        It is empty, which allows any value, if there is none for the type.
+        """
+        return self._encoding.schema()
+
+
+class ActionInfo(msgspec.Struct, frozen=True):
+    """The description of an action without its Python types, for generic clients and gateways."""
+
+    name: str
+    type_name: str = ""
+    goal: dict[str, Any] = {}
+    """The JSON Schema of a goal; feedback and result likewise."""
+    feedback: dict[str, Any] = {}
+    result: dict[str, Any] = {}
+
+
+class Action(Generic[GoalT, FeedbackT, ResultT]):
+    """A name, and the types of the goal, the feedback and the result.
+
+    A type is any that msgspec can encode and decode strictly: a `msgspec.Struct`, a dataclass, an
+    attrs class, a `TypedDict`, a builtin. It may also be a pydantic model, or have models in it,
+    which validate by their own rules. The types of feedback and result must differ at run time,
+    because an executor yields both.
+
+    For example:
+
+        DRIVE = Action("drive", goal=float, feedback=int, result=str)
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        goal: type[GoalT],
+        feedback: type[FeedbackT],
+        result: type[ResultT],
+        checkpoint: type[Any] | None = None,
+        type_name: str = "",
+    ) -> None:
+        """Define an action.
+
+        `checkpoint` is the type of the states that its executor keeps in the server's store, to go
+        on from after a crash; None if it keeps none. Clients do not see it.
+
+        `name` follows ROS 2's rule: parts of letters, digits and `_`, separated by `/`; a part does
+        not start with a digit. `type_name` is the ROS 2 type, `package/action/Type`; empty if the
+        action has none.
+
+        Raises:
+            ValueError: The name or the type name breaks that rule.
+            TypeError: One of them is not text, a type cannot be encoded, or feedback and result
+                cannot be told apart.
+        """
+        self.name = _checked(_NAME, name, "an action's name is like `arm/pick_up`")
+        self.type_name = type_name
+        if type_name != "":
+            _checked(
+                _TYPE_NAME, type_name, "a type name is like `example_interfaces/action/Fibonacci`"
+            )
+        of_it = f"of action {name!r}"
+        self.goal: Codec[GoalT] = _codec(goal, f"the goal {of_it}")
+        self.feedback: Codec[FeedbackT] = _codec(feedback, f"feedback {of_it}", from_server=True)
+        self.result: Codec[ResultT] = _codec(result, f"the result {of_it}", from_server=True)
+        self.checkpoint: Codec[Any] | None = None
+        if checkpoint is not None:
+            self.checkpoint = _codec(checkpoint, f"the checkpoint {of_it}")
+        self._info: ActionInfo | None = None
+        for one in self.feedback.classes:
+            for other in self.result.classes:
+                if issubclass(one, other) or issubclass(other, one):
+                    raise TypeError(
+                        f"action {name!r}: an executor yields feedback and result, and a value of"
+                        f" {one.__name__!r} could be either; give them types of their own"
+                    )
+
+    @property
+    def info(self) -> ActionInfo:
+        """The description that is sent to clients: name, type name and JSON Schemas."""
+        if self._info is None:
+            schemas = (codec.schema() for codec in (self.goal, self.feedback, self.result))
+            self._info = ActionInfo(self.name, self.type_name, *schemas)
+        return self._info
+
+    @classmethod
+    def untyped(cls, info: ActionInfo) -> Action[Any, Any, Any]:
+        """Make an action of plain data (dicts, lists, numbers, text), for clients without the
+        types.
+
+        An `ActionServer` rejects it, because it needs types to tell a result from feedback.
+        """
+        action = cast("Action[Any, Any, Any]", object.__new__(cls))
+        anything = cast("type[Any]", Any)
+        action.name, action.type_name, action._info = info.name, info.type_name, info
+        action.goal = Codec(anything)
+        action.feedback = Codec(anything, f"feedback of action {info.name!r}")
+        action.result = Codec(anything, f"the result of action {info.name!r}")
+        action.checkpoint = None
+        return action
+
+    @classmethod
+    def from_ros(cls, type_name: str, *, name: str) -> Action[Any, Any, Any]:
+        """Make an action whose types are those of an installed ROS 2 type.
+
+        They are structs with ROS's fields, defaults and constants: `action.goal.type(order=3)`.
+        The type is imported as a Python module, so ROS 2 and the type's package must be importable.
+
+        Raises:
+            TransportError: The type cannot be imported; the text says what is missing.
+            ValueError: The name breaks the rule for names.
+        """
+        goal, feedback, result = _interface(type_name)
+        return cls(name, goal=goal, feedback=feedback, result=result, type_name=type_name)
+
+    def __repr__(self) -> str:
+        return f"<Action {self.name!r}>"
+
+
+def _codec(message_type: type[T], message: str, *, from_server: bool = False) -> Codec[T]:
+    """Return the codec of a message of an action.
+
+    Raises:
+        TypeError: Its type cannot be encoded; the text names the message.
+    """
+    try:
+        return Codec(message_type, message if from_server else "")
+    except TypeError as exc:
+        raise TypeError(f"{message}: {exc}") from exc
+
+
+def _interface(type_name: str) -> tuple[type[Any], type[Any], type[Any]]:
+    """Return the types of a ROS 2 action, made by the package that declares the entry point."""
+    from importlib.metadata import entry_points  # slow to import, and needed here only
+
+    found = tuple(entry_points(group=INTERFACES, name="ros2"))
+    if not found:
+        raise TransportError(
+            f"cannot make message types from {type_name!r}: install a package with an entry point"
+            f" 'ros2' in the group {INTERFACES!r}, such as fibaction itself"
+        )
+    try:
+        make = found[0].load()
+    except TransportError:
+        raise  # its text already says what is missing
+    except Exception as exc:  # importing another package may raise anything
+        raise TransportError(
+            f"cannot make message types from {type_name!r}: {found[0].value} cannot be imported:"
+            f" {exc}"
+        ) from exc
+    goal, feedback, result = make(type_name)
+    return goal, feedback, result
+
+
+def _checked(rule: re.Pattern[str], text: object, meaning: str) -> str:
+    if not isinstance(text, str):
+        raise TypeError(f"{meaning}, not {text!r}")
+    if not rule.fullmatch(text):
+        raise ValueError(f"{meaning}, not {text!r}")
+    return text

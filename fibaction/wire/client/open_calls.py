@@ -1,0 +1,253 @@
+"""`OpenCalls`: the calls that a client has open, whatever connection they are on."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+from weakref import WeakValueDictionary
+
+from fibaction.wire.channel import CHUNK
+from fibaction.wire.client.calls import Call, PendingRequest
+from fibaction.wire.client.remote_goal import RemoteGoal
+from fibaction.wire.client.remote_statuses import RemoteStatuses, StatusWatch
+from fibaction.wire.codec import FromClient, encode
+from fibaction.wire.frames import MAX_FRAME
+from fibaction.wire.link import Link
+from fibaction.wire.messages import AskPlaces, AwaitServer, Done, Follow, Places, SendGoal
+from fibaction.words.errors import ActionError, InvalidMessage
+from fibaction.words.goals import GoalID
+
+BURST = 32
+"""Calls that are written at once, in the middle of a turn of the event loop: both ends then work at
+the same time."""
+
+
+class OpenCalls:
+    """The open calls of one client, by their IDs, and those that wait to be sent."""
+
+    def __init__(
+        self,
+        window: int,
+        most_places: int,
+        check: Callable[[], None],
+        ids: Iterator[int] | None = None,
+    ) -> None:
+        """Let `check` raise the reason why no call can be opened now, if there is one. A message
+        from the server has room for the places of `most_places` goals. `ids` has the IDs of new
+        calls, if other connections share them.
+        """
+        self._check = check
+        self._most_places = most_places
+        self._link: Link | None = None
+        self._max_frame = MAX_FRAME
+        self._calls: dict[int, Call] = {}
+        # Those of observers, for as long as the caller keeps them: one goal may have many.
+        self._observed: WeakValueDictionary[int, RemoteGoal] = WeakValueDictionary()
+        # One for each action, for all who follow its statuses here.
+        self._watches: WeakValueDictionary[str, StatusWatch] = WeakValueDictionary()
+        self._unopened: deque[Call] = deque()  # on this connection; in turn, as they may be large
+        self._ids = itertools.count(1) if ids is None else ids
+        # At least two: one can be dropped for the next. With one unread, the end would not come.
+        self._goal_window = max(window, 2)
+        self._window = window
+
+    # For endpoints
+
+    async def ask(self, request: Callable[[int], FromClient], kind: type[Any]) -> Any:
+        """Send a request, on this connection or the next, and return its answer.
+
+        Raises:
+            ActionError: The server answers with an error, or cannot be asked.
+        """
+        call_id = next(self._ids)
+        pending = PendingRequest(call_id, request(call_id))
+        await self._open(pending)
+        return pending.answer(kind)
+
+    async def follow(
+        self,
+        goal_id: GoalID,
+        request: Callable[[int, int], SendGoal | Follow],
+        *,
+        deadline: float = math.inf,
+        on_lost: Callable[[RemoteGoal, ActionError], None] | None = None,
+    ) -> RemoteGoal:
+        """Send or follow a goal; `request` gets the ID of the call, and the credit.
+
+        `deadline` is the time at which the client gives a goal up that it sends. `on_lost` gets the
+        goal if it has to go on somewhere else: see `RemoteGoal`.
+
+        Raises:
+            ActionError: As for `ask`.
+        """
+        opening = request(next(self._ids), self._goal_window)
+        goal = RemoteGoal(goal_id, opening, self._goal_window, self.post, deadline)
+        goal.on_lost = on_lost
+        await self._open(goal)
+        if not goal.is_own and self._calls.pop(goal.id, None) is not None:
+            self._observed[goal.id] = goal
+        return goal
+
+    async def follow_statuses(self, action: str) -> RemoteStatuses:
+        """Follow the statuses of all goals of an action.
+
+        Raises:
+            ActionError: As for `ask`.
+        """
+        while True:
+            self._check()
+            watch = self._watch_of(action)
+            if not watch.is_answered:
+                break
+            # All that the server has told before this answer is known then: a goal that this client
+            # has sent, for example. Places of goals that wait are told here only, since each start
+            # of a goal changes those of all others.
+            has_places = watch.has_accepted
+            if has_places:
+                asking = partial(AskPlaces, action=action, most=self._most_places)
+                answer: Places = await self.ask(asking, Places)
+                watch.set_places(answer.goals)
+            else:
+                await self.ask(lambda call_id: AwaitServer(call_id, action), Done)
+            is_current = watch is self._watches.get(action) and watch.is_complete
+            if is_current and (has_places or not watch.has_accepted):
+                break
+        statuses = watch.follow()
+        try:
+            await watch.answered()
+        except BaseException:
+            statuses.close()
+            raise
+        return statuses
+
+    def _watch_of(self, action: str) -> StatusWatch:
+        """Return the open watch of an action, or open one."""
+        watch = before = self._watches.get(action)
+        if watch is None or not watch.is_complete:
+            watch = StatusWatch(next(self._ids), action, self._window, self.post)
+            if before is not None and not before.is_over:
+                watch.take_over(before)
+            self._watches[action] = watch
+            self._start(watch)
+        return watch
+
+    def post(self, message: FromClient) -> None:
+        """Send a small message, if there is a connection."""
+        if self._link is not None:
+            self._link.post(encode(message))
+
+    async def _open(self, call: Call) -> None:
+        """Open a call, and wait until the server has answered; give it up after an error."""
+        self._check()
+        self._start(call)
+        try:
+            await call.answered()
+        except BaseException:
+            if self._calls.pop(call.id, None) is not None:
+                self.post(call.giving_up())
+            raise
+
+    def _start(self, call: Call) -> None:
+        """Send the opening of a call, if there is a connection."""
+        self._calls[call.id] = call
+        if self._link is not None:
+            self._unopened.append(call)
+            # Calls that are opened in the same turn of the event loop are written together, but of
+            # very many the server begins with the first before the last is opened.
+            is_first = len(self._calls) == 1
+            self._link.wake_writer(at_once=is_first or len(self._unopened) >= BURST)
+
+    @property
+    def is_empty(self) -> bool:
+        """True if no call is open."""
+        return not (self._calls or self._observed or self._watches)
+
+    def adopt(self, goal: RemoteGoal) -> None:
+        """Go on here with a goal that another connection has given up."""
+        goal.move_to(self.post)
+        self._start(goal)
+        if not goal.is_own:
+            del self._calls[goal.id]
+            self._observed[goal.id] = goal
+
+    # For the connection
+
+    def reopen(self, link: Link, max_frame: int) -> None:
+        """Open all calls on a new connection, whose server takes frames of so many bytes."""
+        self._link, self._max_frame = link, max_frame
+        self._unopened.clear()
+        self._unopened.extend((*self._calls.values(), *self._observed.values()))
+        link.wake_writer()
+
+    def detach(self) -> None:
+        """Wait for another connection: this one has ended."""
+        self._link = None
+        self._unopened.clear()
+        for watch in tuple(self._watches.values()):
+            watch.detach()
+
+    def openings(self) -> list[bytes]:
+        """Return frames that open calls on this connection, as many as fill one write."""
+        frames: list[bytes] = []
+        size = 0
+        while self._unopened and size < CHUNK:
+            call = self._unopened.popleft()
+            if call is not (self._calls.get(call.id) or self._observed.get(call.id)):
+                continue  # given up since
+            if call.is_over:
+                self._drop(call)
+                continue
+            try:
+                frame = encode(call.opening())
+            except (TypeError, ValueError, OverflowError) as exc:
+                # The caller has given something else than the types say. Other calls go on.
+                self._reject(call, f"the message cannot be sent: {exc}")
+                continue
+            if len(frame) <= self._max_frame:
+                frames.append(frame)
+                size += len(frame)
+            else:
+                limit = f"{self._max_frame} are the server's limit"
+                self._reject(call, f"the message has {len(frame)} bytes, and {limit}")
+        return frames
+
+    def handle(self, message: Any) -> bool:
+        """Hand a message to its call; return False if it does not belong to one.
+
+        Raises:
+            ProtocolError: The message does not answer that call.
+        """
+        call_id = getattr(message, "id", -1)
+        call = self._calls.get(call_id) or self._observed.get(call_id)
+        if call is None:
+            return False
+        if call.on_message(message):
+            self._drop(call)
+        return True
+
+    def fail(self, error: ActionError) -> None:
+        """End all calls with an error."""
+        calls = (*self._calls.values(), *self._observed.values())
+        self._calls = {}
+        self._observed.clear()
+        for call in calls:
+            call.lose(error)
+
+    def fail_unanswered(self, error: ActionError) -> None:
+        """End the calls that the server has not answered, and go on with all others."""
+        for call in tuple(self._calls.values()):
+            if not call.is_answered:
+                self._drop(call)
+                call.fail(error)
+
+    def _reject(self, call: Call, text: str) -> None:
+        self._drop(call)
+        call.fail(InvalidMessage(text))
+
+    def _drop(self, call: Call) -> None:
+        if self._calls.pop(call.id, None) is None:
+            self._observed.pop(call.id, None)

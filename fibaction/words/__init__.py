@@ -1,0 +1,1 @@
+"""The words of an action: statuses and their table, goals and outcomes, errors, meta."""

@@ -1,0 +1,222 @@
+"""The values that clients and servers exchange about goals, apart from the payloads.
+
+They are plain values, independent of transports.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from enum import IntEnum
+from functools import lru_cache
+from typing import Any, Generic, TypeVar
+
+import msgspec
+
+from fibaction._runtime.text import excerpt
+from fibaction.words.statuses import GoalStatus
+
+T = TypeVar("T")
+
+WHY_UNKNOWN = "it was never accepted, its result has expired, or the server was started anew"
+"""A server that does not know a goal cannot tell which of these it was."""
+
+
+class GoalID(bytes):
+    """The 16 bytes that name one goal for ever, made by the client.
+
+    All zeros is reserved: in a cancel it means "any goal" (`action_msgs/srv/CancelGoal`).
+
+    For example:
+
+        goal_id = GoalID.random()
+        assert GoalID.parse(str(goal_id)) == goal_id
+    """
+
+    __slots__ = ()
+
+    def __new__(cls, value: bytes) -> GoalID:
+        """Make an ID from 16 bytes.
+
+        Raises:
+            ValueError: The length is not 16 bytes.
+        """
+        if len(value) != 16:
+            raise ValueError(f"a goal ID has 16 bytes, not {len(value)}")
+        return super().__new__(cls, value)
+
+    @classmethod
+    def random(cls) -> GoalID:
+        """Return a new, unique ID of 16 random bytes."""
+        return super().__new__(cls, os.urandom(16))
+
+    @classmethod
+    def parse(cls, text: str) -> GoalID:
+        """Make an ID from text: 32 hexadecimal digits, as `str()` returns them, or with the dashes
+        of a UUID.
+
+        Raises:
+            ValueError: The text is not such an ID.
+        """
+        try:
+            return cls(bytes.fromhex(text.replace("-", "")))
+        except ValueError:
+            raise ValueError(f"a goal ID has 32 hexadecimal digits, not {text!r}") from None
+
+    def __str__(self) -> str:
+        return self.hex()
+
+    def __repr__(self) -> str:
+        return f"GoalID.parse('{self.hex()}')"
+
+
+NO_GOAL = GoalID(bytes(16))
+"""The reserved ID of all zeros; in a cancel it means "any goal"."""
+
+
+class Sender(msgspec.Struct, frozen=True):
+    """The client that sends a goal, as the transport identifies it.
+
+    As text, `str(sender)`, it is for people to read, for example `robot7 at 127.0.0.1:51234`, or
+    empty if nothing is known.
+
+    For example:
+
+        def on_goal(goal: Drive, sender: Sender) -> None:
+            if sender.name != "dispatcher":
+                raise GoalRejected("only the dispatcher drives")
+    """
+
+    name: str = ""
+    """The name that belongs to the client's token; empty if the server asks for no tokens."""
+    owner: bytes = b""
+    """A digest that is the same on each connection of that client, and of no other client; empty if
+    the transport cannot recognise its clients."""
+    address: str = ""
+    """The address of the client, for example `127.0.0.1:51234`; empty if it has none."""
+
+    def __str__(self) -> str:
+        return _sender_text(self.name, self.address)
+
+
+@lru_cache(maxsize=1000)  # it is in each line of a list of goals
+def _sender_text(name: str, address: str) -> str:
+    name = excerpt(name)
+    return f"{name} at {address}" if name and address else name or address
+
+
+class WorkerInfo(msgspec.Struct, frozen=True):
+    """One line of the list of workers of a fleet."""
+
+    name: str
+    actions: tuple[str, ...]
+    """The names of the actions that it serves."""
+    since: int
+    """The time at which it joined the fleet: nanoseconds since 1970."""
+    goals: int = 0
+    """The number of its active goals, some seconds ago at most."""
+    has_room: bool = True
+    """True if it takes new goals of one of its actions, to run or to wait."""
+
+
+UNKNOWN_SENDER = Sender()
+"""A client that the transport cannot identify."""
+
+
+class GoalInfo(msgspec.Struct, frozen=True, gc=False):
+    """One line of a server's list of goals."""
+
+    goal_id: GoalID
+    stamp: int
+    """The time of the acceptance: nanoseconds since 1970, different for each goal of a server."""
+    status: GoalStatus
+    """The goal's status; UNKNOWN if the server has forgotten the goal."""
+    feedback_count: int = 0
+    """The number of feedback messages of the attempt so far; 0 also if the transport does not carry
+    it."""
+    client: str = ""
+    """The client that sent the goal, for people to read: its `Sender` as text; empty if it is
+    unknown."""
+    place: int = 0
+    """Place among the goals that wait, from 1: the next to start; 0 if the goal does not wait, or
+    if the transport does not carry it. `ActionClient.goals` tells it; an event does not, since the
+    places of all goals change with each start."""
+    queue_length: int = 0
+    """The number of goals that wait in the same queue; 0 with a place of 0."""
+    attempt: int = 1
+    """The attempt at the goal, from 1: a server that keeps its goals in a store may run a goal
+    again after a restart. 1 also if the transport does not carry it."""
+
+
+class Outcome(msgspec.Struct, Generic[T], frozen=True):
+    """The end of a goal. The result is bytes between endpoints, the action's type for users.
+
+    For example:
+
+        outcome = await goal.outcome()
+        print(outcome.status.name, outcome.result, outcome.reason)
+    """
+
+    status: GoalStatus
+    """SUCCEEDED, CANCELED or ABORTED; UNKNOWN if the server knows no such goal."""
+    result: T | None = None
+    """The result if SUCCEEDED; a partial result or None if CANCELED or ABORTED."""
+    reason: str = ""
+    """The reason of the abort or the cancel, or a likely reason of UNKNOWN, as text for people."""
+
+
+UNKNOWN_OUTCOME: Outcome[Any] = Outcome(GoalStatus.UNKNOWN, reason=WHY_UNKNOWN)
+"""The answer for a goal that the server never knew or has forgotten."""
+
+
+class ActionPeers(msgspec.Struct, frozen=True):
+    """The servers and the clients of an action, as their transport names them."""
+
+    servers: tuple[str, ...] = ()
+    clients: tuple[str, ...] = ()
+
+
+class CancelCode(IntEnum):
+    """The return codes of `action_msgs/srv/CancelGoal`."""
+
+    NONE = 0
+    REJECTED = 1
+    UNKNOWN_GOAL_ID = 2
+    GOAL_TERMINATED = 3
+
+
+class CancelAnswer(msgspec.Struct, frozen=True):
+    """The server's answer to a cancel."""
+
+    return_code: CancelCode
+    """The answer as one number; NONE also if a cancel of all goals, or by time, found none."""
+    goals_canceling: tuple[GoalInfo, ...] = ()
+    """The goals whose cancel was accepted, each with its status directly afterwards."""
+    reason: str = ""
+    """The reason of a rejected cancel; several reasons are joined with `; `."""
+
+    @property
+    def accepted(self) -> bool:
+        """True if the cancel was accepted for at least one goal."""
+        return bool(self.goals_canceling)
+
+    @classmethod
+    def merged(cls, answers: Iterable[CancelAnswer]) -> CancelAnswer:
+        """Return one answer for one cancel that several servers have answered.
+
+        The code is NONE if any goal is canceling. Otherwise it is the first of these that any
+        server answered: REJECTED, GOAL_TERMINATED, NONE, UNKNOWN_GOAL_ID. Without answers it is
+        NONE, as from a server without goals.
+        """
+        answers = tuple(answers)
+        goals = tuple(info for answer in answers for info in answer.goals_canceling)
+        reasons = "; ".join(dict.fromkeys(answer.reason for answer in answers if answer.reason))
+        codes = {answer.return_code for answer in answers}
+        weights = (
+            CancelCode.REJECTED,
+            CancelCode.GOAL_TERMINATED,
+            CancelCode.NONE,
+            CancelCode.UNKNOWN_GOAL_ID,
+        )
+        code = next((code for code in weights if code in codes), CancelCode.NONE)
+        return cls(CancelCode.NONE if goals else code, goals, reasons)

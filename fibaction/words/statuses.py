@@ -1,0 +1,89 @@
+"""The goal state machine, as one table.
+
+This module alone says which status may follow which. It does not depend on clients, servers, tasks
+or time. Numbers and edges are those of ROS 2: `action_msgs/msg/GoalStatus`, `rcl_action/types.h`
+and `rcl_action/goal_state_machine.c`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+from types import MappingProxyType
+from typing import Final
+
+from fibaction.words.action_error import ActionError
+
+
+class GoalStatus(IntEnum):
+    """The status of a goal. UNKNOWN is only an answer, never stored."""
+
+    UNKNOWN = 0
+    ACCEPTED = 1
+    EXECUTING = 2
+    CANCELING = 3
+    SUCCEEDED = 4
+    CANCELED = 5
+    ABORTED = 6
+
+    @property
+    def is_active(self) -> bool:
+        """True if the goal was accepted and has not ended."""
+        return 1 <= self <= 3
+
+    @property
+    def is_terminal(self) -> bool:
+        """True if the goal has ended."""
+        return self >= 4
+
+
+class GoalEvent(IntEnum):
+    """The events that change a goal's status: clients cause CANCEL_GOAL, the server all others."""
+
+    EXECUTE = 0
+    CANCEL_GOAL = 1
+    SUCCEED = 2
+    ABORT = 3
+    CANCELED = 4
+
+
+class InvalidTransition(ActionError):
+    """An event that a status does not allow: a bug in fibaction, not in the code that uses it."""
+
+    def __init__(self, status: GoalStatus, event: GoalEvent) -> None:
+        super().__init__(status, event)
+        self.status = status
+        self.event = event
+
+    def __str__(self) -> str:
+        return f"a goal that is {self.status.name} cannot {self.event.name}"
+
+
+INITIAL: Final = GoalStatus.ACCEPTED
+"""The status of a goal at the moment of its acceptance. A rejected goal does not have a status."""
+
+TRANSITIONS: Final[Mapping[tuple[GoalStatus, GoalEvent], GoalStatus]] = MappingProxyType(
+    {
+        (GoalStatus.ACCEPTED, GoalEvent.EXECUTE): GoalStatus.EXECUTING,
+        (GoalStatus.ACCEPTED, GoalEvent.CANCEL_GOAL): GoalStatus.CANCELING,
+        (GoalStatus.EXECUTING, GoalEvent.CANCEL_GOAL): GoalStatus.CANCELING,
+        (GoalStatus.EXECUTING, GoalEvent.SUCCEED): GoalStatus.SUCCEEDED,
+        (GoalStatus.EXECUTING, GoalEvent.ABORT): GoalStatus.ABORTED,
+        (GoalStatus.CANCELING, GoalEvent.SUCCEED): GoalStatus.SUCCEEDED,
+        (GoalStatus.CANCELING, GoalEvent.CANCELED): GoalStatus.CANCELED,
+        (GoalStatus.CANCELING, GoalEvent.ABORT): GoalStatus.ABORTED,
+    }
+)
+"""Every legal edge; all others are illegal."""
+
+
+def transition(status: GoalStatus, event: GoalEvent) -> GoalStatus:
+    """Return the status that follows `status` when `event` happens.
+
+    Raises:
+        InvalidTransition: The table has no such edge.
+    """
+    try:
+        return TRANSITIONS[status, event]
+    except KeyError:
+        raise InvalidTransition(status, event) from None

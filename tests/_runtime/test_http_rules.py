@@ -1,0 +1,86 @@
+"""`fibaction._runtime.http_rules`: which requests are let in."""
+
+from __future__ import annotations
+
+import socket
+
+import pytest
+
+from fibaction._runtime.http_rules import HttpRules, Refused, rules
+
+
+def made(
+    *, hosts: tuple[str, ...] = (), origins: tuple[str, ...] = (), has_tls: bool = False
+) -> HttpRules:
+    return rules("Robot", "/", hosts=hosts, origins=origins, has_tls=has_tls)
+
+
+def status(found: HttpRules, host: str, origin: str | None = None, target: str = "/") -> int:
+    headers = {"host": host} | ({} if origin is None else {"origin": origin})
+    try:
+        found.check(target, headers)
+    except Refused as exc:
+        return exc.status
+    return 101
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "robot",
+        "ROBOT:8080",
+        "localhost:8080",
+        "127.0.0.1:8080",
+        "192.168.1.7",
+        "[::1]:8080",
+        socket.gethostname(),
+        f"{socket.gethostname()}.local:80",
+    ],
+)
+def test_addresses_and_names_of_the_machine_are_its_own(host: str) -> None:
+    assert status(made(), host) == 101
+
+
+@pytest.mark.parametrize("host", ["evil.example", "robot.evil.example", "", "[", "127.0.0.1.evil"])
+def test_another_host_is_misdirected_unless_it_is_named_or_the_certificate_shows_it(
+    host: str,
+) -> None:
+    assert status(made(), host) == 421
+    assert status(made(hosts=("*",)), host) == (421 if host == "[" else 101)
+    assert status(made(hosts=("Evil.example",)), "evil.example:80") == 101
+    assert status(made(has_tls=True), "evil.example") == 101
+
+
+@pytest.mark.parametrize(
+    ("origin", "expected"),
+    [
+        (None, 101),
+        ("http://robot:8080", 101),
+        ("https://ROBOT:8080", 101),
+        ("http://robot", 403),
+        ("http://robot:9090", 403),
+        ("http://evil.example", 403),
+        ("http://evil.example#http://robot:8080", 403),
+        ("null", 403),
+        ("", 403),
+    ],
+)
+def test_only_pages_of_the_address_served_may_use_it(origin: str | None, expected: int) -> None:
+    assert status(made(), "robot:8080", origin) == expected
+
+
+def test_other_pages_may_be_named() -> None:
+    named = made(origins=("https://Console.example", "null"))
+    assert status(named, "robot", "https://console.example") == 101
+    assert status(named, "robot", "null") == 101
+    assert status(named, "robot", "http://console.example") == 403
+    assert status(made(origins=("*",)), "robot", "http://evil.example") == 101
+
+
+@pytest.mark.parametrize("target", ["/other", "//", "/../", "*", "http://robot/"])
+def test_another_path_does_not_exist(target: str) -> None:
+    assert status(made(), "robot", target=target) == 404
+
+
+def test_what_is_behind_a_question_mark_does_not_matter() -> None:
+    assert status(made(), "robot", target="/?token=x") == 101

@@ -1,0 +1,113 @@
+"""`fibaction._runtime.notify`: who is woken, and when."""
+
+from __future__ import annotations
+
+import anyio
+import pytest
+
+from fibaction._runtime.notify import Notifier
+
+
+@pytest.mark.asyncio
+async def test_notifying_wakes_all_that_wait_and_none_that_comes_later() -> None:
+    waking = Notifier()
+    woken: list[int] = []
+
+    async def wait(number: int) -> None:
+        await waking.wait()
+        woken.append(number)
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            waking.notify()
+            tasks.start_soon(wait, 1)
+            tasks.start_soon(wait, 2)
+            await anyio.wait_all_tasks_blocked()
+            assert woken == []
+            waking.notify()
+            tasks.start_soon(wait, 3)
+            await anyio.wait_all_tasks_blocked()
+            assert sorted(woken) == [1, 2]
+            waking.notify()
+    assert sorted(woken) == [1, 2, 3]
+
+
+@pytest.mark.asyncio
+async def test_the_wait_of_one_that_is_canceled_leaves_the_others_waiting() -> None:
+    waking = Notifier()
+    woken: list[int] = []
+
+    async def wait(number: int, scope: anyio.CancelScope) -> None:
+        with scope:
+            await waking.wait()
+            woken.append(number)
+
+    impatient = anyio.CancelScope()
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait, 1, impatient)
+            tasks.start_soon(wait, 2, anyio.CancelScope())
+            await anyio.wait_all_tasks_blocked()
+            impatient.cancel()
+            await anyio.wait_all_tasks_blocked()
+            assert woken == []
+            waking.notify()
+    assert woken == [2]
+
+
+def test_the_listener_is_called_at_the_next_wake_only_whether_or_not_a_task_waits() -> None:
+    waking = Notifier()
+    calls: list[str] = []
+    waking.notify()
+    waking.on_next = lambda: calls.append("heard")
+    assert calls == []  # what was before is none of its business
+    waking.notify()
+    assert calls == ["heard"]
+    waking.notify()
+    assert calls == ["heard"]
+    waking.on_next = lambda: calls.append("heard again")
+    waking.on_next = None
+    waking.notify()
+    assert calls == ["heard"]
+
+
+@pytest.mark.asyncio
+async def test_the_listener_and_the_waiting_tasks_all_hear_of_the_same_wake() -> None:
+    waking = Notifier()
+    heard: list[str] = []
+    waking.on_next = lambda: heard.append("the listener")
+
+    async def wait(name: str) -> None:
+        await waking.wait()
+        heard.append(name)
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait, "one")
+            tasks.start_soon(wait, "other")
+            await anyio.wait_all_tasks_blocked()
+            assert heard == []
+            waking.notify()
+            # It hears at once; those who wait go on when they have their turn.
+            assert heard == ["the listener"]
+    assert sorted(heard) == ["one", "other", "the listener"]
+
+
+@pytest.mark.asyncio
+async def test_a_listener_may_wake_and_listen_again() -> None:
+    waking = Notifier()
+    rounds: list[int] = []
+
+    def wake_once_more() -> None:
+        rounds.append(len(rounds))
+        if len(rounds) == 1:
+            waking.on_next = wake_once_more
+            waking.notify()
+
+    waking.on_next = wake_once_more
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(waking.wait)
+            await anyio.wait_all_tasks_blocked()
+            waking.notify()
+    assert rounds == [0, 1]

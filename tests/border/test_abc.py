@@ -1,0 +1,508 @@
+from __future__ import annotations
+
+import inspect
+from collections import deque
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import ActionClient, ActionServer, CancelCode
+from fibaction._runtime.notify import Notifier
+from fibaction.border import abc
+from fibaction.border.abc import (
+    Connection,
+    Endpoint,
+    FeedbackItem,
+    ForwardingEndpoint,
+    GoalStream,
+    GoalUpdate,
+    Meta,
+    Startable,
+    StatusStream,
+    Transport,
+)
+from fibaction.types.action import Action, ActionInfo
+from fibaction.words.errors import ActionError, ConnectionLost, UnknownGoal
+from fibaction.words.goals import (
+    UNKNOWN_OUTCOME,
+    UNKNOWN_SENDER,
+    ActionPeers,
+    CancelAnswer,
+    GoalID,
+    GoalInfo,
+    Outcome,
+    Sender,
+)
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.inprocess import InProcessTransport
+from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
+
+KNOWN = GoalID(bytes(range(16)))
+OTHER = GoalID(bytes(range(1, 17)))
+
+
+Event = GoalUpdate | Exception
+
+
+class OneEnd(GoalStream):
+    """A stream of a goal to which things happen when the test says so."""
+
+    def __init__(self, end: Outcome[bytes] | Exception | None = None, *events: Event) -> None:
+        self.closed = 0
+        self.reads = True
+        self.news = Notifier()
+        self.end = end
+        self.events: deque[Event] = deque(events)
+        self.limits: list[int] = []
+
+    def happen(self, *events: Event) -> None:
+        """Things that can be taken from now on."""
+        self.events.extend(events)
+        self.news.notify()
+
+    @property
+    def status(self) -> GoalStatus:
+        return GoalStatus.SUCCEEDED
+
+    @property
+    def dropped(self) -> int:
+        return 0
+
+    def take(self, limit: int = 1) -> list[GoalUpdate]:
+        self.limits.append(limit)
+        if not self.events:
+            return []
+        event = self.events.popleft()
+        if isinstance(event, Exception):
+            raise event
+        return [event]
+
+    def known_outcome(self) -> Outcome[bytes] | None:
+        if isinstance(self.end, Exception):
+            raise self.end
+        return self.end
+
+    def hold(self, wanted: bool) -> None:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def fail(self, error: ActionError) -> None:
+        raise NotImplementedError
+
+
+class OneGoal(Endpoint):
+    """An endpoint that knows one goal, and can be sent it, or asked to follow it."""
+
+    def __init__(self, stream: OneEnd) -> None:
+        self.stream = stream
+        self.sent: list[tuple[GoalID, bytes, bool]] = []
+        self.more: tuple[Sender, float | None, Meta | None] | None = None
+
+    @property
+    def info(self) -> ActionInfo:
+        return ActionInfo("one")
+
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
+        meta: Meta | None = None,
+    ) -> GoalStream:
+        self.sent.append((goal_id, goal, feedback))
+        self.more = (sender, timeout, meta)
+        return self.stream
+
+    async def feedback(
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False, attempt: int = 1
+    ) -> GoalStream:
+        assert not own, "asking for a result slows nothing down"
+        if goal_id != KNOWN:
+            raise UnknownGoal(goal_id)
+        return self.stream
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        raise NotImplementedError
+
+    async def status(self) -> StatusStream:
+        raise NotImplementedError
+
+    async def wait_for_server(self) -> None:
+        raise NotImplementedError
+
+
+@pytest.mark.asyncio
+async def test_a_result_is_the_outcome_of_the_followed_goal_and_the_stream_is_closed() -> None:
+    outcome = Outcome(GoalStatus.SUCCEEDED, b"done")
+    stream = OneEnd(outcome)
+    with anyio.fail_after(5):
+        assert await OneGoal(stream).get_result(KNOWN) is outcome
+    assert stream.closed == 1
+
+
+@pytest.mark.asyncio
+async def test_the_result_of_an_unknown_goal_is_unknown() -> None:
+    stream = OneEnd(Outcome(GoalStatus.SUCCEEDED))
+    with anyio.fail_after(5):
+        assert await OneGoal(stream).get_result(OTHER) is UNKNOWN_OUTCOME
+    assert stream.closed == 0
+
+
+@pytest.mark.asyncio
+async def test_a_stream_is_closed_also_when_the_connection_ends_first() -> None:
+    stream = OneEnd(ConnectionLost("gone"))
+    with anyio.fail_after(5):
+        with pytest.raises(ConnectionLost):
+            await OneGoal(stream).get_result(KNOWN)
+    assert stream.closed == 1
+
+
+ONE, OTHER_ONE = FeedbackItem(1, b"1"), FeedbackItem(2, b"2")
+
+
+async def next_update(stream: GoalStream) -> GoalUpdate:
+    return await anext(aiter(stream))
+
+
+each_way_to_read = pytest.mark.parametrize(
+    "read", [next_update, GoalStream.receive], ids=["updates", "receive"]
+)
+Read = Callable[[GoalStream], Awaitable[GoalUpdate | None]]
+END = UNKNOWN_OUTCOME
+
+
+@pytest.mark.asyncio
+async def test_a_reader_of_feedback_is_not_told_of_statuses() -> None:
+    stream = OneEnd(
+        UNKNOWN_OUTCOME,
+        *(GoalStatus.ACCEPTED, GoalStatus.EXECUTING, ONE, OTHER_ONE, GoalStatus.CANCELING, END),
+    )
+    with anyio.fail_after(5):
+        assert [await stream.receive() for _ in range(3)] == [ONE, OTHER_ONE, None]
+
+
+@pytest.mark.asyncio
+async def test_an_iteration_gives_all_updates_in_their_order_the_outcome_last() -> None:
+    events = (GoalStatus.EXECUTING, ONE, GoalStatus.CANCELING, OTHER_ONE, END)
+    stream = OneEnd(END, *events)
+    with anyio.fail_after(5):
+        assert [update async for update in stream] == list(events)
+
+
+@pytest.mark.asyncio
+async def test_a_stream_that_was_closed_gives_no_more_feedback() -> None:
+    stream = OneEnd(END, ONE)
+    stream.reads = False
+    with anyio.fail_after(5):
+        assert await stream.receive() is None
+
+
+@each_way_to_read
+@pytest.mark.asyncio
+async def test_a_reader_waits_as_long_as_there_is_nothing_and_goes_on_with_the_news(
+    read: Read,
+) -> None:
+    stream = OneEnd()
+    seen: list[GoalUpdate] = []
+
+    async def read_all() -> None:
+        while (event := await read(stream)) not in (None, END):
+            assert event is not None
+            seen.append(event)
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(read_all)
+            for happens, expected in (([], []), ([ONE], [ONE]), ([OTHER_ONE], [ONE, OTHER_ONE])):
+                await anyio.wait_all_tasks_blocked()
+                stream.happen(*happens)
+                await anyio.wait_all_tasks_blocked()
+                assert seen == expected
+            stream.happen(END)
+    assert set(stream.limits) == {1}, "what is taken beyond the first would be lost"
+
+
+@each_way_to_read
+@pytest.mark.parametrize("late", [True, False], ids=["canceled after", "canceled before"])
+@pytest.mark.asyncio
+async def test_nothing_is_lost_if_the_wait_is_canceled(read: Read, late: bool) -> None:
+    stream = OneEnd()
+    seen: list[GoalUpdate | None] = []
+
+    async def read_one() -> None:
+        seen.append(await read(stream))
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(read_one)
+            await anyio.wait_all_tasks_blocked()
+            if not late:
+                tasks.cancel_scope.cancel()
+            stream.happen(ONE, OTHER_ONE)
+            if late:
+                tasks.cancel_scope.cancel()
+        seen += [await read(stream) for _ in range(2 - len(seen))]
+    assert seen == [ONE, OTHER_ONE]
+
+
+@each_way_to_read
+@pytest.mark.asyncio
+async def test_a_lost_connection_is_told_to_a_reader_after_what_came_before(read: Read) -> None:
+    stream = OneEnd(None, ONE, ConnectionLost("gone"))
+    with anyio.fail_after(5):
+        assert await read(stream) == ONE
+        with pytest.raises(ConnectionLost, match="gone"):
+            await read(stream)
+
+
+@pytest.mark.asyncio
+async def test_an_outcome_is_waited_for_through_other_news_and_without_reading() -> None:
+    outcome = Outcome(GoalStatus.SUCCEEDED, b"done")
+    stream = OneEnd()
+    outcomes: list[Outcome[bytes]] = []
+
+    async def wait() -> None:
+        outcomes.append(await stream.outcome())
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            tasks.start_soon(wait)
+            await anyio.wait_all_tasks_blocked()
+            stream.happen(ONE)
+            await anyio.wait_all_tasks_blocked()
+            assert outcomes == []
+            stream.end = outcome
+            stream.news.notify()
+        assert outcomes == [outcome, outcome]
+        assert await stream.outcome() is outcome
+        assert stream.limits == []
+        assert await stream.receive() == ONE
+
+
+@pytest.mark.asyncio
+async def test_a_lost_connection_is_told_to_a_wait_for_the_outcome() -> None:
+    stream = OneEnd()
+
+    async def wait() -> None:
+        with pytest.raises(ConnectionLost, match="gone"):
+            await stream.outcome()
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            await anyio.wait_all_tasks_blocked()
+            stream.end = ConnectionLost("gone")
+            stream.news.notify()
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("feedback", [True, False])
+async def test_a_goal_is_offered_by_sending_it_unless_an_endpoint_knows_better(
+    feedback: bool,
+) -> None:
+    stream = OneEnd()
+    endpoint = OneGoal(stream)
+    offered = endpoint.offer_goal(KNOWN, b"goal", feedback=feedback)
+    assert not isinstance(offered, GoalStream)
+    assert endpoint.sent == []
+    with anyio.fail_after(5):
+        assert await offered is stream
+    assert endpoint.sent == [(KNOWN, b"goal", feedback)]
+
+
+@pytest.mark.asyncio
+async def test_the_sender_of_a_goal_is_not_told_to_an_endpoint_that_does_not_ask() -> None:
+    endpoint = OneGoal(OneEnd())
+    offered = endpoint.offer_goal(KNOWN, b"goal", sender=Sender("the arm"))
+    assert not isinstance(offered, GoalStream)
+    with anyio.fail_after(5):
+        await offered
+    assert endpoint.sent == [(KNOWN, b"goal", True)]
+
+
+class Nowhere(Connection):
+    """A connection that knows as little as it may."""
+
+    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
+        raise NotImplementedError
+
+    async def actions(self) -> list[ActionInfo]:
+        raise NotImplementedError
+
+
+@pytest.mark.asyncio
+async def test_a_connection_need_not_know_its_peers() -> None:
+    assert await Nowhere().peers("fibonacci") == ActionPeers((), ())
+
+
+@pytest.mark.asyncio
+async def test_a_transport_need_not_be_a_fleet() -> None:
+    assert await Nowhere().workers() == []
+    async with InProcessTransport().goal_store() as store:
+        assert store is None
+
+
+def test_a_stream_is_closed_at_the_end_of_its_block_and_lets_errors_pass() -> None:
+    stream = OneEnd(UNKNOWN_OUTCOME)
+    with pytest.raises(LookupError), stream as entered:
+        assert entered is stream
+        assert stream.closed == 0
+        raise LookupError
+    assert stream.closed == 1
+
+
+def test_feedback_has_a_number_and_a_payload() -> None:
+    item = FeedbackItem(1, b"x")
+    assert (item.number, item.payload) == (1, b"x")
+    assert item == FeedbackItem(number=1, payload=b"x") != FeedbackItem(2, b"x")
+
+
+@pytest.mark.parametrize(
+    ("interface", "to_write"),
+    [
+        (GoalStream, {"status", "dropped", "take", "known_outcome", "hold", "close", "fail"}),
+        (StatusStream, {"dropped", "receive", "close", "fail"}),
+        (
+            Endpoint,
+            {"info", "send_goal", "feedback", "cancel_goals", "status", "wait_for_server"},
+        ),
+        (Connection, {"endpoint", "actions"}),
+        (Transport, {"from_url", "serve", "connect"}),
+    ],
+)
+def test_the_author_of_a_transport_writes_these_methods_and_no_others(
+    interface: type[Any], to_write: set[str]
+) -> None:
+    assert interface.__abstractmethods__ == to_write
+    with pytest.raises(TypeError, match="abstract"):
+        interface()
+
+
+def test_everything_that_the_author_of_a_transport_reads_has_a_docstring() -> None:
+    interfaces = [
+        value
+        for name, value in vars(abc).items()
+        if inspect.isclass(value) and value.__module__ == abc.__name__ and name[0] != "_"
+    ]
+    assert len(interfaces) == 5
+    for interface in interfaces:
+        assert inspect.getdoc(interface)
+        for name, member in vars(interface).items():
+            if name[0] != "_" and (callable(member) or isinstance(member, property)):
+                assert inspect.getdoc(member), f"{interface.__name__}.{name}"
+
+
+class SomeGoals(StatusStream):
+    """Tells of goals, and then that the server has stopped."""
+
+    def __init__(self, known: int, *stamps: int) -> None:
+        self.known = known
+        self._infos = deque(GoalInfo(KNOWN, stamp, GoalStatus.EXECUTING) for stamp in stamps)
+
+    @property
+    def dropped(self) -> int:
+        return 0
+
+    def fail(self, error: ActionError) -> None:
+        raise NotImplementedError
+
+    async def receive(self) -> GoalInfo | None:
+        return self._infos.popleft() if self._infos else None
+
+    def close(self) -> None:
+        raise NotImplementedError
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(("known", "listed"), [(0, []), (2, [1, 2]), (9, [1, 2, 3])])
+async def test_the_goals_that_there_were_are_the_first_that_come(
+    known: int, listed: list[int]
+) -> None:
+    statuses = SomeGoals(known, 1, 2, 3)
+    assert [info.stamp for info in await statuses.listed()] == listed
+
+
+@pytest.mark.asyncio
+async def test_a_forwarding_endpoint_passes_every_call_on() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    wrapper = ForwardingEndpoint(ForwardingEndpoint(server))
+    assert isinstance(wrapper, Startable)
+    assert wrapper.info == server.info
+    assert not wrapper.is_running
+    with anyio.fail_after(5):
+        async with wrapper:
+            assert server.is_running
+            assert wrapper.is_running
+            await wrapper.wait_for_server()
+            client = ActionClient(wrapper, FIBONACCI)
+            assert await client.call(Goal(2)) == Result([0, 1, 1])
+            (known,) = await client.goals()
+            assert (await client.attach(known.goal_id)).status is GoalStatus.SUCCEEDED
+            # The goal has one feedback, and none of it is of another attempt.
+            for attempt, place in ((1, 1), (2, 0)):
+                stream = await wrapper.feedback(known.goal_id, after=1, attempt=attempt)
+                assert (stream.attempt, stream.cursor) == (1, place)
+            sender = Sender(owner=b"ann")
+            goal = FIBONACCI.goal.encode(Goal(1))
+            await wrapper.send_goal(OTHER, goal, sender=sender)
+            assert wrapper.owner_of(OTHER) == b"ann"
+            answer = await client.cancel_goals(known.goal_id)
+            assert answer.return_code is CancelCode.GOAL_TERMINATED
+            await wrapper.stop()
+            assert not server.is_running
+
+
+@pytest.mark.asyncio
+async def test_a_forwarding_endpoint_passes_on_all_that_goes_with_a_goal() -> None:
+    inner, ann, meta = OneGoal(OneEnd()), Sender("ann"), {"traceparent": "00-1"}
+    wrapper = ForwardingEndpoint(inner)
+    await wrapper.send_goal(KNOWN, b"1", sender=ann, timeout=5, meta=meta)
+    assert inner.more == (ann, 5, meta)
+    offered = wrapper.offer_goal(KNOWN, b"2", feedback=False, timeout=6, meta=meta)
+    assert not isinstance(offered, GoalStream)
+    await offered
+    assert inner.more == (UNKNOWN_SENDER, 6, meta)
+    assert inner.sent == [(KNOWN, b"1", True), (KNOWN, b"2", False)]
+
+
+@pytest.mark.asyncio
+async def test_around_an_endpoint_without_a_life_of_its_own_there_is_nothing_to_start() -> None:
+    wrapper = ForwardingEndpoint(OneGoal(OneEnd()))
+    assert wrapper.is_running
+    assert wrapper.owner_of(KNOWN) == b""
+    async with wrapper as entered:
+        assert entered is wrapper
+        await wrapper.stop()
+
+
+def test_a_stream_of_a_server_without_a_store_is_of_the_first_attempt() -> None:
+    assert (OneEnd().attempt, OneEnd().newest_attempt) == (1, 1)
+
+
+def test_a_stream_does_not_know_the_goal_itself_unless_it_says_so() -> None:
+    assert OneEnd().goal is None
+
+
+class Held(OneEnd):
+    """A stream that remembers whether the executor is to wait for it."""
+
+    wanted = True
+
+    def hold(self, wanted: bool) -> None:
+        self.wanted = wanted
+
+
+def test_a_stream_that_cannot_limit_the_time_does_not_make_the_executor_wait() -> None:
+    stream = Held()
+    stream.hold_briefly()
+    assert not stream.wanted

@@ -1,0 +1,38 @@
+"""The values that servers and stores exchange."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from fibaction import SqliteStore
+from fibaction.words.statuses import GoalStatus
+from tests.stores.made import a_goal
+
+
+@pytest.mark.parametrize(
+    ("status", "attempt", "told"),
+    [
+        (GoalStatus.ACCEPTED, 0, GoalStatus.ACCEPTED),
+        (GoalStatus.ACCEPTED, 2, GoalStatus.EXECUTING),
+        (GoalStatus.CANCELING, 1, GoalStatus.CANCELING),
+        (GoalStatus.SUCCEEDED, 1, GoalStatus.SUCCEEDED),
+    ],
+)
+def test_an_active_goal_that_has_begun_is_executing_for_clients(
+    status: GoalStatus, attempt: int, told: GoalStatus
+) -> None:
+    goal = a_goal(1)
+    goal.status, goal.attempt = status, attempt
+    assert goal.told_status is told
+
+
+@pytest.mark.asyncio
+async def test_the_goals_of_a_store_without_leases_belong_to_their_server_for_ever(
+    tmp_path: Path,
+) -> None:
+    store = SqliteStore(tmp_path / "goals.db")
+    async with store.open("paint", max_results=9, claim=print, lose=print) as journal:
+        assert journal.valid_until == math.inf

@@ -1,0 +1,521 @@
+"""`fibaction.client.attempts`: timeouts and retries of one goal, on virtual time."""
+
+from __future__ import annotations
+
+import gc
+import math
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
+from typing import Any
+from weakref import ref
+
+import anyio
+import pytest
+from anyio import current_time
+
+from fibaction import (
+    ActionClient,
+    ActionError,
+    ActionServer,
+    CancelAnswer,
+    CancelRejected,
+    ConnectionLost,
+    GoalHandle,
+    GoalID,
+    GoalRejected,
+    GoalStatus,
+    GoalTimeout,
+    Retry,
+    ServerNotFound,
+)
+from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream
+from fibaction.client.attempts import check_timeout
+from fibaction.server.feedback_cursor import FeedbackCursor
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.virtual_time import in_virtual_time
+
+pytestmark = [pytest.mark.anyio, in_virtual_time()]
+
+Client = ActionClient[Goal, Feedback, Result]
+Items = AsyncGenerator[Feedback | Result, None]
+HANG = object()
+"""A step that does not end."""
+
+
+async def slow(goal: GoalHandle[Goal]) -> Items:
+    """Yield a feedback message each second."""
+    for number in range(1, goal.request.order + 1):
+        await anyio.sleep(1)
+        yield Feedback([number])
+    yield Result([goal.request.order])
+
+
+class Scripted(ForwardingEndpoint):
+    """An endpoint that fails, hangs or forwards, as its scripts say, and notes its calls."""
+
+    def __init__(
+        self,
+        server: Endpoint,
+        *,
+        sends: Iterable[Any] = (),
+        follows: Iterable[Any] = (),
+        cancels: Iterable[Any] = (),
+    ) -> None:
+        super().__init__(server)
+        self.steps = {"send": [*sends], "follow": [*follows], "cancel": [*cancels]}
+        self.calls: list[str] = []
+        self.timeouts: list[float | None] = []
+        self.streams: list[GoalStream] = []
+
+    async def _step(self, name: str) -> None:
+        self.calls.append(name)
+        step = self.steps[name].pop(0) if self.steps[name] else None
+        if step is HANG:
+            await anyio.sleep_forever()
+        if isinstance(step, float):
+            with anyio.CancelScope(shield=True):
+                await anyio.sleep(step)
+        if isinstance(step, Exception):
+            try:
+                raise step
+            finally:
+                del step  # its traceback references this frame
+
+    async def send_goal(self, goal_id: GoalID, goal: bytes, **options: Any) -> GoalStream:
+        self.timeouts.append(options["timeout"])
+        await self._step("send")
+        self.streams.append(await super().send_goal(goal_id, goal, **options))
+        return self.streams[-1]
+
+    async def feedback(self, goal_id: GoalID, **options: Any) -> GoalStream:
+        await self._step("follow")
+        self.streams.append(await super().feedback(goal_id, **options))
+        return self.streams[-1]
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        await self._step("cancel")
+        return await super().cancel_goals(goal_id, stamp)
+
+    def lose(self) -> None:
+        """Lose the stream that was opened last."""
+        self.streams[-1].fail(ConnectionLost("the line broke"))
+
+    @property
+    def client(self) -> Client:
+        return ActionClient(self, FIBONACCI)
+
+
+class Watch:
+    """A stopwatch, since the clock goes on from test to test."""
+
+    def __init__(self) -> None:
+        self.begun = current_time()
+
+    def shows(self, seconds: float) -> bool:
+        """Return whether so many seconds have passed."""
+        passed: bool = current_time() - self.begun == pytest.approx(seconds)
+        return passed
+
+
+@pytest.fixture(autouse=True)
+def full_delays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorten no delay by chance."""
+    monkeypatch.setattr("random.uniform", lambda low, high: high)
+
+
+def reject(goal: GoalHandle[Goal]) -> None:
+    raise CancelRejected("nearly done")
+
+
+async def timed_out(waiting: Awaitable[object]) -> GoalTimeout:
+    with pytest.raises(GoalTimeout) as caught:
+        await waiting
+    return caught.value
+
+
+# Timeouts
+
+
+async def test_a_timeout_is_more_than_nothing() -> None:
+    for timeout in (None, 5e-324, 3, math.inf):
+        check_timeout(timeout)
+    for wrong in (0, -1, math.nan, -math.inf):
+        with pytest.raises(ValueError, match=f"timeout is more than 0 seconds.*, not {wrong}$"):
+            check_timeout(wrong)
+
+
+async def test_the_wait_for_the_acceptance_ends_and_the_goal_is_canceled_by_its_id() -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server, sends=[HANG])
+        error = await timed_out(endpoint.client.call(Goal(1), timeout=3))
+        assert watch.shows(3)
+    assert endpoint.calls == ["send", "cancel"]
+    assert endpoint.timeouts == [pytest.approx(3)]
+    assert str(error) == (
+        f"goal {error.goal_id} timed out: it took longer than 3 s, and was not known to be accepted"
+    )
+
+
+@pytest.mark.parametrize(
+    ("timeout", "count", "progress"),
+    [
+        (0.5, 0, "EXECUTING"),
+        (1.5, 1, "EXECUTING after 1 feedback message"),
+        (2.5, 2, "EXECUTING after 2 feedback messages"),
+    ],
+)
+async def test_the_error_tells_the_progress(timeout: float, count: int, progress: str) -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow) as server:
+        client = Scripted(server).client
+        error = await timed_out(client.call(Goal(9), timeout=timeout, on_feedback=lambda _: None))
+        assert watch.shows(timeout)
+    assert (error.status, error.feedback_count) == (GoalStatus.EXECUTING, count)
+    assert error.feedback == (Feedback([count]) if count else None)
+    assert error.reason == f"it took longer than {timeout:g} s, and was {progress}"
+
+
+@pytest.mark.parametrize("cancel", [HANG, None], ids=["no answer", "answer"])
+async def test_the_answer_to_the_cancel_is_waited_for_some_seconds(
+    cancel: object, caplog: pytest.LogCaptureFixture
+) -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server, cancels=[cancel])
+        await timed_out(endpoint.client.call(Goal(9), timeout=2))
+        assert watch.shows(2 if cancel is None else 7)
+    assert endpoint.calls == ["send", "cancel"]
+    assert ("its server does not answer the cancel" in caplog.text) is (cancel is HANG)
+
+
+async def test_a_cancellation_of_the_caller_does_not_cut_the_cancel_short() -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server, cancels=[HANG])
+        with anyio.move_on_after(3):
+            await timed_out(endpoint.client.call(Goal(9), timeout=2))
+        assert watch.shows(7)
+
+
+async def test_a_cancel_that_is_rejected_or_fails_is_logged(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with ActionServer(FIBONACCI, slow, on_cancel=reject) as server:
+        await timed_out(Scripted(server).client.call(Goal(9), timeout=2))
+        endpoint = Scripted(server, cancels=[ConnectionLost("the line broke")])
+        await timed_out(endpoint.client.call(Goal(9), timeout=2))
+    assert "was left, but runs on: nearly done" in caplog.text
+    assert "was left, but could not be canceled: the line broke" in caplog.text
+
+
+async def test_each_wait_raises_and_one_cancels() -> None:
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server)
+        async with endpoint.client.send_goal(Goal(9), timeout=2) as goal:
+            async with anyio.create_task_group() as tasks:
+                for wait in (goal.outcome, goal.result, goal.feedback.__anext__):
+                    tasks.start_soon(_expect_timeout, wait)
+            await server.get_result(goal.goal_id)
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+    assert endpoint.calls == ["send", "cancel"]
+
+
+async def test_a_goal_that_runs_on_is_not_waited_for_again() -> None:
+    async with ActionServer(FIBONACCI, slow, on_cancel=reject) as server:
+        endpoint = Scripted(server)
+        goal = await endpoint.client.send_goal(Goal(9), timeout=2)
+        first = await timed_out(goal.outcome())
+        await anyio.sleep(1)
+        again = await timed_out(goal.outcome())
+        assert (str(again), again.status) == (str(first), GoalStatus.EXECUTING)
+        await server.get_result(goal.goal_id)
+        assert await goal.result() == Result([9])
+    assert endpoint.calls == ["send", "cancel"]
+
+
+async def _expect_timeout(wait: Callable[[], Awaitable[object]]) -> None:
+    with pytest.raises(GoalTimeout):
+        while True:
+            await wait()
+
+
+async def test_an_outcome_that_is_known_counts_after_the_deadline() -> None:
+    async with ActionServer(FIBONACCI, slow) as server:
+        async with Scripted(server).client.send_goal(Goal(2), timeout=3) as goal:
+            await anyio.sleep(10)
+            assert [item async for item in goal.feedback] == [Feedback([1]), Feedback([2])]
+            assert await goal.result() == Result([2])
+
+
+async def test_a_callback_is_not_interrupted_and_the_time_is_checked_after_it() -> None:
+    watch = Watch()
+
+    async def take_time(feedback: Feedback) -> None:
+        await anyio.sleep(10)
+
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server)
+        await timed_out(endpoint.client.call(Goal(99), timeout=3, on_feedback=take_time))
+        assert watch.shows(11)
+    assert endpoint.calls == ["send", "cancel"]
+
+
+async def test_a_cancellation_of_the_caller_cancels_a_goal_that_is_being_sent() -> None:
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server, sends=[HANG])
+        with anyio.move_on_after(1):
+            await endpoint.client.call(Goal(1), timeout=3)
+    assert endpoint.calls == ["send", "cancel"]
+
+
+# Retries
+
+
+async def test_the_goal_is_sent_again_with_longer_and_longer_delays_and_the_time_left() -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server, sends=[GoalRejected("busy: full")] * 3)
+        retry = Retry(attempts=4, delay=1.0, max_delay=3.0)
+        assert await endpoint.client.call(Goal(0), timeout=20, retry=retry) == Result([0])
+        assert watch.shows(1 + 2 + 3)
+    assert endpoint.timeouts == pytest.approx([20, 19, 17, 14])
+
+
+async def test_without_a_timeout_none_is_sent() -> None:
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server)
+        await endpoint.client.call(Goal(0), retry=Retry())
+        await endpoint.client.call(Goal(0), timeout=math.inf)
+    assert endpoint.timeouts == [None, None]
+
+
+async def test_a_pause_ends_at_the_deadline_and_the_last_error_is_the_cause() -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server, sends=[ServerNotFound("nowhere")])
+        retry = Retry(delay=10.0)
+        error = await timed_out(endpoint.client.call(Goal(0), timeout=2, retry=retry))
+        assert watch.shows(2)
+    assert isinstance(error.__cause__, ServerNotFound)
+    assert endpoint.calls == ["send"]
+
+
+async def test_an_attempt_that_ends_after_the_deadline_is_the_last() -> None:
+    watch = Watch()
+
+    class Late(Scripted):
+        async def send_goal(self, *args: Any, **options: Any) -> GoalStream:
+            await super().send_goal(*args, **options)
+            raise ConnectionLost("the line broke")
+
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Late(server, sends=[3.0])
+        await timed_out(endpoint.client.call(Goal(9), timeout=2, retry=Retry()))
+        assert watch.shows(3)
+    assert endpoint.calls == ["send", "cancel"]
+
+
+def losing(endpoint: Scripted, *numbers: int) -> tuple[list[int], Callable[[Feedback], None]]:
+    """A callback that loses the stream after these messages, and the list of those that came."""
+    seen: list[int] = []
+
+    def on_feedback(feedback: Feedback) -> None:
+        seen.extend(feedback.partial_sequence)
+        if seen[-1] in numbers:
+            endpoint.lose()
+
+    return seen, on_feedback
+
+
+async def test_an_accepted_goal_is_followed_again_until_that_succeeds() -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(
+            server, follows=[ServerNotFound("not yet"), None, ConnectionLost("again")]
+        )
+        seen, on_feedback = losing(endpoint, 1, 3)
+        retry = Retry(attempts=5, delay=0.1)
+        client = endpoint.client
+        assert await client.call(Goal(6), on_feedback=on_feedback, retry=retry) == Result([6])
+        assert watch.shows(6)
+    assert seen == [1, 2, 3, 4, 5, 6]
+    assert endpoint.calls == ["send"] + ["follow"] * 4
+
+
+async def test_a_goal_is_followed_again_within_the_attempt_that_was_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server)
+        seen: list[int] = []
+
+        def on_feedback(feedback: Feedback) -> None:
+            seen.extend(feedback.partial_sequence)
+            if len(seen) == 2:
+                endpoint.lose()
+
+        monkeypatch.setattr(FeedbackCursor, "attempt", 2)  # and the goal is in the first
+        client = endpoint.client
+        result = await client.call(Goal(3), on_feedback=on_feedback, retry=Retry(delay=0.1))
+        assert result == Result([3])
+    assert seen == [1, 2, 1, 2, 3]
+
+
+async def test_the_attempts_are_counted_from_the_first_to_the_last() -> None:
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server, sends=[ServerNotFound("not yet")])
+        seen, on_feedback = losing(endpoint, 1, 2)
+        with pytest.raises(ConnectionLost, match="the line broke"):
+            await endpoint.client.call(Goal(4), on_feedback=on_feedback, retry=Retry(delay=0.1))
+    assert seen == [1, 2]
+    assert endpoint.calls == ["send", "send", "follow", "cancel"]
+
+
+@pytest.mark.parametrize(
+    "retry", [None, Retry(on=(ServerNotFound,)), Retry(attempts=1)], ids=["none", "other", "once"]
+)
+async def test_a_lost_connection_is_raised_where_it_is_not_retried(retry: Retry | None) -> None:
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server)
+        _, on_feedback = losing(endpoint, 1)
+        with pytest.raises(ConnectionLost, match="the line broke"):
+            await endpoint.client.call(Goal(9), timeout=9, on_feedback=on_feedback, retry=retry)
+    assert endpoint.calls == ["send", "cancel"]
+
+
+async def test_feedback_that_is_lost_meanwhile_is_counted(caplog: pytest.LogCaptureFixture) -> None:
+    async with ActionServer(FIBONACCI, slow, feedback_window=2) as server:
+        endpoint = Scripted(server)
+        seen, on_feedback = losing(endpoint, 1, 6)
+        retry = Retry(delay=5.2, max_delay=5.2)
+        client = endpoint.client
+        await client.call(Goal(15), on_feedback=on_feedback, retry=retry)
+    assert seen == [1, 5, 6, 10, 11, 12, 13, 14, 15]
+    assert "6 feedback messages were lost" in caplog.text
+
+
+async def test_an_executor_does_not_wait_for_a_goal_that_is_followed_again_for_its_result() -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow, feedback_window=1, stall_timeout=1000) as server:
+        endpoint = Scripted(server)
+        client = endpoint.client
+        async with anyio.create_task_group() as tasks:
+
+            async def lose() -> None:
+                await anyio.sleep(1.5)
+                endpoint.lose()
+
+            tasks.start_soon(lose)
+            await client.call(Goal(9), retry=Retry(delay=0.1))
+        assert watch.shows(9)
+        assert endpoint.calls == ["send", "follow"]
+        assert not endpoint.streams[-1].reads
+
+
+async def test_a_reader_that_waits_for_the_result_holds_the_executor_on_no_stream() -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow, feedback_window=1, stall_timeout=1000) as server:
+        endpoint = Scripted(server)
+        goal_id = GoalID.random()
+        client = endpoint.client
+        sending = client.send_goal(Goal(9), goal_id=goal_id, timeout=1000)
+        assert sending._attempts is not None
+        sending._attempts._retry = Retry(delay=0.1)
+        async with sending as goal, anyio.create_task_group() as tasks:
+
+            async def lose() -> None:
+                await anyio.sleep(1.5)
+                endpoint.lose()
+
+            tasks.start_soon(lose)
+            assert await anext(aiter(goal.feedback)) == Feedback([1])
+            assert await goal.result() == Result([9])
+        assert watch.shows(9)
+
+
+async def test_leaving_the_connection_ends_a_pause() -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server)
+        client = endpoint.client
+        errors: list[ActionError] = []
+
+        async def call() -> None:
+            try:
+                await client.call(Goal(9), timeout=100, retry=Retry())
+            except ActionError as error:
+                errors.append(error)
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(call)
+            await anyio.sleep(1)
+            endpoint.lose()
+            await anyio.sleep(0.1)
+            await client.leave()
+        assert watch.shows(1.1)
+    assert endpoint.calls == ["send", "cancel"]
+    assert [str(error) for error in errors] == ["the line broke"]
+
+
+async def test_a_connection_that_was_left_is_not_waited_for() -> None:
+    watch = Watch()
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server, cancels=[ServerNotFound("gone")])
+        client = endpoint.client
+
+        async def call() -> None:
+            with pytest.raises(ConnectionLost):
+                await client.call(Goal(9), retry=Retry())
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(call)
+            await anyio.sleep(1)
+            await client.leave()
+            endpoint.lose()
+        assert watch.shows(1)
+    assert endpoint.calls == ["send", "cancel"]
+
+
+async def test_a_goal_that_has_timed_out_is_not_canceled_again_when_the_connection_is_left() -> (
+    None
+):
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server)
+        client = endpoint.client
+        async with client.send_goal(Goal(9), timeout=1) as goal:
+            await timed_out(goal.result())
+            await client.leave()
+    assert endpoint.calls == ["send", "cancel"]
+
+
+@pytest.mark.parametrize(
+    ("error", "calls"),
+    [(ConnectionLost("cut"), ["send", "cancel"]), (ServerNotFound("nowhere"), ["send"])],
+    ids=["may run", "does not run"],
+)
+async def test_a_cancellation_in_a_pause_cancels_a_goal_that_may_run(
+    error: ActionError, calls: list[str]
+) -> None:
+    async with ActionServer(FIBONACCI, slow) as server:
+        endpoint = Scripted(server, sends=[error])
+        with anyio.move_on_after(0.1):
+            await endpoint.client.call(Goal(1), retry=Retry())
+    assert endpoint.calls == calls
+
+
+async def test_errors_that_are_retried_are_freed_without_the_garbage_collector() -> None:
+    async with ActionServer(FIBONACCI, slow) as server:
+        rejected, lost = ServerNotFound("not yet"), ConnectionLost("the line broke")
+        errors: list[ref[Exception]] = [ref(rejected), ref(lost)]
+        endpoint = Scripted(server, sends=[rejected], follows=[lost])
+        del rejected, lost
+        gc.collect()
+        gc.disable()
+        try:
+            _, on_feedback = losing(endpoint, 1)
+            await endpoint.client.call(Goal(2), on_feedback=on_feedback, retry=Retry(attempts=9))
+            assert [error() for error in errors] == [None, None]
+        finally:
+            gc.enable()

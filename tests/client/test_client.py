@@ -1,0 +1,661 @@
+"""`fibaction.client`: clients and goals over a scripted server, or over a broken endpoint."""
+
+from __future__ import annotations
+
+import math
+import uuid
+from collections.abc import Awaitable, Callable
+from typing import Any, cast
+
+import anyio
+import pytest
+
+from fibaction import (
+    ActionClient,
+    ActionError,
+    ActionInfo,
+    ActionServer,
+    CancelAnswer,
+    CancelCode,
+    CancelRejected,
+    ConnectionLost,
+    Endpoint,
+    GoalAborted,
+    GoalCanceled,
+    GoalFeedback,
+    GoalHandle,
+    GoalID,
+    GoalInfo,
+    GoalRejected,
+    GoalStatus,
+    Outcome,
+    ProtocolError,
+    Retry,
+    ServerNotFound,
+    UnknownGoal,
+    connect,
+    serve,
+)
+from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate, Meta, StatusStream
+from fibaction.testing import ScriptedServer
+from fibaction.words.goals import UNKNOWN_SENDER, Sender
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.spans import Spans
+
+pytestmark = pytest.mark.asyncio
+
+
+class BrokenStream(GoalStream):
+    """A goal whose connection was lost, or whose server sends nonsense."""
+
+    goal_id = GoalID(bytes(15) + b"\x01")
+    stamp = 7
+    latest = False
+    cursor = 0
+    reads = True
+    status = GoalStatus.EXECUTING
+    dropped = 0
+    attempt = 3
+
+    def __init__(self, *, nonsense: bool = False, unknown: bool = False) -> None:
+        self.nonsense = nonsense
+        self.unknown = unknown
+        self.closed = 0
+        self.held: list[bool] = []
+        self.news = Notifier()
+
+    def take(self, limit: int = 1) -> list[GoalUpdate]:
+        if self.nonsense:
+            return [FeedbackItem(1, b"\xc0")]
+        raise ConnectionLost("the line is dead")
+
+    def known_outcome(self) -> Outcome[bytes] | None:
+        if self.nonsense:
+            return Outcome(GoalStatus.SUCCEEDED, b"\xc0")
+        if self.unknown:
+            return Outcome(GoalStatus.UNKNOWN)
+        raise ConnectionLost("the line is dead")
+
+    def hold(self, wanted: bool) -> None:
+        self.held.append(wanted)
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def fail(self, error: ActionError) -> None:
+        raise NotImplementedError
+
+
+class Broken(Endpoint):
+    """An endpoint that hands out one stream, and answers a cancel as it was told to."""
+
+    def __init__(self, stream: BrokenStream) -> None:
+        self.stream = stream
+        self.follows: list[GoalID] = []
+        self.cancels: list[GoalID | None] = []
+        self.answer: CancelAnswer | Exception | None = ConnectionLost("the line is dead")
+        self.sending: anyio.Event | None = None
+
+    @property
+    def info(self) -> ActionInfo:
+        return FIBONACCI.info
+
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
+        meta: Meta | None = None,
+    ) -> GoalStream:
+        if self.sending is not None:
+            self.sending.set()
+            await anyio.sleep_forever()
+        return self.stream
+
+    async def feedback(
+        self, goal_id: GoalID, *, after: int | None = None, own: bool = False, attempt: int = 1
+    ) -> GoalStream:
+        self.follows.append(goal_id)
+        return self.stream
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        self.cancels.append(goal_id)
+        if self.answer is None:
+            await anyio.sleep_forever()
+        if isinstance(self.answer, CancelAnswer):
+            return self.answer
+        assert isinstance(self.answer, Exception)
+        raise self.answer
+
+    async def status(self) -> StatusStream:
+        raise ConnectionLost("the line is dead")
+
+    async def wait_for_server(self) -> None:
+        await anyio.sleep_forever()
+
+
+def client_of(endpoint: Endpoint) -> ActionClient[Goal, Feedback, Result]:
+    return ActionClient(endpoint, FIBONACCI)
+
+
+async def test_a_goal_is_followed_from_its_acceptance_to_its_result() -> None:
+    hold, end = anyio.Event(), anyio.Event()
+    async with ScriptedServer(
+        FIBONACCI, [Feedback([1]), hold, Feedback([2]), end, Result([3])]
+    ) as server:
+        client = client_of(server)
+        assert repr(client) == "<ActionClient of <Action 'fibonacci'>>"
+        async with client.send_goal(Goal(1)) as goal:
+            seen = []
+            async for feedback in goal.feedback:
+                seen.append(feedback)
+                assert goal.status is GoalStatus.EXECUTING
+                if feedback == Feedback([1]):
+                    hold.set()
+                else:
+                    end.set()
+            assert seen == [Feedback([1]), Feedback([2])]
+            assert await goal.result() == Result([3])
+            assert await goal.outcome() == Outcome(GoalStatus.SUCCEEDED, Result([3]))
+            assert (await goal.cancel()).return_code is CancelCode.GOAL_TERMINATED
+        assert goal.feedback_dropped == 0
+        assert goal.stamp > 0
+        assert repr(goal) == f"<ClientGoal {goal.goal_id} SUCCEEDED>"
+
+
+async def test_a_goal_says_which_attempt_its_feedback_is_of() -> None:
+    goal = await client_of(Broken(BrokenStream())).attach(BrokenStream.goal_id)
+    assert goal.attempt == 3
+
+
+async def test_a_call_is_one_line() -> None:
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), Feedback([2]), Result([3])]) as server:
+        client = client_of(server)
+        seen: list[Feedback] = []
+
+        async def later(feedback: Feedback) -> None:
+            await anyio.lowlevel.checkpoint()
+            seen.append(feedback)
+
+        assert await client.call(Goal(1)) == Result([3])
+        assert await client.call(Goal(1), on_feedback=seen.append) == Result([3])
+        assert await client.call(Goal(1), on_feedback=later) == Result([3])
+        assert seen == [Feedback([1]), Feedback([2])] * 2
+
+
+async def test_an_exception_of_the_feedback_callback_cancels_the_goal_and_arrives_as_itself() -> (
+    None
+):
+    def fail(feedback: Feedback) -> None:
+        raise KeyError("mine")
+
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), anyio.Event()]) as server:
+        with await server.status() as statuses:
+            with pytest.raises(KeyError):
+                await client_of(server).call(Goal(1), on_feedback=fail)
+            with anyio.fail_after(5):
+                while (info := await statuses.receive()) is not None:
+                    if info.status is GoalStatus.CANCELED:
+                        break
+
+
+@pytest.mark.parametrize(
+    ("step", "error"),
+    [
+        (GoalAborted("stuck", result=Result([1])), GoalAborted),
+        (GoalCanceled("asked", result=Result([1])), GoalAborted),
+        (ValueError("x"), GoalAborted),
+    ],
+)
+async def test_a_goal_that_does_not_succeed_raises_what_became_of_it(
+    step: Exception, error: type[GoalAborted]
+) -> None:
+    async with ScriptedServer(FIBONACCI, [step]) as server:
+        goal = await client_of(server).send_goal(Goal(1))
+        with pytest.raises(error) as caught:
+            await goal.result()
+        assert caught.value.goal_id == goal.goal_id
+        assert caught.value.result == (await goal.outcome()).result
+
+
+async def test_a_canceled_goal_raises_that_it_was_canceled() -> None:
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), anyio.Event()]) as server:
+        client = client_of(server)
+        goal = await client.send_goal(Goal(1))
+        assert (await client.cancel_goals(before=goal.stamp)).accepted
+        with pytest.raises(GoalCanceled) as caught:
+            await goal.result()
+        assert str(caught.value) == f"goal {goal.goal_id} was canceled"
+
+
+async def test_a_rejected_goal_raises_from_both_ways_of_sending_it() -> None:
+    async with ScriptedServer(FIBONACCI, [GoalRejected("busy")]) as server:
+        client = client_of(server)
+        with pytest.raises(GoalRejected, match="busy"):
+            await client.send_goal(Goal(1))
+        with pytest.raises(GoalRejected, match="busy"):
+            async with client.send_goal(Goal(1)):
+                raise AssertionError("the block must not run")
+
+
+async def test_a_goal_that_is_not_awaited_is_warned_about() -> None:
+    async with ScriptedServer(FIBONACCI, [Result([])]) as server:
+        with pytest.warns(RuntimeWarning, match=r"ActionClient.send_goal. was never awaited"):
+            client_of(server).send_goal(Goal(1))
+        assert server.received == []
+
+
+@pytest.mark.parametrize("wrong", ["0" * 32, bytes(16), uuid.UUID(int=1), b"", 7])
+async def test_what_is_no_goal_id_goes_nowhere(wrong: Any) -> None:
+    broken = Broken(BrokenStream())
+    client = client_of(broken)
+    with pytest.raises(TypeError, match="goal_id is a GoalID"):
+        client.send_goal(Goal(1), goal_id=wrong)
+    with pytest.raises(TypeError, match="goal_id is a GoalID"):
+        await client.attach(wrong)
+    with pytest.raises(TypeError, match="goal_id is a GoalID"):
+        await client.cancel_goals(wrong)
+    assert (broken.follows, broken.cancels) == ([], [])
+
+
+@pytest.mark.parametrize("wrong", [0, -1.5, math.nan])
+async def test_a_timeout_that_is_no_time_goes_nowhere(wrong: float) -> None:
+    text = f"^timeout is more than 0 seconds, or None for no limit, not {wrong}$"
+    async with ScriptedServer(FIBONACCI, [Result([])]) as server:
+        client = client_of(server)
+        with pytest.raises(ValueError, match=text):
+            client.send_goal(Goal(1), timeout=wrong)
+        with pytest.raises(ValueError, match=text):
+            await client.call(Goal(1), timeout=wrong)
+        with pytest.raises(
+            TypeError, match=r"^retry is a Retry, such as Retry\(attempts=3\), not 3$"
+        ):
+            await client.call(Goal(1), retry=cast("Retry", 3))
+    assert server.received == []
+
+
+async def test_a_goal_with_a_timeout_is_sent_in_both_ways() -> None:
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), Result([2])]) as server:
+        client = client_of(server)
+        goal = await client.send_goal(Goal(1), timeout=5)
+        assert await goal.result() == Result([2])
+        async with client.send_goal(Goal(1), timeout=5) as goal:
+            assert [item async for item in goal.feedback] == [Feedback([1])]
+            assert await goal.result() == Result([2])
+        assert await client.call(Goal(1), timeout=5) == Result([2])
+
+
+@pytest.mark.parametrize("wrong", [1.5, "7"])
+async def test_what_is_no_whole_number_goes_nowhere(wrong: Any) -> None:
+    broken = Broken(BrokenStream())
+    client = client_of(broken)
+    with pytest.raises(TypeError, match="interpreted as an integer"):
+        await client.attach(GoalID.random(), after=wrong)
+    with pytest.raises(TypeError, match="interpreted as an integer"):
+        await client.cancel_goals(before=wrong)
+    assert (broken.follows, broken.cancels) == ([], [])
+
+
+async def test_another_goal_is_attached_to_by_its_id() -> None:
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), Result([2])]) as server:
+        client = client_of(server)
+        mine = await client.send_goal(Goal(1), goal_id=GoalID(bytes(range(16))))
+        other = await client.attach(GoalID(bytes(range(16))), after=0)
+        assert [item async for item in other.feedback] == [Feedback([1])]
+        assert await other.result() == await mine.result() == Result([2])
+        with pytest.raises(UnknownGoal):
+            await client.attach(GoalID.random())
+
+
+async def test_the_goals_that_the_server_knows_are_listed_and_no_later_ones() -> None:
+    hold = anyio.Event()
+    async with ScriptedServer(FIBONACCI, [Result([])], [hold, Result([])]) as server:
+        client = client_of(server)
+        assert await client.goals() == []
+        ended = await client.send_goal(Goal(1))
+        await ended.outcome()
+        active = await client.send_goal(Goal(2))
+        goals = await client.goals()
+        assert [(info.goal_id, info.stamp) for info in goals] == [
+            (ended.goal_id, ended.stamp),
+            (active.goal_id, active.stamp),
+        ]
+        assert [info.status.is_active for info in goals] == [False, True]
+        hold.set()
+
+
+async def test_a_list_of_goals_ends_where_the_server_does() -> None:
+    class Short(StatusStream):
+        """A stream that ends before all is told that was known."""
+
+        known = 2
+        dropped = 0
+
+        def __init__(self) -> None:
+            self.items = [GoalInfo(GoalID(bytes(range(16))), 7, GoalStatus.EXECUTING)]
+            self.closed = False
+
+        def fail(self, error: ActionError) -> None:
+            raise NotImplementedError
+
+        async def receive(self) -> GoalInfo | None:
+            return self.items.pop() if self.items else None
+
+        def close(self) -> None:
+            self.closed = True
+
+    class Ending(Broken):
+        async def status(self) -> StatusStream:
+            return statuses
+
+    statuses = Short()
+    with anyio.fail_after(5):
+        assert [info.stamp for info in await client_of(Ending(BrokenStream())).goals()] == [7]
+    assert statuses.closed
+
+
+async def test_the_events_of_an_action_are_read_through_its_client() -> None:
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), Result([2])]) as server:
+        client = client_of(server)
+        for feedback, expected in ((True, ["1", "SUCCEEDED"]), (False, ["SUCCEEDED"])):
+            seen: list[str] = []
+            async with client.events(feedback=feedback) as events:
+                goal = await client.send_goal(Goal(1))
+                async for event in events:
+                    if isinstance(event, GoalFeedback):
+                        seen.append(str(event.number))
+                    elif event.goal_id == goal.goal_id and not event.status.is_active:
+                        seen.append(event.status.name)
+                        break
+            assert seen == expected
+
+
+async def test_feedback_and_result_that_are_not_of_their_type_are_the_servers_error() -> None:
+    goal = await client_of(Broken(BrokenStream(nonsense=True))).send_goal(Goal(1))
+    text = "of action 'fibonacci' is not of its type, as its server sent it: Expected `object`"
+    with pytest.raises(ProtocolError, match=f"^feedback {text}, got `None`$"):
+        await anext(aiter(goal.feedback))
+    with pytest.raises(ProtocolError, match=f"^the result {text}, got `None`$"):
+        await goal.outcome()
+
+
+async def test_a_result_that_is_not_known_any_more_is_an_unknown_goal() -> None:
+    goal = await client_of(Broken(BrokenStream(unknown=True))).send_goal(Goal(1))
+    assert (await goal.outcome()).status is GoalStatus.UNKNOWN
+    with pytest.raises(UnknownGoal):
+        await goal.result()
+
+
+async def test_a_lost_connection_is_told_to_each_wait_and_leaving_does_not_hide_it(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    stream = BrokenStream()
+    with pytest.raises(ConnectionLost, match="the line is dead"):
+        async with client_of(Broken(stream)).send_goal(Goal(1)) as goal:
+            async for _ in goal.feedback:
+                raise AssertionError("there is none")
+    assert stream.closed
+    assert "was left, but could not be canceled: the line is dead" in caplog.text
+
+
+async def test_leaving_a_goal_whose_cancel_is_rejected_or_that_is_unknown_does_not_raise(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def refuse(goal: GoalHandle[Goal]) -> None:
+        raise CancelRejected("too late")
+
+    hold = anyio.Event()
+    server = ScriptedServer(FIBONACCI, [hold, Result([])])
+    server._cancels._on_cancel = refuse
+    async with server:
+        async with client_of(server).send_goal(Goal(1)):
+            pass
+        hold.set()
+    assert "was left, but runs on: too late" in caplog.text
+
+
+async def test_leaving_waits_only_so_long_for_the_answer(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fibaction.client.attempts.LEAVE_TIMEOUT", 0.001)
+    endpoint = Broken(BrokenStream())
+    endpoint.answer = None
+    async with client_of(endpoint).send_goal(Goal(1)) as goal:
+        pass
+    assert endpoint.cancels == [goal.goal_id]
+    assert "was left, but its server does not answer the cancel" in caplog.text
+
+
+async def test_giving_up_before_the_answer_cancels_the_goal() -> None:
+    endpoint = Broken(BrokenStream())
+    endpoint.sending = anyio.Event()
+    goal_id = GoalID.random()
+
+    async def send() -> None:
+        await client_of(endpoint).send_goal(Goal(1), goal_id=goal_id)
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(send)
+        await endpoint.sending.wait()
+        tasks.cancel_scope.cancel()
+    assert endpoint.cancels == [goal_id]
+
+
+async def test_the_executor_is_let_go_while_the_reader_waits_for_the_result_and_held_again() -> (
+    None
+):
+    stream = BrokenStream(nonsense=True)
+    goal = await client_of(Broken(stream)).send_goal(Goal(1))
+    reader = aiter(goal.feedback)
+    for _ in range(2):
+        with pytest.raises(ProtocolError):
+            await goal.outcome()
+        with pytest.raises(ProtocolError):
+            await anext(reader)
+    assert stream.held == [False, True, False, True]
+
+    async def wait_elsewhere() -> None:
+        with pytest.raises(ProtocolError):
+            await goal.outcome()
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(wait_elsewhere)
+    assert stream.held == [False, True, False, True]
+
+
+async def test_a_goal_that_is_dropped_closes_its_feedback() -> None:
+    stream = BrokenStream()
+    goal = await client_of(Broken(stream)).send_goal(Goal(1))
+    feedback = goal.feedback
+    del goal
+    assert not stream.closed
+    del feedback
+    assert stream.closed
+
+
+async def test_waiting_for_a_server_has_an_end() -> None:
+    client = client_of(Broken(BrokenStream()))
+    with pytest.raises(
+        ServerNotFound, match=r"the action 'fibonacci' was not served within 0\.001"
+    ):
+        await client.wait_for_server(timeout=0.001)
+    with anyio.move_on_after(0.001) as patience:
+        await client.wait_for_server()
+    assert patience.cancelled_caught
+    async with ActionServer(FIBONACCI, _never) as server:
+        await client_of(server).wait_for_server(timeout=5)
+
+
+async def _never(goal: GoalHandle[Goal]) -> Any:
+    raise AssertionError("nobody sends a goal here")
+    yield
+
+
+async def test_leaving_a_client_cancels_the_goals_of_open_blocks_once() -> None:
+    hold = anyio.Event()
+    server = ScriptedServer(FIBONACCI, [Result([])], [hold])
+    async with server:
+        client = client_of(server)
+        async with client.send_goal(Goal(0)) as ended, client.send_goal(Goal(1)) as goal:
+            await ended.outcome()
+            await client.leave()
+            with anyio.fail_after(5):
+                assert (await goal.outcome()).status is GoalStatus.CANCELED
+        assert (await ended.outcome()).status is GoalStatus.SUCCEEDED
+
+
+async def test_leaving_a_client_cancels_a_goal_that_is_being_sent_by_its_id() -> None:
+    endpoint = Broken(BrokenStream())
+    endpoint.sending = anyio.Event()
+    endpoint.answer = CancelAnswer(CancelCode.NONE)
+    goal_id = GoalID.random()
+    client = client_of(endpoint)
+
+    async def send() -> None:
+        async with client.send_goal(Goal(1), goal_id=goal_id):
+            raise AssertionError("it is never accepted")
+
+    with anyio.fail_after(5):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(send)
+            await endpoint.sending.wait()
+            await client.leave()
+            assert endpoint.cancels == [goal_id]
+            tasks.cancel_scope.cancel()
+
+
+# Lost feedback
+
+
+class LossyStream(BrokenStream):
+    """A goal that has ended, and whose feedback was lost."""
+
+    dropped = 7
+
+    def __init__(self, *, latest: bool) -> None:
+        super().__init__()
+        self.latest = latest
+
+    def take(self, limit: int = 1) -> list[GoalUpdate]:
+        return [self.known_outcome()]
+
+    def known_outcome(self) -> Outcome[bytes]:
+        return Outcome(GoalStatus.SUCCEEDED, FIBONACCI.result.encode(Result([1])))
+
+
+@pytest.mark.parametrize("latest", [False, True])
+async def test_a_call_logs_how_much_feedback_was_lost_unless_that_is_the_policy(
+    latest: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    stream = LossyStream(latest=latest)
+    assert await client_of(Broken(stream)).call(Goal(1), on_feedback=print) == Result([1])
+    lost = f"goal {stream.goal_id}: 7 feedback messages were lost"
+    assert (lost in caplog.text) is not latest
+
+
+# Threads
+
+
+async def test_a_client_in_another_thread_is_told_which_one_is_its_own() -> None:
+    async with ScriptedServer(FIBONACCI, [Feedback([1]), Result([3])]) as server:
+        client = client_of(server)
+        goal = await client.send_goal(Goal(1))
+        uses: list[Callable[[], Awaitable[object]]] = [
+            lambda: client.call(Goal(1)),
+            lambda: _awaited(client.send_goal(Goal(1))),
+            lambda: client.attach(goal.goal_id),
+            client.cancel_goals,
+            client.goals,
+            client.events().__aenter__,
+            client.wait_for_server,
+            goal.result,
+            goal.outcome,
+            goal.cancel,
+            goal.feedback.__anext__,
+        ]
+
+        async def use_all() -> None:
+            for use in uses:
+                with pytest.raises(RuntimeError, match=r"anyio\.from_thread\.run\(client\.call"):
+                    await use()
+            with pytest.raises(RuntimeError, match="belongs to the event loop of thread"):
+                goal.close()
+
+        await anyio.to_thread.run_sync(anyio.run, use_all)
+        assert await goal.result() == Result([3])
+
+
+async def _awaited(sending: Awaitable[object]) -> object:
+    return await sending
+
+
+async def test_the_number_of_the_last_feedback_is_where_another_reader_goes_on() -> None:
+    hold = anyio.Event()
+    steps = Feedback([1]), Feedback([2]), Feedback([3]), hold, Result([4])
+    async with ScriptedServer(FIBONACCI, steps) as server:
+        client = client_of(server)
+        goal = await client.send_goal(Goal(1))
+        assert (goal.feedback.number, goal.feedback.attempt) == (0, 1)
+        async for feedback in goal:
+            if feedback == Feedback([2]):
+                break
+        assert goal.feedback.number == 2
+        later = await client.attach(goal.goal_id, after=goal.feedback.number, attempt=1)
+        hold.set()
+        assert [(later.feedback.number, feedback) async for feedback in later] == [
+            (3, Feedback([3]))
+        ]
+
+
+async def test_a_goal_goes_on_after_its_block_if_it_was_detached() -> None:
+    hold = anyio.Event()
+    async with ScriptedServer(FIBONACCI, [hold, Result([4])]) as server:
+        sending = client_of(server).send_goal(Goal(1))
+        async with sending as goal:
+            sending.detach()
+        hold.set()
+        assert await goal.result() == Result([4])
+
+
+async def test_a_goal_that_was_not_awaited_is_told_with_what_to_write() -> None:
+    async with ScriptedServer(FIBONACCI, [Result([4])]) as server:
+        forgotten: Any = client_of(server).send_goal(Goal(1))
+        with pytest.raises(AttributeError) as caught:
+            forgotten.feedback  # noqa: B018
+        assert str(caught.value) == (
+            "the goal has no attribute 'feedback', because it was not sent: write"
+            " `goal = await client.send_goal(...)`, or `async with client.send_goal(...) as goal`"
+        )
+        assert await (await forgotten).result() == Result([4])
+
+
+async def test_only_a_client_that_was_awaited_is_closed() -> None:
+    async with ScriptedServer(FIBONACCI, [Result([4])]) as server:
+        with pytest.raises(RuntimeError, match="this client need not be closed"):
+            await client_of(server).aclose()
+        async with serve(server, "inproc://kept"):
+            client = await connect("inproc://kept", FIBONACCI)
+            assert await client.call(Goal(1)) == Result([4])
+            await client.aclose()
+            with pytest.raises(ConnectionLost):
+                await client.call(Goal(1))
+
+
+# Spans
+
+
+async def test_a_client_with_tracing_makes_a_span_for_each_goal() -> None:
+    spans = Spans()
+    async with ScriptedServer(FIBONACCI, [Result([1])], [GoalRejected("busy")]) as server:
+        client = ActionClient(server, FIBONACCI, tracing=spans.tracing)
+        assert await client.call(Goal(1)) == Result([1])
+        with pytest.raises(GoalRejected):
+            await client.call(Goal(2))
+
+    assert [span.status.status_code.name for span in spans.ended] == ["UNSET", "ERROR"]

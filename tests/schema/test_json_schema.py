@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from fibaction.schema.json_schema import MAX_PARTS, Schema, SchemaError
+
+
+@pytest.mark.parametrize(
+    ("reference", "found"),
+    [
+        ("#", None),
+        ("", None),
+        ("#/$defs/a", {"title": "a"}),
+        ("#/$defs/b~1c~0d", {"title": "b"}),
+        ("#/prefixItems/1", False),
+    ],
+)
+def test_a_reference_is_a_path_within_the_schema(reference: str, found: Any) -> None:
+    root = {
+        "$defs": {"a": {"title": "a"}, "b/c~d": {"title": "b"}},
+        "prefixItems": [True, False],
+    }
+    schema = Schema(root)
+
+    assert schema.target(reference) is (root if found is None else schema.target(reference))
+    assert schema.target(reference) == (root if found is None else found)
+
+
+@pytest.mark.parametrize(
+    "reference",
+    [
+        "http://127.0.0.1/x",
+        "file:///etc/passwd",
+        "//host/x",
+        "other.json#/a",
+        "#anchor",
+        "urn:uuid:1",
+        "#/prefixItems/2",
+        "#/prefixItems/99999999999999999999",
+        "#/prefixItems/-1",
+        "#/title/0",
+        "#/nothing",
+    ],
+)
+@pytest.mark.parametrize("keyword", ["$ref", "$dynamicRef", "$recursiveRef"])
+def test_a_reference_to_anything_else_is_an_error(keyword: str, reference: str) -> None:
+    root = {"title": "text", "prefixItems": [True, False], "items": {keyword: reference}}
+    with pytest.raises(SchemaError, match="refers to "):
+        Schema(root)
+
+
+def test_references_that_lead_only_to_themselves_are_an_error() -> None:
+    with pytest.raises(SchemaError, match="refers to itself without end"):
+        Schema({"items": {"$ref": "#/$defs/a"}, "$defs": {"a": {"$ref": "#/items"}}})
+
+
+@pytest.mark.parametrize("part", [5, "text", None, [True]])
+def test_a_part_that_is_not_a_schema_is_an_error(part: Any) -> None:
+    with pytest.raises(SchemaError, match=r"is malformed: .* is not a schema"):
+        Schema({"items": part})
+
+
+def test_the_name_of_a_field_is_text() -> None:
+    with pytest.raises(SchemaError, match="is malformed: 1 is not the name of a field"):
+        Schema({"properties": {1: {}}})
+
+
+def test_definitions_that_nothing_refers_to_are_not_read() -> None:
+    Schema({"$defs": {"a": {"$ref": "http://h/"}, "b": 5}, "default": {"$ref": "http://h/"}})
+
+
+def test_a_recursive_schema_is_read_once() -> None:
+    Schema({"properties": {"next": {"$ref": "#"}, "also": {"$ref": "#/properties/next"}}})
+
+
+def test_a_schema_may_nest_to_any_depth() -> None:
+    root: Any = {}
+    for _ in range(MAX_PARTS - 1):
+        root = {"items": root}
+
+    Schema(root)
+
+    with pytest.raises(SchemaError, match="has more than 20,000 parts"):
+        Schema({"items": root})
+
+
+@pytest.mark.parametrize(
+    ("keyword", "value"),
+    [
+        ("type", 5),
+        ("type", [5]),
+        ("minimum", "1"),
+        ("maximum", True),
+        ("minLength", -1),
+        ("multipleOf", 0),
+        ("multipleOf", float("inf")),
+        ("multipleOf", float("nan")),
+        ("enum", "abc"),
+        ("anyOf", {}),
+        ("properties", []),
+        ("required", "name"),
+        ("required", [1]),
+        ("$ref", 5),
+        ("format", []),
+        ("contentEncoding", {}),
+    ],
+)
+def test_a_keyword_with_a_wrong_value_is_an_error(keyword: str, value: Any) -> None:
+    with pytest.raises(SchemaError, match=r"is malformed: .* cannot be "):
+        Schema({keyword: value})

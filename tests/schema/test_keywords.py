@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from fibaction.schema.keywords import COMPARISONS
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("keyword", "expected", "right", "wrong"),
+    [
+        ("type", "integer", [1, 2.0, 10**400], [1.5, True, "1", float("inf")]),
+        ("type", ["null", "boolean"], [None, True], [0]),
+        ("type", "unheard of", [None, "a"], []),
+        ("minimum", 2, [2, 3, "a", NAN, True], [1, 1.5]),
+        ("maximum", 2.5, [2, "a", NAN], [3, 10**400]),
+        ("exclusiveMinimum", 2, [3, NAN], [2]),
+        ("exclusiveMaximum", 2, [1, NAN], [2]),
+        ("multipleOf", 2, [4, 4.0, "a", 10**400], [3, 4.5, NAN, float("inf")]),
+        ("multipleOf", 5e-324, [10**400], [NAN]),
+        ("minLength", 2, ["ab", 1], ["a"]),
+        ("maxLength", 2, ["ab", [1, 2, 3]], ["abc"]),
+        ("format", "date", ["2026-01-31", 5], ["soon", "\ud800"]),
+        ("format", "duration", ["PT1S"], ["P" + "9" * 1000 + "D"]),
+        ("format", "uuid", ["12345678-1234-5678-1234-567812345678"], ["1"]),
+        ("format", "regex", ["("], []),
+        ("contentEncoding", "base64", ["aGk=", 5], ["?", "a", "ü"]),
+        ("contentEncoding", "gzip", ["?"], []),
+        ("minItems", 1, [[1], "", {}], [[]]),
+        ("maxItems", 1, [[1], "ab"], [[1, 2]]),
+        ("minProperties", 1, [{"a": 1}, ""], [{}]),
+        ("maxProperties", 1, [{"a": 1}], [{"a": 1, "b": 2}]),
+        ("required", ["a"], [{"a": 1}, 5], [{}]),
+    ],
+)
+def test_a_value_is_compared_as_the_keyword_says(
+    keyword: str, expected: Any, right: list[Any], wrong: list[Any]
+) -> None:
+    assert [COMPARISONS[keyword](value, expected) for value in right] == [True] * len(right)
+    assert [COMPARISONS[keyword](value, expected) for value in wrong] == [False] * len(wrong)

@@ -1,0 +1,448 @@
+"""`MemoryBroker`: the brokers of a fleet, for tests, in memory, on real or virtual time.
+
+`MemoryBrokers` is what all members of a fleet share; each member has a `MemoryBroker`. What a
+member sends is carried out in its order, in a later turn of the event loop. A test chooses faults:
+brokers that a member does not reach (`is_away`), lost answers, delays and restarts.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import deque
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from functools import partial
+from heapq import heappop, heappush
+from typing import NamedTuple
+
+from anyio import current_time, move_on_after
+
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.tasks import Background
+from fibaction_transports.nats.broker.broker import (
+    Broker,
+    BrokerAway,
+    Message,
+    NoResponders,
+    Note,
+    OnMessage,
+    PutError,
+    PutFailure,
+    Record,
+    Stored,
+    Subscription,
+    Watch,
+)
+from fibaction_transports.nats.names import FleetNames
+
+ANSWER_TIMEOUT = 2.0
+"""Seconds after which a member gives up an answer."""
+MARKER_TIME = 60.0
+"""Seconds after which a marker is forgotten."""
+NOTE_TIMEOUT = 5.0
+"""Seconds after which a note that was not removed comes again."""
+
+
+def matches(pattern: str, subject: str) -> bool:
+    """Return whether a subject is one of a pattern with wildcards."""
+    wanted, given = pattern.split("."), subject.split(".")
+    if wanted[-1] == ">":
+        wanted.pop()
+        if len(given) <= len(wanted):
+            return False
+        given = given[: len(wanted)]
+    return len(wanted) == len(given) and all(
+        one in ("*", other) for one, other in zip(wanted, given, strict=True)
+    )
+
+
+class Write(NamedTuple):
+    """A record that a member wants to store."""
+
+    member: str
+    subject: str
+    data: bytes
+
+
+class _Kept(NamedTuple):
+    record: Record
+    ends: float
+
+
+class MemoryNote:
+    """A note in the queue."""
+
+    def __init__(self, subject: str, data: bytes) -> None:
+        self.subject = subject
+        self.data = data
+        self.hidden_until = -math.inf
+
+
+class MemoryBrokers:
+    """The brokers of a fleet, entered with `async with`."""
+
+    def __init__(self) -> None:
+        self.is_full = False
+        """True if no more records are taken."""
+        self.loses_answer: Callable[[Write], bool] = lambda _write: False
+        """The function that decides whether the answer to a stored record is lost."""
+        self.delay: Callable[[], float] = lambda: 0.0
+        """The function that returns the seconds until something that was sent is carried out."""
+        self.writes: list[Write] = []
+        """All records that were stored, markers as well."""
+        self.members: list[MemoryBroker] = []
+        self.notes: list[MemoryNote] = []
+        """The notes that were not removed."""
+        self.notes_changed = Notifier()
+        self.records: dict[str, _Kept] = {}
+        self._sequences: dict[str, int] = {}
+        self._due: list[tuple[float, int, Callable[[], None]]] = []
+        self._numbers = itertools.count()
+        self._news = Notifier()
+        self._tasks = Background()
+
+    async def __aenter__(self) -> MemoryBrokers:
+        tasks = await self._tasks.__aenter__()
+        tasks.start_soon(self._run)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._tasks.__aexit__(None, None, None)
+
+    def member(self, name: str = "") -> MemoryBroker:
+        """Return the connection of one more member."""
+        member = MemoryBroker(self, name or f"member{len(self.members)}")
+        self.members.append(member)
+        return member
+
+    def restart(self) -> None:
+        """Begin all watches anew, as after a restart of the brokers."""
+        for member in self.members:
+            member.begin_anew()
+
+    # Time
+
+    def at(self, time: float, act: Callable[[], None]) -> None:
+        """Do something at a time, in a later turn of the event loop."""
+        heappush(self._due, (time, next(self._numbers), act))
+        self._news.notify()
+
+    async def _run(self) -> None:
+        while True:
+            while self._due and self._due[0][0] <= current_time():
+                heappop(self._due)[-1]()
+            with move_on_after(max(0, self._due[0][0] - current_time()) if self._due else None):
+                await self._news.wait()
+
+    # Records
+
+    def newest(self, subject: str) -> Record | None:
+        """Return the newest record of a subject."""
+        kept = self.records.get(subject)
+        return None if kept is None else kept.record
+
+    def matching(self, subject: str) -> list[Record]:
+        """Return the newest record of each subject that matches, in the order of sequences."""
+        found = [kept.record for one, kept in self.records.items() if matches(subject, one)]
+        return sorted(found, key=lambda record: record.sequence)
+
+    def put(self, subject: str, data: bytes, expected: int, ttl: float) -> int | PutError:
+        """Store a record, and return its sequence."""
+        newest = self.newest(subject)
+        if self.is_full:
+            return PutError(PutFailure.FULL, "maximum bytes exceeded")
+        if (0 if newest is None else newest.sequence) != expected:
+            return PutError(PutFailure.REFUSED, "wrong last sequence")
+        return self._store(subject, data, ttl)
+
+    def _store(self, subject: str, data: bytes, ttl: float) -> int:
+        stream = subject.split(".")[2]
+        sequence = self._sequences[stream] = self._sequences.get(stream, 0) + 1
+        if not data:
+            ttl = MARKER_TIME
+        record = Record(subject, data, sequence)
+        ends = current_time() + max(1, math.ceil(ttl)) if ttl < math.inf else math.inf
+        kept = self.records[subject] = _Kept(record, ends)
+        if ends < math.inf:
+            self.at(ends, lambda: self._expire(kept))
+        for member in self.members:
+            member.on_record(record)
+        return sequence
+
+    def _expire(self, kept: _Kept) -> None:
+        record = kept.record
+        if self.records.get(record.subject) is kept:
+            if record.data:
+                self._store(record.subject, b"", math.inf)
+            else:
+                del self.records[record.subject]
+
+    # Messages
+
+    def deliver(self, message: Message) -> bool:
+        """Deliver a message; return whether somebody listens."""
+        found = [
+            one
+            for member in self.members
+            if not member.is_away
+            for one in member.subscriptions
+            if matches(one.subject, message.subject)
+        ]
+        groups: dict[str, list[MemorySubscription]] = {}
+        for one in found:
+            groups.setdefault(one.queue or f"_{id(one)}", []).append(one)
+        for group in groups.values():
+            min(group, key=lambda one: one.delivered).take(message)
+        return bool(found)
+
+
+class MemorySubscription(Subscription):
+    """A subscription of one member."""
+
+    def __init__(self, broker: MemoryBroker, subject: str, take: OnMessage, queue: str) -> None:
+        self._broker = broker
+        self._take = take
+        self.subject = subject
+        self.queue = queue
+        self.delivered = 0
+
+    def take(self, message: Message) -> None:
+        """Take a message."""
+        self.delivered += 1
+        self._take(message)
+
+    def close(self) -> None:
+        """See `Subscription.close`."""
+        if self in self._broker.subscriptions:
+            self._broker.subscriptions.remove(self)
+
+
+class MemoryWatch(Watch):
+    """A watch of one member."""
+
+    def __init__(self, broker: MemoryBroker, subject: str) -> None:
+        self._broker = broker
+        self.subject = subject
+        self._news = Notifier()
+        self._found: deque[list[Record] | None] = deque()
+        self.begin()
+
+    def begin(self) -> None:
+        """Return all records, and then None."""
+        self._found.clear()
+        if found := self._broker.shared.matching(self.subject):
+            self._found.append(found)
+        self._found.append(None)
+        self._news.notify()
+
+    def add(self, record: Record) -> None:
+        """Return one more record."""
+        self._found.append([record])
+        self._news.notify()
+
+    async def next(self) -> list[Record] | None:
+        """See `Watch.next`."""
+        while not self._found or self._broker.is_away:
+            await self._news.wait()
+        return self._found.popleft()
+
+
+class MemoryBroker(Broker):
+    """The connection of one member."""
+
+    max_record = 2**20
+    brokers = 1
+
+    def __init__(self, shared: MemoryBrokers, name: str) -> None:
+        self.shared = shared
+        self.name = name
+        self.subscriptions: list[MemorySubscription] = []
+        self._watches: list[MemoryWatch] = []
+        self.watch_delay = 0.0
+        """Seconds until the watches are told of a new record."""
+        self._is_away = False
+        self._inboxes = itertools.count()
+        self._sent_until = -math.inf
+
+    @property
+    def is_connected(self) -> bool:
+        """See `Broker.is_connected`."""
+        return not self._is_away
+
+    @property
+    def is_away(self) -> bool:
+        """True if this member does not reach the brokers."""
+        return self._is_away
+
+    @is_away.setter
+    def is_away(self, value: bool) -> None:
+        self._is_away = value
+        if not value:
+            self.begin_anew()
+            self.shared.notes_changed.notify()
+
+    def begin_anew(self) -> None:
+        """Begin all watches anew."""
+        for watch in self._watches:
+            watch.begin()
+
+    def on_record(self, record: Record) -> None:
+        """Tell the watches of a new record."""
+        for watch in self._watches:
+            if not self._is_away and matches(watch.subject, record.subject):
+                if self.watch_delay:
+                    self.shared.at(current_time() + self.watch_delay, partial(watch.add, record))
+                else:
+                    watch.add(record)
+
+    def _send(self, act: Callable[[], None]) -> None:
+        """Do something at the brokers, in the order of the calls."""
+        self._sent_until = max(self._sent_until, current_time() + self.shared.delay())
+        self.shared.at(self._sent_until, act)
+
+    def _check_there(self) -> None:
+        if self._is_away:
+            raise BrokerAway("the brokers do not answer")
+
+    # Messages
+
+    def publish(self, subject: str, data: bytes, reply: str = "") -> None:
+        """See `Broker.publish`."""
+
+        def deliver() -> None:
+            if self._is_away:
+                return
+            if not self.shared.deliver(Message(subject, data, reply)) and reply:
+                self.shared.deliver(Message(reply, b"", "", has_no_responders=True))
+
+        self._send(deliver)
+
+    async def subscribe(self, subject: str, on_message: OnMessage, queue: str = "") -> Subscription:
+        """See `Broker.subscribe`."""
+        self._check_there()
+        subscription = MemorySubscription(self, subject, on_message, queue)
+        self.subscriptions.append(subscription)
+        return subscription
+
+    async def request(self, subject: str, data: bytes, timeout: float) -> bytes:
+        """See `Broker.request`."""
+        answers: list[Message] = []
+        news = Notifier()
+
+        def answered(message: Message) -> None:
+            answers.append(message)
+            news.notify()
+
+        inbox = await self.subscribe(f"_INBOX.{self.name}.{next(self._inboxes)}", answered)
+        try:
+            self.publish(subject, data, self.subscriptions[-1].subject)
+            with move_on_after(timeout):
+                while not answers:
+                    await news.wait()
+        finally:
+            inbox.close()
+        if not answers:
+            raise BrokerAway(f"no answer to {subject}")
+        if answers[0].has_no_responders:
+            raise NoResponders
+        return answers[0].data
+
+    async def flush(self) -> None:
+        """See `Broker.flush`."""
+        sent = Notifier()
+        self._send(sent.notify)
+        await sent.wait()
+        self._check_there()
+
+    # Records
+
+    async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
+        """See `Broker.create_streams`."""
+
+    def put(
+        self,
+        subject: str,
+        data: bytes,
+        *,
+        expected: int,
+        ttl: float | None = None,
+        then: Stored,
+    ) -> None:
+        """See `Broker.put`."""
+
+        def fail() -> None:
+            then(PutError(PutFailure.UNKNOWN, "no answer"))
+
+        def store() -> None:
+            if self._is_away:
+                self.shared.at(current_time() + ANSWER_TIMEOUT, fail)
+                return
+            if len(data) > self.max_record:
+                then(PutError(PutFailure.TOO_LARGE, "maximum payload exceeded"))
+                return
+            stored = self.shared.put(subject, data, expected, math.inf if ttl is None else ttl)
+            if not isinstance(stored, PutError):
+                write = Write(self.name, subject, data)
+                self.shared.writes.append(write)
+                if self.shared.loses_answer(write):
+                    self.shared.at(current_time() + ANSWER_TIMEOUT, fail)
+                    return
+            then(stored)
+
+        self._send(store)
+
+    async def get(self, stream: str, subject: str) -> Record | None:
+        """See `Broker.get`."""
+        with move_on_after(ANSWER_TIMEOUT):
+            await self.flush()
+            return self.shared.newest(subject)
+        raise BrokerAway(f"no answer about {subject}")
+
+    @asynccontextmanager
+    async def watch(self, stream: str, subject: str) -> AsyncGenerator[MemoryWatch, None]:
+        """See `Broker.watch`."""
+        self._check_there()
+        watch = MemoryWatch(self, subject)
+        self._watches.append(watch)
+        try:
+            yield watch
+        finally:
+            self._watches.remove(watch)
+
+    # Notes
+
+    def add_note(self, subject: str, data: bytes) -> None:
+        """See `Broker.add_note`."""
+
+        def add() -> None:
+            if self._is_away:
+                self.shared.at(current_time() + 1, add)
+                return
+            self.shared.notes.append(MemoryNote(subject, data))
+            self.shared.notes_changed.notify()
+
+        self._send(add)
+
+    async def notes(self, subject: str) -> AsyncGenerator[Note, None]:
+        """See `Broker.notes`."""
+        shared = self.shared
+        while True:
+            note = None if self._is_away else self._next_note(subject)
+            if note is None:
+                await shared.notes_changed.wait()
+                continue
+            note.hidden_until = current_time() + NOTE_TIMEOUT
+            shared.at(note.hidden_until, shared.notes_changed.notify)
+            yield Note(note.data, partial(self._remove, note))
+
+    def _next_note(self, subject: str) -> MemoryNote | None:
+        now = current_time()
+        for note in self.shared.notes:
+            if note.subject == subject and note.hidden_until <= now:
+                return note
+        return None
+
+    def _remove(self, note: MemoryNote) -> None:
+        if not self._is_away and note in self.shared.notes:
+            self.shared.notes.remove(note)

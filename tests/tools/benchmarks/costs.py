@@ -1,0 +1,215 @@
+"""The cost of one message of a client, at a server with many active goals.
+
+    python -m tests.tools.benchmarks.costs [--goals N] [--write]
+
+A server is a process of its own. One connection has sent the goals, and another sends messages of
+one kind, of about 100 bytes, and waits until all are answered. The processor's time of the server,
+and the memory that it holds more than before, are divided by the number of messages. `--write`
+puts the table into docs/comparisons.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import anyio
+
+from fibaction.wire.messages import (
+    AskPeers,
+    AskPlaces,
+    AwaitServer,
+    CancelGoals,
+    Close,
+    Credit,
+    Finished,
+    Follow,
+    GoalChanged,
+    ListActions,
+    Ping,
+    Received,
+    SendGoal,
+    WatchStatus,
+)
+from tests.hostile.arena import Server, started
+from tests.hostile.attack import MOST, goal_id, sending
+from tests.hostile.goal_attacks import ONE, hold
+from tests.hostile.meter import Reading
+from tests.hostile.raw_client import Raw, Target
+from tests.hostile.victim import Settings
+from tests.support.fibonacci import FIBONACCI, Goal
+from tests.support.page_parts import with_part
+from tests.tools.benchmarks.pages import PAGE
+
+GOALS = 10_000
+PART = ("costs", "python -m tests.tools.benchmarks.costs")
+"""The part of the page with the table, and the command that makes it."""
+IDLE = 0.001
+"""Seconds of the processor that an idle server uses in 50 ms, at most."""
+CHANGED = 40  # the tag of GoalChanged
+SAME = goal_id()
+SHORT, LONG = FIBONACCI.goal.encode(Goal(1)), FIBONACCI.goal.encode(Goal(20))
+
+
+class Kind(NamedTuple):
+    """A kind of message, and what one may cost."""
+
+    name: str
+    make: Callable[[int], Any]
+    times: int
+    most: float
+    """Microseconds that one may take, at most; a generous bound for any machine."""
+    most_for_each: float = 0.0
+    """Microseconds more for each goal of the action."""
+    makes_goals: bool = False
+    """True if it is followed by `Received`, so that the connection follows no goal for ever."""
+
+
+KINDS = [
+    Kind("`Ping`", lambda id: Ping(), 2000, 200),
+    Kind("`Credit`, `Close`, `Received` of no request", lambda id: Credit(id, MOST), 2000, 200),
+    Kind("`ListActions`, of 12 actions", ListActions, 500, 1500),
+    Kind("`AskPeers`, with 3 connections", lambda id: AskPeers(id, "deaf"), 500, 1500),
+    Kind("`AwaitServer`", lambda id: AwaitServer(id, "deaf"), 500, 1500),
+    Kind(
+        "`AwaitServer` of an action that is not served",
+        lambda id: AwaitServer(id, "x" * 60),
+        500,
+        2000,
+    ),
+    Kind("`SendGoal`, which ends at once", lambda id: goal(id, SHORT), 500, 3000, 0, True),
+    Kind("`SendGoal`, with 20 feedback messages", lambda id: goal(id, LONG), 500, 6000, 0, True),
+    Kind("`SendGoal`, which does not end", lambda id: sending(id, "deaf", ONE), 500, 3000),
+    Kind("`SendGoal`, again the same", lambda id: goal(id, SHORT, SAME), 500, 3000, 0, True),
+    Kind("`SendGoal`, rejected", lambda id: sending(id, "fibonacci", b"\x01"), 500, 3000),
+    Kind(
+        "`Follow` of a goal that does not exist",
+        lambda id: Follow(id, "deaf", goal_id(), None, True, MOST),
+        500,
+        2000,
+    ),
+    Kind(
+        "`CancelGoals` of one goal",
+        lambda id: CancelGoals(id, "deaf", goal_id(), None),
+        500,
+        2000,
+    ),
+    Kind(
+        "`CancelGoals` of all goals",
+        lambda id: CancelGoals(id, "deaf", None, None),
+        10,
+        2000,
+        100,
+    ),
+    Kind(
+        "`WatchStatus`, and all goals read",
+        lambda id: WatchStatus(id, "deaf", MOST),
+        10,
+        2000,
+        200,
+    ),
+    Kind(
+        "`AskPlaces`, and no goal waits",
+        lambda id: AskPlaces(id, "deaf", MOST),
+        10,
+        2000,
+        100,
+    ),
+]
+"""The kinds in the order of the table. The first `CancelGoals` of all changes each goal once."""
+
+
+def goal(id: int, order: bytes, name: bytes | None = None) -> SendGoal:
+    """Return a message that sends a goal of Fibonacci."""
+    return sending(id, "fibonacci", order, MOST, name)
+
+
+class Cost(NamedTuple):
+    """The cost of one message, on the average."""
+
+    microseconds: float
+    held: float
+    """Bytes that the server holds more than before, after the answer."""
+
+
+async def cost_of(kind: Kind, server: Server, raw: Raw, goals: int) -> Cost:
+    """Send messages of a kind, and return the cost of each."""
+    # The first messages fill caches and free lists.
+    await send(kind, raw, max(1, kind.times // 4), goals)
+    await rest(server)
+    before = await server.reset()
+    await send(kind, raw, kind.times, goals)
+    after = await rest(server)
+    held = max(0, after.memory - before.memory)
+    return Cost(after.cpu * 1e6 / kind.times, held / kind.times)
+
+
+async def send(kind: Kind, raw: Raw, times: int, goals: int) -> None:
+    """Send so many messages, and end their goals and statuses."""
+    if kind.name.startswith("`WatchStatus`"):
+        for id in [next(raw.ids) for _ in range(times)]:
+            seen = raw.counts[CHANGED]
+            await raw.say(kind.make(id))
+            await raw.count(GoalChanged, seen + goals)
+            await raw.say(Close(id))
+            await raw.hear(Finished, id)
+        return
+    ids = [next(raw.ids) for _ in range(times)]
+    for start in range(0, len(ids), 100):
+        piece = ids[start : start + 100]
+        await raw.say(*map(kind.make, piece))
+        await raw.fence()
+        if kind.makes_goals:
+            await raw.say(*map(Received, piece))
+    await raw.fence()
+
+
+async def rest(server: Server) -> Reading:
+    """Wait until the server has nothing more to do, and return what its meter says."""
+    now = await server.read()
+    while True:
+        await anyio.sleep(0.05)
+        before, now = now, await server.read()
+        if now.cpu - before.cpu < IDLE:
+            return now
+
+
+async def measure(goals: int) -> dict[str, Cost]:
+    """Return the cost of each kind of message at a server with so many active goals."""
+    found: dict[str, Cost] = {}
+    with started(Settings()) as server:
+        target = Target(server.url)
+        async with target.dial() as sender, target.dial() as raw:
+            await hold(sender, "deaf", goals)
+            for kind in KINDS:
+                found[kind.name] = await cost_of(kind, server, raw, goals)
+    return found
+
+
+def table(costs: dict[str, Cost], goals: int) -> str:
+    """Return the costs as a table for the page."""
+    lines = [
+        f"| One message, with {goals:,} active goals | Microseconds | Bytes held |",
+        "| --- | ---: | ---: |",
+    ]
+    for name, cost in costs.items():
+        lines.append(f"| {name} | {cost.microseconds:,.0f} | {cost.held:,.0f} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Print the table, or write it."""
+    parser = argparse.ArgumentParser(prog="python -m tests.tools.benchmarks.costs")
+    parser.add_argument("--goals", type=int, default=GOALS)
+    parser.add_argument("--write", action="store_true")
+    arguments = parser.parse_args()
+    made = table(anyio.run(measure, arguments.goals), arguments.goals)
+    print(made)
+    if arguments.write:
+        page = PAGE.read_text(encoding="utf-8")
+        PAGE.write_text(with_part(page, *PART, made), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,234 @@
+"""The costs of a store: servers with one beside a server without, and beside DBOS.
+
+    python -m tests.tools.benchmarks.durable [--rounds N] [--folder FOLDER]
+
+A server without a store, one with `sync="full"` and one with `sync="normal"` do the same goals in
+turns, so that other programs disturb all of them. DBOS takes part where it is installed: one
+workflow with one step for each goal, in a file of SQLite. `make bench` ends with this.
+
+Garbage is collected as rarely as `fibaction serve` does it: goals that wait for the disk are alive
+for many turns, and Python's default would look at them again and again.
+
+The folder must be on the disk that is to be measured: /tmp is often in memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import tempfile
+import time
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+from statistics import median
+from time import perf_counter, process_time
+from typing import TypeAlias
+
+import anyio
+
+from fibaction import Action, ActionServer, GoalHandle, GoalID, SqliteStore, serve
+from fibaction import connect as connect_to
+from fibaction.border.goal_store import GoalStore, StoredGoal
+from fibaction.cli.verbs.serve import rare_collections
+from fibaction.words.goals import Sender
+from fibaction.words.statuses import GoalStatus
+from tests.tools.benchmarks import over_dbos
+
+WORK = Action("work", goal=int, feedback=int, result=str)
+GOALS = {1: 200, 100: 5000, 500: 5000}
+"""The number of goals of a round, by the number of goals at once."""
+KEPT = 10_000
+"""Goals that a start finds in its store."""
+RECORD = bytes(200)
+"""Bytes of a write that is measured beside one goal at a time."""
+
+Call: TypeAlias = Callable[[int], Awaitable[object]]
+"""A function that does one piece of work, by its number."""
+
+
+async def work(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
+    yield f"done {goal.request}"
+
+
+@asynccontextmanager
+async def served(url: str, store: GoalStore | None) -> AsyncIterator[Call]:
+    """Serve at the URL, and yield a call of the action."""
+    server = ActionServer(WORK, work, store=store, max_results=1000)
+    async with serve(server, url) as (there,), connect_to(there, WORK) as client:
+        yield client.call
+
+
+async def rounds_of(call: Call, at_once: int, times: int) -> tuple[float, float]:
+    """Do the work so many times; return seconds, and seconds of the processor, of each."""
+
+    async def some(first: int) -> None:
+        for number in range(first, times, at_once):
+            await call(number)
+
+    gc.collect()
+    began, began_cpu = perf_counter(), process_time()
+    async with anyio.create_task_group() as tasks:
+        for first in range(at_once):
+            tasks.start_soon(some, first)
+    return (perf_counter() - began) / times, (process_time() - began_cpu) / times
+
+
+async def rates(kind: str, folder: Path, rounds: int) -> None:
+    """Print the goals in a second of each server, and their ratio to the one without a store."""
+    async with AsyncExitStack() as stack:
+        calls: dict[str, Call] = {}
+        for name in ("memory", "full", "normal"):
+            url = f"inproc://{name}" if kind == "inproc" else "tcp://127.0.0.1:0"
+            store = None
+            if name == "full":
+                store = SqliteStore(folder / f"{kind}-full.db", "full")
+            elif name == "normal":
+                store = SqliteStore(folder / f"{kind}-normal.db", "normal")
+            calls[name] = await stack.enter_async_context(served(url, store))
+        for at_once, times in GOALS.items():
+            found: dict[str, list[tuple[float, float]]] = {name: [] for name in calls}
+            disk: list[float] = []
+            for number in range(rounds + 1):
+                for name, call in calls.items():
+                    taken = await rounds_of(call, at_once, times)
+                    if number:  # the first round fills caches
+                        found[name].append(taken)
+                disk.append(sync_seconds(folder / "disk", 20))
+            _print_rates(kind, at_once, found, median(disk))
+
+
+def _print_rates(
+    kind: str, at_once: int, found: dict[str, list[tuple[float, float]]], sync: float
+) -> None:
+    base = found["memory"]
+    for name, taken in found.items():
+        ratios = sorted(one[0] / other[0] for one, other in zip(base, taken, strict=True))
+        cpu = median(other[1] - one[1] for one, other in zip(base, taken, strict=True)) * 1e6
+        text = (
+            f"{kind}, {at_once:3} at once, {name:6}: {1 / median(one[0] for one in taken):6.0f}/s,"
+            f" {median(ratios):.2f} ({ratios[0]:.2f} to {ratios[-1]:.2f}) of the rate in memory,"
+            f" processor {median(one[1] for one in taken) * 1e6:.0f} us each, {cpu:+.0f}"
+        )
+        if at_once == 1:
+            more = median(other[0] - one[0] for one, other in zip(base, taken, strict=True))
+            text += f"; {more * 1e3:+.2f} ms, and one fdatasync takes {sync * 1e3:.2f} ms"
+        print(text, flush=True)
+
+
+def sync_seconds(path: Path, times: int) -> float:
+    """Return the seconds of one write that is durable, without a database."""
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    try:
+        began = perf_counter()
+        for _ in range(times):
+            os.write(file, RECORD)
+            os.fdatasync(file)
+        return (perf_counter() - began) / times
+    finally:
+        os.close(file)
+
+
+# The start
+
+
+async def fill(store: GoalStore, active: int, ended: int) -> None:
+    """Write goals into the store."""
+    left = anyio.Semaphore(0)
+
+    def then(error: Exception | None) -> None:
+        assert error is None
+        left.release()
+
+    async with store.open("work", max_results=KEPT, claim=_ignore, lose=_ignore) as journal:
+        for number in range(active + ended):
+            goal = StoredGoal(
+                GoalID.random(), time.time_ns(), Sender("robot"), bytes(16), WORK.goal.encode(5)
+            )
+            journal.accept(goal, then)
+            if number < ended:
+                goal.status, goal.result = GoalStatus.SUCCEEDED, WORK.result.encode("done")
+                goal.ended_at = time.time_ns()
+                goal.keep_until = goal.ended_at + 10**12
+                journal.end(goal, then)
+        for _ in range(active + 2 * ended):
+            await left.acquire()
+
+
+def _ignore(_: object) -> None:
+    pass
+
+
+async def restores(folder: Path, rounds: int) -> None:
+    """Print the seconds of a start with many goals: of the store alone, and of a server."""
+    for what, active, ended in (("ended", 0, KEPT), ("active", KEPT, 0)):
+        alone: list[float] = []
+        whole: list[float] = []
+        for number in range(rounds):
+            path = folder / f"{what}{number}.db"
+            await fill(SqliteStore(path), active, ended)
+            began = perf_counter()
+            async with SqliteStore(path).open(
+                "work", max_results=KEPT, claim=_ignore, lose=_ignore
+            ):
+                alone.append(perf_counter() - began)
+            server = ActionServer(
+                WORK, work, store=SqliteStore(path), max_results=KEPT, max_goals=2 * KEPT
+            )
+            began = perf_counter()
+            async with server:
+                whole.append(perf_counter() - began)
+        print(
+            f"start with {KEPT:,} goals that are {what}: {median(alone):.2f} s for the store,"
+            f" {median(whole):.2f} s ({min(whole):.2f} to {max(whole):.2f}) for the server",
+            flush=True,
+        )
+
+
+# DBOS
+
+
+async def beside_dbos(folder: Path, rounds: int) -> None:
+    """Print the rates of a store and of DBOS, in turns."""
+    if over_dbos.MISSING:
+        print(f"left out is DBOS: {over_dbos.MISSING}")
+        return
+    async with AsyncExitStack() as stack:
+        ours = await stack.enter_async_context(
+            served("inproc://beside", SqliteStore(folder / "beside.db"))
+        )
+        theirs = await stack.enter_async_context(over_dbos.launched(folder / "dbos.db"))
+        for at_once, times in ((1, 50), (100, 500)):
+            pairs = []
+            for number in range(rounds + 1):
+                one = await rounds_of(ours, at_once, times)
+                other = await rounds_of(theirs, at_once, times)
+                if number:
+                    pairs.append((one[0], other[0]))
+            print(
+                f"{at_once:3} at once: {1 / median(one for one, _ in pairs):.0f} goals/s, and"
+                f" {1 / median(other for _, other in pairs):.0f} workflows/s of DBOS:"
+                f" {median(other / one for one, other in pairs):.1f} times as many",
+                flush=True,
+            )
+
+
+async def measure(rounds: int, folder: Path) -> None:
+    for kind in ("inproc", "tcp"):
+        await rates(kind, folder, rounds)
+    await restores(folder, rounds)
+    await beside_dbos(folder, rounds)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tests.tools.benchmarks.durable")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--folder", type=Path, default=Path())
+    arguments = parser.parse_args()
+    with rare_collections(), tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
+        anyio.run(measure, arguments.rounds, Path(folder))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""Other processes of the benchmarks, which exchange lines of JSON with this one."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from collections.abc import AsyncGenerator, Mapping
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, Any
+
+import anyio
+from anyio.abc import Process
+from anyio.streams.buffered import BufferedByteReceiveStream
+
+ROOT = Path(__file__).parents[3]
+PATIENCE = 120.0
+"""Seconds for an answer, many times as long as any order takes."""
+STOP_TIMEOUT = 3.0
+"""Seconds for the end of a process, which is killed afterwards."""
+LONGEST_LINE = 2**26
+
+
+class Program:
+    """Another process."""
+
+    def __init__(self, process: Process, stderr: IO[bytes]) -> None:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        self._process = process
+        self._stdin = process.stdin
+        self._stdout = BufferedByteReceiveStream(process.stdout)
+        self._stderr = stderr
+
+    async def line(self) -> Any:
+        """Return its next answer.
+
+        Raises:
+            RuntimeError: It has ended, or says nothing. The text is the last line of its complaint.
+        """
+        try:
+            with anyio.fail_after(PATIENCE):
+                return json.loads(await self._stdout.receive_until(b"\n", LONGEST_LINE))
+        except (anyio.IncompleteRead, anyio.EndOfStream, TimeoutError) as exc:
+            complaint = self._complaint()
+            error = RuntimeError(complaint.rpartition("\n")[2] or "it says nothing")
+            error.add_note(complaint)
+            raise error from exc
+
+    async def ask(self, do: str, times: int = 1) -> Any:
+        """Send an order, and return the answer."""
+        await self._stdin.send(json.dumps({"do": do, "times": times}).encode() + b"\n")
+        return await self.line()
+
+    @property
+    def resident(self) -> int:
+        """The resident memory of the process, in bytes."""
+        pages = Path(f"/proc/{self._process.pid}/statm").read_text(encoding="utf-8").split()[1]
+        return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
+    def _complaint(self) -> str:
+        self._stderr.seek(0)
+        return self._stderr.read().decode(errors="replace").strip()
+
+
+@asynccontextmanager
+async def program(
+    python: str | Path, *arguments: str, environment: Mapping[str, str] | None = None
+) -> AsyncGenerator[Program, None]:
+    """Run a Python program until the block ends."""
+    with TemporaryFile() as stderr:
+        process = await anyio.open_process(
+            [str(python), *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=stderr,
+            cwd=ROOT,
+            env={**os.environ, **(environment or {})},
+            start_new_session=True,  # Ctrl-C goes to the benchmark alone, which then stops them
+        )
+        try:
+            yield Program(process, stderr)
+        finally:
+            with anyio.CancelScope(shield=True):
+                assert process.stdin is not None
+                await process.stdin.aclose()
+                with anyio.move_on_after(STOP_TIMEOUT):
+                    await process.wait()
+                # With its own children, such as a server of NATS.
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                await process.aclose()

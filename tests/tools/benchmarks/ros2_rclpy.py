@@ -1,0 +1,148 @@
+"""`python -m tests.tools.benchmarks.ros2_rclpy server|client`: stock rclpy, as its users write it.
+
+Pending goals are coroutines, which is the cheapest that rclpy has for them.
+"""
+
+from __future__ import annotations
+
+import sys
+from contextlib import suppress
+from time import perf_counter
+from typing import Any
+
+import rclpy
+from arduinobot_msgs.action import Fibonacci
+from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.task import Future
+
+from tests.ros2.stock.telling import say, shut_down_at_the_end, told
+from tests.tools.benchmarks.ros2_orders import LONG, PENDING
+
+NAME = "benchmark_rclpy"
+SUCCEEDED = 4
+
+
+class Server(Node):  # type: ignore[misc]  # rclpy has no types here
+    def __init__(self) -> None:
+        super().__init__("benchmark_server")
+        self._canceled: dict[bytes, Any] = {}
+        self._server = ActionServer(
+            self, Fibonacci, NAME, self.execute, cancel_callback=self.cancel
+        )
+
+    def cancel(self, handle: Any) -> CancelResponse:
+        self._canceled[bytes(handle.goal_id.uuid)].set_result(None)
+        return CancelResponse.ACCEPT
+
+    async def execute(self, handle: Any) -> Any:
+        order = handle.request.order
+        if order == PENDING:
+            canceled = self._canceled[bytes(handle.goal_id.uuid)] = Future()
+            await canceled
+            handle.canceled()
+            return Fibonacci.Result()
+        if order > LONG:
+            feedback = Fibonacci.Feedback(partial_sequence=[0, 1, 1])
+            for _ in range(order - LONG):
+                handle.publish_feedback(feedback)
+            order = 0
+        sequence = [0, 1]
+        for _ in range(1, order):
+            sequence.append(sequence[-1] + sequence[-2])
+            handle.publish_feedback(Fibonacci.Feedback(partial_sequence=sequence))
+        handle.succeed()
+        return Fibonacci.Result(sequence=sequence)
+
+
+class Client:
+    def __init__(self) -> None:
+        self.node = rclpy.create_node("benchmark_client")
+        self._client = ActionClient(self.node, Fibonacci, NAME)
+        # An executor of its own is faster than rclpy's global one, which adds the node each time.
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._pending: list[Any] = []
+        self._arrived = 0
+
+    def wait_for_server(self) -> None:
+        self._client.wait_for_server()
+
+    def _wait(self, future: Any, patience: float | None = None) -> Any:
+        self._executor.spin_until_future_complete(future, patience)
+        return future.result()
+
+    def _call(self, order: int, on_feedback: Any = None) -> Any:
+        goal = Fibonacci.Goal(order=order)
+        handle = self._wait(self._client.send_goal_async(goal, feedback_callback=on_feedback))
+        return self._wait(handle.get_result_async())
+
+    def goals(self, times: int) -> list[float]:
+        seconds: list[float] = []
+        for _ in range(times):
+            start = perf_counter()
+            self._call(0)
+            seconds.append(perf_counter() - start)
+        return seconds
+
+    def _count(self, _: Any) -> None:
+        self._arrived += 1
+
+    def feedback(self, times: int, order: int) -> list[float]:
+        self._arrived = 0
+        start = perf_counter()
+        for _ in range(times):
+            self._call(order, self._count)
+        return [self._arrived, perf_counter() - start]
+
+    def batch(self, times: int, patience: float) -> list[float]:
+        done: list[float] = []
+        all_done = Future()
+
+        def finished(result: Any) -> None:
+            if result.result().status == SUCCEEDED:
+                done.append(perf_counter())
+            if len(done) == times:
+                all_done.set_result(None)
+
+        def accepted(sent: Any) -> None:
+            sent.result().get_result_async().add_done_callback(finished)
+
+        start = perf_counter()
+        for _ in range(times):
+            self._client.send_goal_async(Fibonacci.Goal()).add_done_callback(accepted)
+        self._wait(all_done, patience)
+        return [len(done), max(done, default=start) - start]
+
+    def hold(self, times: int) -> None:
+        for _ in range(times):
+            goal = Fibonacci.Goal(order=PENDING)
+            self._pending.append(self._wait(self._client.send_goal_async(goal)))
+
+    def release(self) -> None:
+        for handle in self._pending:
+            self._wait(handle.cancel_goal_async())
+            self._wait(handle.get_result_async())
+        self._pending.clear()
+
+
+def run_server() -> None:
+    server = Server()
+    shut_down_at_the_end()
+    say("ready")
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(server)
+
+
+def run_client() -> None:
+    client = Client()
+    client.wait_for_server()
+    say("ready")
+    for order in told():
+        say({"answer": getattr(client, order.pop("do"))(**order)})
+
+
+if __name__ == "__main__":
+    rclpy.init()
+    {"server": run_server, "client": run_client}[sys.argv[1]]()

@@ -1,0 +1,115 @@
+"""A peer that cannot be had is left out by name, with a sentence."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import AsyncExitStack
+from pathlib import Path
+
+import pytest
+
+from tests.tools.benchmarks import suite, ways
+from tests.tools.benchmarks.ways import IN_ONE, ROS, WAYS, Way, left_out, started, versions
+
+BROKEN = Way("broken peer", IN_ONE, "nothing_of_that_name", is_ours=False, has_server=False)
+EVERYTHING = dict.fromkeys(
+    ("grpc", "nats", "ros2", "rclpy", "rclpy_deep", "rclpy_events"), "not asked for"
+)
+
+
+def test_a_library_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ways, "find_spec", lambda _: None)
+    monkeypatch.setattr(ways, "_no_ros", lambda: "")
+
+    assert left_out() == {
+        "grpc": "grpcio is not installed; `make bench` installs it",
+        "nats": "nats-py is not installed; `make bench` installs it",
+    }
+
+
+def test_nats_needs_a_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ways, "find_spec", lambda name: name)
+    monkeypatch.setattr(ways, "nats_server", lambda: None)
+    monkeypatch.setattr(ways, "_no_ros", lambda: "")
+
+    assert left_out() == {"nats": "there is no nats-server; Debian and Ubuntu have it in a package"}
+
+
+def test_without_an_environment_for_ros_both_of_its_ways_are_left_out(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(ways, "ROS_PYTHON", tmp_path / "python")
+
+    reasons = left_out()
+
+    assert {key for key in reasons if WAYS[key].group == ROS} == {
+        "ros2",
+        "rclpy",
+        "rclpy_deep",
+        "rclpy_events",
+    }
+    assert "make ros" in reasons["rclpy"]
+
+
+def test_an_environment_without_ros_is_left_out_with_what_python_says(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    python = tmp_path / "python"
+    python.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n', encoding="utf-8")
+    python.chmod(0o755)
+    monkeypatch.setattr(ways, "ROS_PYTHON", python)
+
+    assert "No module named 'rclpy'" in left_out()["rclpy"]
+
+
+def test_the_versions_of_what_is_left_out_are_not_asked_for() -> None:
+    assert set(versions(EVERYTHING)) == {"fibaction", "anyio", "msgspec"}
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    "key",
+    [key for key, way in WAYS.items() if way.group != ROS and key not in ("grpc", "nats")],
+)
+async def test_a_way_does_all_that_is_measured(key: str) -> None:
+    async with started(WAYS[key]) as pair:
+        for order in ("goals", "batches", "feedback"):
+            done, seconds = await pair.client.ask(order, 1)
+            assert done == 1
+            assert seconds > 0
+        assert len(await pair.client.ask("goal_times", 2)) == 2
+        assert all(0 < one < 60 for one in await pair.client.ask("feedback_times", 2))
+        assert pair.client.resident > 10**6
+
+
+@pytest.mark.asyncio
+async def test_a_way_that_does_not_start_says_why() -> None:
+    with pytest.raises(RuntimeError, match="unknown contender 'nothing_of_that_name'"):
+        async with started(BROKEN):
+            pass
+
+
+@pytest.mark.asyncio
+async def test_a_peer_that_does_not_start_is_left_out_and_the_others_are_measured(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(suite, "WAYS", {"broken": BROKEN, "tasks": WAYS["tasks"]})
+    without: dict[str, str] = {}
+
+    async with AsyncExitStack() as stack:
+        running = await suite._start_all(stack, without)
+
+    assert set(running) == {"tasks"}
+    assert "unknown contender" in without["broken"]
+    assert capsys.readouterr().out.startswith("left out is broken peer: it did not start (")
+
+
+@pytest.mark.asyncio
+async def test_that_fibaction_itself_does_not_start_is_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(suite, "WAYS", {"broken": BROKEN._replace(is_ours=True)})
+
+    with pytest.raises(RuntimeError, match="unknown contender"):
+        async with AsyncExitStack() as stack:
+            await suite._start_all(stack, {})

@@ -1,0 +1,85 @@
+"""The tests that belong to each module: of its own, or of the unit that it is part of."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+SOURCES = {"fibaction": "tests", "transports/fibaction_transports": "tests/transports"}
+ELSEWHERE = "transports/fibaction_transports/ros2"  # needs ROS 2: `make test-ros`
+UNITS = {
+    "fibaction/words/action_error.py": ["tests/words/test_errors.py"],
+    "fibaction/_runtime/connection_counts.py": ["tests/observe/test_metrics.py"],
+    "fibaction/border/current_goal.py": ["tests/observe/test_log_records.py"],
+    "fibaction/types/encodings.py": [
+        "tests/types/test_action.py",
+        "tests/types/test_pydantic_codec.py",
+    ],
+    "fibaction/border/goal_span.py": ["tests/observe/test_otel.py"],
+    "fibaction/observe/monitor_records.py": ["tests/observe/test_monitor.py"],
+    "fibaction/client/goal.py": ["tests/client/test_client.py", "tests/client/test_attempts.py"],
+    "fibaction/border/streams.py": ["tests/border/test_abc.py"],
+    "fibaction/agents": ["tests/agents"],
+    "fibaction/blocking": ["tests/blocking"],
+    "fibaction/cli": ["tests/cli"],
+    "transports/fibaction_transports/_command.py": ["tests/cli"],
+    "fibaction/server": ["tests/server"],
+    "fibaction/stores": ["tests/stores"],
+    # The rules without I/O.
+    "fibaction/server/registry/cancellation.py": ["tests/server/test_registry.py"],
+    "fibaction/server/registry/expiry.py": ["tests/server/test_registry.py"],
+    "fibaction/server/registry/goal_record.py": ["tests/server/test_registry.py"],
+    "fibaction/server/registry/registry.py": ["tests/server/test_registry.py"],
+    "fibaction/server/execution/fair_queue.py": ["tests/server/test_fair_queue.py"],
+    "fibaction/server/scheduling/group.py": ["tests/server/test_scheduler.py"],
+    "fibaction/server/scheduling/scheduler.py": ["tests/server/test_scheduler.py"],
+    "fibaction/stores/_journal_file.py": ["tests/stores/test_journal_file.py"],
+    "fibaction/stores/_sqlite_journal.py": ["tests/stores/test_sqlite_store.py"],
+    "fibaction/stores/_wal.py": ["tests/stores/test_journal_file.py"],
+    "fibaction/stores/_writer.py": ["tests/stores/test_sqlite_store.py"],
+    "fibaction/stores/journal_rows.py": ["tests/stores/test_journal_rows.py"],
+    "fibaction/stores/sqlite_store.py": ["tests/stores/test_sqlite_store.py"],
+    "fibaction/wire/codec.py": ["tests/wire/test_messages.py"],
+    "fibaction/wire/messages.py": ["tests/wire/test_messages.py"],
+    "fibaction/wire": ["tests/wire"],
+    "fibaction/wire/settings.py": ["tests/wire", "tests/transports/tcp"],
+    "fibaction/wire/tls_files.py": ["tests/transports/tcp"],
+    "fibaction/wire/transport.py": ["tests/transports/tcp"],
+    "transports/fibaction_transports/nats": ["tests/transports/nats"],
+    "transports/fibaction_transports/_socket_lines": [
+        "tests/transports/tcp",
+        "tests/transports/web",
+    ],
+    "transports/fibaction_transports/tcp": ["tests/transports/tcp"],
+    "transports/fibaction_transports/web": ["tests/transports/web"],
+}
+"""The tests that cover a module, or all modules of a folder together; the longest path counts.
+Every other module, so each public one, is covered by a test file of its own."""
+
+
+def tests_of(root: Path, module: Path) -> list[Path]:
+    """Return the test files or folders that cover a module."""
+    units = [unit for unit in UNITS if module.is_relative_to(root / unit)]
+    if units:
+        return [root / test for test in UNITS[max(units, key=len)]]
+    source, tests = next(pair for pair in SOURCES.items() if module.is_relative_to(root / pair[0]))
+    name = f"test_{module.stem.strip('_')}.py"
+    return [root / tests / module.relative_to(root / source).with_name(name)]
+
+
+def has_code(module: Path) -> bool:
+    """Return whether a module has more than a docstring, and names of other modules."""
+    return any(
+        not isinstance(each, ast.Expr | ast.ImportFrom)
+        and not (isinstance(each, ast.Assign) and ast.unparse(each.targets[0]) == "__all__")
+        for each in ast.parse(module.read_text()).body
+    )
+
+
+def modules(root: Path) -> Iterator[tuple[Path, list[Path]]]:
+    """Yield each module that has code of its own, and the tests that cover it."""
+    for source in SOURCES:
+        for module in sorted((root / source).rglob("*.py")):
+            if has_code(module) and not module.is_relative_to(root / ELSEWHERE):
+                yield module, tests_of(root, module)

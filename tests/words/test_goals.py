@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+import pickle
+import uuid
+from contextlib import suppress
+from functools import reduce
+from operator import and_, or_
+
+import msgspec
+import pytest
+from hypothesis import given, strategies
+
+from fibaction.words.goals import (
+    UNKNOWN_OUTCOME,
+    ActionPeers,
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    Outcome,
+    Sender,
+)
+from fibaction.words.statuses import GoalStatus
+
+GOAL_ID = GoalID(bytes(range(16)))
+
+
+@given(strategies.binary(max_size=40))
+def test_a_goal_id_has_16_bytes(value: bytes) -> None:
+    if len(value) == 16:
+        assert GoalID(value) == value
+    else:
+        with pytest.raises(ValueError, match=rf"a goal ID has 16 bytes, not {len(value)}$"):
+            GoalID(value)
+
+
+@given(strategies.binary(min_size=16, max_size=16).map(GoalID))
+def test_a_goal_id_is_read_back_from_its_text(goal_id: GoalID) -> None:
+    read = GoalID.parse(str(goal_id))
+    assert type(read) is GoalID
+    assert read == goal_id
+
+
+@given(strategies.uuids())
+def test_a_goal_id_is_read_from_a_uuid(value: uuid.UUID) -> None:
+    assert GoalID.parse(str(value)) == value.bytes
+    assert str(GoalID(value.bytes)) == value.hex
+
+
+@pytest.mark.parametrize("text", ["", "00", "g" * 32, "0" * 31, "0" * 34, "é" * 32])
+def test_other_text_is_no_goal_id(text: str) -> None:
+    with pytest.raises(ValueError, match="a goal ID has 32 hexadecimal digits, not") as caught:
+        GoalID.parse(text)
+    assert repr(text) in str(caught.value)
+
+
+@given(strategies.text(max_size=40))
+def test_any_text_is_a_goal_id_or_a_value_error(text: str) -> None:
+    with suppress(ValueError):
+        assert len(GoalID.parse(text)) == 16
+
+
+def test_random_goal_ids_differ_in_every_bit() -> None:
+    goal_ids = {GoalID.random() for _ in range(100)}
+    assert len(goal_ids) == 100
+    numbers = [int.from_bytes(goal_id, "big") for goal_id in goal_ids]
+    assert reduce(or_, numbers) & ~reduce(and_, numbers) == 2**128 - 1
+    assert {type(goal_id) for goal_id in goal_ids} == {GoalID}
+
+
+def test_the_representation_of_a_goal_id_makes_the_same_one() -> None:
+    assert repr(GOAL_ID) == "GoalID.parse('000102030405060708090a0b0c0d0e0f')"
+    assert eval(repr(GOAL_ID)) == GOAL_ID
+
+
+def test_a_goal_id_is_a_key_and_equals_its_bytes() -> None:
+    assert {bytes(GOAL_ID): "here"}[GOAL_ID] == "here"
+    assert GoalID(bytes(16)) != GOAL_ID
+
+
+def test_a_goal_id_survives_the_way_to_another_process() -> None:
+    copy = pickle.loads(pickle.dumps(GOAL_ID))
+    assert type(copy) is GoalID
+    assert copy == GOAL_ID
+
+
+@pytest.mark.parametrize(
+    ("value", "field"),
+    [
+        (GoalInfo(GOAL_ID, 1, GoalStatus.ACCEPTED), "status"),
+        (Outcome(GoalStatus.SUCCEEDED, 1), "result"),
+        (CancelAnswer(CancelCode.NONE), "reason"),
+        (ActionPeers(), "clients"),
+        (Sender(), "name"),
+    ],
+    ids=["GoalInfo", "Outcome", "CancelAnswer", "ActionPeers", "Sender"],
+)
+def test_what_was_said_does_not_change(value: msgspec.Struct, field: str) -> None:
+    with pytest.raises(AttributeError):
+        setattr(value, field, None)
+
+
+def test_an_outcome_has_no_result_and_no_reason_unless_told() -> None:
+    outcome: Outcome[bytes] = Outcome(GoalStatus.ABORTED)
+    assert outcome.result is None
+    assert outcome.reason == ""
+
+
+def test_a_goal_has_no_feedback_no_client_and_no_place_unless_told() -> None:
+    info = GoalInfo(GOAL_ID, 1, GoalStatus.ACCEPTED)
+    assert info.feedback_count == 0
+    assert info.client == ""
+    assert (info.place, info.queue_length) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("sender", "text"),
+    [
+        (Sender(), ""),
+        (Sender(owner=b"ann"), ""),
+        (Sender("ann"), "ann"),
+        (Sender(address="127.0.0.1:51234"), "127.0.0.1:51234"),
+        (Sender("ann", b"", "127.0.0.1:51234"), "ann at 127.0.0.1:51234"),
+        (Sender("ann\x1b[2J" + "n" * 999), "ann\\x1b[2J" + "n" * 189 + "…"),
+    ],
+)
+def test_a_sender_as_text_is_for_people(sender: Sender, text: str) -> None:
+    assert str(sender) == text
+
+
+def test_no_goal_is_canceling_and_no_reason_is_given_unless_told() -> None:
+    answer = CancelAnswer(CancelCode.NONE)
+    assert answer.goals_canceling == ()
+    assert answer.reason == ""
+
+
+def test_an_action_has_no_servers_and_no_clients_unless_told() -> None:
+    peers = ActionPeers()
+    assert peers.servers == ()
+    assert peers.clients == ()
+
+
+def test_the_outcome_of_an_unknown_goal_says_what_may_be_why() -> None:
+    reason = "it was never accepted, its result has expired, or the server was started anew"
+    assert Outcome(GoalStatus.UNKNOWN, None, reason) == UNKNOWN_OUTCOME
+
+
+def test_return_codes_have_the_numbers_of_ros() -> None:
+    assert {code.name: code.value for code in CancelCode} == {
+        "NONE": 0,
+        "REJECTED": 1,
+        "UNKNOWN_GOAL_ID": 2,
+        "GOAL_TERMINATED": 3,
+    }
+
+
+def test_a_cancel_is_accepted_if_a_goal_is_canceling() -> None:
+    canceling = GoalInfo(GOAL_ID, 1, GoalStatus.CANCELING)
+    assert CancelAnswer(CancelCode.NONE, (canceling,), "another refused").accepted
+    # NONE is no yes: a cancel of all that found no goal has it too.
+    assert not CancelAnswer(CancelCode.NONE).accepted
+    assert not CancelAnswer(CancelCode.REJECTED, reason="no").accepted
+
+
+CANCELING = GoalInfo(GoalID(bytes(range(16))), 1, GoalStatus.CANCELING)
+NO_GOALS = CancelAnswer(CancelCode.NONE)
+NOT_NOW = CancelAnswer(CancelCode.REJECTED, reason="not now")
+TOO_LATE = CancelAnswer(CancelCode.GOAL_TERMINATED)
+NOT_HERE = CancelAnswer(CancelCode.UNKNOWN_GOAL_ID)
+ONE = CancelAnswer(CancelCode.NONE, (CANCELING,))
+
+
+@pytest.mark.parametrize(
+    ("answers", "merged"),
+    [
+        ([], NO_GOALS),
+        ([NOT_HERE, NOT_HERE], NOT_HERE),
+        ([NOT_HERE, NO_GOALS], NO_GOALS),
+        ([NOT_HERE, TOO_LATE, NO_GOALS], TOO_LATE),
+        ([TOO_LATE, NOT_NOW, NOT_NOW, NO_GOALS], NOT_NOW),
+        ([ONE, NOT_NOW], CancelAnswer(CancelCode.NONE, (CANCELING,), "not now")),
+        ([ONE, NOT_HERE, ONE], CancelAnswer(CancelCode.NONE, (CANCELING, CANCELING))),
+    ],
+)
+def test_the_answers_of_several_servers_to_one_cancel_are_merged(
+    answers: list[CancelAnswer], merged: CancelAnswer
+) -> None:
+    assert CancelAnswer.merged(answers) == merged

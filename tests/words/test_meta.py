@@ -1,0 +1,59 @@
+"""`fibaction.words.meta`: the limits of the text that goes with a goal."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import pytest
+
+from fibaction import InvalidMessage
+from fibaction.words.meta import MAX_BYTES, MAX_KEYS, checked_meta, fitting, size_of, trace_meta
+
+
+def test_a_meta_without_entries_is_none() -> None:
+    assert checked_meta(None) is None
+    assert checked_meta({}) is None
+    assert (size_of(None), size_of({})) == (0, 0)
+
+
+def test_the_bytes_of_keys_and_values_count_as_they_are_sent() -> None:
+    assert size_of({"a": "bc", "ä": ""}) == 5
+
+
+def test_a_meta_at_the_limits_is_copied() -> None:
+    meta = {str(number): "" for number in range(MAX_KEYS)}
+    meta["0"] = "x" * (MAX_BYTES - MAX_KEYS)
+
+    copy = checked_meta(meta)
+
+    assert copy == meta
+    assert copy is not meta
+
+
+@pytest.mark.parametrize(
+    ("meta", "text"),
+    [
+        ({str(number): "" for number in range(9)}, "the goal's meta has 9 keys, and 8 are the lim"),
+        ({"a": "x" * 4096}, "the goal's meta has 4097 bytes, and 4096 are the limit"),
+        ({"a": 1}, "the goal's meta maps text to text, and part of it is not"),
+        ({b"a": "1"}, "the goal's meta maps text to text, and part of it is not"),
+        ({"a": "\ud800"}, "the goal's meta maps text to text, and part of it is not"),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_sentence(meta: dict[Any, Any], text: str) -> None:
+    with pytest.raises(InvalidMessage, match=text):
+        checked_meta(cast("dict[str, str]", meta))
+
+
+def test_what_does_not_fit_is_left_out_entry_by_entry() -> None:
+    many = {str(number): "" for number in range(20)}
+
+    assert fitting({"a": "1", "large": "x" * 5000, "b": "2"}) == {"a": "1", "b": "2"}
+    assert list(fitting(many)) == list(many)[:MAX_KEYS]
+
+
+def test_only_the_headers_of_a_trace_go_with_a_goal() -> None:
+    headers = {"host": "robot", "traceparent": "00-1", "baggage": "x" * 4097}
+
+    assert trace_meta(headers, is_detached=False) == {"traceparent": "00-1"}
+    assert trace_meta({}, is_detached=True) == {"detached": "1"}

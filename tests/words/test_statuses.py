@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+from typing import cast
+
+import pytest
+from hypothesis import settings, strategies
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+
+from fibaction.words.errors import InvalidTransition
+from fibaction.words.statuses import INITIAL, TRANSITIONS, GoalEvent, GoalStatus, transition
+
+# Written down from `rcl_action/src/rcl_action/goal_state_machine.c`, not from the code under test.
+EDGES = """
+    ACCEPTED   EXECUTE      EXECUTING
+    ACCEPTED   CANCEL_GOAL  CANCELING
+    EXECUTING  CANCEL_GOAL  CANCELING
+    EXECUTING  SUCCEED      SUCCEEDED
+    EXECUTING  ABORT        ABORTED
+    CANCELING  SUCCEED      SUCCEEDED
+    CANCELING  ABORT        ABORTED
+    CANCELING  CANCELED     CANCELED
+"""
+FOLLOWERS = {
+    (before, event): after
+    for before, event, after in (line.split() for line in EDGES.strip().splitlines())
+}
+
+
+@pytest.mark.promise("STATUS-3")
+@pytest.mark.parametrize("event", list(GoalEvent), ids=lambda event: event.name)
+@pytest.mark.parametrize("status", list(GoalStatus), ids=lambda status: status.name)
+def test_a_status_follows_an_event_exactly_if_ros_says_so(
+    status: GoalStatus, event: GoalEvent
+) -> None:
+    after = FOLLOWERS.get((status.name, event.name))
+    if after is None:
+        with pytest.raises(InvalidTransition) as caught:
+            transition(status, event)
+        assert (caught.value.status, caught.value.event) == (status, event)
+        assert caught.value.__suppress_context__
+    else:
+        assert transition(status, event) is GoalStatus[after]
+
+
+@pytest.mark.promise("STATUS-3")
+def test_there_are_eight_legal_edges() -> None:
+    assert len(TRANSITIONS) == len(FOLLOWERS) == 8
+
+
+@pytest.mark.promise("STATUS-4")
+def test_canceled_is_reached_only_through_canceling() -> None:
+    before = [status for (status, _), after in TRANSITIONS.items() if after.name == "CANCELED"]
+    assert before == [GoalStatus.CANCELING]
+
+
+def test_the_table_cannot_be_changed() -> None:
+    table = cast("dict[tuple[GoalStatus, GoalEvent], GoalStatus]", TRANSITIONS)
+    with pytest.raises(TypeError):
+        table[GoalStatus.UNKNOWN, GoalEvent.EXECUTE] = GoalStatus.EXECUTING
+
+
+@pytest.mark.promise("STATUS-1")
+def test_statuses_have_the_numbers_of_ros() -> None:
+    assert {status.name: status.value for status in GoalStatus} == {
+        "UNKNOWN": 0,
+        "ACCEPTED": 1,
+        "EXECUTING": 2,
+        "CANCELING": 3,
+        "SUCCEEDED": 4,
+        "CANCELED": 5,
+        "ABORTED": 6,
+    }
+
+
+@pytest.mark.promise("STATUS-2")
+def test_events_have_the_numbers_of_ros() -> None:
+    assert {event.name: event.value for event in GoalEvent} == {
+        "EXECUTE": 0,
+        "CANCEL_GOAL": 1,
+        "SUCCEED": 2,
+        "ABORT": 3,
+        "CANCELED": 4,
+    }
+
+
+@pytest.mark.promise("STATUS-3")
+def test_a_goal_begins_as_accepted() -> None:
+    assert INITIAL is GoalStatus.ACCEPTED
+
+
+def test_a_status_is_active_or_terminal_or_unknown() -> None:
+    active = {status.name for status in GoalStatus if status.is_active}
+    terminal = {status.name for status in GoalStatus if status.is_terminal}
+    assert active == {"ACCEPTED", "EXECUTING", "CANCELING"}
+    assert terminal == {"SUCCEEDED", "CANCELED", "ABORTED"}
+
+
+def test_exactly_the_active_statuses_have_a_follower() -> None:
+    assert {status for status, _ in TRANSITIONS} == {
+        status for status in GoalStatus if status.is_active
+    }
+
+
+class GoalWalk(RuleBasedStateMachine):
+    """A goal meets random events; its status has to agree with three plain facts about it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.statuses = [INITIAL]
+        self.started = False
+        self.asked_to_cancel = False
+        self.end = ""
+
+    def happens(self, event: GoalEvent, *, allowed: bool) -> bool:
+        before = self.statuses[-1]
+        try:
+            self.statuses.append(transition(before, event))
+        except InvalidTransition:
+            assert not allowed, f"{event.name} was refused while {before.name}"
+        else:
+            assert allowed, f"{event.name} was allowed while {before.name}"
+        return allowed
+
+    @rule()
+    def execute(self) -> None:
+        fresh = not (self.started or self.asked_to_cancel or self.end)
+        self.started |= self.happens(GoalEvent.EXECUTE, allowed=fresh)
+
+    @rule()
+    def cancel(self) -> None:
+        first = not (self.asked_to_cancel or self.end)
+        self.asked_to_cancel |= self.happens(GoalEvent.CANCEL_GOAL, allowed=first)
+
+    @rule(event=strategies.sampled_from([GoalEvent.SUCCEED, GoalEvent.ABORT]))
+    def end_by_itself(self, event: GoalEvent) -> None:
+        begun = (self.started or self.asked_to_cancel) and not self.end
+        if self.happens(event, allowed=begun):
+            self.end = {GoalEvent.SUCCEED: "SUCCEEDED", GoalEvent.ABORT: "ABORTED"}[event]
+
+    @rule()
+    def end_as_canceled(self) -> None:
+        if self.happens(GoalEvent.CANCELED, allowed=self.asked_to_cancel and not self.end):
+            self.end = "CANCELED"
+
+    @invariant()
+    def the_status_says_what_happened(self) -> None:
+        expected = "EXECUTING" if self.started else "ACCEPTED"
+        if self.asked_to_cancel:
+            expected = "CANCELING"
+        assert self.statuses[-1].name == (self.end or expected)
+
+    @invariant()
+    def canceled_comes_only_after_canceling(self) -> None:
+        if self.statuses[-1] is GoalStatus.CANCELED:
+            assert self.statuses[-2] is GoalStatus.CANCELING
+
+    @invariant()
+    def a_goal_is_active_until_its_end(self) -> None:
+        assert self.statuses[-1].is_active == (not self.end)
+        assert self.statuses[-1].is_terminal == bool(self.end)
+
+
+TestGoalWalk = GoalWalk.TestCase
+TestGoalWalk.settings = settings(stateful_step_count=12)
+
+
+def test_an_edge_that_is_not_in_the_table_is_told_in_one_sentence() -> None:
+    with pytest.raises(InvalidTransition) as caught:
+        transition(GoalStatus.SUCCEEDED, GoalEvent.ABORT)
+    assert str(caught.value) == "a goal that is SUCCEEDED cannot ABORT"
+    assert (caught.value.status, caught.value.event) == (GoalStatus.SUCCEEDED, GoalEvent.ABORT)
+    assert caught.value.args == (GoalStatus.SUCCEEDED, GoalEvent.ABORT)  # or it could not be copied

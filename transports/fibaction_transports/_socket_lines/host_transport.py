@@ -1,0 +1,148 @@
+"""Connecting to a host, and listening there: by TCP, with or without TLS."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+from contextlib import AsyncExitStack
+from errno import EADDRINUSE
+from ipaddress import ip_address
+from typing import Any, ClassVar, Unpack
+from urllib.parse import SplitResult
+
+import anyio
+from anyio.abc import Listener, SocketAttribute
+from anyio.streams.tls import TLSStream
+
+from fibaction._runtime.asyncio_task import asyncio_task
+from fibaction.wire.channel import Line, StreamChannel
+from fibaction.wire.frames import FrameReader, Framing
+from fibaction.wire.settings import WireKeywords
+from fibaction.wire.tls_files import TlsFiles
+from fibaction.wire.transport import boolean
+from fibaction.words.errors import TransportError
+from fibaction_transports._socket_lines import on_asyncio, tls_lines
+from fibaction_transports._socket_lines.client_tls import ClientTls
+from fibaction_transports._socket_lines.stream_transport import StreamTransport
+from fibaction_transports._socket_lines.tls import SPEAKS_TLS, TlsChannel, TlsListener, telling
+
+MAX_PORT = 65535
+"""The largest port: a number of 16 bits."""
+
+
+class HostTransport(StreamTransport):
+    """A transport whose servers have a host and a port."""
+
+    own_settings: ClassVar[tuple[str, ...]] = ("tls", "insecure")
+    own_url_settings: ClassVar = {"insecure": boolean}
+    speaks_tls: ClassVar[bytes] = SPEAKS_TLS
+    """The answer of a server with TLS to a client that does not begin with TLS."""
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        *,
+        tls: TlsFiles | ssl.SSLContext | None,
+        insecure: bool,
+        **settings: Unpack[WireKeywords],
+    ) -> None:
+        super().__init__(**settings)
+        if not 0 <= port <= MAX_PORT:
+            raise ValueError(f"port is between 0 and {MAX_PORT}, not {port}")
+        self._host = host
+        self._port = port
+        self._tls = tls
+        self._client_tls = None if tls is None else ClientTls(tls)
+        self._insecure = insecure
+
+    @property
+    def url(self) -> str:
+        """The address as a URL, without settings."""
+        return self._url(self._port)
+
+    def _url(self, port: int) -> str:
+        return f"{self._scheme}://{self._netloc(port)}"
+
+    def _netloc(self, port: int) -> str:
+        host = f"[{self._host}]" if ":" in self._host else self._host
+        return f"{host}:{port}"
+
+    @property
+    def _scheme(self) -> str:
+        return self.tls_schemes[0] if self._tls else self.plain_scheme
+
+    def _client_framing(self) -> Framing:
+        """Return the form of the frames of a client's line."""
+        return FrameReader(self.client_settings.max_frame)
+
+    async def _connect(self) -> Line:
+        framing, tls = self._client_framing(), self._client_tls
+        if asyncio_task() is not None:
+            if tls is None:
+                return await on_asyncio.dial_tcp(self._host, self._port, framing, self.url)
+            return await tls_lines.dial_tls(self._host, self._port, framing, self.url, tls)
+        stream = await anyio.connect_tcp(self._host, self._port)
+        stream.extra(SocketAttribute.raw_socket).setsockopt(
+            socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
+        )
+        if tls is None:
+            return StreamChannel(stream, self.url, framing)
+        async with AsyncExitStack() as on_failure:
+            on_failure.push_async_callback(anyio.aclose_forcefully, stream)
+            wrapped = await TLSStream.wrap(stream, hostname=self._host, ssl_context=tls.context())
+            on_failure.pop_all()
+        return TlsChannel(wrapped, self.url, framing)
+
+    async def _listen(self) -> tuple[Listener[Any], str]:
+        if not (self._insecure or self._tls or is_loopback(self._host)):
+            raise TransportError(
+                f"{self.url} can be reached from other machines: use {self.tls_schemes[0]}://, or,"
+                f" if the network is your own, ?insecure=true behind the URL"
+                f" (in code insecure=True)"
+            )
+        context = self._tls
+        if isinstance(context, TlsFiles):
+            context = telling(context.server())
+        try:
+            listener = await anyio.create_tcp_listener(local_host=self._host, local_port=self._port)
+        except (OSError, UnicodeError) as exc:
+            if isinstance(exc, OSError) and exc.errno == EADDRINUSE:
+                raise TransportError(f"address already in use: {self.url}") from exc
+            text = getattr(exc, "strerror", None) or exc
+            raise TransportError(f"cannot listen at {self.url}: {text}") from exc
+        url = self._url(listener.extra(SocketAttribute.local_port))
+        if context is None:
+            return listener, url
+        limits = self.server_settings.limits
+        tls = TlsListener(
+            listener,
+            context,
+            handshake_timeout=limits.handshake,
+            most=limits.connections,
+            speaks_tls=self.speaks_tls,
+        )
+        return tls, url
+
+
+def port_in(parts: SplitResult, default: int) -> int:
+    """Return the port in a URL.
+
+    Raises:
+        ValueError: It is not a port; the text says so.
+    """
+    try:
+        port = parts.port
+    except ValueError as exc:
+        raise ValueError(f"invalid port: {exc}") from exc
+    return default if port is None else port
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether only this machine can reach a host."""
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False

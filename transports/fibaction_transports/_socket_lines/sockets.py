@@ -1,0 +1,115 @@
+"""Sockets that are accepted on asyncio, and streams over them that can be given up for a line."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Coroutine, Mapping
+from contextlib import suppress
+from typing import Any
+
+import anyio
+import anyio.lowlevel
+from anyio.abc import ByteStream, Listener, SocketAttribute, TaskGroup
+
+from fibaction._runtime.asyncio_task import asyncio_loop
+
+BATCH = 16
+"""Connections that are accepted in one turn of the event loop: each costs the next turns more."""
+
+
+class SocketStream(ByteStream):
+    """A stream over a socket that does not block.
+
+    It reads nothing ahead and has no task, so the socket can be taken from it at any time between
+    two calls.
+    """
+
+    def __init__(self, accepted: socket.socket) -> None:
+        self._socket = accepted
+        self._is_owner = True
+
+    def detach(self) -> socket.socket:
+        """Give up the socket, which the caller owns from now on."""
+        self._is_owner = False
+        return self._socket
+
+    @property
+    def extra_attributes(self) -> Mapping[Any, Callable[[], Any]]:
+        """The attributes that anyio's streams have, as far as logs need them."""
+        return {
+            SocketAttribute.family: lambda: self._socket.family,
+            SocketAttribute.remote_address: self._peer,
+        }
+
+    def _peer(self) -> Any:
+        """Return the address of the peer; None if the peer has reset the connection."""
+        try:
+            return self._socket.getpeername()
+        except OSError:
+            return None
+
+    async def receive(self, max_bytes: int = 2**16) -> bytes:
+        await anyio.lowlevel.checkpoint()
+        while True:
+            try:
+                data = self._socket.recv(max_bytes)
+            except BlockingIOError:
+                await anyio.wait_readable(self._socket)
+            else:
+                if not data:
+                    raise anyio.EndOfStream
+                return data
+
+    async def send(self, item: bytes) -> None:
+        await anyio.lowlevel.checkpoint()
+        view = memoryview(item)
+        while view:
+            try:
+                view = view[self._socket.send(view) :]
+            except BlockingIOError:
+                await anyio.wait_writable(self._socket)
+
+    async def send_eof(self) -> None:
+        self._socket.shutdown(socket.SHUT_WR)
+
+    async def aclose(self) -> None:
+        if self._is_owner and self._socket.fileno() >= 0:
+            anyio.notify_closing(self._socket)
+            self._socket.close()
+        await anyio.lowlevel.checkpoint()
+
+
+async def accept_sockets(
+    listener: Listener[Any],
+    begin: Callable[[socket.socket], Coroutine[Any, Any, None]],
+    tasks: TaskGroup,
+) -> None:
+    """Begin a task with the socket of each client that connects, until accepting fails.
+
+    Clients that come at the same time are accepted together, `BATCH` in a turn of the event loop.
+
+    Raises:
+        OSError: A connection could not be accepted.
+    """
+    loop = asyncio_loop()
+    listening = listener.extra(SocketAttribute.raw_socket)
+    while True:
+        accepted, _ = await loop.sock_accept(listening)
+        tasks.start_soon(begin, _without_delay(accepted))
+        for _ in range(BATCH - 1):
+            try:
+                accepted, _ = listening.accept()
+            except BlockingIOError:
+                break
+            accepted.setblocking(False)
+            tasks.start_soon(begin, _without_delay(accepted))
+        await anyio.lowlevel.checkpoint()  # it need not have waited
+
+
+def _without_delay(accepted: socket.socket) -> socket.socket:
+    if accepted.family != socket.AF_UNIX:
+        # asyncio sets it only where the socket names its protocol, which this one does not. A peer
+        # that has gone meanwhile is noticed later.
+        with suppress(OSError):
+            accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return accepted

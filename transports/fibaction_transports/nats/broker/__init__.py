@@ -1,0 +1,1 @@
+"""One connection to brokers of NATS: login, messages, JetStream."""

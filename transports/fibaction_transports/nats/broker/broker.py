@@ -1,0 +1,216 @@
+"""`Broker`: the interface of a connection to brokers, as far as a fleet uses them.
+
+Everything else in this package is written against it. `NatsBroker` is the real one; the simulation
+has another, on virtual time. There are three kinds of things:
+
+- Messages, which are not stored: `publish`, `subscribe`, `request`.
+- Records, of which the newest of each subject is stored. Each `put` names the sequence of the one
+  that it replaces, and is refused if there is another by now. Sequences of a stream only grow. A
+  record can have a time to live, which the broker judges; its end leaves a marker, which is a
+  record without data.
+- Notes, a queue from which each note is taken by one reader.
+
+No exception of a library crosses this interface.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import AsyncGenerator, Callable
+from contextlib import AbstractAsyncContextManager
+from enum import Enum
+from typing import NamedTuple, TypeAlias
+
+from fibaction_transports.nats.names import FleetNames
+
+
+class Message(NamedTuple):
+    """A message that is not stored."""
+
+    subject: str
+    data: bytes
+    reply: str
+    """The subject for an answer; empty if none is expected."""
+    has_no_responders: bool = False
+    """True if it is the broker's answer to a message whose subject has no subscriber."""
+
+
+class Record(NamedTuple):
+    """The newest record of a subject."""
+
+    subject: str
+    data: bytes
+    """Empty if it is a marker: the record before was deleted, or its time to live is over."""
+    sequence: int
+
+
+class PutFailure(Enum):
+    """The reason why a record was not stored for certain."""
+
+    REFUSED = "refused"
+    """There is another record by now than the expected one."""
+    UNKNOWN = "unknown"
+    """The broker has not answered: the record may be stored, or not."""
+    TOO_LARGE = "too large"
+    """The broker does not take records of this size. Nothing was stored."""
+    FULL = "full"
+    """The stream is full, or the broker has another fault. Nothing was stored."""
+
+
+class PutError(NamedTuple):
+    """A failed `put`."""
+
+    kind: PutFailure
+    text: str
+
+
+Stored: TypeAlias = Callable[[int | PutError], None]
+"""Takes the sequence of a stored record, or the error."""
+OnMessage: TypeAlias = Callable[[Message], None]
+"""Takes a message; it must not wait, and must not raise."""
+
+
+class NoResponders(Exception):
+    """An error for a request whose subject has no subscriber."""
+
+
+class BrokerAway(Exception):
+    """The broker did not answer in time; the text says what was asked."""
+
+
+class Subscription(ABC):
+    """A subscription to messages, until it is closed."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Get no more messages. Closing twice is harmless."""
+
+
+class Watch(ABC):
+    """The records of some subjects, and then each change."""
+
+    @abstractmethod
+    async def next(self) -> list[Record] | None:
+        """Return the next records, in the order of their sequences; None once, when all records
+        that were there at first have been returned.
+
+        It never ends by itself. If changes were missed, it begins anew: all records come again, and
+        None again after them. Records that were forgotten meanwhile do not come.
+        """
+
+
+class Note(NamedTuple):
+    """A note that was taken from the queue."""
+
+    data: bytes
+    done: Callable[[], None]
+    """Removes the note. One that is not removed within some seconds comes again."""
+
+
+class Broker(ABC):
+    """A connection to the brokers of a fleet."""
+
+    max_record: int
+    """The bytes of the largest record or message that the broker takes."""
+    brokers: int
+    """The number of brokers that keep records together, as far as it is known."""
+
+    @property
+    @abstractmethod
+    def is_connected(self) -> bool:
+        """True if there is a connection to a broker now. It is made again by itself."""
+
+    # Messages
+
+    @abstractmethod
+    def publish(self, subject: str, data: bytes, reply: str = "") -> None:
+        """Send a message soon, in the order of the calls.
+
+        If `reply` is given and the subject has no subscriber, a message with `has_no_responders`
+        comes to `reply`. Without a connection, it is sent on the next, or is lost.
+        """
+
+    @abstractmethod
+    async def subscribe(self, subject: str, on_message: OnMessage, queue: str = "") -> Subscription:
+        """Get the messages of a subject, from when this returns on; with a queue, each goes to one
+        member of the queue only.
+
+        Raises:
+            BrokerAway: There is no connection.
+        """
+
+    @abstractmethod
+    async def request(self, subject: str, data: bytes, timeout: float) -> bytes:
+        """Send a message, and return the first answer.
+
+        Raises:
+            NoResponders: The subject has no subscriber.
+            BrokerAway: There was no answer within `timeout` seconds.
+        """
+
+    @abstractmethod
+    async def flush(self) -> None:
+        """Wait until the broker has everything that was published.
+
+        Raises:
+            BrokerAway: There is no connection.
+        """
+
+    # Records
+
+    @abstractmethod
+    async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
+        """Make the streams of a fleet, or check those that are there.
+
+        Clients make none: a stream that is missing is like an empty one. `replicas` is the number
+        of brokers that keep each record; 0 leaves it to the broker, or as it is.
+
+        Raises:
+            TransportError: A stream of this name is of something else, or cannot be made.
+        """
+
+    @abstractmethod
+    def put(
+        self,
+        subject: str,
+        data: bytes,
+        *,
+        expected: int,
+        ttl: float | None = None,
+        then: Stored,
+    ) -> None:
+        """Store a record in place of the one with the sequence `expected`; 0 if there is none.
+
+        `ttl` is its time to live in seconds, rounded up to whole ones. `then` is called once, on
+        the event loop. Without data, it stores a marker, which deletes the record.
+        """
+
+    @abstractmethod
+    async def get(self, stream: str, subject: str) -> Record | None:
+        """Return the newest record of a subject, which may be a marker; None if there is none.
+
+        Raises:
+            BrokerAway: The broker does not answer.
+        """
+
+    @abstractmethod
+    def watch(self, stream: str, subject: str) -> AbstractAsyncContextManager[Watch]:
+        """Watch the records of a subject, which may have wildcards, while the block lasts.
+
+        Raises:
+            BrokerAway: The broker does not answer.
+        """
+
+    # Notes
+
+    @abstractmethod
+    def add_note(self, subject: str, data: bytes) -> None:
+        """Add a note to the queue; it is tried again until the broker has it."""
+
+    @abstractmethod
+    def notes(self, subject: str) -> AsyncGenerator[Note, None]:
+        """Take notes of a subject, one after the other, in the order in which they were added.
+
+        The next one is asked for when the iterator is asked, and not before: who has no room asks
+        for none. It waits as long as need be, also for the broker. The caller closes it.
+        """

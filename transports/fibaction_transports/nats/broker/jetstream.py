@@ -1,0 +1,247 @@
+"""Requests to JetStream: streams, and the answers to writes.
+
+They are written as JSON here, rather than through nats-py, whose methods a caller's task must not
+run (see `nats_client`).
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import anyio
+import msgspec
+
+from fibaction.words.errors import TransportError
+from fibaction_transports.nats.broker.broker import BrokerAway, NoResponders, PutError, PutFailure
+from fibaction_transports.nats.broker.client import NatsClient
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.settings import MANY
+
+MARKER_TTL = 60
+"""Seconds for which the marker of a deleted or expired record is kept."""
+LEAST_VERSION = (2, 11)
+"""The first version whose records have a time to live."""
+API_TIMEOUT = 5.0
+"""Seconds for requests that all brokers have to agree on."""
+ELECTION = 15.0
+"""Seconds within which several brokers agree on a leader."""
+INFO_TIMEOUT = 1.0
+"""Seconds for one request for the account, which brokers without a leader do not answer."""
+TRY_AGAIN = 0.2
+"""Seconds until a request is made again that no leader has answered."""
+SECOND = 10**9
+
+STREAM_NOT_FOUND, NAME_IN_USE = 10059, 10058
+NO_LEADER, OFFLINE = 10008, 10009
+WRONG_SEQUENCE = (10071, 10164)
+TOO_LARGE = (10054,)
+FULL = (10023, 10028, 10047, 10077)
+"""Numbers of errors, as in nats-server's server/errors.json."""
+NO_ROOM_FOR_REPLICAS = (10005, 10074)
+
+
+class ApiError(Exception):
+    """An error that JetStream has answered with."""
+
+    def __init__(self, error: dict[str, Any]) -> None:
+        super().__init__(str(error.get("description", "no description")))
+        self.code: int = error.get("code", 0)
+        self.number: int = error.get("err_code", 0)
+
+
+async def call(
+    client: NatsClient, name: str, body: bytes = b"", timeout: float = API_TIMEOUT
+) -> dict[str, Any]:
+    """Make a request to JetStream, and return the answer.
+
+    Raises:
+        ApiError: It answers with an error.
+        NoResponders, BrokerAway: It does not answer.
+    """
+    message = await client.request(f"$JS.API.{name}", body, timeout)
+    try:
+        answer: dict[str, Any] = msgspec.json.decode(message.data, type=dict[str, Any])
+    except msgspec.DecodeError as exc:
+        raise BrokerAway(f"the answer to {name} cannot be read: {exc}") from exc
+    if error := answer.get("error"):
+        raise ApiError(error)
+    return answer
+
+
+class _Error(msgspec.Struct):
+    code: int = 0
+    err_code: int = 0
+    description: str = ""
+
+
+class _PubAck(msgspec.Struct):
+    seq: int = 0
+    error: _Error | None = None
+
+
+_pub_ack = msgspec.json.Decoder(_PubAck)
+
+
+def outcome(data: bytes) -> int | PutError:
+    """Return the sequence of a stored record, or the error, from the answer to a write."""
+    try:
+        ack = _pub_ack.decode(data)
+    except msgspec.DecodeError as exc:
+        return PutError(PutFailure.UNKNOWN, f"the answer cannot be read: {exc}")
+    error = ack.error
+    if error is None:
+        return ack.seq
+    if error.err_code in WRONG_SEQUENCE:
+        kind = PutFailure.REFUSED
+    elif error.err_code in TOO_LARGE:
+        kind = PutFailure.TOO_LARGE
+    elif error.code == 503 and error.err_code not in FULL:
+        kind = PutFailure.UNKNOWN  # there is no leader now
+    else:
+        kind = PutFailure.FULL
+    return PutError(kind, error.description)
+
+
+def check_version(url: str, version: str) -> None:
+    """Check the version of a broker.
+
+    Raises:
+        TransportError: It is too old.
+    """
+    found = re.match(r"v?(\d+)\.(\d+)", version)
+    if found is None or (int(found[1]), int(found[2])) < LEAST_VERSION:
+        raise TransportError(
+            f"the broker at {url} is nats-server {version or 'of no known version'}, and a fleet"
+            f" needs 2.11 or later: in older ones the lease of a lost worker does not end"
+        )
+
+
+async def check_account(client: NatsClient) -> None:
+    """Check that JetStream is there for this account.
+
+    Raises:
+        TransportError: It is not.
+    """
+    why = "it does not answer"
+    with anyio.move_on_after(ELECTION):
+        while True:
+            try:
+                answer = await call(client, "INFO", timeout=INFO_TIMEOUT)
+            except NoResponders as exc:
+                why = "is not enabled: start nats-server with -js"
+                if not client.info.get("cluster"):
+                    raise TransportError(f"JetStream of the broker {client.url} {why}") from exc
+            except ApiError as exc:
+                why = f"cannot be used: {exc}"
+                if exc.number not in (NO_LEADER, OFFLINE):
+                    raise TransportError(f"JetStream of the broker {client.url} {why}") from exc
+            except BrokerAway as exc:
+                if not client.info.get("cluster"):
+                    raise TransportError(f"the broker {client.url} does not answer") from exc
+            else:
+                if answer.get("api", {}).get("level", 0) < 1:
+                    raise TransportError(
+                        f"JetStream of {client.url} is older than 2.11: update all brokers"
+                    )
+                return
+            await anyio.sleep(TRY_AGAIN)
+    raise TransportError(f"JetStream of the broker {client.url} {why}")
+
+
+async def is_missing(client: NatsClient, stream: str) -> bool:
+    """Return whether there is no such stream.
+
+    Raises:
+        BrokerAway: Nothing answers.
+    """
+    try:
+        await call(client, f"STREAM.INFO.{stream}")
+    except ApiError as exc:
+        return exc.number == STREAM_NOT_FOUND
+    except NoResponders as exc:
+        raise BrokerAway("JetStream does not answer") from exc
+    return False
+
+
+def _streams(names: FleetNames) -> list[dict[str, Any]]:
+    """Return the settings of the three streams of a fleet."""
+    records = {
+        "retention": "limits",
+        "storage": "file",
+        "discard": "new",
+        "max_msgs_per_subject": 1,
+        "allow_direct": True,
+        "allow_msg_ttl": True,
+        "allow_rollup_hdrs": True,
+        "subject_delete_marker_ttl": MARKER_TTL * SECOND,
+    }
+    notes = {"retention": "workqueue", "storage": "file", "discard": "new"}
+    return [
+        {"name": names.goals, "subjects": [names.all_goals()], **records},
+        {"name": names.workers, "subjects": [names.worker()], **records},
+        {"name": names.notes, "subjects": [names.all_want(), names.all_left()], **notes},
+    ]
+
+
+async def create_streams(
+    client: NatsClient, names: FleetNames, replicas: int, brokers: int
+) -> None:
+    """Make the streams of a fleet, or check those that are there.
+
+    Raises:
+        TransportError: A stream of this name is of something else, or cannot be made.
+    """
+    for wanted in _streams(names):
+        await _create_stream(client, wanted, replicas, brokers)
+
+
+async def _create_stream(
+    client: NatsClient, wanted: dict[str, Any], replicas: int, brokers: int
+) -> None:
+    name = wanted["name"]
+    count = replicas or (MANY if brokers >= MANY else 1)
+    with anyio.move_on_after(ELECTION):
+        while True:
+            try:
+                found = await _get_or_create(client, {**wanted, "num_replicas": count})
+                _check_stream(wanted, found)
+                if replicas and found["num_replicas"] != replicas:
+                    changed = msgspec.json.encode({**found, "num_replicas": replicas})
+                    await call(client, f"STREAM.UPDATE.{name}", changed)
+                return
+            except ApiError as exc:
+                if exc.number in NO_ROOM_FOR_REPLICAS and not replicas and count > 1:
+                    count = 1
+                elif exc.code != 503 or exc.number in NO_ROOM_FOR_REPLICAS:
+                    raise TransportError(f"the stream {name} cannot be made: {exc}") from exc
+            except (NoResponders, BrokerAway):
+                pass  # there is no leader now
+            await anyio.sleep(TRY_AGAIN)
+    raise TransportError(f"the stream {name} cannot be made: JetStream does not answer")
+
+
+async def _get_or_create(client: NatsClient, wanted: dict[str, Any]) -> dict[str, Any]:
+    name = wanted["name"]
+    try:
+        answer = await call(client, f"STREAM.INFO.{name}")
+    except ApiError as exc:
+        if exc.number != STREAM_NOT_FOUND:
+            raise
+        try:
+            answer = await call(client, f"STREAM.CREATE.{name}", msgspec.json.encode(wanted))
+        except ApiError as clash:
+            if clash.number != NAME_IN_USE:
+                raise
+            answer = await call(client, f"STREAM.INFO.{name}")  # another worker was faster
+    config: dict[str, Any] = answer["config"]
+    return config
+
+
+def _check_stream(wanted: dict[str, Any], found: dict[str, Any]) -> None:
+    for key in ("subjects", "retention", "max_msgs_per_subject", "allow_msg_ttl"):
+        if key in wanted and found.get(key) != wanted[key]:
+            raise TransportError(
+                f"the stream {wanted['name']} is of something else: its {key} is {found.get(key)},"
+                f" and not {wanted[key]}; choose another name for the fleet, or delete the stream"
+            )

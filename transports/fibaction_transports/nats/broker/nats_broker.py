@@ -1,0 +1,202 @@
+"""`NatsBroker`: a `Broker` on JetStream."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import AsyncGenerator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+from typing import Any
+
+import anyio
+import msgspec
+
+from fibaction._runtime.tasks import Background
+from fibaction_transports.nats.broker import jetstream
+from fibaction_transports.nats.broker.answers import ACK_TIMEOUT, NO_RESPONDERS, RawMessage
+from fibaction_transports.nats.broker.broker import (
+    Broker,
+    BrokerAway,
+    Message,
+    NoResponders,
+    Note,
+    OnMessage,
+    PutError,
+    PutFailure,
+    Record,
+    Stored,
+    Subscription,
+    Watch,
+)
+from fibaction_transports.nats.broker.client import NatsClient
+from fibaction_transports.nats.broker.note_queue import NoteQueue
+from fibaction_transports.nats.broker.record_watch import watch_records
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.settings import FleetSettings
+
+HEADERS = 2**10
+"""Bytes of a message that are left for its headers, at most."""
+FIRST_PAUSE, LONGEST_PAUSE = 0.02, 1.0
+"""Seconds until a note is added again that the broker has not taken."""
+
+
+class NatsBroker(Broker):
+    """A connection to brokers of NATS with JetStream."""
+
+    def __init__(self, client: NatsClient) -> None:
+        self._client = client
+        self._tasks: Any = None
+        self.brokers = 1
+        self.max_record = 0
+
+    @property
+    def is_connected(self) -> bool:
+        return self._client.is_connected
+
+    # Messages
+
+    def publish(self, subject: str, data: bytes, reply: str = "") -> None:
+        self._client.publish(subject, data, reply)
+
+    async def subscribe(self, subject: str, on_message: OnMessage, queue: str = "") -> Subscription:
+        def on_raw(raw: RawMessage) -> None:
+            on_message(Message(raw.subject, raw.data, raw.reply, raw.status == NO_RESPONDERS))
+
+        return await self._client.subscribe(subject, on_raw, queue)
+
+    async def request(self, subject: str, data: bytes, timeout: float) -> bytes:
+        return (await self._client.request(subject, data, timeout)).data
+
+    async def flush(self) -> None:
+        await self._client.flush()
+
+    # Records
+
+    async def create_streams(self, names: FleetNames, *, replicas: int = 0) -> None:
+        await jetstream.create_streams(self._client, names, replicas, self.brokers)
+
+    def put(
+        self,
+        subject: str,
+        data: bytes,
+        *,
+        expected: int,
+        ttl: float | None = None,
+        then: Stored,
+    ) -> None:
+        if len(data) > self.max_record:
+            text = f"{len(data)} bytes are more than the {self.max_record} that the broker takes"
+            error = PutError(PutFailure.TOO_LARGE, text)
+            self._client.soon(lambda: then(error))
+            return
+        headers = {"Nats-Expected-Last-Subject-Sequence": str(expected)}
+        if not data:
+            headers["Nats-Marker-Reason"] = "Remove"
+            ttl = jetstream.MARKER_TTL if ttl is None else ttl
+        if ttl is not None and ttl < math.inf:
+            headers["Nats-TTL"] = str(max(1, math.ceil(ttl)))
+        self._client.ask(subject, data, headers, lambda answer: then(_outcome(answer)))
+
+    async def get(self, stream: str, subject: str) -> Record | None:
+        try:
+            if self.brokers > 1:
+                return await self._get_from_leader(stream, subject)
+            answer = await self._client.request(
+                f"$JS.API.DIRECT.GET.{stream}.{subject}", b"", ACK_TIMEOUT
+            )
+        except NoResponders as exc:
+            if await jetstream.is_missing(self._client, stream):
+                return None
+            raise BrokerAway(f"the stream {stream} does not answer") from exc
+        if answer.status == "404":
+            return None
+        if answer.status:
+            raise BrokerAway(f"the stream {stream} does not answer: {answer.status}")
+        return Record(subject, answer.data, int(answer.headers["Nats-Sequence"]))
+
+    async def _get_from_leader(self, stream: str, subject: str) -> Record | None:
+        """Return the newest record: the other brokers, who answer as well, may have an old one."""
+        asked = msgspec.json.encode({"last_by_subj": subject})
+        try:
+            answer = await jetstream.call(self._client, f"STREAM.MSG.GET.{stream}", asked)
+        except jetstream.ApiError as exc:
+            if exc.code == 404:
+                return None
+            raise BrokerAway(f"the stream {stream} does not answer: {exc}") from exc
+        found = answer["message"]
+        return Record(subject, base64.b64decode(found.get("data", "")), found["seq"])
+
+    def watch(self, stream: str, subject: str) -> AbstractAsyncContextManager[Watch]:
+        return watch_records(self._client, stream, subject)
+
+    # Notes
+
+    def add_note(self, subject: str, data: bytes) -> None:
+        self._add_note(subject, data, FIRST_PAUSE)
+
+    def _add_note(self, subject: str, data: bytes, pause: float) -> None:
+        def then(answer: RawMessage | None) -> None:
+            if isinstance(_outcome(answer), PutError):
+                self._tasks.start_soon(again)
+
+        async def again() -> None:
+            await anyio.sleep(pause)
+            self._add_note(subject, data, min(2 * pause, LONGEST_PAUSE))
+
+        self._client.ask(subject, data, None, then)
+
+    def notes(self, subject: str) -> AsyncGenerator[Note, None]:
+        return NoteQueue(self._client, subject).notes()
+
+    # Life
+
+    async def check(self) -> None:
+        """Check that the broker has all that a fleet needs.
+
+        Raises:
+            TransportError: It is too old, or has no JetStream.
+        """
+        info = self._client.info
+        jetstream.check_version(self._client.url, str(info.get("version", "")))
+        await jetstream.check_account(self._client)
+        self.max_record = int(info.get("max_payload", 2**20)) - HEADERS
+        if info.get("cluster"):
+            self.brokers = max(len(info.get("connect_urls") or ()), 2)
+
+    def start(self, tasks: Any) -> None:
+        """Begin to connect again whenever the connection is lost."""
+        self._tasks = tasks
+        for task in (self._client.expire, self._client.keep_connected):
+            tasks.start_soon(task)
+
+
+def _outcome(answer: RawMessage | None) -> int | PutError:
+    """Return the sequence of a stored record, or the error."""
+    if answer is None:
+        return PutError(PutFailure.UNKNOWN, f"the broker did not answer within {ACK_TIMEOUT:g} s")
+    if answer.status:
+        return PutError(PutFailure.UNKNOWN, "the stream does not answer")
+    return jetstream.outcome(answer.data)
+
+
+@asynccontextmanager
+async def open_broker(settings: FleetSettings) -> AsyncGenerator[NatsBroker, None]:
+    """Connect to the brokers for as long as the block lasts.
+
+    Raises:
+        ServerNotFound: No broker answers.
+        AuthenticationFailed: A broker does not let this client in.
+        TransportError: The broker is too old, or has no JetStream.
+    """
+    client = NatsClient(settings)
+    broker = NatsBroker(client)
+    await client.connect()
+    async with Background() as tasks:
+        try:
+            broker.start(tasks)
+            with suppress(BrokerAway):
+                await client.flush()
+            await broker.check()
+            yield broker
+        finally:
+            await client.close()

@@ -1,0 +1,195 @@
+"""`CallRoutes`: the way of a goal from a worker that has lost it to the one that has it now.
+
+Theory of operation
+-------------------
+
+A client follows a goal on the line to its owner. The goal is lost there if the lease of the worker
+has ended, if the worker says that another one has taken the goal, or if the line does not come back
+in time. A line that only flickers does not lose it: the connection goes on with it on the next one.
+
+A lost goal waits here, and its record is read, again and again, until one of these is true:
+
+- Its owner is alive. The connection to that worker adopts the goal, and follows it from the last
+  feedback that has arrived. This is so if the goal has ended, too: its last feedback is there.
+- It has ended, and its owner is gone. It is finished by its record, and the feedback that has not
+  arrived counts as lost.
+- There is no record any more: its outcome is unknown.
+- `reconnect_timeout` seconds have passed since the line was lost: `ConnectionLost`.
+
+A worker that has just come to own a goal may not know it yet, and the former one may not know that
+it was lost. So a goal that is lost again before its owner has gone on with it waits, longer each
+time, before the next look.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import anyio
+from anyio import current_time
+from anyio.abc import TaskGroup
+
+from fibaction._runtime.log import clean_logger
+from fibaction.border.goal_store import StoredGoal
+from fibaction.wire.client.remote_goal import RemoteGoal
+from fibaction.wire.messages import Follow, Following, SendGoal
+from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError, UnknownGoal
+from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, Outcome
+from fibaction_transports.nats.broker.broker import Broker, BrokerAway
+from fibaction_transports.nats.client.worker_connections import WorkerConnections
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.records import GoalEntry, goal_entry
+from fibaction_transports.nats.workers import FleetWorkers
+
+FIRST_PAUSE, LONGEST_PAUSE = 0.05, 1.0
+"""Seconds between two looks at a record: short at first, for a takeover that is under way."""
+LOOKS = 32
+"""Records that are read at the same time: a lost worker may have had very many goals."""
+
+logger = clean_logger("fibaction.nats")
+
+
+class Found(NamedTuple):
+    """A goal that has a record."""
+
+    goal: StoredGoal
+    is_alive: bool
+    """True if the worker that owns it has a lease."""
+
+
+class CallRoutes:
+    """Finds goals, and leads lost ones to their owners."""
+
+    def __init__(
+        self,
+        broker: Broker,
+        names: FleetNames,
+        workers: FleetWorkers,
+        connections: WorkerConnections,
+        tasks: TaskGroup,
+        patience: float,
+    ) -> None:
+        """Let a goal wait `patience` seconds for its owner."""
+        self._broker = broker
+        self._names = names
+        self._workers = workers
+        self._connections = connections
+        self._tasks = tasks
+        self.patience = patience
+        """Seconds that a call waits for a worker that has its goal."""
+        self._looks = anyio.CapacityLimiter(LOOKS)
+        self._lost: dict[RemoteGoal, ActionError] = {}
+        self._is_closed = False
+        connections.on_lost = self.lose
+        workers.on_gone = connections.end
+
+    async def find(self, action: str, goal_id: GoalID) -> Found | None:
+        """Return the goal as its record tells it; None if it has none.
+
+        Raises:
+            ConnectionLost: The brokers do not answer.
+        """
+        await self._workers.ready()
+        try:
+            async with self._looks:
+                record = await self._broker.get(
+                    self._names.goals, self._names.goal(action, goal_id)
+                )
+        except BrokerAway as exc:
+            raise ConnectionLost(f"the record of goal {goal_id} cannot be read: {exc}") from exc
+        if record is None or not record.data:
+            return None
+        entry: GoalEntry = goal_entry(record.data)
+        return Found(entry.goal, self._workers.has(entry.goal.worker, entry.incarnation))
+
+    async def changes(self, pause: float) -> None:
+        """Wait until a worker comes or goes, for `pause` seconds at most."""
+        with anyio.move_on_after(pause):
+            await self._workers.news.wait()
+
+    def lose(self, goal: RemoteGoal, error: ActionError, since: float | None) -> None:
+        """Lead a goal to its owner that its connection cannot go on with, or could not since that
+        time.
+        """
+        if self._is_closed:
+            goal.fail(error)
+        else:
+            is_again = goal.lost_at is not None
+            if goal.lost_at is None:
+                goal.lost_at = current_time() if since is None else since
+            self._lost[goal] = error
+            self._tasks.start_soon(self._route, goal, goal.lost_at, is_again)
+
+    def close(self) -> None:
+        """End the goals that are lost now, or later."""
+        self._is_closed = True
+        lost, self._lost = self._lost, {}
+        for goal, error in lost.items():
+            goal.fail(error)
+
+    async def _route(self, goal: RemoteGoal, lost_at: float, is_again: bool) -> None:
+        gives_up = lost_at + self.patience
+        pause = FIRST_PAUSE
+        if is_again:
+            pause = min(max(current_time() - lost_at, FIRST_PAUSE), LONGEST_PAUSE)
+            await self.changes(pause)
+        while goal in self._lost:
+            is_over = is_again and current_time() >= gives_up
+            if await self._is_routed(goal, is_over=is_over):
+                self._lost.pop(goal, None)
+                return
+            if current_time() >= gives_up:
+                error = self._lost.pop(goal)
+                goal.fail(
+                    ConnectionLost(
+                        f"no worker has gone on with goal {goal.goal_id} within"
+                        f" {self.patience:g} s: {error}"
+                    )
+                )
+                return
+            await self.changes(min(pause, max(gives_up - current_time(), 0)))
+            pause = min(2 * pause, LONGEST_PAUSE)
+
+    async def _is_routed(self, goal: RemoteGoal, *, is_over: bool) -> bool:
+        """Return whether a lost goal is with an owner that lives, or has ended.
+
+        If its time is over, it goes to no owner any more.
+        """
+        try:
+            found = await self.find(goal.action, goal.goal_id)
+        except ConnectionLost as exc:
+            logger.debug("%s", exc)
+            return False
+        except ProtocolError as exc:
+            goal.fail(exc)
+            return True
+        if goal not in self._lost:
+            return True
+        if found is None:
+            goal.finish(UNKNOWN_OUTCOME, 0, goal.newest_attempt)
+        elif found.goal.ended_at and isinstance(self._lost[goal], UnknownGoal):
+            finish(goal, found.goal)  # its owner has forgotten it
+        elif found.is_alive and not is_over:
+            self._connections.adopt(found.goal.worker, goal)
+        elif found.goal.ended_at and not found.is_alive:
+            finish(goal, found.goal)
+        else:
+            return False
+        return True
+
+
+def finish(goal: RemoteGoal, stored: StoredGoal) -> None:
+    """End a goal by its record."""
+    outcome: Outcome[bytes] = Outcome(stored.status, stored.result, stored.reason)
+    goal.finish(outcome, stored.feedback_count, max(stored.attempt, 1))
+
+
+def ended_goal(opening: SendGoal | Follow, stored: StoredGoal) -> RemoteGoal:
+    """Return a goal that has ended, and whose owner is gone, by its record."""
+    goal = RemoteGoal(stored.goal_id, opening, 1, lambda message: None, math.inf)
+    place = stored.feedback_count
+    attempt = max(stored.attempt, 1)
+    goal.on_message(Following(opening.id, stored.stamp, stored.status, False, place, attempt))
+    finish(goal, stored)
+    return goal

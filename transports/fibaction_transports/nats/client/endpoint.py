@@ -1,0 +1,324 @@
+"""`FleetEndpoint`: an action that any number of workers of a fleet serve.
+
+A goal has one owner, which its record names. So a request about one goal goes to the owner, and if
+there is none, to all workers: one of them may still be deciding on the goal, or be a gateway, whose
+goals have no records. A request about many goals goes to all workers, and their answers are merged.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Awaitable, Callable, Iterable
+from typing import TypeVar
+
+import anyio
+from anyio import current_time
+
+from fibaction._runtime.text import excerpt, shortened
+from fibaction.border.abc import Endpoint, StatusStream
+from fibaction.server.registry.goal_record import digest_of
+from fibaction.server.registry.registry import ID_IN_USE
+from fibaction.types.action import ActionInfo
+from fibaction.wire.client.remote_goal import RemoteGoal
+from fibaction.wire.messages import LARGEST, CancelAnswered, CancelGoals, Follow, SendGoal
+from fibaction.words.errors import (
+    ActionError,
+    ConnectionLost,
+    GoalRejected,
+    InvalidMessage,
+    ServerNotFound,
+    UnknownGoal,
+)
+from fibaction.words.goals import (
+    UNKNOWN_SENDER,
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    Sender,
+)
+from fibaction.words.meta import Meta, checked_meta, size_of
+from fibaction_transports.nats.client.call_routes import (
+    Found,
+    ended_goal,
+)
+from fibaction_transports.nats.client.free_workers import Place
+from fibaction_transports.nats.client.parts import FleetParts, Patience, Trial
+
+T = TypeVar("T")
+
+RECORD_OVERHEAD = 4096
+"""Bytes of a record beside the goal, at most."""
+
+
+class FleetEndpoint(Endpoint):
+    """An action of a fleet."""
+
+    def __init__(self, parts: FleetParts, info: ActionInfo) -> None:
+        self._parts = parts
+        self._info = info
+
+    @property
+    def info(self) -> ActionInfo:
+        return self._info
+
+    # To send a goal
+
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
+        meta: Meta | None = None,
+    ) -> RemoteGoal:
+        carried = checked_meta(meta)
+        size = len(goal) + size_of(carried)
+        limit = self._parts.max_record - RECORD_OVERHEAD
+        if size > limit:
+            raise InvalidMessage(
+                f"the goal has {size} bytes, and {limit} are the limit of the brokers"
+            )
+        deadline = math.inf if timeout is None else current_time() + timeout
+
+        def request(call_id: int, credit: int) -> SendGoal:
+            allowed = credit if feedback else None
+            return SendGoal(call_id, self._info.name, goal_id, goal, allowed, meta=carried)
+
+        trial = Trial(self._parts, self._info.name)
+        places = self._parts.places
+        while True:
+            place = Place("")
+            try:
+                # The end of a lease says that a goal is lost, so the leases are needed.
+                await self._parts.workers.ready()
+                if trial.owner:
+                    place = Place(trial.owner)
+                else:
+                    place = await places.take(self._info.name)
+                trial.worker = place.worker
+                sent = await self._follow(place.worker, goal_id, request, deadline)
+                places.fill(self._info.name, place, sent)
+                return sent
+            except (GoalRejected, ConnectionLost, ServerNotFound) as exc:
+                error = exc
+            if place.is_used and isinstance(error, GoalRejected) and error.is_busy:
+                places.refuse(self._info.name, place)
+                continue
+            if trial.is_decided_by(error):
+                raise error
+            if not isinstance(error, ConnectionLost) and trial.worker and not trial.owner:
+                await trial.patience.wait(error)  # another worker may have room
+                continue
+            # Its answer may be lost, or another client may have sent the same goal before.
+            found = await self._found(goal_id, trial.patience)
+            if found is None and not trial.worker:
+                raise error
+            if found is not None and found.goal.ended_at and not found.is_alive:
+                return self._ended_sent(found, goal, request)
+            if not trial.goes_to(found):
+                await trial.patience.wait(error)
+
+    def _ended_sent(
+        self, found: Found, goal: bytes, request: Callable[[int, int], SendGoal]
+    ) -> RemoteGoal:
+        """Return a goal that was sent again, and has ended before.
+
+        Raises:
+            GoalRejected: Another goal has this ID.
+        """
+        if found.goal.digest != digest_of(goal):
+            raise GoalRejected(ID_IN_USE, goal_id=found.goal.goal_id)
+        return ended_goal(request(self._parts.connections.next_id(), 1), found.goal)
+
+    # To follow a goal
+
+    async def feedback(
+        self,
+        goal_id: GoalID,
+        *,
+        after: int | None = None,
+        own: bool = False,
+        attempt: int = 1,
+    ) -> RemoteGoal:
+        if after is not None:
+            after = min(max(after, 0), LARGEST)  # as the server would do
+
+        def request(call_id: int, credit: int) -> Follow:
+            return Follow(call_id, self._info.name, goal_id, after, own, credit, attempt)
+
+        patience = Patience(self._parts.routes)
+        while True:
+            found = await self._found(goal_id, patience)
+            if found is None:
+                return await self._feedback_without_record(goal_id, request)
+            error: ActionError = _gone(found)
+            if found.is_alive:
+                try:
+                    return await self._follow(found.goal.worker, goal_id, request)
+                except (UnknownGoal, ConnectionLost, ServerNotFound) as exc:
+                    error = exc
+            if found.goal.ended_at:
+                if isinstance(error, UnknownGoal):
+                    raise error  # its owner has forgotten it, and the record goes soon
+                if not isinstance(error, ConnectionLost) or not found.is_alive:
+                    return ended_goal(request(self._parts.connections.next_id(), 1), found.goal)
+            await patience.wait(error)
+
+    async def _feedback_without_record(
+        self, goal_id: GoalID, request: Callable[[int, int], Follow]
+    ) -> RemoteGoal:
+        error: ActionError = UnknownGoal(goal_id)
+        for worker in await self.workers():
+            if not self._parts.workers.is_kept(worker, self._info.name):
+                try:
+                    return await self._follow(worker, goal_id, request)
+                except UnknownGoal:
+                    pass
+                except (ConnectionLost, ServerNotFound) as exc:
+                    error = exc
+        raise error
+
+    # To cancel goals
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        if stamp:  # 0 is not a stamp; a number that cannot be sent keeps its meaning
+            stamp = min(max(stamp, 1), LARGEST)
+        if goal_id is not None and any(goal_id) and not stamp:
+            return await self._cancel_one(goal_id)
+        return await self._cancel_at_all(goal_id, stamp)
+
+    async def _cancel_one(self, goal_id: GoalID) -> CancelAnswer:
+        patience = Patience(self._parts.routes)
+        while True:
+            found = await self._found(goal_id, patience)
+            if found is None:
+                return await self._cancel_at_all(goal_id, None)
+            if found.is_alive:
+                try:
+                    return await self._cancel_at(found.goal.worker, goal_id, None)
+                except (ConnectionLost, ServerNotFound) as exc:
+                    error: ActionError = exc
+            elif found.goal.ended_at:
+                return CancelAnswer(CancelCode.GOAL_TERMINATED)
+            else:
+                error = _gone(found)
+            await patience.wait(error)
+
+    async def _cancel_at_all(self, goal_id: GoalID | None, stamp: int | None) -> CancelAnswer:
+        async def ask(worker: str) -> CancelAnswer:
+            return await self._cancel_at(worker, goal_id, stamp)
+
+        return CancelAnswer.merged(await self.of_all(await self.workers(), ask))
+
+    async def _cancel_at(
+        self, worker: str, goal_id: GoalID | None, stamp: int | None
+    ) -> CancelAnswer:
+        calls = self._parts.connections.calls_of(worker)
+        answer: CancelAnswered = await calls.ask(
+            lambda call_id: CancelGoals(call_id, self._info.name, goal_id, stamp), CancelAnswered
+        )
+        goals = tuple(GoalInfo(GoalID(one), when, status) for one, when, status in answer.goals)
+        return CancelAnswer(CancelCode(answer.return_code), goals, shortened(answer.reason))
+
+    # All goals, and the server
+
+    async def status(self) -> StatusStream:
+        return await self._parts.statuses.follow(self._info.name)
+
+    async def wait_for_server(self) -> None:
+        workers = self._parts.workers
+        while True:
+            try:
+                await workers.ready()
+                break
+            except ConnectionLost:
+                workers.check()  # the brokers may be away for as long as they like
+        while not workers.serving(self._info.name):
+            await workers.news.wait()
+            workers.check()
+
+    # Parts of these
+
+    async def _found(self, goal_id: GoalID, patience: Patience) -> Found | None:
+        """Return the goal by its record; wait for the brokers, if they are away."""
+        while True:
+            try:
+                return await self._parts.routes.find(self._info.name, goal_id)
+            except ConnectionLost as exc:
+                await patience.wait(exc)
+
+    async def _follow(
+        self,
+        worker: str,
+        goal_id: GoalID,
+        request: Callable[[int, int], SendGoal | Follow],
+        deadline: float = math.inf,
+    ) -> RemoteGoal:
+        is_kept = self._parts.workers.is_kept(worker, self._info.name)
+        return await self._parts.connections.follow(
+            worker, goal_id, request, deadline=deadline, is_kept=is_kept
+        )
+
+    async def workers(self) -> list[str]:
+        """Return the names of all workers that serve the action.
+
+        Raises:
+            ServerNotFound: There is none.
+            ConnectionLost: The brokers do not answer.
+        """
+        workers = self._parts.workers
+        await workers.ready()
+        serving = workers.serving(self._info.name)
+        if not serving:
+            raise workers.not_served(self._info.name)
+        return [lease.worker for lease in serving]
+
+    async def of_all(self, workers: Iterable[str], ask: Callable[[str], Awaitable[T]]) -> list[T]:
+        """Return the answers of all these workers, without those that are gone meanwhile.
+
+        Raises:
+            ActionError: The first error of a worker that is not gone.
+        """
+        answers: list[T] = []
+        errors: list[ActionError] = []
+
+        async def ask_one(worker: str) -> None:
+            patience = Patience(self._parts.routes)
+            while True:
+                try:
+                    answers.append(await ask(worker))
+                    return
+                except (ConnectionLost, ServerNotFound) as exc:
+                    error: ActionError = exc
+                except ActionError as exc:
+                    errors.append(exc)
+                    return
+                if self._parts.workers.get(worker) is None:
+                    return
+                if not self._parts.workers.is_kept(worker, self._info.name):
+                    errors.append(error)
+                    return
+                try:
+                    await patience.wait(error)
+                except ActionError as exc:
+                    errors.append(exc)
+                    return
+
+        async with anyio.create_task_group() as tasks:
+            for worker in workers:
+                tasks.start_soon(ask_one, worker)
+        if errors:
+            raise errors[0]
+        return answers
+
+
+def _gone(found: Found) -> ConnectionLost:
+    goal = found.goal
+    return ConnectionLost(
+        f"worker {excerpt(goal.worker)!r}, which has goal {goal.goal_id}, is gone"
+    )

@@ -1,0 +1,1 @@
+"""Lines of the wire protocol over messages of a broker."""

@@ -1,0 +1,142 @@
+"""Records and messages of a fleet, as values and as bytes.
+
+`GoalEntry` is the record of a goal. Whoever writes it names the sequence of the entry that it
+replaces, so exactly one worker can: the entry is the ownership. `LeaseEntry` is the record of a
+worker, which says that it is there; it ends by its time to live. `Question` and `Offer` are
+messages, by which a client finds a worker for new goals.
+
+Workers are told apart by incarnation, and not by name: a name may be used again.
+
+Sans-I/O.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from fibaction.border.goal_store import StoredGoal
+from fibaction.types.action import ActionInfo
+from fibaction.words.errors import ProtocolError
+
+INCARNATION_SIZE = 8
+"""Bytes of an incarnation: random, so that no two workers ever have the same."""
+NONCE_SIZE = 4
+"""Bytes of a nonce, which tells whether a stored entry is the one that was just written."""
+
+
+class GoalEntry(msgspec.Struct, array_like=True, gc=False):
+    """The record of a goal."""
+
+    goal: StoredGoal
+    incarnation: bytes
+    """The worker that has the goal, which `goal.worker` names; empty if no worker has it."""
+    nonce: bytes
+    """Random bytes of this write."""
+
+
+class ServedAction(msgspec.Struct, array_like=True, frozen=True):
+    """An action that a worker serves."""
+
+    info: ActionInfo
+    is_kept: bool
+    """True if its goals have entries; False behind a gateway, whose servers keep their own."""
+
+
+class LeaseEntry(msgspec.Struct, array_like=True):
+    """The record of a worker."""
+
+    worker: str
+    incarnation: bytes
+    """Empty while a lost worker of this name is cleared up after: then `cleared_by` does that.
+    Also empty if nothing is left to clear up: then `cleared_by` is empty as well."""
+    since: int = 0
+    """Time at which the worker joined: nanoseconds since 1970."""
+    lease: float = 0.0
+    """The time to live of this record, in seconds."""
+    actions: tuple[ServedAction, ...] = ()
+    goals: int = 0
+    """The number of active goals when this was written."""
+    has_room: bool = False
+    """True if it answered questions for at least one action when this was written."""
+    cleared_by: str = ""
+
+
+class Question(msgspec.Struct, array_like=True, frozen=True):
+    """The message of a client that has new goals of an action."""
+
+    goals: int
+    """The number of goals, at least 1."""
+
+
+class Offer(msgspec.Struct, array_like=True, frozen=True):
+    """The answer of a worker: it takes at most so many goals now."""
+
+    worker: str
+    goals: int
+
+
+def _plain(value: Any) -> Any:
+    """Return the bytes of a goal ID, the only type here that msgspec does not know."""
+    return value[:]
+
+
+def _made(wanted: Any, value: bytes) -> Any:
+    return wanted(value)
+
+
+encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
+"""Returns a value of this module as bytes."""
+
+_goal_decoder = msgspec.msgpack.Decoder(GoalEntry, dec_hook=_made)
+_lease_decoder = msgspec.msgpack.Decoder(LeaseEntry)
+_question_decoder = msgspec.msgpack.Decoder(Question)
+_offer_decoder = msgspec.msgpack.Decoder(Offer)
+
+
+def _decoded(decoder: msgspec.msgpack.Decoder[Any], data: bytes, name: str) -> Any:
+    try:
+        return decoder.decode(data)
+    except (msgspec.MsgspecError, ValueError) as exc:
+        raise ProtocolError(f"{name} of the fleet cannot be read: {exc}") from exc
+
+
+def goal_entry(data: bytes) -> GoalEntry:
+    """Return the record of a goal.
+
+    Raises:
+        ProtocolError: The bytes are not one.
+    """
+    entry: GoalEntry = _decoded(_goal_decoder, data, "the record of a goal")
+    return entry
+
+
+def lease_entry(data: bytes) -> LeaseEntry:
+    """Return the record of a worker.
+
+    Raises:
+        ProtocolError: The bytes are not one.
+    """
+    entry: LeaseEntry = _decoded(_lease_decoder, data, "the lease of a worker")
+    return entry
+
+
+def question(data: bytes) -> Question:
+    """Return the question of a client.
+
+    Raises:
+        ProtocolError: The bytes are not one.
+    """
+    asked: Question = _decoded(_question_decoder, data, "a question")
+    return asked
+
+
+def offer(data: bytes) -> Offer:
+    """Return the offer of a worker.
+
+    Raises:
+        ProtocolError: The bytes are not one.
+    """
+    offered: Offer = _decoded(_offer_decoder, data, "an offer")
+    return offered

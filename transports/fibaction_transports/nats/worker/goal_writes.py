@@ -1,0 +1,145 @@
+"""The writes of goals to their records: their order, and the rule for doubtful ones.
+
+Theory of operation
+-------------------
+
+The writes of one goal wait for each other, because each needs the sequence of the one before; those
+of different goals do not. Answers are given in the order of the calls (`AnswerQueue`).
+
+A write without an answer may be stored or not. Then the record is read, until the lease ends: with
+the nonce of the write it is stored; with the sequence from before it is written again; otherwise
+the goal is taken (`HeldGoal.sequence_for`).
+
+Sans-I/O.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections import deque
+from collections.abc import Callable
+from copy import copy
+
+from fibaction.border.goal_store import GoalTaken, StoredGoal, Then
+from fibaction.words.errors import ProtocolError, StoreError
+from fibaction.words.goals import GoalID
+from fibaction_transports.nats.broker.broker import Record
+from fibaction_transports.nats.records import NONCE_SIZE, GoalEntry, encode, goal_entry
+from fibaction_transports.nats.worker.lease import FIRST_PAUSE, LONGEST_PAUSE
+
+IS_STORED = -1
+"""Stands for a sequence: the write is stored already."""
+
+
+class Write:
+    """A write of one goal."""
+
+    __slots__ = (
+        "_pause",
+        "answer",
+        "data",
+        "incarnation",
+        "is_answered",
+        "kind",
+        "nonce",
+        "stored",
+        "then",
+    )
+
+    def __init__(
+        self, kind: str, goal: StoredGoal, worker: str, incarnation: bytes, then: Then
+    ) -> None:
+        self.kind = kind
+        self.stored = copy(goal)
+        self.stored.worker = "" if kind == "release" else worker
+        self.incarnation = incarnation
+        self.nonce = secrets.token_bytes(NONCE_SIZE)
+        owner = b"" if kind == "release" else incarnation
+        self.data = encode(GoalEntry(self.stored, owner, self.nonce))
+        self.then = then
+        self.is_answered = False
+        self.answer: StoreError | None = None
+        self._pause = FIRST_PAUSE
+
+    def next_pause(self) -> float:
+        """Return the seconds before the next try, which grow from one to the next."""
+        pause, self._pause = self._pause, min(2 * self._pause, LONGEST_PAUSE)
+        return pause
+
+
+class HeldGoal:
+    """A goal that this worker has."""
+
+    __slots__ = ("goal_id", "sequence", "stored", "waits", "writes")
+
+    def __init__(self, goal_id: GoalID, sequence: int, stored: StoredGoal) -> None:
+        self.goal_id = goal_id
+        self.sequence = sequence
+        """The sequence of its record; 0 if it has none."""
+        self.stored = stored
+        """The goal as it was written last."""
+        self.waits = False
+        """True if it has not begun here."""
+        self.writes: deque[Write] = deque()
+        """The writes that are not answered; the first one is under way."""
+
+    def is_first(self, write: Write) -> bool:
+        """Return whether a write is the one that is under way."""
+        return bool(self.writes) and self.writes[0] is write
+
+    def sequence_for(self, write: Write, record: Record | None) -> int | None:
+        """Return the sequence to write over, by the record that was read after a doubtful write;
+        `IS_STORED` if the write is stored, None if the goal is taken.
+        """
+        if record is None or record.sequence < self.sequence:
+            return self.sequence  # by a broker that is behind: sequences only grow
+        if not record.data:
+            return record.sequence if write.kind == "accept" else None
+        try:
+            entry = goal_entry(record.data)
+        except ProtocolError:
+            return None
+        if entry.nonce == write.nonce:
+            return IS_STORED
+        if record.sequence == self.sequence:
+            return record.sequence
+        has_ended = entry.goal.status.is_terminal and entry.incarnation == write.incarnation
+        # The server has forgotten its outcome, so the goal may be sent anew.
+        return record.sequence if write.kind == "accept" and has_ended else None
+
+
+class AnswerQueue:
+    """The answers to writes, which are given in the order of the calls."""
+
+    def __init__(self, on_empty: Callable[[], None]) -> None:
+        """Call `on_empty` when all writes are answered."""
+        self._on_empty = on_empty
+        self._order: deque[Write] = deque()
+        self._is_answering = False
+
+    def __len__(self) -> int:
+        return len(self._order)
+
+    def add(self, write: Write) -> None:
+        """Take the turn of a write."""
+        self._order.append(write)
+
+    def answer(self, write: Write, error: StoreError | None) -> None:
+        """Answer a write as soon as all before it are answered."""
+        write.is_answered, write.answer = True, error
+        if self._is_answering:
+            return  # a function that takes an answer has called
+        self._is_answering = True
+        try:
+            while self._order and self._order[0].is_answered:
+                first = self._order.popleft()
+                first.then(first.answer)
+        finally:
+            self._is_answering = False
+        if not self._order:
+            self._on_empty()
+
+
+def taken(goal_id: GoalID) -> GoalTaken:
+    """Return the error for a goal of another worker."""
+    return GoalTaken(f"another worker has goal {goal_id}")

@@ -1,0 +1,340 @@
+"""`FleetJournal`: the goals of one action at one worker, kept by the brokers.
+
+Theory of operation
+-------------------
+
+The record of a goal is its ownership. Each write replaces the record whose sequence the worker
+knows, and is refused if there is another by now: then the goal belongs to another worker
+(`GoalTaken`). `goal_writes` has the rules for the order of writes, and for those without an answer.
+
+A goal that waits adds a note to the queue `want`, and a goal that is released one to `left`, so
+that other workers find it: see `takeover`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from anyio import sleep
+from anyio.abc import TaskGroup
+
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.text import excerpt
+from fibaction.border.goal_store import GoalJournal, RecordTooLarge, StoredGoal, Then
+from fibaction.words.errors import StoreError
+from fibaction.words.goals import GoalID
+from fibaction_transports.nats.broker.broker import Broker, BrokerAway, PutError, PutFailure, Record
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.worker.goal_writes import (
+    IS_STORED,
+    AnswerQueue,
+    HeldGoal,
+    Write,
+    taken,
+)
+from fibaction_transports.nats.worker.lease import Membership
+
+SECOND: Final = 1_000_000_000
+DELETED_TTL = 60.0
+"""Seconds that a deleted record is remembered."""
+RESERVE = 512
+"""Bytes by which the record of an active goal may grow, and those of its headers."""
+
+
+class JournalStore(Protocol):
+    """The part of a store that its journals use."""
+
+    broker: Broker
+    names: FleetNames
+    membership: Membership
+    tasks: TaskGroup
+    on_room: Callable[[], None]
+
+
+class FleetJournal(GoalJournal):
+    """The goals of one action at one worker."""
+
+    def __init__(
+        self,
+        store: JournalStore,
+        action: str,
+        max_results: int,
+        claim: Callable[[StoredGoal], None],
+        lose: Callable[[GoalID], None],
+    ) -> None:
+        self.action = action
+        self.running = 0.0
+        """The number of goals that the server can run now."""
+        self.waiting = 0.0
+        """The number of goals that have room in its queue."""
+        self._store = store
+        self._broker = store.broker
+        self._names = store.names
+        self._membership = store.membership
+        self._max_results = max_results
+        self._claim = claim
+        self._lose = lose
+        self._held: dict[GoalID, HeldGoal] = {}
+        self._ended: deque[tuple[int, str, int]] = deque()  # keep_until, subject, sequence
+        self._settled = Notifier()
+        self._answers = AnswerQueue(self._settled.notify)
+        self.begun = Notifier()
+        """Notifies of each goal that does not wait any longer."""
+
+    @property
+    def valid_until(self) -> float:
+        """See `GoalJournal.valid_until`."""
+        return self._membership.valid_until
+
+    def set_room(self, running: float, waiting: float) -> None:
+        """See `GoalJournal.set_room`."""
+        self.running, self.waiting = running, waiting
+        self._store.on_room()
+
+    # Writes
+
+    def accept(self, goal: StoredGoal, then: Then) -> None:
+        """See `GoalJournal.accept`."""
+        if goal.goal_id in self._held:
+            # It is being taken over from another worker, and the server will be given it.
+            self._refuse(self._new_write("accept", goal, then))
+            return
+        held = self._held[goal.goal_id] = HeldGoal(goal.goal_id, 0, goal)
+        held.waits = not goal.is_running
+        self._write("accept", goal, then)
+
+    def begin(self, goal: StoredGoal, then: Then) -> None:
+        """See `GoalJournal.begin`."""
+        held = self._held.get(goal.goal_id)
+        if held is not None:
+            held.waits = False
+        self._write("begin", goal, then)
+        self.begun.notify()
+
+    def cancel(self, goal: StoredGoal, then: Then) -> None:
+        """See `GoalJournal.cancel`."""
+        self._write("cancel", goal, then)
+
+    def checkpoint(self, goal: StoredGoal, then: Then) -> None:
+        """See `GoalJournal.checkpoint`."""
+        self._write("checkpoint", goal, then)
+
+    def end(self, goal: StoredGoal, then: Then) -> None:
+        """See `GoalJournal.end`."""
+        held = self._held.get(goal.goal_id)
+        if held is not None:
+            held.waits = False
+        self._write("end", goal, then)
+
+    def release(self, goal: StoredGoal, then: Then) -> None:
+        """See `GoalJournal.release`."""
+        self._write("release", goal, then)
+
+    def _write(self, kind: str, goal: StoredGoal, then: Then) -> None:
+        write = self._new_write(kind, goal, then)
+        held = self._held.get(goal.goal_id)
+        if held is None:
+            self._refuse(write)
+            return
+        held.writes.append(write)
+        if len(held.writes) == 1:
+            self._send(held)
+
+    def _new_write(self, kind: str, goal: StoredGoal, then: Then) -> Write:
+        """Return a write of a goal, and take its turn among the answers."""
+        membership = self._membership
+        write = Write(kind, goal, membership.worker, membership.incarnation, then)
+        self._answers.add(write)
+        return write
+
+    def _refuse(self, write: Write) -> None:
+        """Answer a write of a goal that belongs to another worker."""
+        self._answers.answer(write, taken(write.stored.goal_id))
+
+    def _send(self, held: HeldGoal) -> None:
+        """Send the first write of a goal."""
+        write = held.writes[0]
+        if not self._membership.check() or self._membership.incarnation != write.incarnation:
+            self._taken_away(held)
+            return
+        limit = self._broker.max_record - (RESERVE if write.kind in ("accept", "checkpoint") else 0)
+        if len(write.data) > limit:
+            self._answered(held, write, PutError(PutFailure.TOO_LARGE, ""))
+            return
+        subject = self._names.goal(self.action, held.goal_id)
+        ttl = None
+        if write.kind == "end" and write.stored.keep_until:
+            ttl = max(1.0, (write.stored.keep_until - time.time_ns()) / SECOND)
+
+        def answered(answer: int | PutError) -> None:
+            if held.is_first(write):
+                self._answered(held, write, answer)
+
+        self._broker.put(subject, write.data, expected=held.sequence, ttl=ttl, then=answered)
+
+    def _answered(self, held: HeldGoal, write: Write, answer: int | PutError) -> None:
+        if isinstance(answer, int):
+            self._stored(held, write, answer)
+        elif answer.kind is PutFailure.TOO_LARGE:
+            what = f"the record of goal {held.goal_id} has {len(write.data)} bytes"
+            limit = f"the brokers take {self._broker.max_record} at most"
+            self._failed(held, write, RecordTooLarge(f"{what}, and {limit}"))
+        elif answer.kind is PutFailure.FULL:
+            fleet = excerpt(self._names.fleet)
+            error = StoreError(f"the brokers of fleet {fleet!r} keep no more goals: {answer.text}")
+            self._failed(held, write, error)
+        else:
+            self._store.tasks.start_soon(self._clear_doubt, held, write)
+
+    def _stored(self, held: HeldGoal, write: Write, sequence: int) -> None:
+        """Note that the first write of a goal is stored, and send the next one."""
+        held.sequence, held.stored = sequence, write.stored
+        held.writes.popleft()
+        if write.kind == "end":
+            self._forget(held)
+            self._note_ended(held)
+        elif write.kind == "release":
+            self._forget(held)
+            self._broker.add_note(self._names.left(self.action), bytes(held.goal_id))
+        elif write.kind == "accept" and held.waits:
+            self.offer_to_others(held.goal_id)
+        self._answers.answer(write, None)
+        if held.writes:
+            self._send(held)
+
+    def offer_to_others(self, goal_id: GoalID) -> None:
+        """Add a note for workers with room, if a goal waits here."""
+        held = self._held.get(goal_id)
+        if held is not None and held.waits:
+            self._broker.add_note(self._names.want(self.action), bytes(goal_id))
+
+    def _failed(self, held: HeldGoal, write: Write, error: StoreError) -> None:
+        """Give up the first write of a goal, whose record is as before."""
+        held.writes.popleft()
+        if not held.sequence and not held.writes:
+            self._forget(held)
+        self._answers.answer(write, error)
+        if held.writes:
+            self._send(held)
+
+    def _taken_away(self, held: HeldGoal) -> None:
+        """Answer all writes of a goal that belongs to another worker."""
+        self._forget(held)
+        while held.writes:
+            self._answers.answer(held.writes.popleft(), taken(held.goal_id))
+
+    def _forget(self, held: HeldGoal) -> None:
+        if self._held.get(held.goal_id) is held:
+            del self._held[held.goal_id]
+        self._settled.notify()
+        self.begun.notify()
+
+    # Doubt
+
+    async def _clear_doubt(self, held: HeldGoal, write: Write) -> None:
+        """Find out whether a write is stored, and write it again if it is not."""
+        while held.is_first(write):
+            if not self._membership.check() or self._membership.incarnation != write.incarnation:
+                self._taken_away(held)
+                return
+            subject = self._names.goal(self.action, held.goal_id)
+            try:
+                record = await self._broker.get(self._names.goals, subject)
+            except BrokerAway:
+                await sleep(write.next_pause())
+                continue
+            if not held.is_first(write):
+                return
+            sequence = held.sequence_for(write, record)
+            if sequence is None:
+                self._taken_away(held)
+            elif record is not None and sequence == IS_STORED:
+                self._stored(held, write, record.sequence)
+            else:
+                held.sequence = sequence
+                await sleep(write.next_pause())
+                if held.is_first(write):
+                    self._send(held)
+            return
+
+    # Goals that come and go
+
+    def has(self, goal_id: GoalID) -> bool:
+        """Return whether this worker has a goal."""
+        return goal_id in self._held
+
+    def waits(self, goal_id: GoalID) -> bool:
+        """Return whether a goal waits at this worker."""
+        held = self._held.get(goal_id)
+        return held is not None and held.waits
+
+    def __len__(self) -> int:
+        return len(self._held)
+
+    async def take(self, record: Record, goal: StoredGoal) -> bool:
+        """Take a goal over from its owner; return whether that was successful."""
+        if goal.goal_id in self._held:
+            return False
+        former = goal.worker
+        held = self._held[goal.goal_id] = HeldGoal(goal.goal_id, record.sequence, goal)
+        held.waits = True
+        answers: list[StoreError | None] = []
+        news = Notifier()
+
+        def then(error: StoreError | None) -> None:
+            answers.append(error)
+            news.notify()
+
+        self._write("take", goal, then)
+        while not answers:
+            await news.wait()
+        if answers[0] is not None or goal.goal_id not in self._held:
+            self._forget(held)
+            return False
+        goal.worker = former
+        self._claim(goal)
+        return True
+
+    def lose(self, goal_id: GoalID) -> None:
+        """Let go of a goal that another worker has."""
+        held = self._held.get(goal_id)
+        if held is not None:
+            self._lose(goal_id)
+            self._taken_away(held)
+
+    def lose_all(self) -> None:
+        """Let go of all goals: they do not belong to this worker any longer."""
+        for goal_id in tuple(self._held):
+            self.lose(goal_id)
+
+    async def settle(self) -> None:
+        """Wait until nothing is being written."""
+        while self._answers:
+            await self._settled.wait()
+
+    async def release_rest(self) -> None:
+        """Release the goals that are left when the server has stopped."""
+        await self.settle()
+        for held in tuple(self._held.values()):
+            # They wait, or were claimed and not begun: whoever takes them decides.
+            self._write("release", held.stored, lambda _error: None)
+        await self.settle()
+
+    # Outcomes
+
+    def _note_ended(self, held: HeldGoal) -> None:
+        """Delete the oldest outcome of this worker if there are too many."""
+        subject = self._names.goal(self.action, held.goal_id)
+        self._ended.append((held.stored.keep_until, subject, held.sequence))
+        now = time.time_ns()
+        while self._ended and (
+            0 < self._ended[0][0] <= now or len(self._ended) > self._max_results
+        ):
+            keep_until, subject, sequence = self._ended.popleft()
+            if not 0 < keep_until <= now:
+                self._broker.put(
+                    subject, b"", expected=sequence, ttl=DELETED_TTL, then=lambda _answer: None
+                )

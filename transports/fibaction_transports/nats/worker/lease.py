@@ -1,0 +1,349 @@
+"""`Membership`: the lease of a worker, by which the fleet knows that it is there.
+
+Theory of operation
+-------------------
+
+A worker joins by storing a `LeaseEntry` with a time to live, and stores it anew three times in that
+time. The brokers judge the time to live: when it is over, the other workers see a marker, and take
+over the goals. So a worker must stop before that. It *fences* itself at `valid_until`: a margin
+before the end of the lease, counted from the moment before the last successful renewal was sent, by
+the monotonic clock of the event loop. No clock is ever compared with that of another machine.
+
+A fence makes all goals of the worker lost for it: `on_fence` lets go of them. Then the worker joins
+again, with a new incarnation, as soon as the brokers answer. A process that was frozen finds in its
+first turns that `valid_until` has passed: `check` is called before each write.
+
+An answer that does not come says nothing. The worker tries again until the lease ends, and a write
+that is refused after a lost answer may be its own: the entry has the incarnation of who wrote it.
+"""
+
+from __future__ import annotations
+
+import math
+import secrets
+import time
+from collections.abc import Callable
+
+from anyio import current_time, move_on_after, sleep
+
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.text import excerpt
+from fibaction.words.errors import ProtocolError, TransportError
+from fibaction_transports.nats.broker.broker import Broker, BrokerAway, PutError, PutFailure, Record
+from fibaction_transports.nats.names import FleetNames
+from fibaction_transports.nats.records import (
+    INCARNATION_SIZE,
+    LeaseEntry,
+    encode,
+    lease_entry,
+)
+
+MARGIN = 1 / 5
+"""The part of a lease that a worker leaves unused, so that it has stopped when the lease ends."""
+RENEWALS = 3
+"""The number of renewals in the time of one lease."""
+PATIENCE = 1 / 6
+"""The part of a lease after which a renewal that is not answered is sent again."""
+CHANGE_INTERVAL = 1.0
+"""Seconds between two renewals because something has changed."""
+FIRST_PAUSE, LONGEST_PAUSE = 0.02, 1.0
+"""Seconds before the first and the later ones of repeated tries."""
+LEFT_TTL = 5.0
+"""Seconds that the end of a lease is remembered."""
+
+logger = clean_logger("fibaction.nats")
+
+
+class Term:
+    """The time in which a lease is valid for certain, without I/O."""
+
+    def __init__(self, lease: float) -> None:
+        self.lease = lease
+        self.valid_until = -math.inf
+        """Time until which the lease is valid for certain."""
+        self.renew_at = -math.inf
+        """Time of the next renewal."""
+        self._sent: float | None = None  # the first write whose answer has not come
+
+    def sent(self, now: float) -> None:
+        """Note that a renewal is sent now."""
+        if self._sent is None:
+            self._sent = now
+
+    def stored(self) -> None:
+        """Note that the lease is stored, by the earliest of the writes that were sent."""
+        assert self._sent is not None
+        self.valid_until = self._sent + self.lease * (1 - MARGIN)
+        self.renew_at = self._sent + self.lease / RENEWALS
+        self._sent = None
+
+    def end(self) -> None:
+        """Forget the lease."""
+        self.valid_until = self.renew_at = -math.inf
+        self._sent = None
+
+
+class Membership:
+    """The membership of one worker in its fleet."""
+
+    def __init__(self, broker: Broker, names: FleetNames, worker: str, lease: float) -> None:
+        self._broker = broker
+        self._names = names
+        self._subject = names.worker(worker)
+        self.worker = worker
+        self.incarnation = b""
+        """The incarnation of this worker; empty while it is not in the fleet."""
+        self.since = time.time_ns()
+        self.describe: Callable[[LeaseEntry], None] = lambda _entry: None
+        """The function that completes an entry before it is stored."""
+        self.on_fence: Callable[[], None] = lambda: None
+        """The function that is called when all goals of the worker are lost for it."""
+        self.on_join: Callable[[], None] = lambda: None
+        """The function that is called when the worker has joined again."""
+        self._term = Term(lease)
+        self._mine: set[bytes] = set()
+        self._sequence = 0
+        self._rest_until = -math.inf  # the end of the lease that was given up
+        self._wanted = 0  # the number of changes so far
+        self._stored = 0  # the number of those that the stored lease has
+        self._changes = Notifier()
+        self._news = Notifier()
+        self._last_put = -math.inf
+
+    @property
+    def lease(self) -> float:
+        """Seconds after which the worker counts as lost."""
+        return self._term.lease
+
+    @property
+    def valid_until(self) -> float:
+        """Time by the event loop's clock until which its goals belong to it for certain."""
+        return self._term.valid_until
+
+    def check(self) -> bool:
+        """Return whether the worker is in the fleet now; fence it if its time is over."""
+        if self.incarnation and current_time() >= self._term.valid_until:
+            self._fence("the brokers did not answer in time")
+        return bool(self.incarnation)
+
+    def note_change(self) -> None:
+        """Store the lease anew soon, because something in it has changed."""
+        self._wanted += 1
+        self._changes.notify()
+
+    async def update(self) -> None:
+        """Store the lease anew at once, and wait until it is stored."""
+        self._last_put = -math.inf
+        self.note_change()
+        wanted = self._wanted
+        while self._stored < wanted:
+            await self._news.wait()
+
+    # Join
+
+    async def join(self) -> None:
+        """Join the fleet.
+
+        The lease of a lost process of this name is waited for: it ends soon.
+
+        Raises:
+            TransportError: The name is in use, or the brokers do not answer.
+        """
+        deadline = current_time() + 2 * self.lease
+        seen, first = 0, current_time()
+        pause = FIRST_PAUSE
+        while not self.incarnation:
+            try:
+                record = await self._broker.get(self._names.workers, self._subject)
+                holder = self._holder(record)
+                if holder is None:
+                    await self._try_to_join(0 if record is None else record.sequence)
+                    continue
+                assert record is not None
+                if seen and record.sequence != seen:
+                    raise TransportError(
+                        f"the worker name {excerpt(self.worker)!r} is in use in fleet"
+                        f" {excerpt(self._names.fleet)!r}: give this worker another one"
+                    )
+                seen = record.sequence
+            except BrokerAway as exc:
+                if current_time() - first > self.lease:
+                    raise TransportError(f"cannot join the fleet: {exc}") from exc
+            if current_time() > deadline:
+                raise TransportError(
+                    f"cannot join the fleet: the lease of {excerpt(self.worker)!r} does not end"
+                )
+            await sleep(pause)
+            pause = min(2 * pause, self.lease / RENEWALS / 2, LONGEST_PAUSE)
+
+    def _holder(self, record: Record | None) -> LeaseEntry | None:
+        """Return the lease of another process under this name; None if there is none."""
+        if record is None or not record.data:
+            return None
+        try:
+            entry = lease_entry(record.data)
+        except ProtocolError as exc:
+            raise TransportError(f"cannot join the fleet: {exc}") from exc
+        return entry if entry.incarnation and entry.incarnation not in self._mine else None
+
+    async def _try_to_join(self, expected: int) -> None:
+        incarnation = secrets.token_bytes(INCARNATION_SIZE)
+        self._mine.add(incarnation)
+        self._term.end()
+        self._term.sent(current_time())
+        change = self._wanted
+        stored = await self._put(self._entry(incarnation), expected)
+        if isinstance(stored, int):
+            self._keep(stored, change)
+            if current_time() < self._term.valid_until:
+                self.incarnation = incarnation
+        elif stored.kind in (PutFailure.TOO_LARGE, PutFailure.FULL):
+            raise TransportError(f"cannot join the fleet: {stored.text}")
+
+    def _entry(self, incarnation: bytes) -> LeaseEntry:
+        entry = LeaseEntry(self.worker, incarnation, self.since, self.lease)
+        self.describe(entry)
+        return entry
+
+    async def _put(
+        self, entry: LeaseEntry | None, expected: int, ttl: float | None = None
+    ) -> int | PutError:
+        """Store the lease, or delete it, and wait for the answer."""
+        answers: list[int | PutError] = []
+        news = Notifier()
+
+        def answered(answer: int | PutError) -> None:
+            answers.append(answer)
+            news.notify()
+
+        data = b"" if entry is None else encode(entry)
+        self._last_put = current_time()
+        self._broker.put(
+            self._subject, data, expected=expected, ttl=ttl or self.lease, then=answered
+        )
+        with move_on_after(self.lease * PATIENCE):
+            while not answers:
+                await news.wait()
+        return answers[0] if answers else PutError(PutFailure.UNKNOWN, "no answer")
+
+    # Stay
+
+    async def run(self) -> None:
+        """Renew the lease, until canceled; fence the worker if that fails, and join again."""
+        while True:
+            if self.check():
+                await self._wait()
+                if self.check():
+                    await self._renew_in_time()
+            else:
+                await self._join_again()
+
+    async def fence_in_time(self) -> None:
+        """Fence the worker as soon as its time is over, until canceled."""
+        while True:
+            is_in = self.check()
+            await sleep(self._term.valid_until - current_time() if is_in else LONGEST_PAUSE)
+
+    async def _wait(self) -> None:
+        """Wait for the time of the next renewal."""
+        while (left := self._next() - current_time()) > 0:
+            with move_on_after(left):
+                await self._changes.wait()
+
+    def _next(self) -> float:
+        if self._stored < self._wanted:
+            return min(self._last_put + CHANGE_INTERVAL, self._term.renew_at)
+        return self._term.renew_at
+
+    async def _renew_in_time(self) -> None:
+        pause = FIRST_PAUSE
+        while self.incarnation and not await self._renewed(self.incarnation):
+            await sleep(pause)
+            pause = min(2 * pause, LONGEST_PAUSE)
+
+    async def _renewed(self, incarnation: bytes) -> bool:
+        """Store the lease anew; return whether that is done, or in vain."""
+        change = self._wanted
+        self._term.sent(current_time())
+        stored = await self._put(self._entry(incarnation), self._sequence)
+        if self.incarnation != incarnation:
+            return True
+        if isinstance(stored, int):
+            self._keep(stored, change)
+            return True
+        if stored.kind is not PutFailure.REFUSED:
+            logger.warning("worker %r: the lease is not renewed: %s", self.worker, stored.text)
+            return False
+        try:
+            record = await self._broker.get(self._names.workers, self._subject)
+        except BrokerAway:
+            return False
+        if self.incarnation != incarnation:
+            return True
+        if record is None or record.sequence <= self._sequence:
+            return False  # by a broker that is behind: sequences only grow
+        if record.data and self._has(record, incarnation):
+            self._keep(record.sequence, self._stored)
+            return True
+        self._fence("its lease has ended")
+        return True
+
+    @staticmethod
+    def _has(record: Record, incarnation: bytes) -> bool:
+        try:
+            return lease_entry(record.data).incarnation == incarnation
+        except ProtocolError:
+            return False
+
+    def _keep(self, sequence: int, change: int) -> None:
+        self._sequence, self._stored = sequence, change
+        self._term.stored()
+        self._news.notify()
+        self.check()
+
+    def _fence(self, why: str) -> None:
+        logger.error("worker %r gives up its goals, and joins again: %s", self.worker, why)
+        self.incarnation = b""
+        # Until then no other worker takes the goals over: executors have that time for their end.
+        self._rest_until = self._term.valid_until + self._term.lease * MARGIN
+        self._term.end()
+        self.on_fence()
+
+    async def _join_again(self) -> None:
+        await sleep(max(0.0, self._rest_until - current_time()))
+        try:
+            await self.join()
+        except TransportError as exc:
+            logger.warning("worker %r: %s", self.worker, exc)
+            await sleep(LONGEST_PAUSE)
+        else:
+            logger.warning("worker %r has joined again", self.worker)
+            self.on_join()
+
+    # Leave
+
+    async def leave(self, *, is_clean: bool) -> None:
+        """End the lease. `is_clean` says that the worker has no goals left.
+
+        Then nobody has to look for them, which an entry without an incarnation tells.
+        """
+        incarnation, self.incarnation = self.incarnation, b""
+        if not incarnation:
+            return
+        left = LeaseEntry(self.worker, b"", self.since, self.lease) if is_clean else None
+        with move_on_after(self.lease, shield=True):
+            while not isinstance(await self._put(left, self._sequence, LEFT_TTL), int):
+                if not await self._found(incarnation):
+                    return
+
+    async def _found(self, incarnation: bytes) -> bool:
+        """Return whether the lease of that incarnation is still there, and note its sequence."""
+        try:
+            record = await self._broker.get(self._names.workers, self._subject)
+        except BrokerAway:
+            return False
+        if record is None or not record.data or not self._has(record, incarnation):
+            return False
+        self._sequence = record.sequence
+        return True

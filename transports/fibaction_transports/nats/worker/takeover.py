@@ -1,0 +1,343 @@
+"""`Takeover`: the goals that come to a worker from others: lost, released, or waiting there.
+
+Theory of operation
+-------------------
+
+A worker whose lease has ended is cleared up after by one of the others: whoever puts a `LeaseEntry`
+without an incarnation over the marker. It reads the records of all goals, and adds a note to `left`
+for each active one whose owner is gone. That claim ends like a lease, and then another one clears
+up: the first one may be lost, too. Whoever has read all records says that it is done, over the
+newest claim.
+
+Each worker also scans now and then for the actions that it serves, and when it has joined: a worker
+may have been lost while nobody watched, or have had a write under way when it was cleared up after.
+
+A note says only that there may be something to do; the record says what. Each worker takes the
+notes of `left` for its actions, whether it has room or not, and those of `want` while it can run
+goals. It takes a goal by a write over the record that it has read, so one wins, and then the server
+claims it. The owner of a goal that waited gets a hint to the subject `taken`, and reads the record.
+
+"Gone" is judged by the brokers alone: there is no lease with the incarnation of the owner.
+"""
+
+from __future__ import annotations
+
+from contextlib import aclosing
+
+from anyio import CapacityLimiter, move_on_after, sleep
+from anyio.abc import TaskGroup
+
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.slices import Slices
+from fibaction.words.errors import ConnectionLost, ProtocolError
+from fibaction.words.goals import GoalID
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.nats.broker.broker import (
+    Broker,
+    BrokerAway,
+    Message,
+    Note,
+    PutError,
+    PutFailure,
+    Record,
+)
+from fibaction_transports.nats.names import FleetNames, action_of, last_token
+from fibaction_transports.nats.records import (
+    GoalEntry,
+    LeaseEntry,
+    encode,
+    goal_entry,
+    lease_entry,
+)
+from fibaction_transports.nats.worker.journal import FleetJournal
+from fibaction_transports.nats.worker.lease import LEFT_TTL, LONGEST_PAUSE, Membership
+from fibaction_transports.nats.worker.store import FleetStore
+from fibaction_transports.nats.workers import FleetWorkers
+
+AT_ONCE = 16
+"""The number of lost goals of an action that a worker takes over at the same time."""
+PATIENCE = 1.0
+"""Seconds after which a goal that was taken and has not begun is offered to others."""
+SCAN_INTERVAL = 10
+"""The number of leases between two scans for goals without a worker."""
+
+logger = clean_logger("fibaction.nats")
+
+
+class Takeover:
+    """The goals that come to one worker from others."""
+
+    def __init__(
+        self,
+        broker: Broker,
+        names: FleetNames,
+        store: FleetStore,
+        membership: Membership,
+        workers: FleetWorkers,
+    ) -> None:
+        self._broker = broker
+        self._names = names
+        self._store = store
+        self._membership = membership
+        self._workers = workers
+        self._gone: set[bytes] = set()  # incarnations, which never come back
+        self._noted: set[int] = set()  # the sequences of records that a scan has found
+        self.room = Notifier()
+        """Notifies of a change of the room of a server, or of the membership."""
+        self.rescan = Notifier()
+        """Notifies of a reason to scan the records."""
+        workers.on_gone = self._on_gone
+        store.on_open = self._open
+
+    async def open(self) -> None:
+        """Listen to hints, and watch the other workers.
+
+        Raises:
+            BrokerAway, ConnectionLost: The brokers do not answer.
+        """
+        await self._broker.subscribe(self._names.taken(self._membership.worker), self._on_hint)
+        await self._workers.ready()
+
+    def _open(self, journal: FleetJournal, tasks: TaskGroup) -> None:
+        tasks.start_soon(self._take_left, journal, tasks)
+        tasks.start_soon(self._take_wanted, journal)
+        tasks.start_soon(self._scan_often, journal)
+
+    # Lost workers
+
+    def _on_gone(self, lease: LeaseEntry) -> None:
+        self.rescan.notify()
+        self._store.tasks.start_soon(self._clear_up, lease.worker)
+
+    async def _clear_up(self, worker: str) -> None:
+        """Clear up after a lost worker, unless another one does."""
+        subject = self._names.worker(worker)
+        while True:
+            try:
+                record = await self._broker.get(self._names.workers, subject)
+                if record is not None and record.data:
+                    return  # it has joined again, has left in good order, or is cleared up after
+                me = self._membership
+                entry = LeaseEntry(worker, b"", lease=me.lease, cleared_by=me.worker)
+                stored = await self._put(subject, entry, record.sequence if record else 0)
+                if isinstance(stored, int):
+                    logger.warning("worker %r is gone; its goals are taken over", worker)
+                    await self._scan(self._names.all_goals(), again=True)
+                    await self._finish(worker, subject)
+                    return
+                if stored.kind is PutFailure.REFUSED:
+                    return
+            except BrokerAway:
+                pass
+            await sleep(LONGEST_PAUSE)
+
+    async def _finish(self, worker: str, subject: str) -> None:
+        """Say that a lost worker is cleared up after, so that the end of a claim has no effect."""
+        record = await self._broker.get(self._names.workers, subject)
+        if record is None or not record.data or _is_claim(record):
+            expected = record.sequence if record else 0
+            await self._put(subject, LeaseEntry(worker, b""), expected)
+
+    async def _put(self, subject: str, entry: LeaseEntry, expected: int) -> int | PutError:
+        answers: list[int | PutError] = []
+        news = Notifier()
+
+        def answered(answer: int | PutError) -> None:
+            answers.append(answer)
+            news.notify()
+
+        ttl = entry.lease or LEFT_TTL
+        self._broker.put(subject, encode(entry), expected=expected, ttl=ttl, then=answered)
+        while not answers:
+            await news.wait()
+        return answers[0]
+
+    async def _is_gone(self, entry: GoalEntry) -> bool:
+        """Return whether a goal has no worker, as far as the brokers know.
+
+        Raises:
+            BrokerAway: They do not answer.
+        """
+        incarnation, worker = entry.incarnation, entry.goal.worker
+        if not incarnation or incarnation in self._gone:
+            return True
+        if incarnation == self._membership.incarnation or self._workers.has(worker, incarnation):
+            return False
+        record = await self._broker.get(self._names.workers, self._names.worker(worker))
+        if record is not None and record.data:
+            try:
+                if lease_entry(record.data).incarnation == incarnation:
+                    return False
+            except ProtocolError:
+                return False
+        self._gone.add(incarnation)
+        return True
+
+    # Scans
+
+    async def _scan_often(self, journal: FleetJournal) -> None:
+        while True:
+            try:
+                await self._workers.ready()
+                await self._scan(self._names.goal(journal.action), again=False)
+            except (BrokerAway, ConnectionLost) as exc:
+                logger.debug("the records of goals cannot be read: %s", exc)
+                await sleep(LONGEST_PAUSE)
+                continue
+            with move_on_after(SCAN_INTERVAL * self._membership.lease):
+                await self.rescan.wait()
+
+    async def _scan(self, subject: str, *, again: bool) -> None:
+        """Add a note for each goal whose worker is gone; `again` also if that was done before."""
+        async with self._broker.watch(self._names.goals, subject) as watch:
+            slices = Slices()
+            while (records := await watch.next()) is not None:
+                for record in records:
+                    entry = _entry(record)
+                    if entry is None or (record.sequence in self._noted and not again):
+                        continue
+                    if await self._is_gone(entry):
+                        self._noted.add(record.sequence)
+                        left = self._names.left(action_of(record.subject))
+                        self._broker.add_note(left, bytes(entry.goal.goal_id))
+                    await slices.pause()
+
+    # Notes
+
+    async def _take_left(self, journal: FleetJournal, tasks: TaskGroup) -> None:
+        limit = CapacityLimiter(AT_ONCE)
+        async with aclosing(self._broker.notes(self._names.left(journal.action))) as notes:
+            async for note in notes:
+                await limit.acquire_on_behalf_of(note)
+                tasks.start_soon(self._take_one_left, journal, note, limit)
+
+    async def _take_one_left(
+        self, journal: FleetJournal, note: Note, limit: CapacityLimiter
+    ) -> None:
+        try:
+            found = await self._found(journal, note)
+            if found is None or not await self._is_gone(found[1]):
+                note.done()
+                return
+            record, entry = found
+            is_taken = await self._take(journal, record, entry)
+            if is_taken or self._membership.incarnation:
+                note.done()
+        except BrokerAway:
+            return  # the note comes again
+        finally:
+            limit.release_on_behalf_of(note)
+        if is_taken:
+            await self._wait_for_begin(journal, entry.goal.goal_id)
+
+    async def _take_wanted(self, journal: FleetJournal) -> None:
+        subject = self._names.want(journal.action)
+        async with aclosing(self._broker.notes(subject)) as notes:
+            while True:
+                while not self._has_room(journal):
+                    await self.room.wait()
+                note = await anext(notes)
+                if self._has_room(journal):
+                    await self._take_one_wanted(journal, note)
+                else:
+                    self._broker.add_note(subject, note.data)
+                    note.done()
+
+    def _has_room(self, journal: FleetJournal) -> bool:
+        return journal.running > 0 and bool(self._membership.incarnation)
+
+    async def _take_one_wanted(self, journal: FleetJournal, note: Note) -> None:
+        try:
+            found = await self._found(journal, note)
+            if found is not None and journal.waits(found[1].goal.goal_id):
+                return  # it waits here; the note comes again
+            if found is None or not _waits(found[1]):
+                note.done()
+                return
+            record, entry = found
+            former = entry.goal.worker
+            is_taken = await self._take(journal, record, entry)
+        except BrokerAway:
+            return  # the note comes again
+        if is_taken or self._membership.incarnation:
+            note.done()
+        if is_taken:
+            if former:
+                self._broker.publish(self._names.taken(former), record.subject.encode())
+            await self._wait_for_begin(journal, entry.goal.goal_id)
+
+    async def _found(self, journal: FleetJournal, note: Note) -> tuple[Record, GoalEntry] | None:
+        """Return the record of the active goal of a note; None if there is none.
+
+        Raises:
+            BrokerAway: The brokers do not answer.
+        """
+        try:
+            subject = self._names.goal(journal.action, GoalID(note.data))
+        except ValueError:
+            return None
+        record = await self._broker.get(self._names.goals, subject)
+        entry = None if record is None else _entry(record)
+        return None if record is None or entry is None else (record, entry)
+
+    async def _take(self, journal: FleetJournal, record: Record, entry: GoalEntry) -> bool:
+        """Take a goal over, unless another worker is faster; return whether it is taken."""
+        goal, former = entry.goal, entry.goal.worker
+        if not await journal.take(record, goal):
+            return False
+        logger.info("goal %s of %r is taken over from %r", goal.goal_id, journal.action, former)
+        return True
+
+    async def _wait_for_begin(self, journal: FleetJournal, goal_id: GoalID) -> None:
+        """Wait until a goal that was taken begins, and offer it to others if that takes long."""
+        with move_on_after(PATIENCE):
+            while journal.waits(goal_id):
+                await journal.begun.wait()
+        journal.offer_to_others(goal_id)
+
+    # Hints
+
+    def _on_hint(self, message: Message) -> None:
+        try:
+            subject = message.data.decode("ascii")
+            journal = self._store.journals.get(action_of(subject))
+            goal_id = GoalID(bytes.fromhex(last_token(subject)))
+        except (ValueError, IndexError):
+            return
+        if journal is not None and journal.waits(goal_id):
+            self._store.tasks.start_soon(self._look_at, journal, goal_id)
+
+    async def _look_at(self, journal: FleetJournal, goal_id: GoalID) -> None:
+        """Let go of a goal if its record has another owner."""
+        try:
+            subject = self._names.goal(journal.action, goal_id)
+            record = await self._broker.get(self._names.goals, subject)
+        except BrokerAway:
+            return  # the begin of the goal will be refused
+        entry = None if record is None else _entry(record)
+        if entry is not None and entry.incarnation != self._membership.incarnation:
+            journal.lose(goal_id)
+
+
+def _entry(record: Record) -> GoalEntry | None:
+    """Return the entry of an active goal; None if the goal has ended, or cannot be read."""
+    if not record.data:
+        return None
+    try:
+        entry = goal_entry(record.data)
+    except ProtocolError as exc:
+        logger.warning("%s: %s", record.subject, exc)
+        return None
+    return entry if entry.goal.status.is_active else None
+
+
+def _is_claim(record: Record) -> bool:
+    try:
+        return bool(lease_entry(record.data).cleared_by)
+    except ProtocolError:
+        return False
+
+
+def _waits(entry: GoalEntry) -> bool:
+    return not entry.goal.is_running and entry.goal.status is GoalStatus.ACCEPTED

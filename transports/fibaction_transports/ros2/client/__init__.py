@@ -1,0 +1,1 @@
+"""The client's half: an action server of ROS as an endpoint."""

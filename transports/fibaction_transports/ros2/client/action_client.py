@@ -1,0 +1,386 @@
+"""The action client over rcl: one for each action and node, shared by all endpoints of the action.
+
+Theory of operation
+-------------------
+
+An action of ROS is three services and two topics. The client uses raw handles of rclpy for them,
+and knows nothing of the types of the payloads: `endpoint` converts them.
+
+*Messages arrive* in the thread that rclpy spins. A `RosWaitable` takes them, and a `Mailbox` brings
+them to the event loop, where the `_take_...` methods handle them without waiting. So no state here
+needs a lock.
+
+*A goal* is sent by a `ServiceClient`, which retries. A retry may be rejected because the first
+request was accepted and only its answer was lost: so a rejection counts only if the goal is not in
+the status list either. From before the request on, a `RosGoalStream` in `FollowedGoals` is told of
+the goal's feedback, its statuses and its result, because the server may send feedback before its
+acceptance arrives.
+
+*The end of a goal* is the answer to the request for its result. `FollowedGoals` requests it when
+the goal is accepted, or with the goal if the only server is one of fibaction, and again if the
+status list says that the goal has ended and the answer is missing.
+
+*Statuses* come in lists of all goals. `ReceivedStatuses` finds what has changed. Streams of all
+statuses, and the streams of the goals, are told the changes.
+
+*A server that has gone* does not say so. `run` looks for the server as long as a call, a goal or a
+stream of statuses is pending. `Presence` knows by the graph, and by signs of life, whether there is
+a server. If it has fallen silent, it is waited for; when it is there again, requests whose answers
+are missing are sent again. If there is none, everything that is pending ends with `ConnectionLost`,
+after `LAST_WORDS` seconds for what is still on its way. A server that was started anew has another
+ID (GID) in the graph: goals that were accepted by servers that are all gone end likewise.
+
+*A loss on the way* is noticed only by what is missing: by a timeout (`ServiceClient`), or by the
+status list (`FollowedGoals`). Feedback that is late or lost is noticed at the end of the goal, if
+its server is one of fibaction, which tells how many messages there were (`ReceivedCounts`). The
+stream then waits a while for those that are missing. With another server, lost feedback is not
+noticed, as in every client of ROS; feedback that arrives after the result is logged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import anyio
+from anyio import current_time
+
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
+from fibaction.server.status_broadcast import StatusSubscription
+from fibaction.words.errors import ConnectionLost, GoalRejected, UnknownGoal
+from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.client.followed_goals import LATE, FollowedGoals
+from fibaction_transports.ros2.client.goal_stream import RosGoalStream
+from fibaction_transports.ros2.client.presence import WATCH_PAUSE, Presence
+from fibaction_transports.ros2.client.service_client import ServiceCall, ServiceClient
+from fibaction_transports.ros2.convert.conversion import stamp_of
+from fibaction_transports.ros2.names import action_names
+from fibaction_transports.ros2.node.feedback_counts import ReceivedCounts
+from fibaction_transports.ros2.node.node import RosNode
+from fibaction_transports.ros2.node.rivals import Rivals
+from fibaction_transports.ros2.node.stamps import FollowedStamps
+from fibaction_transports.ros2.node.status_list import ReceivedStatuses
+from fibaction_transports.ros2.node.waitable import Messages
+from fibaction_transports.ros2.rcl import raw, uuid_of
+from fibaction_transports.ros2.settings import EndSettings
+
+QUEUE = 10
+"""Feedback that the middleware may hold, as a multiple of what a goal keeps for its reader. The
+queue holds the feedback of all goals until the thread that takes it gets its turn, which may be
+late on a busy machine; most of the time it is empty."""
+FIRST_LIST = 1.0
+"""Seconds to wait for the first status list. It may never come: a server of rclpy or rclcpp that
+has never had a goal has published none."""
+LAST_WORDS = 0.25
+"""Seconds for messages to arrive that a server has sent before it left."""
+NO_REASON = "the server rejected it; ROS 2 transmits no reason, but the server's log may have it"
+
+logger = clean_logger("fibaction.ros2")
+
+
+class RosActionClient:
+    """A client of the servers of one action."""
+
+    def __init__(self, ros: RosNode, action: str, impl: Any, settings: EndSettings) -> None:
+        """Make the handles.
+
+        Raises:
+            TransportError: ROS does not allow them.
+        """
+        self.impl = impl
+        self.depth = settings.feedback_depth
+        """Feedback messages of a goal that are kept for a late reader."""
+        self.stamps = FollowedStamps(ros.clock)
+        self.known = ReceivedStatuses(self.stamps.from_ros)
+        self._action = action
+        full = action_names(ros.node, action)
+        make, services = ros.make, qos.services(settings.services_qos)
+        # Subscriptions first. A server that knows the clients then knows these, too, so that its
+        # messages arrive once it answers.
+        queue = qos.feedback(QUEUE * self.depth, settings.feedback_qos)
+        feedback = make(raw.Subscription, impl.FeedbackMessage, full.feedback, queue)
+        lists = qos.subscribed_status(settings.status_qos)
+        status = make(raw.Subscription, impl.GoalStatusMessage, full.status, lists)
+        goals = make(raw.Client, impl.SendGoalService, full.send_goal, services)
+        cancels = make(raw.Client, impl.CancelGoalService, full.cancel_goal, services)
+        results = make(raw.Client, impl.GetResultService, full.get_result, services)
+        ros.introspect(settings.introspection, goals, cancels, results)
+        self._goals = ServiceClient(goals, impl.SendGoalService)
+        self._cancels = ServiceClient(cancels, impl.CancelGoalService)
+        self._followed = FollowedGoals(
+            action,
+            results,
+            impl.GetResultService,
+            self.known,
+            is_reliable=qos.are_reliable(settings.feedback_qos),
+        )
+        self._counts = ReceivedCounts(ros, action, self._followed.take_count)
+        self._undecided: list[RosGoalStream] = []
+        self._subscriptions: list[StatusSubscription] = []
+        self._listed_by: frozenset[bytes] = frozenset()
+        """The servers when the last status list came: one of them has sent it."""
+        self._rivals = Rivals(ros, action, full, settings.lease)
+        self._was_silent = False
+        self._pending = Notifier()
+        self._listed = Notifier()
+        self.presence = Presence(
+            ros,
+            action,
+            impl.GoalStatusMessage,
+            full,
+            (goals, cancels, results),
+            (feedback, status),
+            settings,
+        )
+        ros.on_loss(self._fail)
+        ros.listen(
+            Messages(feedback, impl.FeedbackMessage, self._followed.take_feedback),
+            Messages(status, impl.GoalStatusMessage, self._take_statuses),
+            self._goals.source,
+            self._cancels.source,
+            self._followed.source,
+        )
+
+    # Requests
+
+    async def send(self, stream: RosGoalStream, goal: Any) -> None:
+        """Send a goal, which the stream follows from its beginning.
+
+        Raises:
+            GoalRejected, ServerNotFound, ConnectionLost: See `Endpoint.send_goal`.
+        """
+        await self.presence.needed()
+        servers = self.presence.servers()
+        self._rivals.note(servers, self.presence.count())
+        stream.is_counted = self._counts.come_from(servers)
+        request = self.impl.SendGoalService.Request()
+        request.goal_id.uuid = uuid_of(stream.goal_id)
+        request.goal = goal
+        self._follow(stream)
+        try:
+            info = await self._accepted(stream, request)
+            stream.servers = self.presence.servers()
+            stream.begin(GoalInfo(info.goal_id, info.stamp, GoalStatus.ACCEPTED))
+            if (now := self.known.get(stream.goal_id)) is not None:
+                stream.set_status(now.status)
+            stream.awaits_server = self._rivals.can_be_told_apart
+            self._choose_servers([stream])
+            if not stream.requests:
+                self._followed.request_result(stream)
+        except BaseException:
+            self._followed.remove(stream)
+            raise
+
+    async def _accepted(self, stream: RosGoalStream, request: Any) -> GoalInfo:
+        goal_id = stream.goal_id
+
+        def sent() -> None:
+            if stream.is_counted:  # so its server is one of fibaction
+                stream.early_request = self._followed.request_result(stream)
+
+        with ServiceCall(self._goals, request, sent) as call:
+            self._pending.notify()
+            while not await call.attempt():
+                # If it was the answer that was lost, the goal is in the list.
+                if (info := self.known.get(goal_id)) is not None:
+                    return info
+            if not call.response.accepted and call.tries > 1:
+                # The retry was rejected because of the first request.
+                await self._listing(goal_id, call)
+                if (info := self.known.get(goal_id)) is not None:
+                    return info
+            response = call.response
+        if not response.accepted:
+            raise GoalRejected(NO_REASON, goal_id=goal_id)
+        stream.ros_stamp = stamp_of(response.stamp)
+        stamp = self.stamps.from_ros(goal_id, stream.ros_stamp)
+        return GoalInfo(goal_id, stamp, GoalStatus.ACCEPTED)
+
+    async def _listing(self, goal_id: GoalID, call: ServiceCall) -> None:
+        """Wait a moment until the goal is listed, or another answer accepts it."""
+        deadline = current_time() + LATE
+        while self.known.get(goal_id) is None and not call.response.accepted:
+            if current_time() >= deadline:
+                return
+            await anyio.sleep(LATE / 10)
+
+    async def follow(self, stream: RosGoalStream) -> None:
+        """Let the stream follow a goal that was sent before.
+
+        Raises:
+            UnknownGoal, ServerNotFound, ConnectionLost: See `Endpoint.feedback`.
+            ProtocolError: The goal has ended, and its result cannot be read.
+        """
+        await self.presence.needed()
+        self._forget_gone()
+        self._follow(stream)
+        try:
+            self._followed.request_result(stream)
+            info = self.known.get(stream.goal_id)
+            if info is not None and info.status.is_active:
+                stream.begin(info)
+            else:
+                await self._decided(stream)
+            stream.servers = self.presence.servers()
+        except BaseException:
+            self._followed.remove(stream)
+            raise
+
+    async def _decided(self, stream: RosGoalStream) -> None:
+        """Wait for the answer if the goal has ended, or for a status list if it has not."""
+        self._followed.expect_result(stream.goal_id, 2 * LATE)
+        self._undecided.append(stream)
+        try:
+            while not (stream.has_begun or stream.is_over):
+                await stream.news.wait()
+        finally:
+            self._undecided.remove(stream)
+        if stream.is_over and (await stream.outcome()).status is GoalStatus.UNKNOWN:
+            raise UnknownGoal(stream.goal_id)
+
+    async def cancel(self, request: Any) -> Any:
+        """Send a cancel request, and return the answer.
+
+        Raises:
+            ServerNotFound, ConnectionLost: See `Endpoint.cancel_goals`.
+        """
+        await self.presence.needed()
+        self._pending.notify()
+        return await self._cancels.call(request)
+
+    async def subscribe(self) -> StatusSubscription:
+        """Follow the statuses of all goals.
+
+        Raises:
+            ServerNotFound, ConnectionLost: See `Endpoint.status`.
+        """
+        await self.presence.needed()
+        self._forget_gone()
+        with anyio.move_on_after(FIRST_LIST):
+            while not self.known.has_come:
+                await self._listed.wait()
+        statuses = StatusSubscription(self.known, self._unsubscribe)
+        self._subscriptions.append(statuses)
+        self._pending.notify()
+        return statuses
+
+    def _unsubscribe(self, statuses: StatusSubscription) -> None:
+        if statuses in self._subscriptions:
+            self._subscriptions.remove(statuses)
+
+    def _choose_servers(self, streams: Iterable[RosGoalStream]) -> None:
+        """Take the feedback of each accepted goal from one server, if there are several."""
+        for stream in streams:
+            publishers = self._rivals.feedback_of(stream.goal_id, stream.ros_stamp)
+            self._followed.take_from(stream, publishers)
+
+    def _follow(self, stream: RosGoalStream) -> None:
+        self._followed.add(stream)
+        self._pending.notify()
+
+    # Messages
+
+    def _take_statuses(self, item: tuple[bytes, bytes]) -> None:
+        message, publisher = item
+        self._listed_by = self.presence.servers()
+        self._rivals.note_list(publisher, message)
+        for info in self.known.update(message):
+            for statuses in self._subscriptions:
+                statuses.put(info)
+            streams = self._followed.of(info.goal_id)
+            for stream in streams:
+                stream.set_status(info.status)
+            if streams and not info.status.is_active:
+                self._followed.expect_result(info.goal_id, LATE)
+        shared = self._followed if self._rivals.can_be_told_apart else ()
+        self._choose_servers(stream for stream in shared if stream.has_begun)
+        self._listed.notify()
+        for stream in self._undecided:
+            if (now := self.known.get(stream.goal_id)) is not None and now.status.is_active:
+                stream.begin(now)
+
+    # Servers that have gone
+
+    async def run(self) -> None:
+        """Look after everything that is pending, until canceled."""
+        while True:
+            while not self._is_pending():
+                await self._pending.wait()
+            await anyio.sleep(WATCH_PAUSE)
+            if self._is_pending():
+                await self._look_for_server()
+            self._followed.retry_overdue()
+            self._followed.finish_overdue()
+
+    async def _look_for_server(self) -> None:
+        if self.presence.is_there():
+            if self._was_silent:
+                self._was_silent = False
+                self._resume()
+            self._rivals.note(self.presence.servers(), self.presence.count())
+            await self._fail_gone()
+        elif self.presence.may_return():
+            if not self._was_silent:
+                self._was_silent = True
+                logger.info("%s: its server is silent, and is waited for", self._action)
+        else:
+            self._was_silent = False
+            await anyio.sleep(LAST_WORDS)
+            # Of two servers one may have left: its parts leave the graph one after another, and
+            # meanwhile their numbers do not match, as if none was there.
+            if not self.presence.is_there():
+                self._fail(self._gone())
+                self.known.clear()
+
+    def _resume(self) -> None:
+        """Request again what may have been lost while the server was silent. If it was started
+        anew meanwhile, the new one says whether it knows the goals.
+        """
+        logger.info("%s: its server is there again", self._action)
+        for stream in self._followed:
+            stream.servers |= self.presence.servers()
+        self._followed.resume()
+        for client in (self._goals, self._cancels):
+            client.resume()
+
+    def _is_pending(self) -> bool:
+        calling = self._goals.calls or self._cancels.calls
+        return bool(calling or self._followed or self._subscriptions)
+
+    def _gone(self) -> ConnectionLost:
+        return ConnectionLost(f"the server of {self._action!r} has gone away")
+
+    async def _fail_gone(self) -> None:
+        """End the goals of servers that have gone, although others have taken their place."""
+        self._forget_gone()
+        left = [stream for stream in self._followed if self._has_gone(stream.servers)]
+        if left:
+            await anyio.sleep(LAST_WORDS)
+            self._followed.fail(self._gone(), left)
+
+    def _forget_gone(self) -> None:
+        """Forget the status list of a server that has gone. The server that serves now may never
+        send one: servers of rclpy and rclcpp begin with their first goal.
+        """
+        if self._has_gone(self._listed_by):
+            self._listed_by = frozenset()
+            self.known.clear()
+            self._fail_subscriptions(self._gone())
+
+    def _has_gone(self, servers: frozenset[bytes]) -> bool:
+        now = self.presence.servers()
+        return bool(servers and now and servers.isdisjoint(now))
+
+    def _fail(self, error: ConnectionLost) -> None:
+        for client in (self._goals, self._cancels):
+            client.fail(error)
+        self._followed.fail(error)
+        self._fail_subscriptions(error)
+
+    def _fail_subscriptions(self, error: ConnectionLost) -> None:
+        for statuses in self._subscriptions:
+            statuses.fail(error)
+        self._subscriptions.clear()

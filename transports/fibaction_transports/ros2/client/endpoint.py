@@ -1,0 +1,290 @@
+"""The client's half of the transport: endpoints whose servers are action servers of ROS."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Callable, Iterable
+from contextlib import asynccontextmanager
+from typing import Any, TypeVar
+
+import anyio
+from anyio import current_time
+from anyio.abc import TaskGroup
+
+from fibaction._runtime.tasks import Background
+from fibaction.border.abc import Connection, Endpoint, Meta
+from fibaction.server.status_broadcast import StatusSubscription
+from fibaction.types.action import Action, ActionInfo
+from fibaction.words.errors import (
+    ConnectionLost,
+    GoalRejected,
+    ProtocolError,
+    TransportError,
+    text_of,
+)
+from fibaction.words.goals import (
+    UNKNOWN_OUTCOME,
+    UNKNOWN_SENDER,
+    ActionPeers,
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    Outcome,
+    Sender,
+)
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.ros2.client.action_client import RosActionClient
+from fibaction_transports.ros2.client.goal_stream import GoalDecoder, RosGoalStream
+from fibaction_transports.ros2.convert.conversion import RosAction, RosCodecs, goal_id_of, stamp_of
+from fibaction_transports.ros2.names import action_names
+from fibaction_transports.ros2.node.node import RosNode
+from fibaction_transports.ros2.node.stamps import FIRST_STAMP, LAST_STAMP
+from fibaction_transports.ros2.rcl import deserialize, uuid_of
+from fibaction_transports.ros2.settings import EndSettings
+
+SETTLED = 0.2
+"""Seconds without a change after which a list of actions or nodes counts as complete."""
+LIST_PAUSE = 0.05
+"""Seconds between two looks at the graph."""
+
+FoundT = TypeVar("FoundT")
+
+_ENDS = frozenset(status for status in GoalStatus if status.is_terminal)
+_FEEDBACK = "/_action/feedback"
+_SUFFIX = "_FeedbackMessage"
+_UNNAMED = "_NODE_NAME_UNKNOWN_"
+
+
+class RosEndpoint(Endpoint):
+    """An action of ROS, with the types of its user."""
+
+    def __init__(self, client: RosActionClient, info: ActionInfo, codecs: RosCodecs) -> None:
+        self._client = client
+        self._info = info
+        self._codecs = codecs
+        self._decoder = _Decoder(client.impl, codecs)
+
+    @property
+    def info(self) -> ActionInfo:
+        return self._info
+
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
+        meta: Meta | None = None,
+    ) -> RosGoalStream:
+        """See `Endpoint.send_goal`. A request of ROS has no fields for the timeout and the meta."""
+        try:
+            message = self._codecs.goal.to_ros(goal)
+        except ProtocolError as exc:
+            raise GoalRejected(str(exc), goal_id=goal_id) from exc
+        stream = RosGoalStream(goal_id, self._decoder, self._client.depth, reads=feedback)
+        await self._client.send(stream, message)
+        return stream
+
+    async def feedback(
+        self,
+        goal_id: GoalID,
+        *,
+        after: int | None = None,
+        own: bool = False,
+        attempt: int = 1,
+    ) -> RosGoalStream:
+        """See `Endpoint.feedback`. ROS remembers no feedback, so `after` and `attempt` have no
+        effect.
+        """
+        stream = RosGoalStream(goal_id, self._decoder, self._client.depth, reads=True)
+        await self._client.follow(stream)
+        return stream
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        request = self._client.impl.CancelGoalService.Request()
+        info = request.goal_info
+        info.goal_id.uuid = uuid_of(goal_id or bytes(16))
+        # A stamp beyond these would silently become another one, or none, which means all goals.
+        known = self._client.stamps
+        within = min(max(known.to_ros(stamp) if stamp else 0, FIRST_STAMP), LAST_STAMP)
+        info.stamp.sec, info.stamp.nanosec = divmod(within, 10**9)
+        response = await self._client.cancel(request)
+        canceling = tuple(
+            GoalInfo(
+                goal_id_of(one.goal_id),
+                known.from_ros(goal_id_of(one.goal_id), stamp_of(one.stamp)),
+                GoalStatus.CANCELING,
+            )
+            for one in response.goals_canceling
+        )
+        try:
+            code = CancelCode(response.return_code)
+        except ValueError as exc:
+            raise ProtocolError(f"invalid answer to a cancel: {exc}") from exc
+        if goal_id is not None and not stamp and not canceling and code is CancelCode.NONE:
+            code = CancelCode.REJECTED  # servers of rclpy cannot say it in another way
+        return CancelAnswer(code, canceling)
+
+    async def status(self) -> StatusSubscription:
+        return await self._client.subscribe()
+
+    async def wait_for_server(self) -> None:
+        await self._client.presence.come()
+
+
+class _Decoder(GoalDecoder):
+    """Decodes with the codecs of an endpoint."""
+
+    def __init__(self, impl: Any, codecs: RosCodecs) -> None:
+        self._impl = impl
+        self._codecs = codecs
+        self._empty = codecs.result.from_ros(codecs.result.to_ros(None))
+
+    def feedback(self, message: bytes) -> bytes:
+        try:
+            found = deserialize(message, self._impl.FeedbackMessage)
+        except Exception as exc:  # rclpy raises whatever rcl says
+            raise ProtocolError(
+                f"invalid feedback of {len(message)} bytes: {text_of(exc)}"
+            ) from exc
+        return self._codecs.feedback.from_ros(found.feedback)
+
+    def outcome(self, response: Any) -> Outcome[bytes]:
+        if response.status == GoalStatus.UNKNOWN:
+            return UNKNOWN_OUTCOME
+        if response.status not in _ENDS:
+            raise ProtocolError(f"invalid answer with a result: its status is {response.status}")
+        status = GoalStatus(response.status)
+        result: bytes | None = self._codecs.result.from_ros(response.result)
+        if status is not GoalStatus.SUCCEEDED and result == self._empty:
+            result = None  # ROS cannot send "no result"
+        return Outcome(status, result)
+
+
+class RosConnection(Connection):
+    """A connection to all actions in the graph of a node."""
+
+    def __init__(self, ros: RosNode, tasks: TaskGroup, settings: EndSettings) -> None:
+        self._ros = ros
+        self._tasks = tasks
+        self._settings = settings
+        self._deadline = current_time() + settings.discovery_timeout
+        self._clients: dict[tuple[str, str], RosActionClient] = {}
+
+    def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
+        """See `Connection.endpoint`.
+
+        Raises:
+            TransportError: The type of the action is not known in ROS, or does not match.
+        """
+        info = action.info if isinstance(action, Action) else action
+        full = action_names(self._ros.node, info.name)
+        type_name = info.type_name or dict(self._looked(self._found)).get(full.feedback, "")
+        found = RosAction.find(type_name, info.name)
+        codecs = found.codecs(info)
+        client = self._clients.get((full.feedback, type_name))
+        if client is None:
+            client = RosActionClient(
+                self._ros,
+                info.name,
+                found.ros_type.Impl,
+                self._settings,
+            )
+            self._clients[full.feedback, type_name] = client
+            self._tasks.start_soon(client.run, name=f"client of {info.name}")
+        return RosEndpoint(client, info, codecs)
+
+    async def actions(self) -> list[ActionInfo]:
+        """See `Connection.actions`. Actions whose types are not installed here have no schemas."""
+        found = await self._settled(self._found)
+        return [_described(self._relative(topic), type_name) for topic, type_name in found]
+
+    async def peers(self, action: str) -> ActionPeers:
+        """See `Connection.peers`. Peers are named by their nodes. The clients are the nodes that
+        subscribe to the feedback, as every client of an action does.
+        """
+        node = self._ros.node
+
+        def look() -> ActionPeers | None:
+            full = action_names(node, action)
+            servers = _nodes(node.get_publishers_info_by_topic(full.status))
+            clients = _nodes(node.get_subscriptions_info_by_topic(full.feedback))
+            return ActionPeers(servers, clients) if servers or clients else None
+
+        return await self._settled(look) or ActionPeers()
+
+    async def _settled(self, look: Callable[[], FoundT]) -> FoundT:
+        """Return what is found in the graph when it has not changed for a moment, or when nothing
+        was found for `discovery_timeout` seconds.
+
+        Raises:
+            ConnectionLost: ROS has been shut down.
+        """
+        found = self._looked(look)
+        settled = current_time() + SETTLED
+        while current_time() < (settled if found else self._deadline):
+            await anyio.sleep(LIST_PAUSE)
+            before, found = found, self._looked(look)
+            if found != before:
+                settled = current_time() + SETTLED
+        return found
+
+    def _looked(self, look: Callable[[], FoundT]) -> FoundT:
+        found: FoundT = self._ros.attempt(look)
+        if not self._ros.is_up:
+            raise ConnectionLost(str(self._ros.error))
+        return found
+
+    def _found(self) -> list[tuple[str, str]]:
+        """Return the feedback topics of all actions with a server, each with the action's type."""
+        node = self._ros.node
+        return sorted(
+            (topic, types[0].removesuffix(_SUFFIX))
+            for topic, types in node.get_topic_names_and_types()
+            if topic.endswith(_FEEDBACK)
+            and types[0].endswith(_SUFFIX)
+            and node.count_publishers(topic)
+        )
+
+    def _relative(self, topic: str) -> str:
+        """Return the shortest name of the action in the node's namespace."""
+        name = topic.removesuffix(_FEEDBACK)
+        short = name.removeprefix(self._ros.node.get_namespace().rstrip("/") + "/")
+        same = action_names(self._ros.node, short).feedback == topic
+        return short if same else name
+
+    def close(self) -> None:
+        """End everything that is pending, and everything that is tried later."""
+        self._ros.fail(ConnectionLost("the connection was closed here"))
+
+
+def _described(name: str, type_name: str) -> ActionInfo:
+    try:
+        return RosAction.find(type_name).info(name)
+    except TransportError:
+        return ActionInfo(name, type_name)
+
+
+def _nodes(ends: Iterable[Any]) -> tuple[str, ...]:
+    """Return the full names of the nodes of these ends of a topic. Ends whose nodes are not yet
+    discovered are left out.
+    """
+    named = [one for one in ends if one.node_name != _UNNAMED]
+    return tuple(sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in named}))
+
+
+@asynccontextmanager
+async def connect_actions(
+    ros: RosNode, settings: EndSettings
+) -> AsyncGenerator[RosConnection, None]:
+    """Connect for as long as the block lasts."""
+    async with Background() as tasks:
+        connection = RosConnection(ros, tasks, settings)
+        try:
+            yield connection
+        finally:
+            connection.close()

@@ -1,0 +1,255 @@
+"""The goals that a client follows, and the requests for their results.
+
+Each stream asks for its goal's result as soon as the goal is accepted; the server answers when the
+goal has ended. The only server, if it is one of fibaction, is asked right after the goal was sent:
+the result of a short goal then follows its acceptance, without another way to the server and back.
+A request or an answer may be lost, and then the status list is the first to tell that the goal has
+ended: `LATE` seconds after that, the result is requested again. Each further request follows after
+a longer pause, so that requests do not pile up at a busy server.
+
+Feedback may arrive after the result, if the middleware had to send it again. If the server tells
+how many messages there were (`feedback_counts`), the stream of a goal goes on until all of them are
+there, for `LATE_FEEDBACK` seconds at most; what is still missing then is lost, and is counted.
+Where several servers run the goal, it goes on until it is known which of them has accepted it, for
+`LATE` seconds at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from typing import Any
+
+from anyio import current_time
+
+from fibaction._runtime.log import clean_logger
+from fibaction.words.errors import ConnectionLost, ProtocolError
+from fibaction.words.goals import GoalID
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.ros2.client.goal_stream import RosGoalStream
+from fibaction_transports.ros2.client.service_client import send_request
+from fibaction_transports.ros2.convert.status_bytes import goal_of_feedback
+from fibaction_transports.ros2.node.status_list import ReceivedStatuses
+from fibaction_transports.ros2.node.waitable import Responses
+from fibaction_transports.ros2.rcl import uuid_of
+
+LATE = 0.5
+"""Seconds after which a result that should be there is requested again."""
+LATE_FEEDBACK = 4.0
+"""Seconds after the result for which feedback that is known to be missing is waited for. A reader
+of Fast DDS may learn only by the next heartbeat, which comes every 3 s, that it has missed any."""
+FAILED_REQUESTS = 2
+"""Failed requests for a goal's result after which an unreadable response is attributed to it."""
+
+ENDED = 1000
+"""Ended goals that are remembered, to tell of feedback that arrives too late."""
+
+logger = clean_logger("fibaction.ros2")
+
+
+class FollowedGoals:
+    """The streams of the goals that a client follows, and a service client for their results."""
+
+    def __init__(
+        self,
+        action: str,
+        handle: Any,
+        service_type: Any,
+        known: ReceivedStatuses,
+        *,
+        is_reliable: bool,
+    ) -> None:
+        """`is_reliable` says that the middleware sends lost feedback again."""
+        self._action = action
+        self._handle = handle
+        self._request_type = service_type.Request
+        self._known = known
+        self._patience = LATE_FEEDBACK if is_reliable else 0.0
+        self._streams: dict[bytes, list[RosGoalStream]] = {}
+        self._requested: dict[int, RosGoalStream] = {}
+        self._overdue: dict[GoalID, float] = {}
+        self._unfinished: dict[RosGoalStream, float] = {}
+        """The streams that have their outcome and wait for feedback, each with the time until which
+        they wait."""
+        self._ended: dict[bytes, None] = {}
+        self.source = Responses(handle, service_type, self._take_result, self._take_unreadable)
+        """The source of the results."""
+
+    def __bool__(self) -> bool:
+        return bool(self._streams)
+
+    def __iter__(self) -> Iterator[RosGoalStream]:
+        return iter([stream for streams in self._streams.values() for stream in streams])
+
+    def of(self, goal_id: bytes) -> Sequence[RosGoalStream]:
+        """Return the streams that follow this goal."""
+        return self._streams.get(goal_id, ())
+
+    def add(self, stream: RosGoalStream) -> None:
+        """Tell the stream from now on what arrives of its goal."""
+        self._streams.setdefault(stream.goal_id, []).append(stream)
+
+    def remove(self, stream: RosGoalStream) -> None:
+        """Tell the stream nothing more. Does nothing if it has been removed."""
+        streams = self._streams.get(stream.goal_id, [])
+        if stream in streams:
+            streams.remove(stream)
+        self._unfinished.pop(stream, None)
+        for number in stream.requests:
+            self._requested.pop(number, None)
+        if not streams:
+            self._streams.pop(stream.goal_id, None)
+            self._overdue.pop(stream.goal_id, None)
+
+    def take_feedback(self, item: tuple[bytes, bytes]) -> None:
+        """Take a feedback message, and the GID of its publisher."""
+        message, publisher = item
+        goal_id = goal_of_feedback(message)
+        streams = self.of(goal_id)
+        if not streams:
+            self._warn_of_late_feedback(goal_id)
+        for stream in tuple(streams):
+            stream.add_feedback(message, publisher)
+            self._finish_if_complete(stream)
+
+    def take_from(self, stream: RosGoalStream, publishers: frozenset[bytes]) -> None:
+        """Take the goal's feedback from these publishers only; from all if there are none."""
+        stream.take_from(publishers)
+        self._finish_if_complete(stream)
+
+    def take_count(self, goal_id: bytes, count: int) -> None:
+        """Take the number of feedback messages that a goal had in all."""
+        for stream in tuple(self.of(goal_id)):
+            stream.set_total(count)
+            self._finish_if_complete(stream)
+
+    def _finish_if_complete(self, stream: RosGoalStream) -> None:
+        if stream in self._unfinished and stream.missing == 0:
+            self._finish(stream)
+
+    def finish_overdue(self) -> None:
+        """End the streams whose missing feedback has not arrived in time: it is lost."""
+        now = current_time()
+        for stream, when in tuple(self._unfinished.items()):
+            if when > now and stream.reads:
+                continue
+            self._finish(stream)
+            if stream.missing:
+                logger.warning(
+                    "%s: %d feedback messages of goal %s are lost",
+                    self._action,
+                    stream.missing,
+                    stream.goal_id,
+                )
+
+    def _finish(self, stream: RosGoalStream) -> None:
+        if stream.reads:
+            self._ended[stream.goal_id] = None
+            if len(self._ended) > ENDED:
+                del self._ended[next(iter(self._ended))]
+        stream.finish()
+        self.remove(stream)
+
+    def _warn_of_late_feedback(self, goal_id: bytes) -> None:
+        """Log once that feedback of a goal has arrived after its result, and is lost."""
+        if goal_id in self._ended:
+            del self._ended[goal_id]
+            logger.warning(
+                "%s: feedback of goal %s arrived after its result, and is lost",
+                self._action,
+                GoalID(goal_id),
+            )
+
+    def request_result(self, stream: RosGoalStream) -> int:
+        """Request the result of the stream's goal, and return the number of the request.
+
+        Raises:
+            ConnectionLost: ROS cannot send any more.
+        """
+        request = self._request_type()
+        request.goal_id.uuid = uuid_of(stream.goal_id)
+        number = send_request(self._handle, request)
+        stream.requests.append(number)
+        self._requested[number] = stream
+        return number
+
+    def expect_result(self, goal_id: GoalID, seconds: float) -> None:
+        """Request the result again if it is not there after so many seconds."""
+        self._overdue.setdefault(goal_id, current_time() + seconds)
+
+    def retry_overdue(self) -> None:
+        """Request the results again that should be there.
+
+        Raises:
+            ConnectionLost: ROS cannot send any more.
+        """
+        now = current_time()
+        for goal_id, when in tuple(self._overdue.items()):
+            if when <= now:
+                del self._overdue[goal_id]
+                for stream in self.of(goal_id):
+                    if stream in self._unfinished:
+                        continue
+                    logger.info("%s: requesting the result of goal %s again", self._action, goal_id)
+                    self.request_result(stream)
+                    self._overdue[goal_id] = now + LATE * len(stream.requests)
+
+    def resume(self) -> None:
+        """Request all results once more: requests and answers may have been lost meanwhile.
+
+        Raises:
+            ConnectionLost: ROS cannot send any more.
+        """
+        for stream in self:
+            if stream.has_begun and stream not in self._unfinished:
+                stream.resumed += 1
+                self.request_result(stream)
+
+    def fail(self, error: ConnectionLost, streams: Iterable[RosGoalStream] | None = None) -> None:
+        """End these streams with an error, by default all of them."""
+        for stream in self if streams is None else streams:
+            stream.fail(error)
+            self.remove(stream)
+
+    def _take_result(self, item: Any) -> None:
+        number, response = item
+        stream = self._requested.pop(number, None)
+        if stream is None:
+            return
+        ended = list(self.of(stream.goal_id))
+        if response.status == GoalStatus.UNKNOWN:
+            if number == stream.early_request:
+                # The server did not know the goal yet.
+                stream.requests.remove(number)
+                if stream.has_begun:
+                    with suppress(ConnectionLost):  # then the stream ends with it
+                        self.request_result(stream)
+                return
+            info = self._known.get(stream.goal_id)
+            if stream.has_begun and info is not None and info.status.is_active:
+                # Another server has answered, which does not know the goal. Ask again, until the
+                # one that has the goal answers.
+                self.expect_result(stream.goal_id, LATE)
+                return
+            ended = [stream]
+        for one in ended:
+            try:
+                one.set_outcome(one.decoder.outcome(response))
+            except ProtocolError as exc:
+                one.fail(exc)
+            if one.is_over or one.missing == 0 or response.status == GoalStatus.UNKNOWN:
+                self._finish(one)
+            else:
+                patience = LATE if one.awaits_server else self._patience
+                self._unfinished.setdefault(one, current_time() + patience)
+
+    def _take_unreadable(self, error: Exception) -> None:
+        """Take a response that cannot be read, so that its request number is not known.
+
+        Readable results come when they are requested. So the response belongs to a goal whose
+        result was requested in vain.
+        """
+        for stream in self:
+            if len(stream.requests) - stream.resumed > FAILED_REQUESTS:
+                stream.fail(ProtocolError(f"the goal's result cannot be read: {error}"))
+                self.remove(stream)

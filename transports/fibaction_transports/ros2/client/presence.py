@@ -1,0 +1,225 @@
+"""The presence of an action's servers: by the graph, and by their signs of life."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from typing import Any
+
+import anyio
+from anyio import current_time
+
+from fibaction._runtime.log import clean_logger
+from fibaction.words.errors import ConnectionLost, ServerNotFound
+from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.client.qos_mismatch import explain_mismatch
+from fibaction_transports.ros2.names import ActionNames
+from fibaction_transports.ros2.node.node import RosNode
+from fibaction_transports.ros2.rcl import (
+    LIVELINESS_CHANGED,
+    UnsupportedEventType,
+    middleware,
+    raw,
+)
+from fibaction_transports.ros2.settings import EndSettings
+
+LOOK_PAUSE = 0.05
+"""Seconds between two looks for a server that is waited for; ROS offers nothing to wait for."""
+WATCH_PAUSE = 0.25
+"""Seconds between two looks at a server that is in use."""
+FIRST_SIGN = 2.0
+"""Leases that a server's first sign of life may take. It is sent at once. If it is lost, which
+happens on a busy machine, the next one is sent after most of a lease."""
+MATCH_TIME = 1.0
+"""Seconds after which a server that is in the graph, and is not yet connected, is looked at."""
+
+SURE = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp", "rmw_connextdds")
+"""Middlewares that tell of each sign of life. rmw_zenoh_cpp had no such event, and since
+https://github.com/ros2/rmw_zenoh/pull/934 it has one that does not occur."""
+
+logger = clean_logger("fibaction.ros2")
+
+
+class Presence:
+    """Tells if an action has a server that can be reached.
+
+    A server that leaves is removed from the graph at once. One that is killed is removed when the
+    lease of its node has run out, after some 20 s. Servers of fibaction give signs of life on their
+    status topic, too, and count as silent after `lease` seconds without one. With a middleware that
+    may tell nothing of signs of life, this begins with the first one that it tells.
+
+    A silent server may be there again: it was stopped, or its line was. So it is missed only after
+    a grace time. A server that leaves while it is not silent is missed at once.
+    """
+
+    def __init__(
+        self,
+        ros: RosNode,
+        action: str,
+        status_type: Any,
+        full: ActionNames,
+        clients: tuple[Any, ...],
+        subscriptions: tuple[Any, Any],
+        settings: EndSettings,
+    ) -> None:
+        """`subscriptions` are those to the feedback and to the statuses, in this order."""
+        self._ros = ros
+        self._action = action
+        self._names = full
+        self._clients = clients
+        self._subscriptions = subscriptions
+        _, self._status = subscriptions
+        self._settings = settings
+        self._deadline = current_time() + settings.discovery_timeout
+        self._alive: int = 0
+        self._not_alive: int = 0
+        self._dead: bool = False
+        self._unheard_since = self._looked = current_time()
+        self._silent_since: float | None = None
+        """The time at which a server was found silent; None if there is one that is not."""
+        self._servers: frozenset[bytes] = frozenset()
+        self._counted: tuple[int, float] = 0, -math.inf
+        subscription = ros.make(
+            raw.Subscription, status_type, full.status, qos.liveliness(settings.lease)
+        )
+        self._event: Any = None
+        """The event of a sign of life; None if the middleware has none."""
+        self._tells_signs = middleware() in SURE
+        with subscription, suppress(UnsupportedEventType):
+            self._event = ros.keep(raw.EventHandle(subscription, LIVELINESS_CHANGED))
+
+    @property
+    def lease(self) -> float:
+        """Seconds without a sign of life after which a server counts as silent."""
+        return self._settings.lease
+
+    def is_there(self) -> bool:
+        """Return whether there is a server, and all its parts are connected."""
+        there: bool = self._ros.is_up and self._ros.attempt(self._look, otherwise=False)
+        return there
+
+    def _look(self) -> bool:
+        self._poll_liveliness()
+        matched = all(one.get_publisher_count() for one in self._subscriptions) and all(
+            client.service_server_is_available() for client in self._clients
+        )
+        self._note_look(matched)
+        is_silent = matched and self._is_doubted() and self._all_have_leases()
+        if not is_silent and matched:
+            self._silent_since = None
+        elif self._silent_since is None and is_silent and not self._has_left():
+            self._silent_since = current_time()
+        return matched and not is_silent
+
+    def _is_doubted(self) -> bool:
+        """Return whether no server is known to live, so that there is none if all have leases."""
+        return self._dead or (
+            self._tells_signs and self._looked - self._unheard_since > FIRST_SIGN * self.lease
+        )
+
+    def _has_left(self) -> bool:
+        """Return whether a server has left rather than fallen silent, and the graph is late."""
+        return self._dead and not self._not_alive
+
+    def _note_look(self, matched: bool) -> None:
+        """Note that a server is there without any sign of life: it may have died before its first
+        one. Only an uninterrupted time counts.
+        """
+        now = current_time()
+        if self._alive or not matched or now - self._looked > self.lease:
+            self._unheard_since = now
+        self._looked = now
+
+    def may_return(self) -> bool:
+        """Return whether the last server has fallen silent, and may still be there again."""
+        since = self._silent_since
+        return since is not None and current_time() - since < self._settings.grace
+
+    def servers(self) -> frozenset[bytes]:
+        """Return the servers, as ROS identifies the ends of the status topic (by GIDs). A server
+        that is started anew has another GID.
+
+        They are looked up when their number has changed, or after `WATCH_PAUSE`, and not for each
+        of many status lists: a look takes some 0.1 ms.
+        """
+        now = current_time()
+        count: int = self._ros.attempt(self._status.get_publisher_count, otherwise=0)
+        before, then = self._counted
+        if count != before or now - then >= WATCH_PAUSE:
+            self._counted = count, now
+            known = self._ros.attempt(
+                self._ros.node.get_publishers_info_by_topic, self._names.status, otherwise=()
+            )
+            self._servers = frozenset(bytes(one.endpoint_gid) for one in known)
+        return self._servers
+
+    def count(self) -> int:
+        """Return the number of servers, without those that are known to be silent."""
+        return len(self.servers()) - self._not_alive
+
+    async def needed(self) -> None:
+        """Return when there is a server. It is waited for only for `discovery_timeout` seconds
+        after the beginning, in which it may still be discovered, and while it may return.
+
+        Raises:
+            ServerNotFound: There is no server.
+            ConnectionLost: ROS has been shut down.
+        """
+        while not self.is_there():
+            self._check_ros()
+            if current_time() >= self._deadline and not self.may_return():
+                raise ServerNotFound(self._why_not_found())
+            await anyio.sleep(LOOK_PAUSE)
+        self._deadline = -math.inf  # from now on, a server that leaves is missed at once
+
+    def _why_not_found(self) -> str:
+        if mismatch := self._mismatch():
+            return f"cannot reach the action {self._action!r} in ROS: {mismatch}"
+        return (
+            f"no server of the action {self._action!r} in ROS: there is no service"
+            f" {self._names.send_goal}; start the server, or wait for it with wait_for_server()"
+        )
+
+    def _mismatch(self) -> str:
+        text: str = self._ros.attempt(
+            explain_mismatch, self._ros.node, self._names, self._settings, otherwise=""
+        )
+        return text
+
+    async def come(self) -> None:
+        """Wait for a server. If there is one that does not match, the log says so once.
+
+        Raises:
+            ConnectionLost: ROS has been shut down.
+        """
+        with anyio.move_on_after(MATCH_TIME):
+            return await self._come()
+        if mismatch := self._mismatch():
+            logger.warning("%s cannot be reached yet: %s", self._action, mismatch)
+        return await self._come()
+
+    async def _come(self) -> None:
+        while not self.is_there():
+            self._check_ros()
+            await anyio.sleep(LOOK_PAUSE)
+
+    def _check_ros(self) -> None:
+        if not self._ros.is_up:
+            raise ConnectionLost(str(self._ros.error))
+
+    def _poll_liveliness(self) -> None:
+        # The event is polled, because the middleware would also wake those that wait for it at
+        # every status list.
+        event = None if self._event is None else self._event.take_event()
+        alive: int = self._alive if event is None else event.alive_count
+        if event is not None:
+            self._not_alive = event.not_alive_count
+        if alive != self._alive:
+            self._alive, self._dead = alive, alive == 0
+            self._tells_signs = True
+
+    def _all_have_leases(self) -> bool:
+        """Return whether all servers in the graph give signs of life: those have a short lease."""
+        known = self._ros.node.get_publishers_info_by_topic(self._names.status)
+        longest = int(2 * self.lease * 1e9)
+        return all(one.qos_profile.liveliness_lease_duration.nanoseconds < longest for one in known)

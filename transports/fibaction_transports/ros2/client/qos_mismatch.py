@@ -1,0 +1,84 @@
+"""The explanation why a server that is in the graph cannot be reached: its quality of service."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.names import ActionNames
+from fibaction_transports.ros2.settings import EndSettings
+
+_LEVELS = {
+    "reliability": ("best_effort", "reliable"),
+    "durability": ("volatile", "transient_local"),
+}
+"""The levels of each policy. An end that offers the first does not match one that wants the second.
+"""
+
+
+class _Way(NamedTuple):
+    """One direction of a part of an action, between a server and this client."""
+
+    setting: str
+    part: str
+    servers: Sequence[Any]
+    """The ends of servers, as ROS describes the ends of a topic."""
+    ours: Any
+    is_to_server: bool = False
+
+
+def explain_mismatch(node: Any, full: ActionNames, settings: EndSettings) -> str:
+    """Return a sentence that says which parts of a server do not match, and what to do; empty if
+    there is no server, or if all of it matches.
+
+    ROS tells the quality of service of topics. That of services it tells only as DDS has them, as
+    two topics each, so with other middlewares nothing is said of services.
+    """
+    wrong: dict[str, None] = {}
+    advice: dict[str, dict[str, str]] = {}
+    for way in _ways(node, full, settings):
+        for server in way.servers:
+            for policy in _mismatches(way, server.qos_profile):
+                theirs, ours = _word(server.qos_profile, policy), _word(way.ours, policy)
+                verbs = ("wants", "offers") if way.is_to_server else ("offers", "wants")
+                wrong[f"{way.part}: it {verbs[0]} {theirs}, and this client {verbs[1]} {ours}"] = (
+                    None
+                )
+                advice.setdefault(way.setting, {})[policy] = theirs
+    if not wrong:
+        return ""
+    words = ", ".join(f"{name}={','.join(of.values())!r}" for name, of in advice.items())
+    return (
+        f"there is a server, and its QoS does not match: {'; '.join(wrong)}; connect with {words},"
+        " or change the server"
+    )
+
+
+def _ways(node: Any, full: ActionNames, settings: EndSettings) -> Iterator[_Way]:
+    publishers = node.get_publishers_info_by_topic
+    feedback = qos.feedback(settings.feedback_depth, settings.feedback_qos)
+    status = qos.subscribed_status(settings.status_qos)
+    services = qos.services(settings.services_qos)
+    yield _Way("feedback_qos", "feedback", publishers(full.feedback), feedback)
+    yield _Way("status_qos", "status", publishers(full.status), status)
+    for name in (full.send_goal, full.cancel_goal, full.get_result):
+        part = f"service {name.rpartition('/')[2]}"
+        requests = node.get_subscriptions_info_by_topic(f"rq{name}Request", no_mangle=True)
+        answers = publishers(f"rr{name}Reply", no_mangle=True)
+        yield _Way("services_qos", part, requests, services, is_to_server=True)
+        yield _Way("services_qos", part, answers, services)
+
+
+def _mismatches(way: _Way, theirs: Any) -> list[str]:
+    offered, wanted = (way.ours, theirs) if way.is_to_server else (theirs, way.ours)
+    return [
+        policy
+        for policy, (weak, strong) in _LEVELS.items()
+        if _word(offered, policy) == weak and _word(wanted, policy) == strong
+    ]
+
+
+def _word(profile: Any, policy: str) -> str:
+    name: str = getattr(profile, policy).name
+    return name.lower()

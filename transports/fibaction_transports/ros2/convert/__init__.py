@@ -1,0 +1,1 @@
+"""Values between payloads and the messages of ROS."""

@@ -1,0 +1,159 @@
+"""The status list of an action as bytes, the lines in it, and the lines in which two lists differ.
+
+The bytes are those of CDR, the encoding that all middlewares of ROS 2 use. They are read and
+written here, because rclpy makes some four Python objects, one of them of numpy, for each line of
+a list, and a list is sent at every change of every goal: with some hundred goals, that would be
+most of the work. For the same reason, a client reads only the lines that have changed: a server
+remembers up to a thousand ended goals, and a list has all of them.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from typing import Any, TypeAlias
+
+from fibaction.words.errors import ProtocolError
+from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.statuses import GoalStatus
+
+StatusLine: TypeAlias = tuple[Any, ...]
+"""One line of a list: the goal's ID, the seconds and nanoseconds of its stamp, its status."""
+
+LINE = 28
+"""The bytes of a line, as `pack_line` makes it."""
+PIECES = 32
+"""Equal pieces of two lists that are looked for, at most: more changed goals at once are rare."""
+
+_BILLION = 10**9
+_HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian
+_START = len(_HEADER) + 4  # the number of lines follows the header
+# A line is a UUID, the stamp's seconds and nanoseconds, and the status. The numbers of the stamp
+# are aligned to 4 bytes, so all lines but the first have a gap of 3 behind the UUID.
+_ID = 16
+_GAP = slice(_ID, _ID + 3)
+_LINE = struct.Struct("<16s3xiIb")
+
+
+def pack_line(info: GoalInfo) -> bytes:
+    """Return one line of a status list, as `pack_statuses` takes it."""
+    return _LINE.pack(info.goal_id, *divmod(info.stamp, _BILLION), info.status)
+
+
+def status_of(line: bytes) -> int:
+    """Return the status in a line of `pack_line`."""
+    return line[-1]
+
+
+def pack_statuses(lines: Iterable[bytes]) -> bytes:
+    """Return an `action_msgs/msg/GoalStatusArray` with lines of `pack_line`."""
+    body = bytearray(b"".join(lines))
+    count = len(body) // LINE
+    del body[_GAP]
+    return _HEADER + count.to_bytes(4, "little") + body
+
+
+def lines_in(message: bytes) -> bytes:
+    """Return the lines of an `action_msgs/msg/GoalStatusArray`, one after another, as `pack_line`
+    makes them.
+
+    Raises:
+        ProtocolError: The message is not a status list.
+    """
+    order = {0: ">", 1: "<"}.get(message[1]) if len(message) >= _START else None
+    if order is None:
+        raise ProtocolError(f"invalid status list of {len(message)} bytes: it is not CDR")
+    (count,) = struct.unpack_from(f"{order}I", message, len(_HEADER))
+    if count == 0:
+        return b""
+    gap = bytes(_GAP.stop - _GAP.start)
+    end = _START + LINE * count - len(gap)
+    if len(message) < end:
+        raise ProtocolError(
+            f"invalid status list of {len(message)} bytes: it announces {count} goals, which need"
+            f" {end}"
+        )
+    lines = message[_START : _START + _ID] + gap + message[_START + _ID : end]
+    if order == "<":
+        return lines
+    return b"".join(_LINE.pack(*line) for line in struct.iter_unpack(f">{_LINE.format[1:]}", lines))
+
+
+def unpack_lines(lines: bytes) -> list[StatusLine]:
+    """Return the lines of `lines_in`, each as a tuple."""
+    return list(_LINE.iter_unpack(lines))
+
+
+def differences(before: bytes, now: bytes) -> tuple[list[StatusLine], list[StatusLine]]:
+    """Return the lines that only the first of two lists has, and those that only the second has,
+    both in order. The lists are those of `lines_in`.
+
+    Most lines are the same, and in the same order, so long pieces are compared as bytes. What is
+    left after `PIECES` of them is compared line by line.
+    """
+    gone, new = bytearray(), bytearray()
+    old, at = 0, 0
+    for _ in range(PIECES):
+        same = _equal_bytes(before[old:], now[at:])
+        old, at = old + same, at + same
+        line = now[at : at + LINE]
+        if not line:
+            break
+        found = before.find(line, old)
+        if found >= 0 and found % LINE == 0:
+            gone += before[old:found]
+            old = found
+        else:
+            new += line
+            at += LINE
+            if before[old : old + _ID] == line[:_ID]:  # the same goal
+                gone += before[old : old + LINE]
+                old += LINE
+    gone_lines = unpack_lines(bytes(gone) + before[old:])
+    new_lines = unpack_lines(bytes(new) + now[at:])
+    known, kept = set(gone_lines), set(new_lines)
+    return (
+        [line for line in gone_lines if line not in kept],
+        [line for line in new_lines if line not in known],
+    )
+
+
+def _equal_bytes(one: bytes, other: bytes) -> int:
+    """Return the length of the lines at the beginning that are the same."""
+    least, most = 0, min(len(one), len(other)) // LINE
+    while least < most:
+        middle = (least + most + 1) // 2
+        part = slice(LINE * least, LINE * middle)
+        if one[part] == other[part]:
+            least = middle
+        else:
+            most = middle - 1
+    return LINE * least
+
+
+def stamps_of(message: bytes) -> dict[bytes, int]:
+    """Return the stamps of the goals in an `action_msgs/msg/GoalStatusArray`, by their IDs.
+
+    Raises:
+        ProtocolError: The message is not a status list.
+    """
+    return {line[0]: line[1] * _BILLION + line[2] for line in unpack_lines(lines_in(message))}
+
+
+def info_of(line: StatusLine) -> GoalInfo:
+    """Return the goal of a line.
+
+    Raises:
+        ProtocolError: The number is not a status of ROS.
+    """
+    goal_id, seconds, nanoseconds, status = line
+    try:
+        known = GoalStatus(status)
+    except ValueError as exc:
+        raise ProtocolError(f"invalid status list: {exc}") from exc
+    return GoalInfo(GoalID(goal_id), seconds * _BILLION + nanoseconds, known)
+
+
+def goal_of_feedback(message: bytes) -> bytes:
+    """Return the goal ID, the first field of every `FeedbackMessage`."""
+    return message[4:20]

@@ -1,0 +1,96 @@
+"""The number of feedback messages of each goal, which servers of fibaction publish when it ends.
+
+A client of ROS cannot tell whether it has all feedback: the messages carry no numbers, and what the
+middleware sends again to a new reader may arrive after the result. So a server of fibaction tells
+the number on a topic of its own, beside those of the action. Its name is hidden, so that the tools
+of ROS do not list it, and only clients of fibaction subscribe to it, if a server publishes it.
+
+A message is an `rcl_interfaces/msg/Parameter`, a type that every node of rclpy has: its name is the
+goal's ID, its value the number. It is published before the result, and the topic keeps the last
+messages for a client that is connected later.
+
+ROS may not allow the topic: with SROS 2, a policy for a plain action does not have it. Then goals
+run as with servers of rclpy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from fibaction.words.errors import TransportError
+from fibaction.words.goals import GoalID
+from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.names import count_topic
+from fibaction_transports.ros2.node.node import RosNode
+from fibaction_transports.ros2.node.waitable import Messages
+from fibaction_transports.ros2.rcl import ParameterMessage, deserialize, raw
+
+
+class PublishedCounts:
+    """The numbers of feedback messages, as a server publishes them."""
+
+    def __init__(self, ros: RosNode, action: str) -> None:
+        self._ros = ros
+        self._publisher: Any = None
+        topic = count_topic(ros.node, action)
+        try:
+            self._publisher = ros.make(raw.Publisher, ParameterMessage, topic, qos.counts())
+        except TransportError as exc:
+            ros.warn(f"{action}: clients are not told how many feedback messages a goal had: {exc}")
+        self._message = ParameterMessage()
+        self._message.value.type = 2  # PARAMETER_INTEGER
+
+    def publish(self, goal_id: GoalID, count: int) -> None:
+        """Publish the number of feedback messages of a goal that has ended."""
+        if self._publisher is None:
+            return
+        self._message.name = str(goal_id)
+        self._message.value.integer_value = count
+        self._ros.attempt(self._publisher.publish, self._message)
+
+
+class ReceivedCounts:
+    """The numbers of feedback messages, as a client receives them."""
+
+    def __init__(self, ros: RosNode, action: str, take: Callable[[GoalID, int], None]) -> None:
+        """`take` is called with a goal's ID and its number of feedback messages."""
+        self._ros = ros
+        self._topic = count_topic(ros.node, action)
+        self._take = take
+        self._servers: frozenset[bytes] = frozenset()
+        self._has_subscribed = False
+        self._is_allowed = True
+        self._are_published = False
+
+    def come_from(self, servers: frozenset[bytes]) -> bool:
+        """Subscribe to the numbers if there is one server and it publishes them, and return whether
+        that is so. Of several servers, each would publish a number for the same goal.
+        """
+        if servers != self._servers or not self._are_published:
+            self._servers = servers
+            look = self._ros.node.count_publishers
+            found: int = self._ros.attempt(look, self._topic, otherwise=0)
+            self._are_published = found == len(servers) == 1
+            if self._are_published and not self._has_subscribed:
+                self._ros.attempt(self._subscribe)
+        return self._are_published and self._is_allowed
+
+    def _subscribe(self) -> None:
+        self._has_subscribed = True
+        try:
+            self._listen()
+        except TransportError as exc:
+            if not self._ros.is_up:
+                raise
+            self._is_allowed = False
+            self._ros.warn(f"lost feedback is not counted: {exc}")
+
+    def _listen(self) -> None:
+        subscription = self._ros.make(raw.Subscription, ParameterMessage, self._topic, qos.counts())
+        # First, so that a number that arrives together with the result is known before it.
+        self._ros.listen(Messages(subscription, ParameterMessage, self._take_one), first=True)
+
+    def _take_one(self, item: tuple[bytes, bytes]) -> None:
+        found = deserialize(item[0], ParameterMessage)
+        self._take(GoalID.parse(found.name), found.value.integer_value)

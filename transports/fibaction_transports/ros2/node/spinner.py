@@ -1,0 +1,192 @@
+"""The thread that spins a node of fibaction's own.
+
+Theory of operation
+-------------------
+
+rclpy's executor collects everything of a node anew each time that it wakes, in Python, and wraps
+what is ready in a task of its own. That took a quarter of the time of a goal, while the event loop
+waited for the interpreter. So the thread has a wait set of its own, which lasts until the handles
+change, and takes from the sources of the node's `RosWaitable` directly.
+
+The node has a few things of rclpy's own, too: the service that describes its types, and with
+`use_sim_time` the clock of the simulation. The wait set has them as well. If one of them is ready,
+rclpy's executor handles it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from typing import Any
+
+from fibaction._runtime.log import clean_logger
+from fibaction.words.errors import text_of
+from fibaction_transports.ros2.node.waitable import RosWaitable
+from fibaction_transports.ros2.rcl import (
+    GuardCondition,
+    InvalidHandle,
+    SignalHandlerGuardCondition,
+    SingleThreadedExecutor,
+    raw,
+    waitable,
+)
+
+logger = clean_logger("fibaction.ros2")
+
+FOREVER = -1
+
+
+class Spinner:
+    """A thread that spins a node."""
+
+    def __init__(
+        self, node: Any, sources: RosWaitable, context: Any, on_end: Callable[[str], None]
+    ) -> None:
+        """Prepare the thread. The node must not have `sources` as a waitable. `on_end` is called in
+        the thread, with the reason, if it ends before `stop`.
+        """
+        self._node = node
+        self._sources = sources
+        self._on_end = on_end
+        self._context = context
+        self._woken = GuardCondition(None, None, context=context)
+        # With rclpy's own handlers of signals, Ctrl-C shuts down all contexts of the process.
+        self._signal = SignalHandlerGuardCondition(context)
+        self._executor = _Executor(context, self._wake)
+        self._executor.add_node(node)
+        self._is_stopping = False
+        # A daemon, because Python waits for other threads before it ends. A program that ends
+        # while C++ waits in this thread would crash, so `stop` is also called at exit.
+        self._thread = threading.Thread(target=self._run, name="fibaction-ros2", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        atexit.register(self.stop)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop the thread, and wait for it, which takes a moment. A second call does nothing."""
+        atexit.unregister(self.stop)
+        if not self._is_stopping:
+            self._is_stopping = True
+            self._wake()
+            self._thread.join()
+            self._executor.shutdown()
+            self._woken.destroy()
+            self._signal.destroy()
+
+    def _wake(self) -> None:
+        with suppress(InvalidHandle):  # the thread has been stopped
+            self._woken.trigger()
+
+    def _run(self) -> None:
+        reason = "rclpy was shut down"
+        try:
+            while self._goes_on():
+                self._take_until_woken()
+        except BaseException as exc:
+            # If ROS is shut down between a look at the context and the next wait, rclpy raises
+            # whatever rcl says.
+            if self._context.ok():
+                reason = f"the thread of rclpy has ended: {text_of(exc)}"
+                logger.error("%s", reason, exc_info=exc)
+        if not self._is_stopping:
+            self._on_end(reason)
+
+    def _goes_on(self) -> bool:
+        return not self._is_stopping and self._context.ok()
+
+    def _take_until_woken(self) -> None:
+        """Take everything that arrives, until the handles of the node may have changed."""
+        with ExitStack() as held, self._sources as sources:
+            others = _Others(self._node, held)
+            counts = others.get_num_entities() + sources.get_num_entities()
+            counts.num_guard_conditions += 2
+            for handle in (self._context.handle, self._woken.handle, self._signal.handle):
+                held.enter_context(handle)
+            wait_set = raw.WaitSet(
+                counts.num_subscriptions,
+                counts.num_guard_conditions,
+                counts.num_timers,
+                counts.num_clients,
+                counts.num_services,
+                counts.num_events,
+                self._context.handle,
+            )
+            woken = False
+            while not woken and self._goes_on():
+                wait_set.clear_entities()
+                wake = wait_set.add_guard_condition(self._woken.handle)
+                wait_set.add_guard_condition(self._signal.handle)
+                others.add_to_wait_set(wait_set)
+                sources.add_to_wait_set(wait_set)
+                wait_set.wait(FOREVER)
+                woken = wait_set.is_ready("guard_condition", wake)
+                if sources.is_ready(wait_set):
+                    sources.take_data()
+                    woken = woken or sources.is_paused
+                if others.are_ready(wait_set) and self._goes_on():
+                    self._executor.spin_once(timeout_sec=0)
+
+
+class _Executor(SingleThreadedExecutor):  # type: ignore[misc]  # rclpy has no types here
+    """The executor of rclpy for the rest of a node. It also wakes the thread of the spinner."""
+
+    def __init__(self, context: Any, on_wake: Callable[[], None]) -> None:
+        self._on_wake = on_wake
+        SingleThreadedExecutor.__init__(self, context=context)
+
+    def wake(self) -> None:
+        SingleThreadedExecutor.wake(self)
+        self._on_wake()
+
+
+class _Others:
+    """The handles of a node that are rclpy's own, as one thing to wait for."""
+
+    def __init__(self, node: Any, held: ExitStack) -> None:
+        """Keep the handles in use until `held` is closed."""
+        self._handles = [
+            (kind, one.handle)
+            for kind, ones in (
+                ("subscription", node.subscriptions),
+                ("timer", node.timers),
+                ("client", node.clients),
+                ("service", node.services),
+            )
+            for one in ones
+            if _is_entered(one.handle, held)
+        ]
+        self._waitables = [one for one in node.waitables if _is_entered(one, held)]
+        self._indexes: list[tuple[str, int]] = []
+
+    def get_num_entities(self) -> Any:
+        number = waitable.NumberOfEntities()
+        for kind, _ in self._handles:
+            name = f"num_{kind}s"
+            setattr(number, name, getattr(number, name) + 1)
+        for one in self._waitables:
+            number += one.get_num_entities()
+        return number
+
+    def add_to_wait_set(self, wait_set: Any) -> None:
+        self._indexes = [
+            (kind, getattr(wait_set, f"add_{kind}")(handle)) for kind, handle in self._handles
+        ]
+        for one in self._waitables:
+            one.add_to_wait_set(wait_set)
+
+    def are_ready(self, wait_set: Any) -> bool:
+        return any(wait_set.is_ready(kind, index) for kind, index in self._indexes) or any(
+            one.is_ready(wait_set) for one in self._waitables
+        )
+
+
+def _is_entered(one: Any, held: ExitStack) -> bool:
+    try:
+        held.enter_context(one)
+    except InvalidHandle:  # it is being destroyed
+        return False
+    return True

@@ -1,0 +1,1 @@
+"""The server's half: an endpoint as an action server of ROS."""

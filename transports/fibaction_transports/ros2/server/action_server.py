@@ -1,0 +1,391 @@
+"""The action server over rcl: an endpoint is served as an action of ROS.
+
+Theory of operation
+-------------------
+
+An action of ROS is three services and two topics, as `rcl_action` has them. The server uses raw
+handles of rclpy for them. It calls the methods of an `Endpoint`, so it serves an action server of
+this process as well as one that a gateway reaches.
+
+*Requests* are answered by `ServiceServers`, each in a task of its own. A goal goes to the endpoint,
+which accepts or rejects it. The reason of a rejection has no field in ROS's answer, so it is
+written to the log of ROS. While a goal is being decided, a second request with its ID waits; later
+it is rejected, as rcl_action does it.
+
+*Each goal* has a `GoalForwarder`, which follows the endpoint's stream of the goal. It publishes the
+feedback on the `FeedbackTopic`, updates the status list, and answers requests for the result. The
+order is: the acceptance is answered, then feedback is published, then the number of its messages
+(`PublishedCounts`, for clients of fibaction), then the terminal status, then the result. For a goal
+that did not come through ROS, for instance over another transport, a forwarder is started when the
+stream of all statuses tells of it.
+
+*Statuses* come from two sources: from the stream of each goal, and from the endpoint's stream of
+all statuses, which may be read later. `PublishedStatuses` ignores what is older than what it has.
+The stream of all statuses is needed for goals that did not come through ROS, for `CANCELING`, and
+for `UNKNOWN`, which removes a forgotten goal from the list. Statuses after the end are kept in
+`GoalForwarder.late` until the goal's feedback and result are out.
+
+*The end.* `drain` waits until everything is answered that can be answered, then the node stays for
+another `LINGER` seconds: Fast DDS drops what has arrived and is not yet handled, if it hears first
+that the sender has left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio
+from anyio import current_time
+from anyio.abc import TaskGroup
+
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
+from fibaction._runtime.tasks import Background
+from fibaction.border.abc import Endpoint, GoalStream
+from fibaction.words.errors import ActionError, GoalRejected, ProtocolError
+from fibaction.words.goals import (
+    UNKNOWN_OUTCOME,
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    Outcome,
+)
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.convert.conversion import (
+    RosAction,
+    RosCodecs,
+    goal_id_of,
+    goal_info_to_ros,
+    stamp_of,
+)
+from fibaction_transports.ros2.convert.status_bytes import pack_statuses
+from fibaction_transports.ros2.names import action_names
+from fibaction_transports.ros2.node.feedback_counts import PublishedCounts
+from fibaction_transports.ros2.node.node import RosNode
+from fibaction_transports.ros2.node.rivals import warn_of_rivals
+from fibaction_transports.ros2.node.stamps import ServedStamps
+from fibaction_transports.ros2.node.status_list import PublishedStatuses
+from fibaction_transports.ros2.rcl import raw
+from fibaction_transports.ros2.server.feedback_topic import FeedbackTopic, GoalFeedback
+from fibaction_transports.ros2.server.goal_forwarder import GoalForwarder
+from fibaction_transports.ros2.server.service_server import ServiceServers
+from fibaction_transports.ros2.settings import EndSettings
+
+NO_GOAL = bytes(16)
+DRAIN_TIMEOUT = 5.0
+"""Seconds that leaving waits for the last answers to be sent."""
+ASKING_TIME = 0.5
+"""Seconds of these in which clients may still ask for results: a client that has just been told
+that its goal was accepted is about to."""
+LINGER = 0.2
+"""Seconds that the node stays after the last message was sent."""
+RETRY_PAUSE = 1.0
+"""Seconds between attempts to follow the statuses of an endpoint that cannot be reached."""
+
+logger = clean_logger("fibaction.ros2")
+
+
+class ServedEndpoint:
+    """An endpoint, and the ROS type of its action, which is looked up before anything is served."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        """Find the action's type in ROS.
+
+        Raises:
+            TransportError: There is no such type, or its fields do not match the action's.
+        """
+        self.endpoint = endpoint
+        info = endpoint.info
+        found = RosAction.find(info.type_name, info.name)
+        self.impl: Any = found.ros_type.Impl
+        self.codecs: RosCodecs = found.codecs(info)
+
+
+class RosActionServer:
+    """One action, served in ROS."""
+
+    def __init__(
+        self, ros: RosNode, served: ServedEndpoint, settings: EndSettings, tasks: TaskGroup
+    ) -> None:
+        self._ros = ros
+        self._endpoint = served.endpoint
+        self._impl = served.impl
+        self._codecs = served.codecs
+        self._tasks = tasks
+        self._name = served.endpoint.info.name
+        self._names = action_names(ros.node, self._name)
+        self._deciding: set[GoalID] = set()
+        self._forwarders: dict[GoalID, GoalForwarder] = {}
+        self._published_at = -math.inf
+        self._progress = Notifier()
+        self._services = ServiceServers(self._name, tasks, self._progress)
+        self._open(settings)
+
+    def _open(self, settings: EndSettings) -> None:
+        make, impl, full = self._ros.make, self._impl, self._names
+        profile = qos.services(settings.services_qos)
+        goals = make(raw.Service, impl.SendGoalService, full.send_goal, profile)
+        cancels = make(raw.Service, impl.CancelGoalService, full.cancel_goal, profile)
+        results = make(raw.Service, impl.GetResultService, full.get_result, profile)
+        self._ros.introspect(settings.introspection, goals, cancels, results)
+        # Before the rest: a client that knows the server then knows that it publishes these, too.
+        self._counts = PublishedCounts(self._ros, self._name)
+        self._feedback = FeedbackTopic(
+            self._ros, self._name, full, impl.FeedbackMessage, self._codecs.feedback, settings
+        )
+        profile = qos.published_status(settings.lease, settings.status_qos)
+        self._status = make(raw.Publisher, impl.GoalStatusMessage, full.status, profile)
+        self._statuses = PublishedStatuses(self._publish_status)
+        self._stamps = ServedStamps(self._ros.clock)
+        requests = self._services.requests
+        rejected = impl.CancelGoalService.Response(return_code=int(CancelCode.REJECTED))
+
+        def decided(request: Any) -> None:
+            goal_id = goal_id_of(request.goal_id)
+            self._deciding.discard(goal_id)
+            self._statuses.repeat_later(goal_id)
+
+        self._ros.listen(
+            requests(goals, impl.SendGoalService, self._answer_goal, done=decided),
+            requests(cancels, impl.CancelGoalService, self._answer_cancel, failure=rejected),
+            requests(results, impl.GetResultService, self._answer_result, is_awaited=False),
+        )
+
+    def start(self) -> None:
+        """Serve."""
+        # The list without goals, so that clients need not wait for a list.
+        self._publish_status(pack_statuses(()))
+        self._tasks.start_soon(self._statuses.run, name=f"statuses of {self._name}")
+        self._tasks.start_soon(self._statuses.repeat, name=f"repeated statuses of {self._name}")
+        self._tasks.start_soon(self._follow_statuses, name=f"goals of {self._name}")
+        self._tasks.start_soon(
+            warn_of_rivals,
+            self._ros,
+            self._name,
+            self._names.status,
+            name=f"rivals of {self._name}",
+        )
+
+    async def drain(self) -> None:
+        """Wait until everything has been answered that can be answered."""
+        if self._services.is_closed:
+            return
+        with anyio.move_on_after(DRAIN_TIMEOUT, shield=True):
+            with anyio.move_on_after(ASKING_TIME):
+                await self._all_sent()
+            for forwarder in self._forwarders.values():
+                forwarder.hurry()
+            await self._all_sent()
+            self._statuses.flush()
+        self._services.close()
+
+    async def _all_sent(self) -> None:
+        while self._services.is_busy or any(one.is_owed for one in self._forwarders.values()):
+            await self._progress.wait()
+
+    @property
+    def sent_at(self) -> float:
+        """The time at which the last answer or status list was sent."""
+        return max(self._published_at, self._services.sent_at)
+
+    # Requests
+
+    async def _answer_goal(self, request: Any) -> Any:
+        response = self._impl.SendGoalService.Response()
+        goal_id = goal_id_of(request.goal_id)
+        try:
+            stamp = await self._accept(goal_id, request.goal)
+        except ActionError as exc:
+            reason = exc.reason if isinstance(exc, GoalRejected) else str(exc)
+            self._ros.warn(f"{self._name}: goal {goal_id} rejected: {reason}")
+        else:
+            response.accepted = True
+            response.stamp.sec, response.stamp.nanosec = divmod(stamp, 10**9)
+        return response
+
+    async def _accept(self, goal_id: GoalID, goal: Any) -> int:
+        while goal_id in self._deciding:
+            # A client sends it again, or two goals clash: the first answer counts.
+            await self._progress.wait()
+        if goal_id in self._forwarders or goal_id in self._statuses:
+            raise GoalRejected("its ID is in use")
+        self._deciding.add(goal_id)  # until the client has been told
+        stream = await self._endpoint.send_goal(goal_id, self._codecs.goal.from_ros(goal))
+        # Here and not only by the stream of all statuses, which may be read after the goal's own.
+        self._update(GoalInfo(goal_id, stream.stamp, GoalStatus.ACCEPTED))
+        self._forward(stream)
+        return self._stamps.to_ros(goal_id, stream.stamp)
+
+    async def _answer_cancel(self, request: Any) -> Any:
+        info = request.goal_info
+        goal_id, stamp = goal_id_of(info.goal_id), stamp_of(info.stamp)
+        try:
+            answer = await self._endpoint.cancel_goals(
+                None if goal_id == NO_GOAL else goal_id,
+                self._stamps.from_ros(stamp) if stamp else None,
+            )
+        except ActionError as exc:
+            answer = CancelAnswer(CancelCode.REJECTED, reason=str(exc))
+        if answer.reason:
+            self._ros.warn(f"{self._name}: cancel rejected: {answer.reason}")
+        await anyio.lowlevel.checkpoint()  # statuses from before the cancel are published first
+        canceling = [self._in_ros(one) for one in answer.goals_canceling]
+        for one in canceling:
+            self._statuses.update(one)
+        self._statuses.flush()
+        response = self._impl.CancelGoalService.Response()
+        response.return_code = int(answer.return_code)
+        response.goals_canceling = [goal_info_to_ros(one) for one in canceling]
+        return response
+
+    async def _answer_result(self, request: Any) -> Any:
+        goal_id = goal_id_of(request.goal_id)
+        if goal_id not in self._forwarders:
+            # Clients of fibaction send this right after the goal itself, which is to begin first.
+            await anyio.lowlevel.checkpoint()
+            while goal_id in self._deciding and goal_id not in self._forwarders:
+                await self._progress.wait()
+        forwarder = self._forwarders.get(goal_id)
+        if forwarder is not None:
+            return await forwarder.answer()
+        try:
+            outcome = await self._endpoint.get_result(goal_id)
+        except ActionError as exc:  # a gateway has lost the server behind it
+            logger.info("%s: no result of goal %s: %s", self._name, goal_id, exc)
+            outcome = UNKNOWN_OUTCOME
+        return self._result(goal_id, outcome)
+
+    def _result(self, goal_id: GoalID, outcome: Outcome[bytes]) -> Any:
+        response = self._impl.GetResultService.Response()
+        status = outcome.status
+        try:
+            response.result = self._codecs.result.to_ros(outcome.result)
+        except ProtocolError as exc:
+            self._ros.complain(
+                f"{self._name}: goal {goal_id} aborted: its result does not fit its ROS type: {exc}"
+            )
+            status = GoalStatus.ABORTED
+        response.status = int(status)
+        return response
+
+    # Goals
+
+    def _forward(self, stream: GoalStream) -> None:
+        goal_id = stream.goal_id
+        feedback = self._feedback.of(goal_id)
+        forwarder = GoalForwarder(stream, feedback.publish, self._update)
+        self._forwarders[goal_id] = forwarder
+        self._tasks.start_soon(
+            self._run_forwarder, goal_id, forwarder, feedback, name=f"goal of {self._name}"
+        )
+
+    async def _run_forwarder(
+        self, goal_id: GoalID, forwarder: GoalForwarder, feedback: GoalFeedback
+    ) -> None:
+        try:
+            # A client that does not know of the goal yet would ignore its feedback.
+            while goal_id in self._deciding:
+                await self._progress.wait()
+            try:
+                outcome = await forwarder.outcome()
+            except Exception as exc:
+                self._log_failure(f"goal {goal_id} is lost", exc)
+                outcome = Outcome[bytes](GoalStatus.UNKNOWN)  # the reason has just been logged
+            if outcome.reason:
+                self._ros.warn(
+                    f"{self._name}: goal {goal_id} {outcome.status.name}: {outcome.reason}"
+                )
+            self._counts.publish(goal_id, feedback.count)
+            response = self._result(goal_id, outcome)
+            status = GoalStatus(response.status)
+            if status.is_terminal:
+                self._update(GoalInfo(goal_id, forwarder.stream.stamp, status))
+            self._statuses.flush()
+            await forwarder.hand_over(response)
+        finally:
+            del self._forwarders[goal_id]
+            for info in forwarder.late:
+                if info.status is GoalStatus.UNKNOWN or goal_id not in self._statuses:
+                    self._update(info)
+            self._progress.notify()
+
+    # Statuses
+
+    def _update(self, info: GoalInfo) -> None:
+        """Set the status of a goal in the list, with its stamp in ROS."""
+        if info.status is GoalStatus.UNKNOWN:
+            self._stamps.forget(info.goal_id)
+            self._statuses.update(info)
+        else:
+            self._statuses.update(self._in_ros(info))
+
+    def _in_ros(self, info: GoalInfo) -> GoalInfo:
+        return GoalInfo(info.goal_id, self._stamps.to_ros(info.goal_id, info.stamp), info.status)
+
+    def _publish_status(self, message: bytes) -> None:
+        self._published_at = current_time()
+        self._ros.attempt(self._status.publish_raw, message)
+
+    async def _follow_statuses(self) -> None:
+        while True:
+            try:
+                with await self._endpoint.status() as statuses:
+                    while (info := await statuses.receive()) is not None:
+                        self._take_status(info)
+            except Exception as exc:
+                self._log_failure("no statuses", exc)
+                self._statuses.clear()
+                self._stamps.clear()
+            await anyio.sleep(RETRY_PAUSE)
+
+    def _take_status(self, info: GoalInfo) -> None:
+        forwarder = self._forwarders.get(info.goal_id)
+        if forwarder is not None and not info.status.is_active:
+            forwarder.late.append(info)
+            return
+        is_new = info.goal_id not in self._statuses and info.goal_id not in self._deciding
+        if forwarder is None and is_new and info.status.is_active:
+            self._tasks.start_soon(self._follow, info.goal_id, name=f"goal of {self._name}")
+        self._update(info)
+
+    async def _follow(self, goal_id: GoalID) -> None:
+        """Publish the feedback of a goal that did not come through ROS."""
+        try:
+            stream = await self._endpoint.feedback(goal_id)
+        except Exception as exc:
+            self._log_failure(f"no feedback of goal {goal_id}", exc)
+        else:
+            self._forward(stream)
+
+    def _log_failure(self, what: str, exc: Exception) -> None:
+        """Log an exception of the endpoint. One that is not an `ActionError` is a bug of the
+        endpoint, which must not end the other tasks.
+        """
+        if isinstance(exc, ActionError):
+            logger.info("%s: %s: %s", self._name, what, exc)
+        else:
+            logger.error("%s: %s: %s", self._name, what, exc, exc_info=exc)
+
+
+@asynccontextmanager
+async def serve_actions(
+    ros: RosNode, endpoints: Sequence[ServedEndpoint], settings: EndSettings
+) -> AsyncGenerator[None, None]:
+    """Serve for as long as the block lasts."""
+    async with Background() as tasks:
+        servers = [RosActionServer(ros, one, settings, tasks) for one in endpoints]
+        for server in servers:
+            server.start()
+        try:
+            yield
+        finally:
+            for server in servers:
+                await server.drain()
+            last = max(server.sent_at for server in servers)
+            with anyio.CancelScope(shield=True):
+                await anyio.sleep_until(last + LINGER)

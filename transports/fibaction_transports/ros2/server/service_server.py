@@ -1,0 +1,127 @@
+"""The service servers of an action: they take requests, and send the answers."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import anyio
+from anyio import current_time
+from anyio.abc import TaskGroup
+
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
+from fibaction_transports.ros2.node.waitable import Requests
+from fibaction_transports.ros2.rcl import has_answered
+
+ANSWER_PAUSES = (0.1, 0.3, 0.6)
+"""Seconds between attempts to send an answer that cannot reach its client yet."""
+UNDERWAY = 10_000
+"""Requests that may be under way. Most of them wait for the results of goals that run."""
+
+logger = clean_logger("fibaction.ros2")
+
+
+class ServiceServers:
+    """The services of one action. Each request is answered in a task of its own."""
+
+    def __init__(self, action: str, tasks: TaskGroup, progress: Notifier) -> None:
+        """`progress` is notified whenever a request is done."""
+        self.sent_at = -math.inf
+        """The time at which the last answer was sent."""
+        self._action = action
+        self._tasks = tasks
+        self._progress = progress
+        self._is_closed = False
+        self._underway = 0
+        self._awaited = 0
+        self._sending = 0
+
+    def requests(
+        self,
+        handle: Any,
+        service_type: Any,
+        answer: Callable[[Any], Awaitable[Any]],
+        *,
+        failure: Any = None,
+        is_awaited: bool = True,
+        done: Callable[[Any], None] = lambda request: None,
+    ) -> Requests:
+        """Return the source of a service's requests.
+
+        Args:
+            handle: The raw service.
+            service_type: The type of the service.
+            answer: Called with a request; returns the response.
+            failure: The response if `answer` raises; None is a response with its defaults.
+            is_awaited: `is_busy` waits for these requests. Requests for results last as long as
+                their goals, and are not waited for.
+            done: Called with the request after the response was sent, or could not be sent.
+        """
+
+        def begin(item: Any) -> None:
+            header, request = item
+            if self.is_closed or self._underway >= UNDERWAY:
+                # Lost requests are noticed by their clients.
+                level = logging.INFO if self.is_closed else logging.ERROR
+                logger.log(
+                    level, "%s: more requests than can be answered: one is lost", self._action
+                )
+                return
+            self._underway += 1
+            self._awaited += is_awaited
+            self._tasks.start_soon(handle_one, header, request, name=f"request to {self._action}")
+
+        async def handle_one(header: Any, request: Any) -> None:
+            try:
+                try:
+                    response = await answer(request)
+                except Exception as exc:
+                    # A bug of the endpoint. It must not affect other requests.
+                    logger.error("%s: a request failed: %s", self._action, exc, exc_info=exc)
+                    response = service_type.Response() if failure is None else failure
+                await self._send(handle, response, header)
+            except Exception as exc:  # rclpy raises whatever rcl says
+                # Most likely, the client has left.
+                logger.info("%s: an answer could not be sent: %s", self._action, exc)
+            finally:
+                done(request)
+                self._underway -= 1
+                self._awaited -= is_awaited
+                self._progress.notify()
+
+        return Requests(handle, service_type, begin)
+
+    async def _send(self, handle: Any, response: Any, header: Any) -> None:
+        pauses = iter(ANSWER_PAUSES)
+        self._sending += 1
+        try:
+            while not has_answered(handle, response, header):
+                pause = next(pauses, None)
+                if pause is None:
+                    logger.warning(
+                        "%s: an answer cannot reach its client, and is lost", self._action
+                    )
+                    return
+                await anyio.sleep(pause)
+            self.sent_at = current_time()
+        finally:
+            self._sending -= 1
+
+    @property
+    def is_busy(self) -> bool:
+        """True if an answer is being sent, or a request is awaited that is not yet answered."""
+        return bool(self._awaited or self._sending)
+
+    @property
+    def is_closed(self) -> bool:
+        """True if no more requests can be answered. On trio, a Ctrl-C is raised in whatever task
+        runs: if it is one of these, all of them have ended.
+        """
+        return self._is_closed or self._tasks.cancel_scope.cancel_called
+
+    def close(self) -> None:
+        """Drop all further requests."""
+        self._is_closed = True

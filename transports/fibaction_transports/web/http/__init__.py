@@ -1,0 +1,1 @@
+"""HTTP and WebSocket for all web transports: requests, answers, handshake, files, problems."""

@@ -1,0 +1,220 @@
+"""`Exchange`: one request of HTTP and its answer, over ASGI."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable, Mapping, MutableMapping
+from contextlib import asynccontextmanager, suppress
+from typing import Any, TypeAlias
+from urllib.parse import parse_qsl
+
+import anyio
+from anyio import CancelScope
+
+from fibaction._runtime.budget import ByteBudget, CountedBytes
+from fibaction._runtime.http_rules import Refused
+from fibaction.words.errors import ConnectionLost
+from fibaction_transports.web.http.problems import PROBLEM_JSON, RETRY, Problem
+
+Scope: TypeAlias = MutableMapping[str, Any]
+Message: TypeAlias = MutableMapping[str, Any]
+Receive: TypeAlias = Callable[[], Awaitable[Message]]
+Send: TypeAlias = Callable[[Message], Awaitable[None]]
+
+BODY_TIMEOUT = 30.0
+"""Seconds in which the body of a request must have arrived."""
+WRITE_TIMEOUT = 60.0
+"""Seconds in which a client must take a piece of a stream of events."""
+EVENT_STREAM = "text/event-stream"
+JSON = "application/json"
+COMMON = (
+    ("Cache-Control", "no-store"),
+    ("Content-Security-Policy", "default-src 'none'; frame-ancestors 'none'"),
+    ("X-Content-Type-Options", "nosniff"),
+)
+"""Headers of every answer that does not have its own."""
+
+
+def headers_of(scope: Scope) -> dict[str, str]:
+    """Return the headers of a request, whose names are in lower case."""
+    headers: dict[str, str] = {}
+    for raw, value in scope["headers"]:
+        name, text = raw.decode("latin-1").lower(), value.decode("latin-1")
+        headers[name] = f"{headers[name]}, {text}" if name in headers else text
+    return headers
+
+
+def bearer_of(headers: Mapping[str, str]) -> str:
+    """Return the access token in the headers of a request; empty if there is none."""
+    scheme, _, text = headers.get("authorization", "").partition(" ")
+    if scheme.lower() != "bearer":
+        return ""
+    return text.strip().encode("latin-1").decode(errors="replace")
+
+
+def peer_of(scope: Scope) -> str:
+    """Return the address of the client, for logs."""
+    client = scope.get("client")
+    return f"{client[0]}:{client[1]}" if client else "a web client"
+
+
+def path_of(scope: Scope) -> str:
+    """Return the path below the root of the application."""
+    path: str = scope["path"]
+    root: str = scope.get("root_path", "").rstrip("/")
+    return path[len(root) :] if root and f"{path}/".startswith(f"{root}/") else path
+
+
+class Exchange:
+    """One request and its answer."""
+
+    def __init__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        self.method: str = scope["method"]
+        self.path = path_of(scope)
+        self.root: str = scope.get("root_path", "").rstrip("/")
+        self.headers = headers_of(scope)
+        self.peer = peer_of(scope)
+        self.has_tls: bool = scope.get("scheme") == "https"
+        self.has_begun = False
+        """True if the answer has begun."""
+        self.more_headers: list[tuple[str, str]] = []
+        """Headers that the answer has beside its own."""
+        self._query = dict(parse_qsl(scope.get("query_string", b"").decode("latin-1")))
+        self._receive = receive
+        self._send = send
+        self._held: CountedBytes | None = None
+
+    # The request
+
+    def parameter(self, name: str) -> str | None:
+        """Return a parameter behind the `?`; None if it is not there."""
+        return self._query.get(name)
+
+    def seconds(self, name: str, most: float) -> float | None:
+        """Return a parameter that is a number of seconds; None if it is not there.
+
+        Raises:
+            Refused: It is not a number, or out of range.
+        """
+        text = self.parameter(name)
+        if text is None:
+            return None
+        with suppress(ValueError):
+            if 0 <= (seconds := float(text)) <= most:
+                return seconds
+        raise Refused(400, f"{name} is a number of seconds between 0 and {most:g}")
+
+    @property
+    def wants_events(self) -> bool:
+        """True if the client asks for a stream of events."""
+        return EVENT_STREAM in self.headers.get("accept", "").lower()
+
+    async def json_body(self, limit: int, memory: ByteBudget) -> bytes:
+        """Return the body, whose bytes count in the memory for as long as this exchange lasts.
+
+        Raises:
+            Refused: It is not JSON by its type, larger than the limit, or slow; or the memory is
+                used up.
+            ConnectionLost: The client has gone.
+        """
+        kind = self.headers.get("content-type", "").partition(";")[0].strip().lower()
+        if kind != JSON:
+            raise Refused(415, f"the body must be {JSON}: set the header Content-Type")
+        length = self.headers.get("content-length", "")
+        if length.isdecimal() and int(length[:20]) > limit:
+            raise _too_large(limit)
+        self._held = CountedBytes(memory, 0)
+        try:
+            with anyio.fail_after(BODY_TIMEOUT):
+                return await self._body(limit, memory, self._held)
+        except TimeoutError:
+            raise Refused(408, f"the body has not arrived within {BODY_TIMEOUT:g} s") from None
+
+    async def _body(self, limit: int, memory: ByteBudget, held: CountedBytes) -> bytes:
+        body = bytearray()
+        while True:
+            message = await self._receive()
+            if message["type"] == "http.disconnect":
+                raise ConnectionLost(f"{self.peer} has gone")
+            body += message.get("body", b"")
+            if len(body) > limit:
+                raise _too_large(limit)
+            held.resize(len(body))
+            if not memory.has_room():
+                raise Refused(503, "the server is busy: it has no room for the body", RETRY)
+            if not message.get("more_body", False):
+                return bytes(body)
+
+    async def _gone(self) -> None:
+        """Wait until the client has gone."""
+        while (await self._receive())["type"] != "http.disconnect":
+            pass
+
+    @asynccontextmanager
+    async def until_gone(self) -> AsyncGenerator[CancelScope, None]:
+        """Cancel the block if the client goes; the scope says so afterwards."""
+        with CancelScope() as scope:
+            async with anyio.create_task_group() as tasks:
+
+                async def watch() -> None:
+                    await self._gone()
+                    scope.cancel()
+
+                tasks.start_soon(watch)
+                yield scope
+                tasks.cancel_scope.cancel()
+
+    # The answer
+
+    async def answer(
+        self, status: int, body: bytes, *headers: tuple[str, str], kind: str = JSON
+    ) -> None:
+        """Answer with a body of that media type; if it is empty, without one."""
+        if body:
+            headers = (*headers, ("Content-Type", kind))
+        await self._begin(status, [*headers, ("Content-Length", str(len(body)))])
+        if self.method == "HEAD":  # whose answer has no body, whatever its length says
+            body = b""
+        await self._write({"type": "http.response.body", "body": body, "more_body": False})
+
+    async def tell(self, problem: Problem) -> None:
+        """Answer with a problem."""
+        await self.answer(problem.status, problem.body, *problem.headers, kind=PROBLEM_JSON)
+
+    async def begin_events(self, status: int, *headers: tuple[str, str]) -> None:
+        """Begin to answer with a stream of events."""
+        kind = ("Content-Type", EVENT_STREAM)
+        await self._begin(status, [*headers, kind, ("X-Accel-Buffering", "no")])
+
+    async def write(self, data: bytes) -> None:
+        """Write a piece of a stream.
+
+        Raises:
+            ConnectionLost: The client has gone, or takes too long.
+        """
+        try:
+            with anyio.fail_after(WRITE_TIMEOUT):
+                await self._write({"type": "http.response.body", "body": data, "more_body": True})
+        except TimeoutError:
+            raise ConnectionLost(f"{self.peer} does not read") from None
+
+    async def end(self) -> None:
+        """End a stream."""
+        await self._write({"type": "http.response.body", "body": b"", "more_body": False})
+
+    async def _begin(self, status: int, headers: Iterable[tuple[str, str]]) -> None:
+        self.has_begun = True
+        own = [*headers, *self.more_headers]
+        names = {name for name, _ in own}
+        sent = [*own, *(header for header in COMMON if header[0] not in names)]
+        raw = [(name.lower().encode(), value.encode("latin-1")) for name, value in sent]
+        await self._write({"type": "http.response.start", "status": status, "headers": raw})
+
+    async def _write(self, message: Message) -> None:
+        try:
+            await self._send(message)
+        except OSError as exc:  # as ASGI has it for a client that has gone
+            raise ConnectionLost(f"{self.peer} has gone") from exc
+
+
+def _too_large(limit: int) -> Refused:
+    return Refused(413, f"the body is larger than the limit of {limit} bytes")

@@ -1,0 +1,136 @@
+"""`HttpExchange`: one request over h11, as ASGI has it."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from http import HTTPStatus
+from urllib.parse import unquote
+
+import anyio
+import h11
+from anyio.abc import ByteStream
+
+from fibaction.wire.channel import CHUNK
+from fibaction_transports.web.http.exchange import Message, Scope
+
+MOST_EARLY = 2**16
+"""Bytes of later requests that are read while one is answered; more are left to the socket."""
+BROKEN = (OSError, anyio.BrokenResourceError, anyio.ClosedResourceError, anyio.EndOfStream)
+"""The errors of a stream whose peer has gone."""
+
+
+def headers_in(request: h11.Request) -> dict[str, str]:
+    """Return the headers of a request, whose names are in lower case."""
+    headers: dict[str, str] = {}
+    for raw, value in request.headers:
+        name, text = raw.decode("ascii"), value.decode("latin-1")
+        headers[name] = f"{headers[name]}, {text}" if name in headers else text
+    return headers
+
+
+def is_upgrade(request: h11.Request) -> bool:
+    """Return whether a request asks for WebSocket."""
+    return "websocket" in headers_in(request).get("upgrade", "").lower()
+
+
+class HttpExchange:
+    """One request, and its answer."""
+
+    def __init__(
+        self,
+        http: h11.Connection,
+        stream: ByteStream,
+        request: h11.Request,
+        peer: str,
+        scheme: str,
+        root: str,
+    ) -> None:
+        self._http = http
+        self._stream = stream
+        self._begin: h11.Response | None = None
+        self._has_body = self._is_gone = False
+        self.early = b""
+        """The bytes that have arrived behind the request."""
+        path, _, query = request.target.partition(b"?")
+        host, _, port = peer.rpartition(":")
+        self.scope: Scope = {
+            "type": "http",
+            "asgi": {"version": "3.0", "spec_version": "2.4"},
+            "http_version": request.http_version.decode("ascii"),
+            "method": request.method.decode("ascii"),
+            "scheme": scheme,
+            "path": unquote(path.decode("ascii")),
+            "raw_path": path,
+            "query_string": query,
+            "root_path": root,
+            "headers": list(request.headers),
+            "client": (host, port) if host else None,
+            "server": None,
+        }
+        """The request, as ASGI describes it."""
+
+    def can_go_on(self) -> bool:
+        """Return whether the answer is complete, and the connection may have another request."""
+        http = self._http
+        with suppress(h11.RemoteProtocolError):
+            if http.their_state is h11.SEND_BODY:
+                http.next_event()  # the end of a request without a body, which nobody has read
+        return http.our_state is h11.DONE and http.their_state is h11.DONE and not self._is_gone
+
+    async def receive(self) -> Message:
+        """Return the next piece of the body; after it, wait until the client has gone."""
+        while not self._is_gone:
+            try:
+                if self._has_body:
+                    await self._receive_early()
+                    continue
+                if self._http.they_are_waiting_for_100_continue:
+                    await self._send(h11.InformationalResponse(status_code=100, headers=[]))
+                event = self._http.next_event()
+                if event is h11.NEED_DATA:
+                    self._http.receive_data(await self._stream.receive(CHUNK))
+                elif isinstance(event, h11.Data):
+                    body = bytes(event.data)
+                    return {"type": "http.request", "body": body, "more_body": True}
+                else:
+                    self._has_body = True
+                    return {"type": "http.request", "body": b"", "more_body": False}
+            except (*BROKEN, h11.RemoteProtocolError):
+                self._is_gone = True
+        return {"type": "http.disconnect"}
+
+    async def _receive_early(self) -> None:
+        if len(self.early) >= MOST_EARLY:
+            await anyio.sleep_forever()  # the application cancels it at the end of its answer
+        self.early += await self._stream.receive(CHUNK)
+
+    async def send(self, message: Message) -> None:
+        """Send the begin of the answer, or a piece of its body.
+
+        Raises:
+            OSError: The client has gone.
+        """
+        if message["type"] == "http.response.start":
+            # It is sent with the first piece.
+            status, headers = HTTPStatus(message["status"]), message["headers"]
+            self._begin = h11.Response(
+                status_code=status, headers=headers, reason=status.phrase.encode()
+            )
+            return
+        events: list[h11.Event] = []
+        if self._begin is not None:
+            events.append(self._begin)
+            self._begin = None
+        if body := message.get("body", b""):
+            events.append(h11.Data(data=body))
+        if not message.get("more_body", False):
+            events.append(h11.EndOfMessage())
+        await self._send(*events)
+
+    async def _send(self, *events: h11.Event) -> None:
+        data = b"".join(self._http.send(event) or b"" for event in events)
+        try:
+            await self._stream.send(data)
+        except (anyio.BrokenResourceError, anyio.ClosedResourceError) as exc:
+            self._is_gone = True
+            raise OSError(str(exc)) from exc

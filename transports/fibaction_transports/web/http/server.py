@@ -1,0 +1,266 @@
+"""`HttpServer`: a `WebApplication` at an address of its own, over h11.
+
+Theory of operation
+-------------------
+
+A task serves each connection. It reads the head of a request, of limited length and in limited
+time, and then either hands the stream to the wire protocol, which works on it without ASGI between
+(on asyncio without TLS, as a `ProtocolLine` over the socket), or calls the application. While that
+answers, what the client sends is read when the application asks for it, so it knows at once if the
+client goes. After the answer the connection waits for the next request, for a limited time.
+
+If the limit of connections is reached, the one that has waited for a request for the longest time
+is ended: connections that say nothing keep no client out.
+
+Why not a server of others: with one stream open whose client reads nothing, hypercorn 0.18 does not
+end. On asyncio it left two tasks behind, with tracebacks (Python 3.11), or had not ended after 30 s
+(3.12); on trio it ended when the client did, after 29 s. It has no limit of connections, compresses
+WebSocket whether one likes it or not, and logs no wrong request. uvicorn and granian do not run on
+trio, and uvicorn does not end on Ctrl-C while a stream is open. As hosts of a `WebTransport` they
+all work. This server ends 1.1 s after the signal, on both, with three such clients.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from functools import cached_property
+from socket import socket
+
+import anyio
+import h11
+from anyio import CancelScope
+from anyio.abc import ByteStream
+from anyio.streams.buffered import BufferedByteStream
+
+from fibaction._runtime.http_rules import HttpRules, Refused
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.text import excerpt
+from fibaction.wire.channel import CHUNK, LEAVE, Line, StreamChannel
+from fibaction.wire.wire_server import WireServer
+from fibaction_transports._socket_lines.on_anyio import peer_of
+from fibaction_transports._socket_lines.on_asyncio import LineMaker
+from fibaction_transports._socket_lines.sockets import SocketStream
+from fibaction_transports.web.http.application import WebApplication
+from fibaction_transports.web.http.handshake import LONGEST_HEAD, ServerHandshake, http_answer
+from fibaction_transports.web.http.http_exchange import (
+    BROKEN,
+    HttpExchange,
+    headers_in,
+    is_upgrade,
+)
+from fibaction_transports.web.http.websocket_frames import WebSocketFraming
+from fibaction_transports.web.rosbridge.server.channel import (
+    RosbridgeStreamChannel,
+    new_translator,
+    serve_rosbridge,
+)
+from fibaction_transports.web.rosbridge.server.frames import RosbridgeFraming
+
+logger = clean_logger("fibaction.web")
+
+
+class HttpServer:
+    """Serves an application to every client that connects, within the limits."""
+
+    def __init__(
+        self, application: WebApplication, server: WireServer, rules: HttpRules, scheme: str
+    ) -> None:
+        self.application = application
+        self.server = server
+        self.rules = rules
+        self.scheme = scheme
+        self._open = 0
+        # Those that wait for a request, their first one or another, in the order of their begin.
+        self._new: dict[CancelScope, None] = {}
+        self._idle: dict[CancelScope, None] = {}
+
+    @cached_property
+    def lines(self) -> LineMaker:
+        """The maker of lines, which only asyncio has."""
+        return LineMaker()
+
+    async def serve_socket(self, accepted: socket) -> None:
+        """Serve one client on asyncio, without TLS, until its connection ends."""
+        await self.serve(SocketStream(accepted))
+
+    async def serve(self, stream: ByteStream) -> None:
+        """Serve one client until its connection ends."""
+        peer = peer_of(stream)
+        self._open += 1
+        try:
+            if self._open > self.server.settings.limits.connections and not self._make_room():
+                await self._reject(stream, peer)
+            else:
+                await _Connection(self, stream, peer).run()
+        except BROKEN:
+            pass
+        except Exception as exc:
+            # A bug of fibaction. It concerns this client only.
+            logger.error("%s: the connection failed", peer, exc_info=exc)
+        finally:
+            self._open -= 1
+            with CancelScope(shield=True), anyio.move_on_after(LEAVE), suppress(*BROKEN):
+                await stream.aclose()
+
+    def _make_room(self) -> bool:
+        """End the oldest connection that has asked for nothing; without one, an idle one."""
+        return _end_oldest(self._new) or self.server.make_room() or _end_oldest(self._idle)
+
+    async def _reject(self, stream: ByteStream, peer: str) -> None:
+        most = self.server.settings.limits.connections
+        reason = f"the server is full: it has {most} connections"
+        logger.warning("%s is rejected: %s", peer, reason)
+        with anyio.move_on_after(LEAVE):
+            await stream.send(http_answer(503, reason, ("Retry-After", "1")))
+            await discard(stream)
+
+    def waits(self, scope: CancelScope, *, is_new: bool) -> None:
+        """Note that a connection waits for its first request or another one; its scope may be
+        canceled.
+        """
+        (self._new if is_new else self._idle)[scope] = None
+
+    def goes_on(self, scope: CancelScope) -> None:
+        """Note that a connection has a request, or has ended."""
+        self._new.pop(scope, None)
+        self._idle.pop(scope, None)
+
+
+def _end_oldest(waiting: dict[CancelScope, None]) -> bool:
+    oldest = next(iter(waiting), None)
+    if oldest is None:
+        return False
+    del waiting[oldest]
+    oldest.cancel()
+    return True
+
+
+class _Connection:
+    """One connection."""
+
+    def __init__(self, server: HttpServer, stream: ByteStream, peer: str) -> None:
+        self._server = server
+        self._stream = stream
+        self._peer = peer
+        self._http = h11.Connection(h11.SERVER, max_incomplete_event_size=LONGEST_HEAD)
+        self._root = server.rules.path.rstrip("/")
+        self._received = b""  # of the request that is being read
+        self._has_asked = False
+
+    async def run(self) -> None:
+        """Answer requests until the connection ends, or is another one's."""
+        while True:
+            try:
+                request = await self._next_request()
+                if request is None:
+                    return
+                path = request.target.decode("ascii").partition("?")[0]
+                if not f"{path}/".startswith(f"{self._root}/"):
+                    raise Refused(404, f"there is nothing at {path}: the server is at {self._root}")
+                if is_upgrade(request):
+                    await self._upgrade(request)
+                    return
+                exchange = HttpExchange(
+                    self._http, self._stream, request, self._peer, self._server.scheme, self._root
+                )
+            except h11.RemoteProtocolError as exc:
+                await self._refuse(Refused(exc.error_status_hint, str(exc)))
+                return
+            except Refused as exc:
+                await self._refuse(exc)
+                return
+            self._has_asked = True
+            handle = self._server.application.handle
+            await handle(exchange.scope, exchange.receive, exchange.send)
+            if not exchange.can_go_on():
+                await discard(self._stream)
+                return
+            self._received = self._http.trailing_data[0] + exchange.early
+            self._http.start_next_cycle()
+            if exchange.early:
+                self._http.receive_data(exchange.early)
+
+    async def _next_request(self) -> h11.Request | None:
+        """Return the next request; None if the connection has ended.
+
+        Raises:
+            h11.RemoteProtocolError: The client does not speak HTTP.
+            Refused: The request has not arrived in time.
+        """
+        seconds = self._server.server.settings.limits.handshake
+        with anyio.move_on_after(seconds) as scope:
+            self._server.waits(scope, is_new=not self._has_asked)
+            try:
+                while (event := self._http.next_event()) is h11.NEED_DATA:
+                    await self._receive()
+            finally:
+                self._server.goes_on(scope)
+            return event if isinstance(event, h11.Request) else None
+        if self._received:
+            raise Refused(408, f"the request has not arrived within {seconds:g} s")
+        return None
+
+    async def _receive(self) -> None:
+        try:
+            data = await self._stream.receive(CHUNK)
+        except anyio.EndOfStream:
+            data = b""
+        self._received += data
+        self._http.receive_data(data)
+
+    async def _refuse(self, refused: Refused) -> None:
+        """Answer a request that the application does not see."""
+        reason = excerpt(str(refused))
+        logger.warning("%s: HTTP %d: %s", self._peer, refused.status, reason)
+        await self._stream.send(http_answer(refused.status, reason, *refused.headers))
+        await discard(self._stream)
+
+    # WebSocket
+
+    async def _upgrade(self, request: h11.Request) -> None:
+        """Speak the wire protocol from now on, or rosbridge.
+
+        Raises:
+            Refused: The request is not permitted.
+        """
+        rules = self._server.rules
+        path = request.target.decode("ascii").partition("?")[0]
+        if f"{path}/" == rules.path or path == f"{rules.path}/":
+            rules = HttpRules(path, rules.hosts, rules.origins)
+        headers = headers_in(request)
+        server = self._server.server
+        if "sec-websocket-protocol" in headers:
+            framing = WebSocketFraming("the client", server.new_reader(), ServerHandshake(rules))
+            await server.serve(await self._line(framing))
+        else:
+            translator = new_translator(server, self._peer, headers)
+            handshake = ServerHandshake(rules, subprotocol="")
+            rosbridge = RosbridgeFraming(server, handshake, translator)
+            channel = RosbridgeStreamChannel(self._buffered(), self._peer, rosbridge)
+            await serve_rosbridge(server, channel)
+
+    async def _line(self, framing: WebSocketFraming) -> Line:
+        """Give up the stream for a line, which begins with what was read of the request."""
+        if isinstance(self._stream, SocketStream):
+            accepted = self._stream.detach()
+            return await self._server.lines.make(accepted, framing, self._received)
+        return StreamChannel(self._buffered(), self._peer, framing)
+
+    def _buffered(self) -> BufferedByteStream:
+        """Return a stream that begins with what was read of the request."""
+        stream = BufferedByteStream(self._stream)
+        stream.feed_data(self._received)
+        return stream
+
+
+async def discard(stream: ByteStream) -> None:
+    """End the stream, and give the peer a moment to read what was sent.
+
+    If what it has sent meanwhile were not read, closing would reset the connection, and the answer
+    could be lost on the way.
+    """
+    with anyio.move_on_after(LEAVE), suppress(*BROKEN):
+        with suppress(NotImplementedError):  # TLS
+            await stream.send_eof()
+        while True:
+            await stream.receive(CHUNK)

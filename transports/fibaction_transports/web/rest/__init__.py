@@ -1,0 +1,1 @@
+"""The REST interface: its paths, what each does, events, and its description."""

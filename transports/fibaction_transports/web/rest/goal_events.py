@@ -1,0 +1,116 @@
+"""The text of server-sent events: one goal's updates, and their IDs.
+
+The ID of an event is the cursor of the feedback up to there, so a browser that comes back with it
+as `Last-Event-ID` gets the feedback behind it: `17`, or `2.17` in the second attempt at the goal.
+The result has the ID `end`: there is nothing behind it, which the answer 204 says, and then a
+browser asks no more.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import msgspec
+
+from fibaction._runtime.http_rules import Refused
+from fibaction.border.streams import FeedbackItem, GoalStream, GoalUpdate
+from fibaction.schema.payload import JsonCodec
+from fibaction.words.goals import Outcome
+from fibaction_transports.web.http.problems import Problem
+
+END = "end"
+"""The ID of the last event of a goal."""
+KEEP_ALIVE = b":\n\n"
+"""A comment, which keeps proxies from ending a stream without events."""
+
+_CURSOR = re.compile(r"(?:([1-9]\d{0,8})\.)?(\d{1,18})", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Cursor:
+    """A position in the feedback of a goal."""
+
+    number: int = 0
+    attempt: int = 1
+
+    def __str__(self) -> str:
+        return str(self.number) if self.attempt == 1 else f"{self.attempt}.{self.number}"
+
+
+def cursor_of(text: str) -> Cursor | None:
+    """Return the cursor in the ID of an event; None for that of the last event.
+
+    Raises:
+        Refused: It is not the ID of an event.
+    """
+    if text == END:
+        return None
+    found = _CURSOR.fullmatch(text)
+    if found is None:
+        raise Refused(400, "the ID of an event is like 17, or 2.17 in the second attempt")
+    return Cursor(int(found[2]), int(found[1] or 1))
+
+
+def event(name: str, data: str, event_id: str = "") -> str:
+    """Return one event; the data is JSON on one line."""
+    first = f"id: {event_id}\n" if event_id else ""
+    return f"{first}event: {name}\ndata: {data}\n\n"
+
+
+@dataclass(frozen=True)
+class GoalEvents:
+    """The events of the goals of one action."""
+
+    feedback: JsonCodec
+    result: JsonCodec
+
+    def accepted(self, stream: GoalStream) -> str:
+        """Return the first event of a goal, with the newest status of it."""
+        return event("accepted", _json(goal_members(stream)))
+
+    def update(self, stream: GoalStream, update: GoalUpdate) -> str:
+        """Return the event of an update.
+
+        Raises:
+            PayloadError: JSON cannot express the message.
+        """
+        if isinstance(update, FeedbackItem):
+            cursor = Cursor(update.number, update.attempt)
+            return event("feedback", self.feedback.to_text(update.payload), str(cursor))
+        if isinstance(update, Outcome):
+            members = self.outcome_members(update) | {"feedback_dropped": stream.dropped}
+            return event("result", _json(members), END)
+        return event("status", _json({"status": update.name}))
+
+    def failure(self, problem: Problem) -> str:
+        """Return the last event of a stream that cannot go on."""
+        return event("failure", problem.body.decode())
+
+    def outcome_members(self, outcome: Outcome[bytes]) -> dict[str, object]:
+        """Return the end of a goal as members of an object.
+
+        Raises:
+            PayloadError: JSON cannot express the result.
+        """
+        result = None
+        if outcome.result is not None:
+            result = msgspec.Raw(self.result.to_text(outcome.result).encode())
+        return {"status": outcome.status.name, "result": result, "reason": outcome.reason}
+
+
+def goal_members(stream: GoalStream) -> dict[str, object]:
+    """Return a goal that is followed as members of an object.
+
+    The stamp is text: JavaScript would round such a number.
+    """
+    return {
+        "goal_id": str(stream.goal_id),
+        "stamp": str(stream.stamp),
+        "status": stream.status.name,
+        "attempt": stream.newest_attempt,
+    }
+
+
+def _json(members: dict[str, object]) -> str:
+    return msgspec.json.encode(members).decode()

@@ -1,0 +1,294 @@
+"""The REST interface: what each request does, at the endpoints.
+
+A request is one of a client like those of the wire protocol: it has a token, a name, and
+permissions. A client with a token is the same client in each of its requests; a client without one
+is another client each time, so it observes a goal that it sends again.
+
+A goal whose stream of events is the answer to the request that sent it ends with that answer: if
+the client goes, the goal is canceled, as if it had left the block of `send_goal`. All other goals
+run on.
+"""
+
+from __future__ import annotations
+
+from hashlib import blake2b
+
+import anyio
+import msgspec
+
+from fibaction._runtime.http_rules import Refused
+from fibaction._runtime.log import clean_logger
+from fibaction.border.abc import Endpoint
+from fibaction.border.streams import GoalStream
+from fibaction.schema.payload import JsonCodec
+from fibaction.types.action import ActionInfo
+from fibaction.wire.auth import Permission
+from fibaction.wire.messages import VERSION, Hello
+from fibaction.wire.server.session_client import SessionClient
+from fibaction.wire.wire_server import WireServer
+from fibaction.words.errors import ActionError, AuthenticationFailed, CancelRejected, ServerNotFound
+from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.words.meta import trace_meta
+from fibaction_transports.web.http.exchange import Exchange, bearer_of
+from fibaction_transports.web.rest.event_stream import tell_goal, wait_for_end
+from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of, goal_members
+from fibaction_transports.web.rest.openapi import describe
+from fibaction_transports.web.rest.routes import Resource, Route, route_of
+
+LONGEST_WAIT = 3600.0
+"""Seconds that a request may wait for the end of a goal."""
+CANCEL_TIMEOUT = 5.0
+"""Seconds for the cancel of a goal whose client has gone."""
+
+logger = clean_logger("fibaction.web")
+
+
+class RestInterface:
+    """The requests of all clients, as they concern the endpoints of one server."""
+
+    def __init__(self, server: WireServer) -> None:
+        self._endpoints = server.endpoints
+        self._settings = server.settings
+        self._memory = server.memory
+        self._codecs: dict[str, tuple[ActionInfo, JsonCodec]] = {}
+        self._has_tokens = server.settings.access.asks_for_tokens
+        self._handlers = {
+            (Resource.DESCRIPTION, "GET"): self._describe,
+            (Resource.ACTIONS, "GET"): self._list_actions,
+            (Resource.ACTION, "GET"): self._get_action,
+            (Resource.GOALS, "GET"): self._list_goals,
+            (Resource.GOALS, "POST"): self._post_goal,
+            (Resource.GOALS, "DELETE"): self._cancel_goals,
+            (Resource.GOAL, "GET"): self._get_goal,
+            (Resource.GOAL, "PUT"): self._put_goal,
+            (Resource.GOAL, "DELETE"): self._cancel_goal,
+            (Resource.EVENTS, "GET"): self._follow_goal,
+        }
+
+    async def handle(self, exchange: Exchange) -> None:
+        """Answer one request.
+
+        Raises:
+            Refused, PayloadError: The request is wrong.
+            ActionError: It cannot be answered.
+        """
+        client = self.admit(exchange)
+        route = route_of(exchange.method, exchange.path, self._endpoints)
+        await self._handlers[route.resource, exchange.method](exchange, client, route)
+
+    def admit(self, exchange: Exchange) -> SessionClient:
+        """Return the client, if it has a token where one is asked for.
+
+        Raises:
+            Refused: It does not.
+        """
+        token = bearer_of(exchange.headers) if self._has_tokens else ""
+        session = blake2b(token.encode(), digest_size=16).digest() if token else b""
+        client = SessionClient(exchange.peer, self._endpoints, self._settings)
+        try:
+            client.greet(Hello(VERSION, 1, token, session))
+        except AuthenticationFailed as exc:
+            raise Refused(401, str(exc), ("WWW-Authenticate", "Bearer")) from None
+        return client
+
+    async def _endpoint(
+        self, client: SessionClient, route: Route, permission: Permission
+    ) -> Endpoint:
+        """Return the endpoint that a request is about, if the client has the permission.
+
+        Raises:
+            AuthenticationFailed: It does not have it.
+            Refused: The action is not served here.
+        """
+        try:
+            return await client.endpoint(route.action, permission)
+        except ServerNotFound as exc:
+            raise Refused(404, str(exc)) from None
+
+    async def _own_or_observed(self, client: SessionClient, route: Route) -> Endpoint:
+        """Return the endpoint of a goal that the client may follow."""
+        own = client.is_owner(route.action, route.goal_id)
+        return await self._endpoint(client, route, Permission.SEND if own else Permission.OBSERVE)
+
+    # Actions
+
+    async def _describe(self, exchange: Exchange, _client: SessionClient, _route: Route) -> None:
+        infos = [endpoint.info for endpoint in self._endpoints.values()]
+        described = describe(infos, exchange.root, asks_for_tokens=self._has_tokens)
+        await exchange.answer(200, msgspec.json.encode(described))
+
+    async def _list_actions(
+        self, exchange: Exchange, _client: SessionClient, _route: Route
+    ) -> None:
+        infos = [endpoint.info for endpoint in self._endpoints.values()]
+        await exchange.answer(200, msgspec.json.encode(infos))
+
+    async def _get_action(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        endpoint = await self._endpoint(client, route, Permission.OBSERVE)
+        await exchange.answer(200, msgspec.json.encode(endpoint.info))
+
+    # Goals
+
+    async def _list_goals(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        endpoint = await self._endpoint(client, route, Permission.OBSERVE)
+        with await endpoint.status() as statuses:
+            infos = await statuses.listed()
+        await exchange.answer(200, msgspec.json.encode([_info_members(info) for info in infos]))
+
+    async def _post_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        goal_id = GoalID.random()
+        await self._send_goal(exchange, client, Route(Resource.GOAL, route.action, goal_id))
+
+    async def _put_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        await self._send_goal(exchange, client, route)
+
+    async def _send_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        endpoint = await self._endpoint(client, route, Permission.SEND)
+        wait = exchange.seconds("wait", LONGEST_WAIT)
+        streams = exchange.wants_events
+        body = await exchange.json_body(self._settings.limits.frame, self._memory)
+        payload = self._goal_codec(endpoint.info).encode(_read(body))
+        is_known = bool(endpoint.owner_of(route.goal_id))
+        stream = await endpoint.send_goal(
+            route.goal_id,
+            payload,
+            feedback=streams,
+            sender=client.sender,
+            meta=trace_meta(exchange.headers, is_detached=wait is None and not streams),
+        )
+        with stream:
+            own = stream.own and self._may_own(exchange, client, route)
+            if not own:
+                stream.hold(False)
+                await self._endpoint(client, route, Permission.OBSERVE)
+            status = 200 if is_known else 201
+            location = ("Location", f"{exchange.root}/actions/{route.action}/goals/{route.goal_id}")
+            if streams:
+                events = _events_of(endpoint)
+                told = await tell_goal(exchange, events, stream, status, location)
+                if own and not told:
+                    await self._cancel_cut(exchange, client, route)
+                return
+            await self._answer_goal(exchange, endpoint, stream, wait, status, location)
+
+    def _may_own(self, exchange: Exchange, client: SessionClient, route: Route) -> bool:
+        """Return whether a goal that its endpoint takes for this client's can be that.
+
+        A gateway is one client for all of its clients, so its server cannot tell them apart. A
+        client that is not permitted everything, and gives an ID of its own, is one of them.
+        """
+        is_known = exchange.method == "POST" or client.is_trusted
+        return is_known or client.is_owner(route.action, route.goal_id)
+
+    def _goal_codec(self, info: ActionInfo) -> JsonCodec:
+        known, codec = self._codecs.get(info.name, (None, None))
+        if codec is None or known is not info:
+            codec = JsonCodec(info.goal)
+            self._codecs[info.name] = info, codec
+        return codec
+
+    async def _cancel_cut(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        """Cancel a goal whose client has gone."""
+        with anyio.move_on_after(CANCEL_TIMEOUT, shield=True):
+            try:
+                endpoint = await self._endpoint(client, route, Permission.CANCEL)
+                await endpoint.cancel_goals(route.goal_id)
+            except ActionError as exc:
+                logger.warning(
+                    "%s has gone, and goal %s runs on: %s", exchange.peer, route.goal_id, exc
+                )
+
+    async def _answer_goal(
+        self,
+        exchange: Exchange,
+        endpoint: Endpoint,
+        stream: GoalStream,
+        wait: float | None,
+        status: int,
+        *headers: tuple[str, str],
+    ) -> None:
+        """Answer with the state of a goal, after waiting for its end if that is asked for."""
+        if wait is None:
+            outcome = stream.known_outcome()
+        else:
+            outcome = await wait_for_end(exchange, stream, wait)
+        members = goal_members(stream)
+        if outcome is not None:
+            members |= _events_of(endpoint).outcome_members(outcome)
+        await exchange.answer(status, msgspec.json.encode(members), *headers)
+
+    async def _get_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        wait = exchange.seconds("wait", LONGEST_WAIT)
+        endpoint = await self._own_or_observed(client, route)
+        with await endpoint.feedback(route.goal_id) as stream:
+            await self._answer_goal(exchange, endpoint, stream, wait, 200)
+
+    async def _follow_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        last = exchange.headers.get("last-event-id") or exchange.parameter("after")
+        cursor = cursor_of(last) if last else Cursor()
+        endpoint = await self._own_or_observed(client, route)
+        if cursor is None:
+            await exchange.answer(204, b"")  # a browser comes back after the end, too
+            return
+        stream = await endpoint.feedback(route.goal_id, after=cursor.number, attempt=cursor.attempt)
+        with stream:
+            await tell_goal(exchange, _events_of(endpoint), stream, 200)
+
+    # Cancels
+
+    async def _cancel_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        endpoint = await self._endpoint(client, route, Permission.CANCEL)
+        answer = await endpoint.cancel_goals(route.goal_id)
+        if answer.return_code is CancelCode.UNKNOWN_GOAL_ID:
+            raise Refused(404, f"goal {route.goal_id} is unknown")
+        await self._answer_cancel(exchange, answer)
+
+    async def _cancel_goals(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        before = exchange.parameter("before")
+        if before is not None and not (before.isascii() and before.isdecimal()):
+            raise Refused(400, "before is a stamp: nanoseconds since 1970")
+        endpoint = await self._endpoint(client, route, Permission.CANCEL)
+        stamp = None if before is None else min(int(before[:20]), 2**63 - 1)
+        await self._answer_cancel(exchange, await endpoint.cancel_goals(None, stamp))
+
+    async def _answer_cancel(self, exchange: Exchange, answer: CancelAnswer) -> None:
+        if answer.return_code is CancelCode.REJECTED:
+            raise CancelRejected(answer.reason)
+        if answer.return_code is not CancelCode.NONE:
+            raise CancelRejected("the goal has ended")
+        members = {
+            "code": answer.return_code.name,
+            "goals_canceling": [_info_members(info) for info in answer.goals_canceling],
+            "reason": answer.reason,
+        }
+        await exchange.answer(202, msgspec.json.encode(members))
+
+
+def _events_of(endpoint: Endpoint) -> GoalEvents:
+    info = endpoint.info
+    return GoalEvents(JsonCodec({}, "feedback"), JsonCodec({}, f"result of {info.name!r}"))
+
+
+def _info_members(info: GoalInfo) -> dict[str, object]:
+    return {
+        "goal_id": str(info.goal_id),
+        "stamp": str(info.stamp),
+        "status": info.status.name,
+        "attempt": info.attempt,
+        "feedback_count": info.feedback_count,
+        "client": info.client,
+        "place": info.place,
+        "queue_length": info.queue_length,
+    }
+
+
+def _read(body: bytes) -> object:
+    """Return the data in a body.
+
+    Raises:
+        Refused: It is not JSON.
+    """
+    try:
+        return msgspec.json.decode(body)
+    except (ValueError, RecursionError) as exc:
+        raise Refused(400, f"the body is not JSON: {exc}") from None

@@ -1,0 +1,138 @@
+"""The paths of the REST interface, and the methods of each.
+
+Names of actions have slashes, so a path is read from its right end: `/actions/arm/pick/goals` are
+the goals of `arm/pick`. An action may itself be called `arm/goals`, so of the ways to read a path
+the first counts whose action is served. If `arm` is served, too, `/actions/arm/goals` are the goals
+of `arm`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Container, Generator
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import NamedTuple
+
+from fibaction._runtime.http_rules import Refused
+from fibaction._runtime.text import excerpt
+from fibaction.words.goals import NO_GOAL, GoalID
+
+
+class Resource(Enum):
+    """A kind of thing that has an address."""
+
+    DESCRIPTION = auto()
+    ACTIONS = auto()
+    ACTION = auto()
+    GOALS = auto()
+    GOAL = auto()
+    EVENTS = auto()
+
+
+METHODS = {
+    Resource.DESCRIPTION: ("GET",),
+    Resource.ACTIONS: ("GET",),
+    Resource.ACTION: ("GET",),
+    Resource.GOALS: ("GET", "POST", "DELETE"),
+    Resource.GOAL: ("GET", "PUT", "DELETE"),
+    Resource.EVENTS: ("GET",),
+}
+"""The methods of each resource."""
+
+
+@dataclass(frozen=True)
+class Route:
+    """The resource that a request is about."""
+
+    resource: Resource
+    action: str = ""
+    goal_id: GoalID = NO_GOAL
+    """The ID of the goal; `NO_GOAL` if the resource is not one goal."""
+
+
+class _Reading(NamedTuple):
+    """A way to read a path."""
+
+    resource: Resource
+    action: str
+    goal: str | None = None
+    """The text in the place of a goal's ID; None if the path has none."""
+
+    @property
+    def is_complete(self) -> bool:
+        """True unless the text in the place of a goal's ID is something else."""
+        return self.goal is None or _parsed(self.goal) is not None
+
+    def route(self) -> Route:
+        """Return the route.
+
+        Raises:
+            Refused: The text is not the ID of a goal.
+        """
+        goal_id = NO_GOAL if self.goal is None else _goal_id_of(self.goal)
+        return Route(self.resource, self.action, goal_id)
+
+
+_GOAL = re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)(?P<events>/events)?")
+_GOALS = re.compile(r"/actions/(?P<action>.+)/goals")
+_ACTION = re.compile(r"/actions/(?P<action>.+)")
+
+
+def route_of(method: str, path: str, served: Container[str]) -> Route:
+    """Return what a request is about, by the path below the root of the application.
+
+    `served` has the names of the actions that are served.
+
+    Raises:
+        Refused: Nothing is there, or it does not have this method.
+    """
+    route = _route_of(path, served)
+    methods = METHODS[route.resource]
+    if method not in methods:
+        allowed = ", ".join(methods)
+        raise Refused(
+            405,
+            f"{excerpt(path)} has the methods {allowed}, and not {excerpt(method)}",
+            ("Allow", allowed),
+        )
+    return route
+
+
+def _route_of(path: str, served: Container[str]) -> Route:
+    if path == "/openapi.json":
+        return Route(Resource.DESCRIPTION)
+    if path == "/actions":
+        return Route(Resource.ACTIONS)
+    readings = list(_readings(path))
+    if not readings:
+        raise Refused(404, f"there is nothing at {excerpt(path)}: see /openapi.json")
+    usable = (one for one in readings if one.action in served and one.is_complete)
+    return next(usable, readings[0]).route()
+
+
+def _readings(path: str) -> Generator[_Reading, None, None]:
+    """Yield the ways to read the path of an action, the longest address below it first."""
+    if found := _GOAL.fullmatch(path):
+        resource = Resource.EVENTS if found["events"] else Resource.GOAL
+        yield _Reading(resource, found["action"], found["goal"])
+    if found := _GOALS.fullmatch(path):
+        yield _Reading(Resource.GOALS, found["action"])
+    if found := _ACTION.fullmatch(path):
+        yield _Reading(Resource.ACTION, found["action"])
+
+
+def _goal_id_of(text: str) -> GoalID:
+    goal_id = _parsed(text)
+    if goal_id is None:
+        raise Refused(400, f"a goal ID has 32 hexadecimal digits, unlike {excerpt(text)!r}")
+    if goal_id == NO_GOAL:
+        raise Refused(400, "the goal ID of zeros means all goals: it has no address")
+    return goal_id
+
+
+def _parsed(text: str) -> GoalID | None:
+    try:
+        return GoalID.parse(text)
+    except ValueError:
+        return None

@@ -1,0 +1,1 @@
+"""The client's half: the actions of a rosbridge server as endpoints."""

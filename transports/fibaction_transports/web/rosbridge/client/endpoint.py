@@ -1,0 +1,200 @@
+"""`RosbridgeEndpoint`: one action of a rosbridge server, for clients."""
+
+from __future__ import annotations
+
+import anyio
+from anyio import current_time
+
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.text import excerpt
+from fibaction.border.abc import Endpoint, Meta, StatusStream
+from fibaction.schema.payload import PayloadError
+from fibaction.server.feedback_cursor import FeedbackCursor
+from fibaction.server.registry.goal_record import digest_of
+from fibaction.types.action import ActionInfo
+from fibaction.words.errors import (
+    ConnectionLost,
+    GoalRejected,
+    InvalidMessage,
+    ServerNotFound,
+    TransportError,
+)
+from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, CancelCode, GoalID, GoalInfo, Sender
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.web.rosbridge.client.goal import OutgoingGoal
+from fibaction_transports.web.rosbridge.client.link import CallFailed
+from fibaction_transports.web.rosbridge.client.link_opener import LinkKeeper
+from fibaction_transports.web.rosbridge.client.operations import send_goal_message
+from fibaction_transports.web.rosbridge.server.rosapi import (
+    CANCEL_SUFFIX,
+    cancel_answer,
+    cancel_arguments,
+    ros_name,
+)
+from fibaction_transports.web.rosbridge.types.action_values import ActionValues, arguments_text
+
+PAUSE = 0.5
+"""Seconds between two looks for a server that is not there."""
+LARGEST_GOAL = 10_000_000
+"""Bytes of the largest message that rosbridge servers accept, if nothing else is set there."""
+
+logger = clean_logger("fibaction.web")
+
+
+class RosbridgeEndpoint(Endpoint):
+    """One action of a rosbridge server."""
+
+    def __init__(self, keeper: LinkKeeper, info: ActionInfo) -> None:
+        self._keeper = keeper
+        self._info = info
+        self._name = ros_name(info.name)
+        self._type_name = info.type_name
+        try:
+            self._values = ActionValues(info)
+        except PayloadError as exc:
+            raise TransportError(f"the action {info.name!r} cannot be used: {exc}") from exc
+
+    @property
+    def info(self) -> ActionInfo:
+        return self._info
+
+    async def send_goal(
+        self,
+        goal_id: GoalID,
+        goal: bytes,
+        *,
+        feedback: bool = True,
+        sender: Sender = UNKNOWN_SENDER,
+        timeout: float | None = None,
+        meta: Meta | None = None,
+    ) -> FeedbackCursor:
+        """See `Endpoint.send_goal`. rosbridge has no fields for the timeout and the meta, and no
+        answer for an acceptance: see `accepted_after`. The server is asked for feedback in
+        any case: it is the first sign that the goal runs.
+
+        Raises:
+            TransportError: The goal was sent before by this ID, and its stream is not in use.
+        """
+        keeper = self._keeper
+        sent = keeper.goals.get(goal_id)
+        if sent is not None and sent.goal.digest != digest_of(goal):
+            raise GoalRejected("its ID is in use by another goal", goal_id=goal_id)
+        if sent is None:
+            sent = await self._send(goal_id, goal)
+        try:
+            with anyio.move_on_after(keeper.terms.accepted_after):
+                await sent.decided()
+        except (GoalRejected, ServerNotFound):
+            keeper.forget(goal_id)  # nothing was run, so it may be sent again
+            raise
+        sent.accept()
+        return sent.stream(feedback=feedback)
+
+    async def _send(self, goal_id: GoalID, goal: bytes) -> OutgoingGoal:
+        keeper = self._keeper
+        if keeper.was_sent(goal_id):
+            raise TransportError(
+                f"goal {goal_id} was sent before, and rosbridge would run it a second time: send it"
+                f" with a new ID if that is right"
+            )
+        try:
+            args = arguments_text(goal)
+        except PayloadError as exc:
+            raise GoalRejected(str(exc), goal_id=goal_id) from exc
+        link = await keeper.link()
+        if not self._type_name:
+            self._type_name = await keeper.type_of(self._name)
+        sent = OutgoingGoal(goal_id, goal, self._name, self._values, keeper.terms.window)
+        message = send_goal_message(
+            sent.request,
+            self._name,
+            self._type_name,
+            args,
+            cancel_on_disconnect=keeper.terms.cancel_on_disconnect,
+        )
+        if len(message) > LARGEST_GOAL:
+            raise InvalidMessage(
+                f"the goal has {len(message)} bytes as JSON, and rosbridge takes {LARGEST_GOAL}"
+            )
+        keeper.note_sent(goal_id)
+        keeper.goals[goal_id] = sent
+        await link.send_goal(sent, message)
+        return sent
+
+    async def feedback(
+        self,
+        goal_id: GoalID,
+        *,
+        after: int | None = None,
+        own: bool = False,
+        attempt: int = 1,
+    ) -> FeedbackCursor:
+        """See `Endpoint.feedback`.
+
+        Raises:
+            TransportError: The goal is not one that this connection has sent, or is not in use.
+        """
+        sent = self._keeper.goals.get(goal_id)
+        if sent is None:
+            raise TransportError(
+                f"rosbridge cannot follow goal {goal_id}: it is not a goal of this connection, and"
+                f" rosbridge tells nothing about others"
+            )
+        return sent.stream(feedback=True, after=after, own=own)
+
+    async def cancel_goals(
+        self, goal_id: GoalID | None = None, stamp: int | None = None
+    ) -> CancelAnswer:
+        """See `Endpoint.cancel_goals`. rosbridge does not answer the cancel of one goal, which
+        counts as accepted when it was sent.
+
+        Raises:
+            TransportError: The goal is not one that this connection has sent, or a stamp is given
+                as well.
+        """
+        if goal_id is None:
+            return await self._cancel_all(stamp)
+        keeper = self._keeper
+        if stamp is not None or not keeper.was_sent(goal_id):
+            raise TransportError(
+                f"rosbridge cannot cancel goal {goal_id}: it cancels one goal of this connection,"
+                f" or goals of all clients by their time"
+            )
+        sent, link = keeper.goals.get(goal_id), keeper.opened_link()
+        if sent is None or link is None or not link.has(sent):
+            return CancelAnswer(CancelCode.GOAL_TERMINATED)
+        await link.cancel(sent)
+        canceling = GoalInfo(goal_id, sent.goal.stamp, GoalStatus.CANCELING, sent.count)
+        return CancelAnswer(CancelCode.NONE, (canceling,))
+
+    async def _cancel_all(self, stamp: int | None) -> CancelAnswer:
+        values = await self._keeper.call(f"{self._name}{CANCEL_SUFFIX}", cancel_arguments(stamp))
+        return cancel_answer(values)
+
+    async def status(self) -> StatusStream:
+        """Raise an error: rosbridge does not tell the goals of an action.
+
+        Raises:
+            TransportError: Always.
+        """
+        raise TransportError(
+            f"rosbridge cannot list the goals of {self._info.name!r}: it knows those of a"
+            f" connection only, and does not tell their statuses"
+        )
+
+    async def wait_for_server(self) -> None:
+        """See `Endpoint.wait_for_server`. The server is looked for twice a second."""
+        has_warned = False
+        while True:
+            began = current_time()
+            try:
+                if self._name in await self._keeper.action_names():
+                    return
+            except CallFailed as exc:
+                if not has_warned:
+                    logger.warning("%s", excerpt(str(exc)))
+                has_warned = True
+            except (ServerNotFound, ConnectionLost):
+                if self._keeper.is_closed:
+                    raise
+            await anyio.sleep(max(0.0, began + PAUSE - current_time()))

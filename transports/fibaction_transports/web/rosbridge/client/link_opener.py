@@ -1,0 +1,225 @@
+"""`LinkKeeper`: the link of a client to a rosbridge server, opened whenever it is needed.
+
+A client has at most one `ServerLink`. It is opened by the first request, and opened anew by the
+first request after it was lost; goals and calls of the lost one have ended with it.
+
+rosbridge has no goal IDs. Those of the goals that were sent are remembered here: the stream of such
+a goal can be asked for again as long as the goal or another stream of it is in use, and the same
+goal is never sent twice, since that would run it twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeVar
+from weakref import WeakValueDictionary
+
+import anyio
+import msgspec
+from anyio.abc import TaskGroup
+
+from fibaction.wire.channel import Line
+from fibaction.words.errors import (
+    ActionError,
+    ConnectionLost,
+    ProtocolError,
+    ServerNotFound,
+    copy_of,
+)
+from fibaction.words.goals import GoalID
+from fibaction_transports.web.rosbridge.client.described_types import (
+    UNKNOWN,
+    ActionSchemas,
+    DescribedTypes,
+)
+from fibaction_transports.web.rosbridge.client.goal import OutgoingGoal
+from fibaction_transports.web.rosbridge.client.link import CallFailed, ServerLink
+
+HANDSHAKE = 5.0
+"""Seconds for a server to accept a WebSocket."""
+MOST_SENT = 10_000
+"""Goals whose IDs are remembered."""
+
+AnswerT = TypeVar("AnswerT")
+
+
+class ClientTerms(msgspec.Struct, frozen=True):
+    """The settings of a client of rosbridge."""
+
+    heartbeat: float
+    """Seconds between signs of life of the server, which is pinged twice as often."""
+    window: int
+    """Feedback messages of a goal that wait to be read."""
+    max_frame: int
+    """Bytes of the largest message of the server."""
+    accepted_after: float
+    """Seconds without an answer after which a goal counts as accepted."""
+    answer_timeout: float
+    """Seconds for the answer to a call of a service."""
+    schemas: bool
+    """True if rosapi is asked for the types of the actions that are listed."""
+    cancel_on_disconnect: bool
+    """True if the server is asked to cancel goals whose connection is lost."""
+
+    @property
+    def fate(self) -> str:
+        """The sentence about goals whose connection is lost."""
+        if self.cancel_on_disconnect:
+            return "the robot cancels the goal if its rosbridge knows cancel_on_disconnect"
+        return "the goal may run on at the robot, and rosbridge cannot follow it again"
+
+
+class LinkKeeper:
+    """The link to one rosbridge server, and the goals that were sent there."""
+
+    def __init__(
+        self,
+        url: str,
+        open_line: Callable[[], Awaitable[Line]],
+        tasks: TaskGroup,
+        terms: ClientTerms,
+    ) -> None:
+        self.url = url
+        self.terms = terms
+        self.goals: WeakValueDictionary[GoalID, OutgoingGoal] = WeakValueDictionary()
+        """The goals that were sent, and that are in use."""
+        self._sent: dict[GoalID, None] = {}
+        self._open_line = open_line
+        self._tasks = tasks
+        self._dialing = anyio.Lock()
+        self._link: ServerLink | None = None
+        self._types = DescribedTypes(self.call)
+        self._closed: ActionError | None = None
+
+    async def action_names(self) -> list[str]:
+        """Return the names of the actions that are served, as ROS writes them.
+
+        Raises:
+            CallFailed: rosapi does not run beside rosbridge.
+            TransportError, ProtocolError: The server cannot be asked.
+        """
+        try:
+            values = await self.call("/rosapi/action_servers", {})
+        except CallFailed as exc:
+            raise CallFailed(
+                f"{self.url} cannot list its actions: start rosapi beside rosbridge ({exc})"
+            ) from exc
+        return _converted(values, _ActionServers).action_servers
+
+    async def type_of(self, action: str) -> str:
+        """Return the type of an action; empty if rosapi does not tell it.
+
+        Raises:
+            TransportError, ProtocolError: The server cannot be asked.
+        """
+        try:
+            values = await self.call("/rosapi/action_type", {"action": action})
+        except CallFailed:
+            return ""
+        return _converted(values, _ActionType).type
+
+    async def schemas_of(self, type_name: str) -> ActionSchemas:
+        """Return the schemas of an action type; empty ones if rosapi does not describe it.
+
+        Raises:
+            TransportError, ProtocolError: The server cannot be asked.
+        """
+        return await self._types.schemas_of(type_name) if self.terms.schemas else UNKNOWN
+
+    async def call(self, service: str, args: dict[str, Any]) -> Any:
+        """Call a service of ROS, and return the values of its answer.
+
+        Raises:
+            CallFailed: The answer is an error.
+            TransportError, ProtocolError: The server cannot be asked.
+        """
+        link = await self.link()
+        return await link.call(service, args, self.terms.answer_timeout)
+
+    @property
+    def is_closed(self) -> bool:
+        """True if the connection was closed here."""
+        return self._closed is not None
+
+    # Goals
+
+    def was_sent(self, goal_id: GoalID) -> bool:
+        """Return whether a goal of that ID may have been sent."""
+        return goal_id in self._sent
+
+    def note_sent(self, goal_id: GoalID) -> None:
+        """Remember that a goal may have been sent."""
+        self._sent[goal_id] = None
+        if len(self._sent) > MOST_SENT:
+            del self._sent[next(iter(self._sent))]
+
+    def forget(self, goal_id: GoalID) -> None:
+        """Forget a goal that was not accepted."""
+        self._sent.pop(goal_id, None)
+        self.goals.pop(goal_id, None)
+
+    def opened_link(self) -> ServerLink | None:
+        """Return the link that is open; None if none is."""
+        return self._link
+
+    async def link(self) -> ServerLink:
+        """Return a link that is open, and open one if none is.
+
+        Raises:
+            ServerNotFound: The server is not there, or does not answer.
+            ActionError: It does not let this client in, or does not speak rosbridge.
+        """
+        async with self._dialing:
+            if self._closed is not None:
+                raise copy_of(self._closed)
+            if self._link is None or self._link.error is not None:
+                self._link = await self._dial()
+                self._types = DescribedTypes(self.call)
+            link = self._link
+        with anyio.move_on_after(HANDSHAKE):
+            await link.opened()
+            return link
+        error = ServerNotFound(
+            f"{self.url} has not accepted the WebSocket within {HANDSHAKE:g} s: check the port"
+        )
+        link.close(error)
+        raise copy_of(error)
+
+    async def _dial(self) -> ServerLink:
+        terms = self.terms
+        with anyio.move_on_after(HANDSHAKE):
+            line = await self._open_line()
+            link = ServerLink(line, terms.heartbeat, terms.max_frame, terms.fate)
+            self._tasks.start_soon(link.run, name=f"connection to {self.url}")
+            return link
+        raise ServerNotFound(f"{self.url} cannot be reached within {HANDSHAKE:g} s")
+
+    def close(self) -> None:
+        """End everything that waits, and everything that is tried later."""
+        self._closed = ConnectionLost(f"the connection to {self.url} was closed here")
+        if self._link is not None:
+            self._link.close(self._closed)
+
+
+class _ActionServers(msgspec.Struct):
+    """The answer of `rosapi/action_servers`."""
+
+    action_servers: list[str]
+
+
+class _ActionType(msgspec.Struct):
+    """The answer of `rosapi/action_type`."""
+
+    type: str
+
+
+def _converted(values: object, kind: type[AnswerT]) -> AnswerT:
+    """Return an answer of rosapi.
+
+    Raises:
+        ProtocolError: It is not of that kind.
+    """
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as exc:
+        raise ProtocolError(f"invalid answer of rosapi: {exc}") from exc

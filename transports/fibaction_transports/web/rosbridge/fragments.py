@@ -1,0 +1,123 @@
+"""Fragments: long messages in pieces, both ways."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+
+from fibaction.wire.frames import FrameMemory
+from fibaction.words.errors import LimitReached, ProtocolError
+from fibaction_transports.web.rosbridge.operations import ClientID, Fragment
+
+LEAST_FRAGMENT = 1024
+"""Characters of the smallest fragments: smaller ones would consist of their names."""
+OVERHEAD = 100
+"""Bytes that a fragment costs beside its own text."""
+
+
+def size_of(text: str) -> int:
+    """Return the length of a text in bytes."""
+    return len(text) if text.isascii() else len(text.encode("utf-8", "replace"))
+
+
+class PartialMessages:
+    """The messages of a client that have not arrived completely, within a limit.
+
+    A message may arrive in pieces of WebSocket, whose end is marked, and in fragments, which may
+    come in any order. All of them count in the memory that the connections of a server share.
+    """
+
+    def __init__(self, limit: int, memory: FrameMemory) -> None:
+        """Hold at most `limit` bytes."""
+        self._limit = limit
+        self._memory = memory
+        self._pieces: list[str] = []
+        self._in_pieces = self._in_fragments = 0
+        self._fragments: dict[ClientID, dict[int, str]] = {}
+        self._is_given_up = False
+
+    @property
+    def is_empty(self) -> bool:
+        """True if no message is incomplete but for its fragments."""
+        return not self._pieces
+
+    def add_piece(self, text: str, *, is_last: bool) -> str | None:
+        """Add a piece of the message that is arriving; return the message if it is complete.
+
+        Raises:
+            LimitReached: The server has no room for it.
+            ProtocolError: It is larger than the limit.
+        """
+        self._in_pieces += size_of(text)
+        self._check(self._in_pieces, "message")
+        if is_last and not self._pieces:
+            self._in_pieces = 0
+            return text
+        self._pieces.append(text)
+        if is_last:
+            text, self._pieces, self._in_pieces = "".join(self._pieces), [], 0
+        self._count()
+        return text if is_last else None
+
+    def add_fragment(self, fragment: Fragment) -> str | None:
+        """Add a fragment; return the message if it is complete.
+
+        Raises:
+            LimitReached: The server has no room for it.
+            ProtocolError: The fragments are larger than the limit, or do not belong together.
+        """
+        parts = self._fragments.setdefault(fragment.id, {})
+        if fragment.num >= fragment.total or fragment.num in parts or len(parts) >= fragment.total:
+            raise ProtocolError("it sent a fragment with a number that cannot be")
+        parts[fragment.num] = fragment.data
+        self._in_fragments += size_of(fragment.data) + OVERHEAD
+        self._check(self._in_fragments, "message in fragments")
+        message: str | None = None
+        if len(parts) == fragment.total:
+            del self._fragments[fragment.id]
+            if set(parts) != set(range(fragment.total)):
+                raise ProtocolError("it sent a fragment with a number that cannot be")
+            message = "".join(parts[num] for num in range(fragment.total))
+            self._in_fragments -= sum(map(size_of, parts.values())) + OVERHEAD * len(parts)
+        self._count()
+        return message
+
+    def _check(self, size: int, what: str) -> None:
+        if self._is_given_up:
+            raise LimitReached(f"the server is busy: it has no room for a large {what}")
+        if size > self._limit:
+            raise ProtocolError(f"{what} of {size} bytes exceeds the limit of {self._limit} bytes")
+
+    def _count(self) -> None:
+        self._memory.hold(self, self._in_pieces + self._in_fragments)
+
+    def give_up(self) -> None:
+        """Forget everything, and fail as soon as more comes."""
+        self._is_given_up = True
+        self.close()
+
+    def close(self) -> None:
+        """Forget everything: no more comes."""
+        self._pieces, self._fragments = [], {}
+        self._in_pieces = self._in_fragments = 0
+        self._count()
+
+
+def in_fragments(text: str, message_id: ClientID, size: int | None) -> list[str]:
+    """Return a message as it is sent: in fragments, if it is longer than the client wants."""
+    if size is None or len(text) <= (size := max(size, LEAST_FRAGMENT)):
+        return [text]
+    total = math.ceil(len(text) / size)
+    return [
+        msgspec.json.encode(
+            {
+                "op": "fragment",
+                "id": message_id,
+                "data": text[num * size : (num + 1) * size],
+                "num": num,
+                "total": total,
+            }
+        ).decode()
+        for num in range(total)
+    ]

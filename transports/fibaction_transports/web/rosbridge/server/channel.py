@@ -1,0 +1,166 @@
+"""`serve_rosbridge`, and the channels of its two forms: over a stream, and over ASGI."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+
+import anyio
+from anyio.abc import ByteStream
+
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.text import excerpt
+from fibaction.wire.channel import LEAVE, Channel, NextFrames, OnFrames, StreamChannel
+from fibaction.wire.link import PING
+from fibaction.wire.wire_server import WireServer
+from fibaction.words.errors import ConnectionLost, ProtocolError
+from fibaction.words.goals import GoalID
+from fibaction_transports.web.http.exchange import Receive, Send, bearer_of
+from fibaction_transports.web.rosbridge.close_codes import (
+    BINARY,
+    INVALID,
+    LONGEST_REASON,
+    NORMAL,
+    TOO_BIG,
+    UNSUPPORTED,
+    close_code,
+    shortened_bytes,
+)
+from fibaction_transports.web.rosbridge.server.frames import RosbridgeFraming
+from fibaction_transports.web.rosbridge.server.translator import RosbridgeTranslator
+
+logger = clean_logger("fibaction.web")
+
+
+class _RosbridgeChannel(Channel):
+    """A channel that gives the session the replies of its translator."""
+
+    holds_briefly = True
+    translator: RosbridgeTranslator
+    _handle: OnFrames | None = None
+
+    async def run(self, on_frames: OnFrames, next_frames: NextFrames) -> None:
+        self._handle = on_frames
+        await super().run(on_frames, next_frames)
+
+    def _reply(self, frames: list[bytes]) -> None:
+        """Give the session these frames, and those about what was written."""
+        frames = frames + self.translator.calls.take_replies()
+        while frames and self._handle is not None:
+            frames = self._handle(frames)
+
+
+class RosbridgeStreamChannel(StreamChannel, _RosbridgeChannel):
+    """rosbridge over a stream of bytes."""
+
+    def __init__(self, stream: ByteStream, peer: str, framing: RosbridgeFraming) -> None:
+        super().__init__(stream, peer, framing)
+        self.translator = framing.translator
+        self._begin = framing.begin
+
+    async def send(self, frames: Sequence[bytes]) -> None:
+        await super().send(frames)
+        self._reply(self._begin())
+
+
+class RosbridgeAsgiChannel(_RosbridgeChannel):
+    """rosbridge over ASGI, whose server watches the line itself: the client counts as alive."""
+
+    def __init__(
+        self, receive: Receive, send: Send, peer: str, translator: RosbridgeTranslator
+    ) -> None:
+        self.peer = peer
+        self.translator = translator
+        self._receive = receive
+        self._send = send
+        self._code = NORMAL
+        self._is_lost = False
+
+    @property
+    def has_answer(self) -> bool:  # type: ignore[override]  # here it changes
+        """True if `send` is to be called also without frames: for answers that belong to none."""
+        return self.translator.has_texts
+
+    async def send(self, frames: Sequence[bytes]) -> None:
+        try:
+            for frame in frames:
+                if frame != PING:
+                    await self._send_texts(self.translator.texts_of(frame))
+            await self._send_texts(self.translator.take_texts())
+        except (OSError, RuntimeError) as exc:  # servers differ in it
+            self._is_lost = True
+            raise ConnectionLost(f"the connection to {self.peer} broke") from exc
+        self._reply(self.translator.is_alive() if PING in frames else [])
+
+    async def _send_texts(self, texts: list[str]) -> None:
+        for text in texts:
+            await self._send({"type": "websocket.send", "text": text})
+
+    async def receive(self) -> list[bytes]:
+        if hello := self.translator.begin():
+            return hello
+        message = await self._receive()
+        if message["type"] == "websocket.disconnect":
+            self._is_lost = True
+            reason = excerpt(message.get("reason") or "")
+            code = message.get("code", "")
+            raise ConnectionLost(f"{self.peer} closed: {code} {reason}".rstrip())
+        text = message.get("text")
+        if text is None:
+            self._code = UNSUPPORTED
+            raise ProtocolError(BINARY)
+        frames = self._frames_of(text)
+        if self.has_answer:
+            self.wake_writer()
+        return frames
+
+    def _frames_of(self, text: str) -> list[bytes]:
+        self._code = TOO_BIG
+        message = self.translator.messages.add_piece(text, is_last=True)
+        assert message is not None
+        self._code = INVALID
+        frames = self.translator.frames_of(message)
+        self._code = NORMAL
+        return frames
+
+    async def aclose(self) -> None:
+        self.translator.messages.close()
+        if self._is_lost:
+            return
+        code, reason = self._code, ""
+        if (goodbye := self.translator.goodbye) is not None:
+            code = close_code(goodbye, code)
+            reason = shortened_bytes(goodbye.reason, LONGEST_REASON)
+        close = {"type": "websocket.close", "code": code, "reason": reason}
+        with anyio.move_on_after(LEAVE, shield=True), suppress(OSError, RuntimeError):
+            await self._send(close)
+
+
+def new_translator(
+    server: WireServer, peer: str, headers: Mapping[str, str]
+) -> RosbridgeTranslator:
+    """Return the translator of a new connection, by the headers of its request."""
+    token = bearer_of(headers)
+    return RosbridgeTranslator(peer, server.endpoints, server.settings, server.frames, token)
+
+
+async def serve_rosbridge(
+    server: WireServer, channel: RosbridgeStreamChannel | RosbridgeAsgiChannel
+) -> None:
+    """Serve one client until its connection ends."""
+    await server.serve(channel)
+    bound = channel.translator.calls.bound_goals()
+    # With "cancel" all goals of a lost client end, by the rules of the server.
+    if bound and server.settings.orphans == "keep":
+        server.tasks.start_soon(_cancel_later, server, channel.peer, bound)
+
+
+async def _cancel_later(server: WireServer, peer: str, bound: list[tuple[str, GoalID]]) -> None:
+    """Cancel the goals of a client whose connection is lost, after the time of all clients."""
+    await anyio.sleep(server.settings.grace)
+    logger.info("%s is gone: canceling its goals with cancel_on_disconnect: %d", peer, len(bound))
+    for action, goal_id in bound:
+        try:
+            await server.endpoints[action].cancel_goals(goal_id)
+        except Exception as exc:  # an endpoint may be foreign code, or gone
+            logger.warning("goal %s could not be canceled: %s", goal_id, exc)

@@ -1,0 +1,116 @@
+"""The messages to a rosbridge client, as JSON text.
+
+These rules come from the clients, roslibjs 2 and roslibpy 2:
+
+- `status` is in each `action_result`; without it roslibpy looks into the values, and breaks.
+- The values of `result: true` are an object, and those of `result: false` a text, which both
+  libraries show.
+- A goal that was aborted without a result is `result: false`, so that its reason is shown.
+- There is no feedback behind the result, and never a `status` or an `action_status`: roslibpy
+  raises an error for each.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from fibaction.schema.payload import PayloadError
+from fibaction.wire.messages import Ended
+from fibaction.words.goals import GoalID
+from fibaction.words.statuses import GoalStatus
+from fibaction_transports.web.rosbridge.fragments import in_fragments
+from fibaction_transports.web.rosbridge.operations import (
+    ClientID,
+    FragmentSize,
+)
+from fibaction_transports.web.rosbridge.types.goal_arguments import values_text
+
+_encode = msgspec.json.Encoder().encode
+
+
+def _named(op: str, client_id: ClientID, kind: str, name: str) -> dict[str, Any]:
+    members: dict[str, Any] = {"op": op, kind: name}
+    return members if client_id is None else {"op": op, "id": client_id, kind: name}
+
+
+class GoalReplies:
+    """The messages about one goal of a client."""
+
+    def __init__(self, client_id: ClientID, action: str, fragment_size: FragmentSize) -> None:
+        """Answer with the ID, and the name of the action, that the client has sent."""
+        self._id = client_id
+        self._fragment_size = fragment_size
+        self._result = _named("action_result", client_id, "action", action)
+        feedback = _encode(_named("action_feedback", client_id, "action", action))
+        self._feedback = f'{feedback[:-1].decode()},"values":'
+
+    def feedback(self, payload: bytes) -> list[str]:
+        """Return a feedback message.
+
+        Raises:
+            PayloadError: JSON cannot express it.
+        """
+        return self._fitting(f"{self._feedback}{values_text(payload)}}}")
+
+    def ended(self, end: Ended) -> list[str]:
+        """Return the end of the goal."""
+        try:
+            values = None if end.result is None else msgspec.Raw(values_text(end.result).encode())
+        except PayloadError as exc:
+            return self.failed(str(exc), end.status)
+        if values is None and end.status not in (GoalStatus.SUCCEEDED, GoalStatus.CANCELED):
+            return self.failed(end.reason, end.status)
+        members = dict(self._result)
+        members |= {"values": msgspec.Raw(b"{}") if values is None else values}
+        members |= {"status": end.status, "result": True}
+        return self._told(members | ({"reason": end.reason} if end.reason else {}))
+
+    def failed(self, text: str, status: GoalStatus = GoalStatus.UNKNOWN) -> list[str]:
+        """Return the end of a goal without a result; UNKNOWN if it was not accepted."""
+        return self._told({**self._result, "values": text, "status": status, "result": False})
+
+    def _told(self, members: dict[str, Any]) -> list[str]:
+        return self._fitting(_encode(members).decode())
+
+    def _fitting(self, text: str) -> list[str]:
+        return in_fragments(text, self._id, self._fragment_size)
+
+
+class SentGoal(msgspec.Struct):
+    """A goal that a client has sent, and that has not ended."""
+
+    client_id: ClientID
+    action: str
+    """The name of the action at its server."""
+    goal_id: GoalID
+    is_bound: bool
+    """True if the goal ends when its client does not come back."""
+    replies: GoalReplies
+    has_feedback: bool
+    """True if the client wants the feedback."""
+    feedback_count: int = 0
+    """Feedback messages so far."""
+
+
+class ServiceReplies:
+    """The answer to one call of a service."""
+
+    def __init__(self, client_id: ClientID, service: str, fragment_size: FragmentSize) -> None:
+        """Answer with the ID, and the name of the service, that the client has sent."""
+        self._id = client_id
+        self._fragment_size = fragment_size
+        self._members = _named("service_response", client_id, "service", service)
+
+    def answered(self, values: dict[str, Any]) -> list[str]:
+        """Return the answer."""
+        return self._told(values, result=True)
+
+    def failed(self, text: str) -> list[str]:
+        """Return an error in place of the answer."""
+        return self._told(text, result=False)
+
+    def _told(self, values: object, *, result: bool) -> list[str]:
+        text = _encode({**self._members, "values": values, "result": result}).decode()
+        return in_fragments(text, self._id, self._fragment_size)

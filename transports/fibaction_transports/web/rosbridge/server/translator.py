@@ -1,0 +1,264 @@
+"""`RosbridgeTranslator`: one rosbridge client as a client of the wire protocol.
+
+Theory of operation
+-------------------
+
+A rosbridge client gets a `Session` of the `WireServer`, as every client over the wire protocol: the
+same permissions, limits, turns, log and goodbye. The translator stands in between. It makes the
+frames of the wire protocol that such a client would send, and JSON text of those that it would get:
+
+    send_action_goal    SendGoal        with an ID of its own, and credit for all feedback
+    cancel_action_goal  CancelGoals     of one goal of this connection
+    call_service        CancelGoals     for `<action>/_action/cancel_goal`
+                        ListActions     for rosapi, whose answers are made of the list
+    action_feedback     Feedback
+    action_result       Ended, Rejected, Failed
+    service_response    CancelAnswered, Actions, Failed
+
+*The beginning.* rosbridge has no hello, so the translator says it: at once with the token of the
+`Authorization` header, if there is one, or if the server asks for none; otherwise with the token of
+the client's first message, which must be an `auth`.
+
+*Replies.* A client over the wire protocol confirms the end of a goal, grants credit, and has a
+heartbeat. The translator does this as soon as what it is about was written; its channel hands these
+frames to the session. The session hears of a client that is alive by the pongs of WebSocket.
+
+*Flow.* Feedback is read from the log of its goal when the line can take more. The executor waits
+for that for moments, so that a burst arrives whole. Of a client that reads slowly, feedback is
+dropped there, and ends never are.
+
+*What is wrong.* Text that is not JSON ends the connection. Everything else concerns one call: it
+gets an answer, if it says to what. These answers do not pass the session, so they have a limit: a
+client that makes them and reads none is ended, as one over the wire protocol would be. An operation
+that is not served is ignored, and logged once.
+
+IDs are those of one connection. Two goals of the same ID may be open: a cancel is for the later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from fibaction._runtime.log import clean_logger
+from fibaction._runtime.text import excerpt
+from fibaction.border.abc import Endpoint
+from fibaction.schema.payload import PayloadError
+from fibaction.wire.codec import decode_from_server, encode
+from fibaction.wire.errors import sendable
+from fibaction.wire.frames import FrameMemory
+from fibaction.wire.link import OVERFULL
+from fibaction.wire.messages import (
+    VERSION,
+    Goodbye,
+    Hello,
+    Ping,
+    Welcome,
+)
+from fibaction.wire.settings import ServerSettings
+from fibaction.words.errors import ProtocolError
+from fibaction.words.goals import GoalID
+from fibaction_transports.web.rosbridge.fragments import PartialMessages, size_of
+from fibaction_transports.web.rosbridge.operations import (
+    Auth,
+    CallService,
+    CancelActionGoal,
+    Fragment,
+    Ignored,
+    SendActionGoal,
+    Wrong,
+    read,
+)
+from fibaction_transports.web.rosbridge.server.pending_calls import Answer, PendingCalls
+from fibaction_transports.web.rosbridge.server.replies import GoalReplies, SentGoal, ServiceReplies
+from fibaction_transports.web.rosbridge.server.rosapi import (
+    CANCEL_SUFFIX,
+    ServiceFailed,
+    cancel_request,
+    known_name,
+    service_of,
+)
+from fibaction_transports.web.rosbridge.types.goal_arguments import GoalArguments
+
+PATIENCE = 5.0
+"""The heartbeat of a client, in seconds: it is dead after four of them without a pong."""
+MOST_NOTES = 20
+"""Different lines about what is ignored that one connection writes into the log."""
+
+logger = clean_logger("fibaction.web")
+
+
+class RosbridgeTranslator:
+    """The translation of one connection, both ways."""
+
+    def __init__(
+        self,
+        peer: str,
+        endpoints: Mapping[str, Endpoint],
+        settings: ServerSettings,
+        memory: FrameMemory,
+        token: str = "",
+    ) -> None:
+        """Take the token of the request for the WebSocket; empty if it has none."""
+        self.messages = PartialMessages(settings.limits.frame, memory)
+        """The messages that have not arrived completely."""
+        self.calls = PendingCalls(peer, self._note)
+        """All that the client waits for."""
+        self.goodbye: Goodbye | None = None
+        """The reason of the end, once the session has said it."""
+        self._peer = peer
+        self._endpoints = endpoints
+        self._limit = OVERFULL * settings.limits.queue
+        self._token: str | None = token
+        if not token and settings.access.asks_for_tokens:
+            self._token = None  # the first message has it
+        self._has_begun = self._is_welcome = False
+        self._arguments: dict[str, GoalArguments] = {}
+        self._texts: list[str] = []
+        self._size = 0
+        self._notes: set[str] = set()
+
+    # From the client
+
+    def begin(self) -> list[bytes]:
+        """Return the hello, if it can be said now and was not."""
+        if self._has_begun or self._token is None:
+            return []
+        self._has_begun = True
+        return [encode(Hello(VERSION, PATIENCE, self._token))]
+
+    def frames_of(self, text: str) -> list[bytes]:
+        """Return the frames for the session that a message of the client is.
+
+        Raises:
+            ProtocolError: The message is not JSON, or the client makes errors faster than it reads
+                the answers.
+        """
+        operation = read(text)
+        if self._token is None:
+            self._token = operation.mac if isinstance(operation, Auth) else ""
+        frames = self.begin()
+        match operation:
+            case SendActionGoal():
+                return frames + self._send_goal(operation)
+            case CancelActionGoal():
+                return frames + self._cancel_goal(operation)
+            case CallService():
+                return frames + self._call_service(operation)
+            case Fragment():
+                message = self.messages.add_fragment(operation)
+                return frames + ([] if message is None else self._unfragmented(message))
+            case Wrong():
+                self._answer_wrong(operation)
+            case Ignored(op):
+                self._note(f"the operation {op!r} of rosbridge is not served: ignored")
+            case _:
+                pass  # of an auth, the token is known by now, or was not asked for
+        return frames
+
+    def _unfragmented(self, text: str) -> list[bytes]:
+        if isinstance(read(text), Fragment):
+            raise ProtocolError("it sent a fragment within fragments")
+        return self.frames_of(text)
+
+    def _send_goal(self, sent: SendActionGoal) -> list[bytes]:
+        action = known_name(sent.action, self._endpoints)
+        replies = GoalReplies(sent.id, sent.action, sent.fragment_size)
+        try:
+            payload = self._payload(action, sent)
+        except PayloadError as exc:
+            self._tell(replies.failed(sendable(str(exc))))
+            return []
+        goal_id, is_bound = GoalID.random(), sent.cancel_on_disconnect
+        goal = SentGoal(sent.id, action, goal_id, is_bound, replies, sent.feedback)
+        return [self.calls.send_goal(goal, payload, sent.meta)]
+
+    def _payload(self, action: str, sent: SendActionGoal) -> bytes:
+        endpoint = self._endpoints.get(action)
+        if endpoint is None:
+            return b""  # the session tells the client
+        arguments = self._arguments.get(action)
+        if arguments is None or arguments.info is not endpoint.info:
+            arguments = self._arguments[action] = GoalArguments(endpoint.info)
+        return arguments.encode(sent.args)
+
+    def _cancel_goal(self, sent: CancelActionGoal) -> list[bytes]:
+        goal = self.calls.latest_goal(sent.id)
+        if goal is None or goal.action != known_name(sent.action, self._endpoints):
+            # Mostly it has just ended, and its result is under way.
+            self._note("it has canceled a goal that it has not sent, or that has ended")
+            return []
+        return [self.calls.cancel_goal(goal)]
+
+    def _call_service(self, call: CallService) -> list[bytes]:
+        replies = ServiceReplies(call.id, call.service, call.fragment_size)
+        service = service_of(call.service)
+        if service is not None:
+            return [self.calls.call(replies, service, call.args)]
+        if not call.service.endswith(CANCEL_SUFFIX):
+            self._tell(replies.failed(_not_served(call.service)))
+            return []
+        action = known_name(call.service.removesuffix(CANCEL_SUFFIX), self._endpoints)
+        try:
+            goal_id, stamp = cancel_request(call.args)
+        except ServiceFailed as exc:
+            self._tell(replies.failed(str(exc)))
+            return []
+        return [self.calls.cancel_goals(replies, action, goal_id, stamp)]
+
+    def _answer_wrong(self, wrong: Wrong) -> None:
+        if wrong.op == "send_action_goal":
+            self._tell(GoalReplies(wrong.id, wrong.name, None).failed(wrong.why))
+        elif wrong.op == "call_service":
+            self._tell(ServiceReplies(wrong.id, wrong.name, None).failed(wrong.why))
+        else:
+            self._note(f"an operation {wrong.op!r} of rosbridge is wrong: {wrong.why}")
+
+    def _note(self, text: str) -> None:
+        if text not in self._notes and len(self._notes) < MOST_NOTES:
+            self._notes.add(text)
+            logger.info("%s: %s", self._peer, text)
+
+    # To the client
+
+    @property
+    def has_texts(self) -> bool:
+        """True if there are messages to send that are not about a frame."""
+        return bool(self._texts) and self._is_welcome
+
+    def _tell(self, texts: list[str]) -> None:
+        self._texts += texts
+        self._size += sum(map(size_of, texts))
+        if self._size > self._limit:
+            raise ProtocolError("it makes errors faster than it reads the answers")
+
+    def texts_of(self, frame: bytes) -> list[str]:
+        """Return the messages for the client that a frame of the session is."""
+        message = decode_from_server(frame)
+        if isinstance(message, Answer):
+            return self.calls.texts_of(message)
+        if isinstance(message, Welcome):
+            self._is_welcome = True
+        elif isinstance(message, Goodbye):
+            self.goodbye = message
+        return []
+
+    def take_texts(self) -> list[str]:
+        """Return the messages that are not about a frame, once the client is let in."""
+        if not self._is_welcome:
+            return []
+        texts, self._texts, self._size = self._texts, [], 0
+        return texts
+
+    def is_alive(self) -> list[bytes]:
+        """Return the frames for the session that say that the client is alive."""
+        return [_PING] if self._has_begun else []
+
+
+_PING = encode(Ping())
+
+
+def _not_served(service: str) -> str:
+    return (
+        f"the service {sendable(excerpt(service))!r} is not served here: there are actions,"
+        f" their {CANCEL_SUFFIX} and parts of rosapi"
+    )

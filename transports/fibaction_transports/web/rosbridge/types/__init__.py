@@ -1,0 +1,1 @@
+"""Messages of rosbridge as payloads, and type definitions as JSON Schemas."""

@@ -1,0 +1,187 @@
+"""JSON Schemas of the messages of an action, from their type definitions of rosapi.
+
+They have the form of those that are made from ROS's own classes: see
+`fibaction.interfaces.ros_types`. rosapi tells less than the classes: no bounds of strings and
+arrays, and no defaults of arrays. A field whose type it does not describe may have any value.
+
+Servers differ. Old ones put `_` before the names of fields, and some say `sequence<double, 3>`, or
+the name of a class of Python, where they do not understand an array.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+
+from fibaction.interfaces import ros_types
+from fibaction.schema.json_schema import MAX_PARTS
+from fibaction_transports.web.rosbridge.types.type_details import (
+    ANY_LENGTH,
+    NOT_AN_ARRAY,
+    TypeDefinition,
+)
+
+MOST_ITEMS = 2**31 - 1
+"""Items of the longest array; a length above is a mistake."""
+
+_PRIMITIVES: Mapping[str, dict[str, Any]] = {
+    name: msgspec.json.schema(kind)
+    for name, kind in {
+        **ros_types.PRIMITIVES,
+        # The names of IDL.
+        "boolean": bool,
+        "octet": ros_types.Byte,
+        "float": float,
+        "double": float,
+    }.items()
+}
+_OCTET = msgspec.json.schema(ros_types.UInt8)
+
+_ARRAY = re.compile(r"(?:sequence<)?(.*?)(?:, (\d{1,9}))?>?", re.DOTALL)
+_BOUNDED_STRING = re.compile(r"w?string<=?(\d{1,9})>?")
+
+
+def schema_of(definitions: Iterable[TypeDefinition]) -> dict[str, Any]:
+    """Return the JSON Schema of a message; empty if there is no definition, or if the schema would
+    be too large to be used.
+
+    `definitions` are that of the message, and those of its parts.
+    """
+    known = {one.type: one for one in definitions}
+    if not known or sum(1 + len(one.fieldnames) for one in known.values()) > MAX_PARTS:
+        return {}
+    names = _short_names(known)
+    first, *_ = names.values()
+    return {
+        "$ref": f"#/$defs/{first}",
+        "$defs": {names[one.type]: _struct(one, names) for one in known.values()},
+    }
+
+
+def _short_names(types: Iterable[str]) -> dict[str, str]:
+    """Return the names of types in the schema: without their packages, where that is enough."""
+    found: dict[str, str] = {}
+    taken: set[str] = set()
+    for name in types:
+        short = _without_package(name)
+        found[name] = name.replace("/", ".") if short in taken else short
+        taken.add(found[name])
+    return found
+
+
+def _without_package(name: str) -> str:
+    return name.rpartition("/")[2]
+
+
+def _struct(definition: TypeDefinition, names: Mapping[str, str]) -> dict[str, Any]:
+    rows = zip(
+        definition.fieldnames,
+        definition.fieldtypes,
+        definition.fieldarraylen,
+        definition.examples,
+        strict=False,
+    )
+    required = set[str]() if definition.required is msgspec.UNSET else set(definition.required)
+    is_of_ros = "/" in definition.type
+    return {
+        "title": _without_package(definition.type),
+        **({"description": f"`{definition.type}` of ROS 2."} if is_of_ros else {}),
+        "type": "object",
+        "properties": {
+            name.removeprefix("_"): _field(
+                kind, length, None if name in required else example, names
+            )
+            for name, kind, length, example in rows
+        },
+        "required": [name for name in definition.fieldnames if name in required],
+        "additionalProperties": False,
+    }
+
+
+def _field(kind: str, length: int, example: str | None, names: Mapping[str, str]) -> dict[str, Any]:
+    if length == NOT_AN_ARRAY and kind.startswith("sequence<"):
+        length = ANY_LENGTH
+    if length == NOT_AN_ARRAY:
+        element = _element(kind, names)
+        return element | _default(element, example)
+    match = _ARRAY.fullmatch(kind)
+    assert match is not None  # it matches any text
+    element = _element(match[1], names)
+    if not element:
+        return {}
+    least = length if 0 < length <= MOST_ITEMS else None
+    most = least if match[2] is None else int(match[2])
+    return _array(element, least, most)
+
+
+def _element(kind: str, names: Mapping[str, str]) -> dict[str, Any]:
+    """Return the schema of a single value; empty if its type is not described."""
+    if kind in names:
+        return {"$ref": f"#/$defs/{names[kind]}"}
+    if bounded := _BOUNDED_STRING.fullmatch(kind):
+        return {"type": "string", "maxLength": int(bounded[1])}
+    return _PRIMITIVES.get(kind, {})
+
+
+def _array(element: dict[str, Any], least: int | None, most: int | None) -> dict[str, Any]:
+    if element == _OCTET:
+        schema: dict[str, Any] = {"type": "string", "contentEncoding": "base64"}
+        limits = "minLength", "maxLength"
+        least, most = (None if one is None else 4 * ((one + 2) // 3) for one in (least, most))
+    else:
+        schema = {"type": "array", "items": element}
+        limits = "minItems", "maxItems"
+    found = zip(limits, (least, most), strict=True)
+    return schema | {name: limit for name, limit in found if limit is not None}
+
+
+# Defaults: the examples of rosapi are the values of a new message.
+
+
+_ESCAPES = {"\\t": 9, "\\n": 10, "\\r": 13, "\\'": 39, "\\\\": 92}
+
+
+def _octet(example: str) -> int:
+    """Return a `byte`, which rosapi writes as Python does, for example `b'A'`."""
+    if not example.startswith("b"):
+        return int(example)
+    text = example[2:-1]
+    if text.startswith("\\x"):
+        return int(text[2:], 16)
+    return ord(text) if len(text) == 1 else _ESCAPES[text]
+
+
+_VALUES: Mapping[str, Callable[[str], Any]] = {
+    "boolean": {"True": True, "False": False}.__getitem__,
+    "integer": int,
+    "number": float,
+    "string": str,
+}
+
+
+def _default(element: dict[str, Any], example: str | None) -> dict[str, Any]:
+    """Return the default of a field as a part of its schema; empty if the field has none."""
+    read = _octet if element == _OCTET else _VALUES.get(element.get("type", ""))
+    if read is None or example is None:
+        return {}
+    with suppress(LookupError, ValueError):
+        value = read(example)
+        if isinstance(value, str) or _least(element) <= value <= _most(element):  # NaN is not
+            return {"default": value}
+    return {}
+
+
+def _least(element: dict[str, Any]) -> float:
+    least: float = element.get("minimum", -sys.float_info.max)
+    return least
+
+
+def _most(element: dict[str, Any]) -> float:
+    largest = 2**64 - 1 if element["type"] == "integer" else sys.float_info.max
+    most: float = element.get("maximum", largest)
+    return most
