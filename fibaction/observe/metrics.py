@@ -35,7 +35,7 @@ BEAT = 0.25
 """Seconds between two measurements of the lag."""
 
 
-class _Goal:
+class _ActiveGoal:
     """An active goal."""
 
     __slots__ = ("accepted_at", "is_waiting")
@@ -58,6 +58,16 @@ class _ConnectionErrors:
         for kind, count in CONNECTIONS.errors.copy().items():
             family.add_metric([kind], count)
         yield family
+
+
+def _add_connections(registry: CollectorRegistry) -> None:
+    """Add the series of the connections of this process."""
+    from prometheus_client import Gauge
+
+    Gauge(
+        "fibaction_connections", "Open connections of clients to this process.", registry=registry
+    ).set_function(lambda: CONNECTIONS.open)
+    registry.register(_ConnectionErrors())
 
 
 class Metrics(Watcher):
@@ -129,13 +139,10 @@ class Metrics(Watcher):
             "fibaction_feedback_dropped", "Feedback messages that followers have missed.",
             ["action"], registry=into,
         )  # fmt: skip
-        prometheus.Gauge(
-            "fibaction_connections", "Open connections of clients to this process.", registry=into
-        ).set_function(lambda: CONNECTIONS.open)
-        into.register(_ConnectionErrors())
+        _add_connections(into)
         self._feedback_of: dict[str, Counter] = {}  # to look up a label takes longer than to count
         self._undecided: set[GoalID] = set()
-        self._running: dict[GoalID, _Goal] = {}
+        self._running: dict[GoalID, _ActiveGoal] = {}
         self.beat_at = monotonic()
         """Time of the last turn of the event loop that `run` has seen, by `time.monotonic`."""
 
@@ -174,7 +181,7 @@ class Metrics(Watcher):
             self._taken.labels(action).inc()
         self._active.labels(action).inc()
         is_waiting = info.status is GoalStatus.ACCEPTED
-        self._running[info.goal_id] = _Goal(is_waiting=is_waiting)
+        self._running[info.goal_id] = _ActiveGoal(is_waiting=is_waiting)
         if is_waiting:
             self._waiting.labels(action).inc()
 

@@ -34,7 +34,7 @@ from fibaction.observe.action_listener import (
     follow_action,
     follow_actions,
 )
-from fibaction.observe.monitor_records import ActionRecord, GoalRecord
+from fibaction.observe.monitor_records import MonitoredAction, MonitoredGoal
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ActionError
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome
@@ -136,8 +136,8 @@ class Monitor(ActionListener):
         self._summarize = summarize
         self._clock = clock
         self._away = ""
-        self._actions: dict[str, ActionRecord] = {}
-        self._goals: dict[GoalKey, GoalRecord] = {}
+        self._actions: dict[str, MonitoredAction] = {}
+        self._goals: dict[GoalKey, MonitoredGoal] = {}
 
     async def run(self, connection: ClientConnection) -> None:
         """Follow all actions of a connection, until canceled.
@@ -236,7 +236,7 @@ class Monitor(ActionListener):
     # As a listener
 
     def on_action_found(self, info: ActionInfo, client: AnyClient) -> None:
-        state = self._actions.setdefault(info.name, ActionRecord(info))
+        state = self._actions.setdefault(info.name, MonitoredAction(info))
         state.client, state.away = client, ""
 
     def on_event(self, action: str, event: GoalInfo | GoalFeedback[Any]) -> None:
@@ -248,7 +248,7 @@ class Monitor(ActionListener):
         elif event.status is GoalStatus.UNKNOWN:
             self._goals.pop(key, None)
         elif goal is None:
-            self._goals[key] = GoalRecord(event)
+            self._goals[key] = MonitoredGoal(event)
             if len(self._goals) > MOST_GOALS:
                 del self._goals[next(iter(self._goals))]
         else:
@@ -261,7 +261,7 @@ class Monitor(ActionListener):
     def on_actions(self, actions: list[ActionInfo] | None, reason: str) -> None:
         self._away = "" if actions is not None else reason
         for info in actions or ():
-            self._actions.setdefault(info.name, ActionRecord(info)).info = info
+            self._actions.setdefault(info.name, MonitoredAction(info)).info = info
 
     async def _refresh(self) -> None:
         # Events do not tell feedback counts and places, nor that a restarted server has lost its

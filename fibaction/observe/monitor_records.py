@@ -42,7 +42,7 @@ class Rate:
         return (after - before) / (ended - began) if ended > began else 0.0
 
 
-class ActionRecord:
+class MonitoredAction:
     """The state of one action."""
 
     def __init__(self, info: ActionInfo) -> None:
@@ -52,7 +52,7 @@ class ActionRecord:
         self.rate = Rate()
 
 
-class GoalRecord:
+class MonitoredGoal:
     """The state of one goal."""
 
     def __init__(self, info: GoalInfo) -> None:

@@ -36,7 +36,7 @@ __all__ = ["Tracing"]
 ACTION = "fibaction.action"
 GOAL_ID = "fibaction.goal.id"
 STATUS = "fibaction.goal.status"
-REASON = "fibaction.goal.reason"
+REASON_KEY = "fibaction.goal.reason"
 ATTEMPT = "fibaction.goal.attempt"
 SENDER = "fibaction.sender"
 FEEDBACK = "fibaction.feedback.count"
@@ -170,7 +170,7 @@ def _end(span: Span, status: str, reason: str = "", *, error: str = "") -> None:
     if status:
         span.set_attribute(STATUS, status)
     if reason:
-        span.set_attribute(REASON, shortened(reason))
+        span.set_attribute(REASON_KEY, shortened(reason))
     if error:
         span.set_attribute(ERROR_TYPE, error)
         span.set_status(StatusCode.ERROR, shortened(reason))

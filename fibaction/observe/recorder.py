@@ -35,7 +35,7 @@ __all__ = ["Recorder"]
 
 FLUSH = 0.05
 """Seconds for which records wait in memory at most; a kill of the process loses as much."""
-MAX_BYTES = 64 * 2**20
+MAX_WAITING_BYTES = 64 * 2**20
 """Bytes of feedback that may wait for the disk."""
 OVERHEAD = 500
 """Bytes that a record takes beside its payload."""
@@ -62,7 +62,7 @@ class Recorder(Watcher):
     full, the log says so once, and goals go on.
     """
 
-    def __init__(self, path: str | Path, *, max_bytes: int = MAX_BYTES) -> None:
+    def __init__(self, path: str | Path, *, max_bytes: int = MAX_WAITING_BYTES) -> None:
         """Open the file. At most `max_bytes` bytes of feedback wait in memory to be written.
 
         Raises:

@@ -27,7 +27,7 @@ _IS_TYPE: dict[str, Callable[[Any], bool]] = {
     "object": is_map,
 }
 
-_FORMATS: dict[str, Any] = {
+_FORMAT_TYPES: dict[str, Any] = {
     "date-time": datetime.datetime,
     "date": datetime.date,
     "time": datetime.time,
@@ -53,9 +53,9 @@ def _multiple_of(value: Any, unit: Any) -> bool:
 
 
 def _format(value: Any, expected: Any) -> bool:
-    if expected in _FORMATS and isinstance(value, str):
+    if expected in _FORMAT_TYPES and isinstance(value, str):
         try:
-            msgspec.convert(value, _FORMATS[expected])
+            msgspec.convert(value, _FORMAT_TYPES[expected])
         except (msgspec.ValidationError, ValueError):
             return False
     return True

@@ -33,7 +33,7 @@ _TYPES = {
     "object": "a map of fields",
     "null": "null",
 }
-_FORMATS = {
+_FORMAT_NAMES = {
     "date-time": "a date and time in ISO 8601",
     "date": "a date in ISO 8601",
     "time": "a time in ISO 8601",
@@ -81,7 +81,7 @@ def sentences(mismatch: Mismatch, name: str) -> Iterator[str]:
         case "type" | "enum" | "const":
             yield f"{field} must be {_expected(mismatch)}, not {value}"
         case "format":
-            yield f"{field} must be {_FORMATS[mismatch.expected]}, not {value}"
+            yield f"{field} must be {_FORMAT_NAMES[mismatch.expected]}, not {value}"
         case "contentEncoding":
             yield f"{field} must be bytes in base64, not {value}"
         case "anyOf":

@@ -72,7 +72,7 @@ class Writer:
         self._path, self._sync = path, sync
         self._call_soon, self._call = loop_callers()
         self._written: Batch = []
-        self._queue: SimpleQueue[Batch | _Command] = SimpleQueue()
+        self._queue: SimpleQueue[Batch | _WriterCommand] = SimpleQueue()
         self._is_closing = False
         self._file: JournalFile | None = None
         self._has_begun = False
@@ -118,7 +118,7 @@ class Writer:
         self._thread.join()  # it has nothing left to do
 
     async def _do(self, work: Callable[[], object] | None) -> str:
-        command = _Command(work)
+        command = _WriterCommand(work)
         self._flush()
         self._queue.put(command)
         await command.is_done.wait()
@@ -143,7 +143,7 @@ class Writer:
             with suppress(RuntimeError):  # the event loop has ended meanwhile
                 self._call(last.is_done.set)
 
-    def _handle(self, items: list[Batch | _Command]) -> _Command | None:
+    def _handle(self, items: list[Batch | _WriterCommand]) -> _WriterCommand | None:
         """Do everything in order; return the command to close, after which nothing comes."""
         batch: Batch = []
         for item in items:
@@ -217,7 +217,7 @@ class Writer:
         return goals
 
 
-class _Command:
+class _WriterCommand:
     """Something that the thread is to do between its writes; to close, if it is None."""
 
     def __init__(self, work: Callable[[], object] | None) -> None:

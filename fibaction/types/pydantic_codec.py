@@ -21,7 +21,7 @@ from pydantic_core import core_schema
 from fibaction._runtime.plain_data import is_list, is_map
 from fibaction.types.encodings import Encoding
 
-MAX_PROBLEMS = 3
+MAX_VALIDATION_ERRORS = 3
 """Problems of one message that the text of an error names."""
 
 
@@ -137,8 +137,8 @@ def _text_of(error: ValidationError) -> str:
     """Return what is wrong as one sentence, in the form of msgspec's."""
     problems = error.errors(include_url=False, include_context=False, include_input=False)
     texts: list[str] = []
-    for problem in problems[:MAX_PROBLEMS]:
+    for problem in problems[:MAX_VALIDATION_ERRORS]:
         path = "".join(f"[{one}]" if isinstance(one, int) else f".{one}" for one in problem["loc"])
         texts.append(f"{problem['msg']} - at `${path}`" if path else problem["msg"])
-    more = len(problems) - MAX_PROBLEMS
+    more = len(problems) - MAX_VALIDATION_ERRORS
     return "; ".join([*texts, *([f"and {more} more"] if more > 0 else [])])

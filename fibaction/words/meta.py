@@ -15,7 +15,7 @@ W3C, and others. It is not part of the goal: that of a retry is ignored."""
 
 MAX_KEYS = 8
 """Keys of a meta, at most."""
-MAX_BYTES = 4096
+MAX_META_BYTES = 4096
 """Bytes of all keys and values of a meta in UTF-8, at most."""
 
 DETACHED = "detached"
@@ -41,8 +41,10 @@ def size_of(meta: Meta | None) -> int:
         size = sum(len(key.encode()) + len(value.encode()) for key, value in meta.items())
     except (AttributeError, UnicodeEncodeError):
         raise InvalidMessage("the goal's meta maps text to text, and part of it is not") from None
-    if size > MAX_BYTES:
-        raise InvalidMessage(f"the goal's meta has {size} bytes, and {MAX_BYTES} are the limit")
+    if size > MAX_META_BYTES:
+        raise InvalidMessage(
+            f"the goal's meta has {size} bytes, and {MAX_META_BYTES} are the limit"
+        )
     return size
 
 

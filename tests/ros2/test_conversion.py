@@ -34,7 +34,7 @@ from fibaction_transports.ros2.convert.conversion import (
     message_types,
 )
 from fibaction_transports.ros2.convert.message_types import message_kind
-from fibaction_transports.ros2.convert.schemas import Schema
+from fibaction_transports.ros2.convert.schemas import UserSchema
 
 definition: Any = import_module("rosidl_parser.definition")
 numpy: Any = import_module("numpy")
@@ -730,7 +730,7 @@ def codec_for(**slots: Any) -> RosCodec:
 
 
 def message_part(cls: Any) -> Any:
-    return message_kind(cls).bind(Schema({}), "message", [])
+    return message_kind(cls).bind(UserSchema({}), "message", [])
 
 
 def message_class(**slots: Any) -> Any:
@@ -954,7 +954,7 @@ def test_a_message_is_not_a_plain_value() -> None:
 def test_an_invalid_schema_allows_any_value(schema: dict[str, Any]) -> None:
     problems: list[str] = []
     point = import_module("geometry_msgs.msg").Point
-    message_kind(point).bind(Schema(schema), "point", problems)
+    message_kind(point).bind(UserSchema(schema), "point", problems)
     assert problems == []
 
 
@@ -995,7 +995,9 @@ json = strategies.recursive(
 def test_any_schema_matches_or_is_reported(schema: Any, one: Any, other: Any) -> None:
     root = {**(schema if isinstance(schema, dict) else {}), "$defs": {"A": one, "B": other}}
     problems: list[str] = []
-    part: Any = message_kind(EVERYTHING.ros_type.Feedback).bind(Schema(root), "feedback", problems)
+    part: Any = message_kind(EVERYTHING.ros_type.Feedback).bind(
+        UserSchema(root), "feedback", problems
+    )
     if problems:
         assert all(line.startswith("feedback") for line in problems)
     else:

@@ -24,7 +24,7 @@ from fibaction_transports.ros2.client.goal_stream import RosGoalStream
 from fibaction_transports.ros2.names import count_topic
 from fibaction_transports.ros2.node.node import RosNode
 from fibaction_transports.ros2.rcl import raw
-from fibaction_transports.ros2.server.feedback_topic import GoalFeedback
+from fibaction_transports.ros2.server.feedback_topic import FeedbackPublisher
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.ends import PATIENCE, Undecoded, both_ends, client_of, new_url
 from tests.ros2.stock.ours import action
@@ -45,11 +45,11 @@ class Withheld:
     """Feedback that a server counts as published, and publishes when the test says so."""
 
     def __init__(self) -> None:
-        self.of: dict[GoalFeedback, list[bytes]] = {}
-        self._publish = GoalFeedback.publish
+        self.of: dict[FeedbackPublisher, list[bytes]] = {}
+        self._publish = FeedbackPublisher.publish
 
-    async def keep(self, feedback: GoalFeedback, payload: bytes) -> None:
-        """Stand for `GoalFeedback.publish`."""
+    async def keep(self, feedback: FeedbackPublisher, payload: bytes) -> None:
+        """Stand for `FeedbackPublisher.publish`."""
         self.of.setdefault(feedback, []).append(payload)
         feedback.count += 1
 
@@ -64,7 +64,7 @@ class Withheld:
 @pytest.fixture
 def withheld(monkeypatch: pytest.MonkeyPatch) -> Withheld:
     made = Withheld()
-    monkeypatch.setattr(GoalFeedback, "publish", lambda one, payload: made.keep(one, payload))
+    monkeypatch.setattr(FeedbackPublisher, "publish", lambda one, payload: made.keep(one, payload))
     return made
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fibaction import GoalID, GoalInfo, GoalStatus
 from fibaction.words.errors import ProtocolError
 from fibaction_transports.ros2.convert.status_bytes import (
-    PIECES,
+    MAX_PIECES,
     StatusLine,
     differences,
     goal_of_feedback,
@@ -133,7 +133,7 @@ def test_the_differences_of_two_lists_are_those_of_their_lines(
     assert [[info_of(line) for line in part] for part in found] == compared(before, now)
 
 
-@pytest.mark.parametrize("changed", [1, PIECES - 1, PIECES, 3 * PIECES])
+@pytest.mark.parametrize("changed", [1, MAX_PIECES - 1, MAX_PIECES, 3 * MAX_PIECES])
 def test_few_and_many_changes_in_a_long_list_are_found(changed: int) -> None:
     goals = [
         GoalInfo(GoalID(number.to_bytes(16, "big")), number, GoalStatus.EXECUTING)

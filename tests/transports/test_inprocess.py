@@ -183,7 +183,7 @@ async def test_a_gateway_names_the_owner_of_a_goal_and_any_other_sender_is_its_c
 async def test_a_place_that_is_not_used_any_more_is_forgotten() -> None:
     InProcessTransport("passing")
     gc.collect()
-    assert "inproc://passing" not in inprocess._places
+    assert "inproc://passing" not in inprocess._directories
 
 
 async def test_a_setting_by_name_is_an_error_since_there_are_none() -> None:

@@ -7,7 +7,14 @@ from typing import Any, cast
 import pytest
 
 from fibaction import InvalidMessage
-from fibaction.words.meta import MAX_BYTES, MAX_KEYS, checked_meta, fitting, size_of, trace_meta
+from fibaction.words.meta import (
+    MAX_KEYS,
+    MAX_META_BYTES,
+    checked_meta,
+    fitting,
+    size_of,
+    trace_meta,
+)
 
 
 def test_a_meta_without_entries_is_none() -> None:
@@ -22,7 +29,7 @@ def test_the_bytes_of_keys_and_values_count_as_they_are_sent() -> None:
 
 def test_a_meta_at_the_limits_is_copied() -> None:
     meta = {str(number): "" for number in range(MAX_KEYS)}
-    meta["0"] = "x" * (MAX_BYTES - MAX_KEYS)
+    meta["0"] = "x" * (MAX_META_BYTES - MAX_KEYS)
 
     copy = checked_meta(meta)
 

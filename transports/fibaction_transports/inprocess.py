@@ -32,7 +32,7 @@ StreamT = TypeVar("StreamT", bound=GoalStream | StatusStream)
 _URL = re.compile(r"inproc://([\w.-]+)", re.ASCII)
 
 
-class _Place:
+class _Directory:
     """The endpoints that are served under one name."""
 
     def __init__(self, url: str) -> None:
@@ -50,7 +50,7 @@ class _Place:
             ) from None
 
 
-_places: WeakValueDictionary[str, _Place] = WeakValueDictionary()
+_directories: WeakValueDictionary[str, _Directory] = WeakValueDictionary()
 
 
 class InProcessTransport(Transport):
@@ -67,7 +67,7 @@ class InProcessTransport(Transport):
         url = f"inproc://{name or uuid.uuid4().hex}"
         if not _URL.fullmatch(url):
             raise InvalidURL(f"an in-process URL is like inproc://robot, not {url!r}")
-        self._place = _places.setdefault(url, _Place(url))
+        self._place = _directories.setdefault(url, _Directory(url))
 
     @classmethod
     def from_url(cls, url: str, **settings: Any) -> InProcessTransport:
@@ -116,7 +116,7 @@ class InProcessTransport(Transport):
 class _InProcessConnection(Connection):
     """An open connection, which ends its streams when it is closed."""
 
-    def __init__(self, place: _Place) -> None:
+    def __init__(self, place: _Directory) -> None:
         self.place = place
         self._streams: WeakSet[GoalStream | StatusStream] = WeakSet()
         self._closed: ConnectionLost | None = None

@@ -21,7 +21,7 @@ COUNT_DEPTH = 100
 """Numbers of feedback messages that are kept for a client that is connected later."""
 
 _RELIABILITY, _DURABILITY = rclpy_qos.ReliabilityPolicy, rclpy_qos.DurabilityPolicy
-_WORDS: dict[str, tuple[str, Any]] = {
+_POLICIES: dict[str, tuple[str, Any]] = {
     "reliable": ("reliability", _RELIABILITY.RELIABLE),
     "best_effort": ("reliability", _RELIABILITY.BEST_EFFORT),
     "volatile": ("durability", _DURABILITY.VOLATILE),
@@ -38,9 +38,9 @@ def policies(text: str) -> dict[str, Any]:
     """
     found: dict[str, Any] = {}
     for word in filter(None, (part.strip() for part in text.split(","))):
-        if word not in _WORDS:
-            raise ValueError(f"{word!r} is not one of {', '.join(_WORDS)}")
-        name, value = _WORDS[word]
+        if word not in _POLICIES:
+            raise ValueError(f"{word!r} is not one of {', '.join(_POLICIES)}")
+        name, value = _POLICIES[word]
         if found.setdefault(name, value) != value:
             raise ValueError(f"{text!r} has two words for {name}")
     return found

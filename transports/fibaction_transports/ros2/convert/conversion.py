@@ -22,7 +22,7 @@ from fibaction.words.errors import ProtocolError, TransportError
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction_transports.ros2.convert.fields import Unfit
 from fibaction_transports.ros2.convert.message_types import MessagePart, message_kind
-from fibaction_transports.ros2.convert.schemas import Schema
+from fibaction_transports.ros2.convert.schemas import UserSchema
 from fibaction_transports.ros2.rcl import GoalInfoMessage, check_for_type_support, uuid_of
 
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*", re.ASCII)
@@ -137,7 +137,7 @@ class RosAction:
     def _bound(self, info: ActionInfo) -> RosCodecs:
         problems: list[str] = []
         parts = [
-            kind.bind(Schema(getattr(info, name)), name, problems)
+            kind.bind(UserSchema(getattr(info, name)), name, problems)
             for kind, name in zip(self._kinds, _PARTS, strict=True)
         ]
         codecs = [RosCodec(part) for part in parts if isinstance(part, MessagePart)]

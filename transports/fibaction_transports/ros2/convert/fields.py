@@ -19,7 +19,7 @@ from msgspec import Meta
 from fibaction.interfaces.ros_types import PRIMITIVES, Byte, limited, string
 from fibaction.interfaces.ros_types import array as array_of
 from fibaction_transports.ros2.convert.arrays import LARGE, numpy, pack, unpack
-from fibaction_transports.ros2.convert.schemas import ANYTHING, Option, Schema
+from fibaction_transports.ros2.convert.schemas import ANYTHING, Option, UserSchema
 
 Convert: TypeAlias = Callable[[Any], Any] | None
 """A conversion; None if the value is used as it is."""
@@ -79,7 +79,7 @@ class Kind(ABC):
     default: Any
     """The type of the field in structs that are made from the ROS type."""
 
-    def bind(self, wanted: Schema, path: str, problems: list[str]) -> Part:
+    def bind(self, wanted: UserSchema, path: str, problems: list[str]) -> Part:
         """Return the part for a schema; mismatches are added to `problems`."""
         tries: list[list[str]] = []
         for option in wanted.options:

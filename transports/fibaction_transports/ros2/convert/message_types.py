@@ -29,7 +29,7 @@ from fibaction_transports.ros2.convert.fields import (
     Unfit,
     text_kind,
 )
-from fibaction_transports.ros2.convert.schemas import MISSING, Option, Schema
+from fibaction_transports.ros2.convert.schemas import MISSING, Option, UserSchema
 
 _definition: Any = import_module("rosidl_parser.definition")
 
@@ -161,7 +161,7 @@ class MessageKind(Kind):
         message = self.cls()
         fields: list[tuple[str, Any, Any]] = []
         for name, kind in self.fields.items():
-            read = kind.bind(Schema(None), name, []).read
+            read = kind.bind(UserSchema(None), name, []).read
             value = getattr(message, name)
             fields.append((name, kind.default, value if read is None else read(value)))
         return struct(
@@ -233,7 +233,7 @@ def _constants(cls: Any) -> dict[str, Any]:
     return {name: ord(one) if isinstance(one, bytes) else one for name, one in constants.items()}
 
 
-def _left_out(part: Part, wanted: Schema) -> Any:
+def _left_out(part: Part, wanted: UserSchema) -> Any:
     """Return the value of a field that a payload leaves out; None stands for ROS's default.
 
     The user's default takes precedence over ROS's, because a type of the user may leave out fields

@@ -50,20 +50,20 @@ class Option:
         """The names of a struct's fields."""
         return list(_mapping(self._schema.get("properties")))
 
-    def field(self, name: str) -> Schema | None:
+    def field(self, name: str) -> UserSchema | None:
         """Return the schema of a field; None if there is no such field."""
         known = _mapping(self._schema.get("properties"))
         if name in known:
-            return Schema(known[name], self._root)
+            return UserSchema(known[name], self._root)
         if isinstance(self._schema.get("properties"), dict):
             return None
-        return Schema(self._schema.get("additionalProperties"), self._root)  # a dict
+        return UserSchema(self._schema.get("additionalProperties"), self._root)  # a dict
 
     @property
-    def elements(self) -> list[Schema]:
+    def elements(self) -> list[UserSchema]:
         """The schemas of the elements: one for all of a list, or one for each of a tuple."""
         each = _sequence(self._schema.get("prefixItems")) or [self._schema.get("items")]
-        return [Schema(element, self._root) for element in each]
+        return [UserSchema(element, self._root) for element in each]
 
     @property
     def length(self) -> int | None:
@@ -72,7 +72,7 @@ class Option:
         return least if isinstance(least, int) and least == most else None
 
 
-class Schema:
+class UserSchema:
     """The kinds of values that the user's end expects at one place: one, or one of several."""
 
     def __init__(self, schema: object, root: Json | None = None) -> None:

@@ -20,9 +20,9 @@ from fibaction.words.statuses import GoalStatus
 StatusLine: TypeAlias = tuple[Any, ...]
 """One line of a list: the goal's ID, the seconds and nanoseconds of its stamp, its status."""
 
-LINE = 28
+LINE_BYTES = 28
 """The bytes of a line, as `pack_line` makes it."""
-PIECES = 32
+MAX_PIECES = 32
 """Equal pieces of two lists that are looked for, at most: more changed goals at once are rare."""
 
 _BILLION = 10**9
@@ -48,7 +48,7 @@ def status_of(line: bytes) -> int:
 def pack_statuses(lines: Iterable[bytes]) -> bytes:
     """Return an `action_msgs/msg/GoalStatusArray` with lines of `pack_line`."""
     body = bytearray(b"".join(lines))
-    count = len(body) // LINE
+    count = len(body) // LINE_BYTES
     del body[_GAP]
     return _HEADER + count.to_bytes(4, "little") + body
 
@@ -67,7 +67,7 @@ def lines_in(message: bytes) -> bytes:
     if count == 0:
         return b""
     gap = bytes(_GAP.stop - _GAP.start)
-    end = _START + LINE * count - len(gap)
+    end = _START + LINE_BYTES * count - len(gap)
     if len(message) < end:
         raise ProtocolError(
             f"invalid status list of {len(message)} bytes: it announces {count} goals, which need"
@@ -89,26 +89,26 @@ def differences(before: bytes, now: bytes) -> tuple[list[StatusLine], list[Statu
     both in order. The lists are those of `lines_in`.
 
     Most lines are the same, and in the same order, so long pieces are compared as bytes. What is
-    left after `PIECES` of them is compared line by line.
+    left after `MAX_PIECES` of them is compared line by line.
     """
     gone, new = bytearray(), bytearray()
     old, at = 0, 0
-    for _ in range(PIECES):
+    for _ in range(MAX_PIECES):
         same = _equal_bytes(before[old:], now[at:])
         old, at = old + same, at + same
-        line = now[at : at + LINE]
+        line = now[at : at + LINE_BYTES]
         if not line:
             break
         found = before.find(line, old)
-        if found >= 0 and found % LINE == 0:
+        if found >= 0 and found % LINE_BYTES == 0:
             gone += before[old:found]
             old = found
         else:
             new += line
-            at += LINE
+            at += LINE_BYTES
             if before[old : old + _ID] == line[:_ID]:  # the same goal
-                gone += before[old : old + LINE]
-                old += LINE
+                gone += before[old : old + LINE_BYTES]
+                old += LINE_BYTES
     gone_lines = unpack_lines(bytes(gone) + before[old:])
     new_lines = unpack_lines(bytes(new) + now[at:])
     known, kept = set(gone_lines), set(new_lines)
@@ -120,15 +120,15 @@ def differences(before: bytes, now: bytes) -> tuple[list[StatusLine], list[Statu
 
 def _equal_bytes(one: bytes, other: bytes) -> int:
     """Return the length of the lines at the beginning that are the same."""
-    least, most = 0, min(len(one), len(other)) // LINE
+    least, most = 0, min(len(one), len(other)) // LINE_BYTES
     while least < most:
         middle = (least + most + 1) // 2
-        part = slice(LINE * least, LINE * middle)
+        part = slice(LINE_BYTES * least, LINE_BYTES * middle)
         if one[part] == other[part]:
             least = middle
         else:
             most = middle - 1
-    return LINE * least
+    return LINE_BYTES * least
 
 
 def stamps_of(message: bytes) -> dict[bytes, int]:

@@ -71,7 +71,7 @@ from fibaction_transports.ros2.node.rivals import warn_of_rivals
 from fibaction_transports.ros2.node.stamps import ServedStamps
 from fibaction_transports.ros2.node.status_list import PublishedStatuses
 from fibaction_transports.ros2.rcl import raw
-from fibaction_transports.ros2.server.feedback_topic import FeedbackTopic, GoalFeedback
+from fibaction_transports.ros2.server.feedback_topic import FeedbackPublisher, FeedbackTopic
 from fibaction_transports.ros2.server.goal_forwarder import GoalForwarder
 from fibaction_transports.ros2.server.service_server import ServiceServers
 from fibaction_transports.ros2.settings import EndSettings
@@ -285,7 +285,7 @@ class RosActionServer:
         )
 
     async def _run_forwarder(
-        self, goal_id: GoalID, forwarder: GoalForwarder, feedback: GoalFeedback
+        self, goal_id: GoalID, forwarder: GoalForwarder, feedback: FeedbackPublisher
     ) -> None:
         try:
             # A client that does not know of the goal yet would ignore its feedback.

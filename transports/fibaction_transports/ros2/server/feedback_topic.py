@@ -64,11 +64,11 @@ class FeedbackTopic:
         self._known: frozenset[bytes] = frozenset()
         """The readers at the last look, as ROS identifies them (by GIDs)."""
 
-    def of(self, goal_id: GoalID) -> GoalFeedback:
+    def of(self, goal_id: GoalID) -> FeedbackPublisher:
         """Return the feedback of a goal, which has yet to be published."""
         message = self._type()
         message.goal_id.uuid = uuid_of(goal_id)
-        return GoalFeedback(self, goal_id, message)
+        return FeedbackPublisher(self, goal_id, message)
 
     def convert(self, payload: bytes) -> Any:
         """Return feedback as its ROS type.
@@ -148,7 +148,7 @@ class FeedbackTopic:
         self._count += 1
 
 
-class GoalFeedback:
+class FeedbackPublisher:
     """The feedback of one goal, on its way to the topic."""
 
     def __init__(self, topic: FeedbackTopic, goal_id: GoalID, message: Any) -> None:

@@ -33,7 +33,7 @@ MEDIA_TYPES = {
     ".ts": "text/plain; charset=utf-8",
 }
 """The files that are served, by their suffixes."""
-METHODS = ("GET", "HEAD")
+ASSET_METHODS = ("GET", "HEAD")
 PAGE = "/"
 CLIENT = ("fibaction.js", "fibaction.d.ts")
 
@@ -88,8 +88,8 @@ class Assets:
             Refused: A file is only read.
         """
         asset = self._by_path.get(exchange.path)
-        if asset is not None and exchange.method not in METHODS:
-            allowed = ", ".join(METHODS)
+        if asset is not None and exchange.method not in ASSET_METHODS:
+            allowed = ", ".join(ASSET_METHODS)
             raise Refused(
                 405,
                 f"{exchange.path} has the methods {allowed}, and not {excerpt(exchange.method)}",

@@ -26,7 +26,7 @@ WRITE_TIMEOUT = 60.0
 """Seconds in which a client must take a piece of a stream of events."""
 EVENT_STREAM = "text/event-stream"
 JSON = "application/json"
-COMMON = (
+COMMON_HEADERS = (
     ("Cache-Control", "no-store"),
     ("Content-Security-Policy", "default-src 'none'; frame-ancestors 'none'"),
     ("X-Content-Type-Options", "nosniff"),
@@ -205,7 +205,7 @@ class Exchange:
         self.has_begun = True
         own = [*headers, *self.more_headers]
         names = {name for name, _ in own}
-        sent = [*own, *(header for header in COMMON if header[0] not in names)]
+        sent = [*own, *(header for header in COMMON_HEADERS if header[0] not in names)]
         raw = [(name.lower().encode(), value.encode("latin-1")) for name, value in sent]
         await self._write({"type": "http.response.start", "status": status, "headers": raw})
 

@@ -30,7 +30,7 @@ SUBPROTOCOL = "fibaction.1"
 """The name of the wire protocol among WebSocket's subprotocols."""
 LONGEST_HEAD = 2**14
 """Bytes of a request or an answer, at most: room for the cookies of other servers of this host."""
-VERSION = "13"
+WEBSOCKET_VERSION = "13"
 """The version of WebSocket, of RFC 6455."""
 FULL = frozenset({429, 503})
 """Statuses of a server that has no room for this client now."""
@@ -138,12 +138,12 @@ class ServerHandshake:
                 f"this is a fibaction server: connect by WebSocket, subprotocol {SUBPROTOCOL}",
                 ("Upgrade", "websocket"),
             )
-        if headers.get("sec-websocket-version") != VERSION:
+        if headers.get("sec-websocket-version") != WEBSOCKET_VERSION:
             raise Refused(
                 426,
-                f"the version of WebSocket is {VERSION}",
+                f"the version of WebSocket is {WEBSOCKET_VERSION}",
                 ("Upgrade", "websocket"),
-                ("Sec-WebSocket-Version", VERSION),
+                ("Sec-WebSocket-Version", WEBSOCKET_VERSION),
             )
         offered = _items(headers.get("sec-websocket-protocol", ""))
         if self._subprotocol and self._subprotocol not in offered:
@@ -180,7 +180,7 @@ class ClientHandshake:
             (b"Upgrade", b"websocket"),
             (b"Connection", b"Upgrade"),
             (b"Sec-WebSocket-Key", self._key),
-            (b"Sec-WebSocket-Version", VERSION.encode()),
+            (b"Sec-WebSocket-Version", WEBSOCKET_VERSION.encode()),
         ]
         if subprotocol:
             headers.append((b"Sec-WebSocket-Protocol", subprotocol.encode()))

@@ -12,13 +12,13 @@ from fibaction.words.statuses import GoalStatus
 
 Json = dict[str, Any]
 
-VERSION = "1"
+API_VERSION = "1"
 """The version of the interface."""
 
 _ID = {"type": "string", "pattern": "^[0-9a-f]{32}$"}
 _STATUS = {"type": "string", "enum": [status.name for status in GoalStatus]}
 _STAMP = {"type": "string", "description": "Time of the acceptance: nanoseconds since 1970."}
-_COMMON: Json = {
+_SHARED_SCHEMAS: Json = {
     "Problem": {
         "type": "object",
         "description": "Problem details as in RFC 9457.",
@@ -79,12 +79,12 @@ def describe(actions: Iterable[ActionInfo], root: str, *, asks_for_tokens: bool)
     paths: Json = {
         "/actions": {"get": _operation("List the actions.", "list_actions", _anything("Actions."))}
     }
-    schemas = dict(_COMMON)
+    schemas = dict(_SHARED_SCHEMAS)
     for info in actions:
         _add(info, paths, schemas)
     described: Json = {
         "openapi": "3.1.0",
-        "info": {"title": "Actions", "version": VERSION},
+        "info": {"title": "Actions", "version": API_VERSION},
         "servers": [{"url": root or "/"}],
         "paths": paths,
         "components": {"schemas": schemas},

@@ -71,7 +71,7 @@ class NoAnswer(ServerNotFound):
     """An error for a call of a service without an answer in time."""
 
 
-class _Call:
+class _ServiceCall:
     """A call of a service that waits for its answer."""
 
     def __init__(self) -> None:
@@ -100,7 +100,7 @@ class ServerLink:
         self._fate = fate
         self._fragments = partial_messages(limit)
         self._goals: dict[ClientID, OutgoingGoal] = {}
-        self._calls: dict[ClientID, _Call] = {}
+        self._calls: dict[ClientID, _ServiceCall] = {}
         self._numbers = count(1)
         self._is_open = False
         self._waiting: deque[bytes] = deque()
@@ -153,7 +153,7 @@ class ServerLink:
             ActionError: The connection has ended.
         """
         request = f"call_service:{service}:{next(self._numbers)}"
-        call = self._calls[request] = _Call()
+        call = self._calls[request] = _ServiceCall()
         try:
             with anyio.move_on_after(timeout):
                 await self._send(call_message(request, service, args))
@@ -324,7 +324,7 @@ class ServerLink:
         if goal.is_over:
             del self._goals[goal.request]
 
-    def _answer(self, call: _Call, message: ServerOperation) -> None:
+    def _answer(self, call: _ServiceCall, message: ServerOperation) -> None:
         if isinstance(message, ServiceResponse) and message.result:
             call.values = message.values
         elif isinstance(message, ServiceResponse):

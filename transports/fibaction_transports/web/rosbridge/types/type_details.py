@@ -25,7 +25,7 @@ _INTEGERS: Mapping[tuple[Any, Any], str] = {
 }
 """The types of integers, by their limits; all others are `int64`."""
 _EXAMPLES = {"boolean": "False", "float64": "0.0", "string": ""}
-_VALUES = frozenset({"integer", "number", "boolean", "string"})
+_SCALARS = frozenset({"integer", "number", "boolean", "string"})
 """The kinds of values that are no parts of a message of their own."""
 
 
@@ -80,7 +80,7 @@ def _message(root: Any) -> Any:
 
     It is None for a message of which nothing is known.
     """
-    if is_map(root) and (root.get("type") == "array" or root.get("type") in _VALUES):
+    if is_map(root) and (root.get("type") == "array" or root.get("type") in _SCALARS):
         return {"properties": {DATA: root}, "required": [DATA]}
     return root if is_map(root) and "properties" in root else None
 

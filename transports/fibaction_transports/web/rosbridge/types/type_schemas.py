@@ -156,7 +156,7 @@ def _octet(example: str) -> int:
     return ord(text) if len(text) == 1 else _ESCAPES[text]
 
 
-_VALUES: Mapping[str, Callable[[str], Any]] = {
+_READERS: Mapping[str, Callable[[str], Any]] = {
     "boolean": {"True": True, "False": False}.__getitem__,
     "integer": int,
     "number": float,
@@ -166,7 +166,7 @@ _VALUES: Mapping[str, Callable[[str], Any]] = {
 
 def _default(element: dict[str, Any], example: str | None) -> dict[str, Any]:
     """Return the default of a field as a part of its schema; empty if the field has none."""
-    read = _octet if element == _OCTET else _VALUES.get(element.get("type", ""))
+    read = _octet if element == _OCTET else _READERS.get(element.get("type", ""))
     if read is None or example is None:
         return {}
     with suppress(LookupError, ValueError):
