@@ -1,9 +1,11 @@
-"""The rules of style that no linter knows: the words of docstrings, and the names of modules."""
+"""The rules of style that no linter knows: the words of docstrings, gerunds, loggers.
+
+`test_structure.py` has the rules about names that occur twice, and about sizes.
+"""
 
 from __future__ import annotations
 
 import ast
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -33,11 +35,6 @@ def questions(module: Path) -> list[str]:
 def test_no_docstring_begins_with_a_question_word() -> None:
     found = {str(module.relative_to(ROOT)): questions(module) for module in modules()}
     assert {name: texts for name, texts in found.items() if texts} == {}
-
-
-def test_no_two_modules_have_the_same_name() -> None:
-    names = Counter(module.stem.strip("_") for module in modules() if module.stem != "__init__")
-    assert {name for name, count in names.items() if count > 1} == set()
 
 
 def test_no_module_is_named_by_a_gerund() -> None:

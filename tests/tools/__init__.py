@@ -1,0 +1,1 @@
+"""Programs about the project itself: its figures, and pictures of it."""
