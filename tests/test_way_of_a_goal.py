@@ -1,0 +1,124 @@
+"""The way of a goal through the modules, as a ratchet: it can only become shorter.
+
+`python -m tests.tools.goal_way` prints the way, and its docstring says what is counted.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Generator
+
+import pytest
+
+from fibaction import GoalID
+from tests.tools import goal_way
+from tests.tools.goal_way import WAYS, Figures, Step, Way, recorded, way_of_a_goal
+
+BOUNDS = {
+    "in-process": Figures(calls=245, modules=32, changes=177),
+    "TCP": Figures(calls=420, modules=50, changes=326),
+}
+"""The most of each figure on each way, on Python 3.11. Lower them, and never raise one."""
+TOLERANCE = 0.05
+"""The part of a bound that a figure may be below it, before the bound must be lowered."""
+
+only_here = pytest.mark.skipif(
+    sys.version_info[:2] != (3, 11), reason="other versions of Python count calls differently"
+)
+
+
+def complaints(way: str, figures: Figures, bounds: Figures) -> list[str]:
+    """Return a sentence for each figure over its bound, and for each bound that is too high."""
+    sentences = []
+    for name, figure, bound in zip(Figures._fields, figures, bounds, strict=True):
+        if figure > bound:
+            sentences.append(
+                f"{way}: a goal takes {figure} {name}, and {bound} are the most: make its way"
+                " shorter, `python -m tests.tools.goal_way` prints it"
+            )
+        elif figure < bound * (1 - TOLERANCE):
+            sentences.append(f"{way}: lower the bound of {name} from {bound} to {figure}")
+    return sentences
+
+
+@only_here
+@pytest.mark.parametrize("way", WAYS)
+def test_the_way_of_a_goal_becomes_no_longer(way: str) -> None:
+    assert complaints(way, way_of_a_goal(WAYS[way]).figures, BOUNDS[way]) == []
+
+
+def test_the_way_is_the_same_when_it_is_counted_again() -> None:
+    one, other = (way_of_a_goal(WAYS["in-process"]) for _ in range(2))
+    assert one == other
+
+
+def test_the_way_begins_at_the_client_and_passes_the_server() -> None:
+    functions = [step.function for step in way_of_a_goal(WAYS["in-process"])]
+    assert functions[0] == "ActionClient.send_goal"
+    assert "ActionServer.send_goal" in functions
+
+
+def test_a_figure_over_its_bound_and_a_bound_that_is_too_high_are_told() -> None:
+    bounds = Figures(100, 20, 40)
+    assert complaints("TCP", Figures(100, 19, 38), bounds) == []
+    longer, lower = complaints("TCP", Figures(101, 18, 40), bounds)
+    assert longer.startswith("TCP: a goal takes 101 calls, and 100 are the most")
+    assert lower == "TCP: lower the bound of modules from 20 to 18"
+
+
+def test_calls_modules_and_changes_are_counted() -> None:
+    way = Way(Step(module, "f", 0, begins=True) for module in "aabacc")
+    assert way.figures == Figures(calls=6, modules=3, changes=3)
+    assert Way().figures == Figures(0, 0, 0)
+
+
+def test_only_calls_inside_the_packages_are_recorded() -> None:
+    before = sys.getprofile()
+    with recorded() as way:
+        sorted([1, 2], key=lambda number: -number)
+        GoalID.random()
+    GoalID.random()
+    assert [step[:3] for step in way] == [("fibaction/words/goals.py", "GoalID.random", 0)]
+    assert sys.getprofile() is before
+
+
+def test_a_function_begins_once_and_resumes_after_that(monkeypatch: pytest.MonkeyPatch) -> None:
+    def numbers() -> Generator[int, None, None]:
+        yield 1
+        yield 2
+
+    monkeypatch.setattr(goal_way, "module_of", lambda file: "a.py" if file == __file__ else "")
+    with recorded() as way:
+        list(numbers())
+    mine = [step for step in way if step.function.endswith("numbers")]
+    assert [step.begins for step in mine if step.begins] == [True]
+    assert len(mine) >= 3  # the first value, the second, and the end
+
+
+def test_the_way_is_printed_with_the_callers_and_the_modules() -> None:
+    way = Way(
+        [
+            Step("a.py", "outer", 0, begins=True),
+            Step("a.py", "middle", 1, begins=True),
+            Step("b.py", "inner", 2, begins=False),
+            Step("b.py", "inner", 2, begins=True),
+            Step("a.py", "outer", 0, begins=False),
+        ]
+    )
+    assert list(way.lines()) == [
+        f"{'outer':<64}  a.py",
+        "  middle",
+        f"{'    inner':<64}  b.py",
+    ]
+    assert list(way.module_lines()) == ["   3  a.py", "   2  b.py"]
+
+
+def test_the_command_prints_the_figures(capsys: pytest.CaptureFixture[str]) -> None:
+    goal_way.main(["--figures"])
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("in-process: ")
+    assert second.startswith("TCP: ")
+    goal_way.main(["--modules"])
+    assert "fibaction/client/client.py\n" in capsys.readouterr().out
+    goal_way.main([])
+    assert "ActionClient.send_goal" in capsys.readouterr().out

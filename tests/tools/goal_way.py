@@ -1,0 +1,216 @@
+"""The way of one goal: every call inside fibaction and its transports, in order.
+
+`python -m tests.tools.goal_way` prints it in-process and over TCP, one line for each function that
+begins. `--figures` prints the figures only, `--modules` the modules in the order of their calls.
+
+How it is counted:
+
+- A client sends one goal, reads its two feedback messages and its result, inside the block of
+  `send_goal`. The same goal was sent directly before, so everything is warm; what the client still
+  tells the server about that one counts as well, as it does in a series of goals. The count goes on
+  until every task waits again. Both ends are in this process, over TCP on the loopback.
+- A call is a `call` event of `sys.setprofile` in a file of the two packages. Python 3.11 has one
+  when a function is called, when a coroutine or a generator is made, and each time when one
+  resumes. Later versions have none when one is made, and comprehensions are no calls there, so
+  figures of different versions cannot be compared.
+- The modules are the files with a call; a change is a call in another file than the call before.
+- A heartbeat or a busy machine can only add calls. So the way with the fewest calls of many counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dis
+import gc
+import inspect
+import sys
+from collections import Counter
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from types import CodeType, FrameType
+from typing import Any, NamedTuple
+
+import anyio
+from anyio.lowlevel import checkpoint
+
+import fibaction
+import fibaction_transports
+from fibaction import ActionClient, ActionServer
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+
+WAYS = {"in-process": "inproc://goal-way", "TCP": "tcp://127.0.0.1:0"}
+"""The URL that each way is served at."""
+ORDER = 3
+"""The goal whose executor sends two feedback messages."""
+RUNS, AGREEING = 30, 4
+"""The goals that are counted at most, and the number of equal shortest ways that is enough."""
+QUIET_TURNS = 20
+"""The turns of the event loop without a call after which a goal has gone its way."""
+
+_GENERATORS = inspect.CO_COROUTINE | inspect.CO_GENERATOR | inspect.CO_ASYNC_GENERATOR
+_PACKAGES = {
+    str(Path(fibaction.__file__).parent): "fibaction",
+    str(Path(fibaction_transports.__file__).parent): "transports/fibaction_transports",
+}
+
+
+class Step(NamedTuple):
+    """A call."""
+
+    module: str
+    """The file, from the root of the repository."""
+    function: str
+    depth: int
+    """The number of callers inside the packages."""
+    begins: bool
+    """True if the function begins here; False if it is only made, or resumes."""
+
+
+class Figures(NamedTuple):
+    calls: int
+    modules: int
+    changes: int
+
+
+class Way(list[Step]):
+    """The calls of one goal, in order."""
+
+    @property
+    def figures(self) -> Figures:
+        modules = [step.module for step in self]
+        changes = sum(one != other for one, other in pairwise(modules))
+        return Figures(len(self), len(set(modules)), changes)
+
+    def lines(self) -> Iterator[str]:
+        """Yield a line for each function that begins, indented below its caller.
+
+        Its module follows, if it is another one than that of the line before.
+        """
+        module = ""
+        for step in self:
+            if step.begins:
+                function = f"{'  ' * step.depth}{step.function}"
+                yield function if step.module == module else f"{function:<64}  {step.module}"
+                module = step.module
+
+    def module_lines(self) -> Iterator[str]:
+        """Yield a line for each module, in the order of the first calls, with its calls."""
+        for module, calls in Counter(step.module for step in self).items():
+            yield f"{calls:4}  {module}"
+
+
+@cache
+def module_of(file: str) -> str:
+    """Return a file of the packages from the root of the repository; empty for other files."""
+    for folder, name in _PACKAGES.items():
+        if file.startswith(f"{folder}/"):
+            return name + file.removeprefix(folder)
+    return ""
+
+
+@cache
+def _start_of(code: CodeType) -> int:
+    """Return the offset at which the body of a function begins."""
+    return next(each.offset for each in dis.get_instructions(code) if each.opname == "RESUME")
+
+
+def step_of(frame: FrameType) -> Step | None:
+    """Describe the call of a frame; None if it is outside the packages."""
+    code = frame.f_code
+    module = module_of(code.co_filename)
+    if not module:
+        return None
+    depth, caller = 0, frame.f_back
+    while caller is not None:
+        depth += bool(module_of(caller.f_code.co_filename))
+        caller = caller.f_back
+    is_generator = bool(code.co_flags & _GENERATORS)
+    begins = not is_generator or 0 <= frame.f_lasti <= _start_of(code)
+    return Step(module, code.co_qualname, depth, begins)
+
+
+@contextmanager
+def recorded() -> Generator[Way, None, None]:
+    """Record the calls of this thread until the block ends."""
+    way = Way()
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        if event == "call" and (step := step_of(frame)) is not None:
+            way.append(step)
+
+    before, has_collected = sys.getprofile(), gc.isenabled()
+    gc.collect()
+    gc.disable()  # finalizers would be calls
+    sys.setprofile(note)
+    try:
+        yield way
+    finally:
+        sys.setprofile(before)
+        if has_collected:
+            gc.enable()
+
+
+async def send_goal(client: ActionClient[Goal, Feedback, Result]) -> None:
+    """Send the goal, and read its feedback and its result."""
+    received = 0
+    async with client.send_goal(Goal(ORDER)) as goal:
+        async for _ in goal.feedback:
+            received += 1
+        await goal.result()
+    assert received == 2
+
+
+async def settle(way: Way) -> None:
+    """Wait until every task waits, and nothing comes over the line any more."""
+    quiet, calls = 0, len(way)
+    while quiet < QUIET_TURNS:
+        await checkpoint()
+        quiet = quiet + 1 if len(way) == calls else 0
+        calls = len(way)
+
+
+async def count(url: str) -> Way:
+    """Return the way of a goal over the transport of a URL."""
+    server = ActionServer(FIBONACCI, fibonacci)
+    ways: list[Way] = []
+    async with fibaction.serve(server, url) as (at,), fibaction.connect(at, FIBONACCI) as client:
+        while len(ways) < RUNS and not _agree(ways):
+            await send_goal(client)
+            with recorded() as way:
+                await send_goal(client)
+                await settle(way)
+            ways.append(way)
+    return min(ways, key=lambda way: way.figures)
+
+
+def _agree(ways: list[Way]) -> bool:
+    """Return True if the shortest way has come often enough, the first of all left out."""
+    figures = [way.figures for way in ways[1:]]
+    return bool(figures) and figures.count(min(figures)) >= AGREEING
+
+
+def way_of_a_goal(url: str) -> Way:
+    """Return the way of a goal over the transport of a URL, on asyncio's own event loop."""
+    return anyio.run(count, url)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Print the way of a goal."""
+    parser = argparse.ArgumentParser(description="Print the way of a goal through the modules.")
+    shown: Any = parser.add_mutually_exclusive_group()
+    shown.add_argument("--figures", action="store_true", help="only the figures")
+    shown.add_argument("--modules", action="store_true", help="only the modules, with their calls")
+    options = parser.parse_args(arguments)
+    for name, url in WAYS.items():
+        way = way_of_a_goal(url)
+        calls, modules, changes = way.figures
+        print(f"{name}: {calls} calls, {modules} modules, {changes} changes of module")
+        if not options.figures:
+            print(*(way.module_lines() if options.modules else way.lines()), sep="\n", end="\n\n")
+
+
+if __name__ == "__main__":
+    main()
