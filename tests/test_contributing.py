@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
+
+from tests.tools import package_table
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ["CONTRIBUTING.md", "docs/contributing.md"]
@@ -53,3 +56,63 @@ def test_the_layers_on_the_page_are_all_modules() -> None:
         and not each.stem.startswith("_")
     }
     assert set(named) == there
+
+
+# The packages
+
+
+def test_each_package_begins_with_its_duty_in_one_sentence() -> None:
+    assert package_table.faults(package_table.duties()) == []
+
+
+def test_the_table_of_packages_is_that_of_the_tree() -> None:
+    _, table, _ = package_table.parts_of(package_table.PAGE.read_text(encoding="utf-8"))
+    assert table == package_table.table(package_table.duties()), (
+        "write it with `python -m tests.tools.package_table`"
+    )
+
+
+def test_every_folder_with_an_init_is_a_package_of_the_table(tmp_path: Path) -> None:
+    for folder, docstring in {
+        "": "The top.",
+        "wire": "The wire.\n\nMore.",
+        "wire/empty": "",
+    }.items():
+        (tmp_path / "fibaction" / folder).mkdir(parents=True)
+        text = f'"""{docstring}"""\n' if docstring else ""
+        (tmp_path / "fibaction" / folder / "__init__.py").write_text(text)
+    (tmp_path / "fibaction" / "console").mkdir()
+    duties = package_table.duties(tmp_path)
+    assert duties == {
+        "fibaction/": "The top.",
+        "fibaction/wire/": "The wire.",
+        "fibaction/wire/empty/": "",
+    }
+    assert package_table.faults(duties) == [
+        "fibaction/wire/empty/ has no docstring: state its duty in one sentence"
+    ]
+
+
+@pytest.mark.parametrize("duty", ["The wire", "The wire\nprotocol.", "The wire. And more."])
+def test_a_duty_is_one_sentence_on_one_line(duty: str) -> None:
+    assert len(package_table.faults({"fibaction/wire/": duty})) == 1
+
+
+def test_the_table_is_rewritten_between_its_marks() -> None:
+    begin, end = package_table.BEGIN, package_table.END
+    page = f"Before\n\n{begin}\n\nold\n\n{end}\n\nAfter\n"
+    again = package_table.rewritten(page, {"a/": "The `a`."})
+    assert again == (
+        f"Before\n\n{begin}\n\n| Package | Its duty |\n| --- | --- |\n| `a/` | The `a` |\n\n"
+        f"{end}\n\nAfter\n"
+    )
+    assert package_table.rewritten(again, {"a/": "The `a`."}) == again
+    with pytest.raises(ValueError, match="the page needs the lines"):
+        package_table.parts_of(f"{begin} and no end")
+
+
+def test_each_scheme_of_a_transport_is_told_of_on_the_page_of_transports() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    page = (ROOT / "docs/transports.md").read_text()
+    schemes = project["entry-points"]["fibaction.transports"]
+    assert [scheme for scheme in schemes if f"`{scheme}:" not in page] == []

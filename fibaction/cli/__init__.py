@@ -1,6 +1,7 @@
-"""The command `fibaction`: actions from a shell. Its parts need the extra `fibaction[cli]`.
+"""The command `fibaction`: actions from a shell.
 
-`python -m fibaction` imports it, and no other part of fibaction.
+Its parts need the extra `fibaction[cli]`. `python -m fibaction` imports it, and no other part of
+fibaction.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""The stores that keep goals beyond the life of a process: the interface, and one in a file."""
+"""The store that keeps goals in a file, beyond the life of a process."""

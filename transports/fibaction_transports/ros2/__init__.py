@@ -1,5 +1,4 @@
-"""ROS 2: an action server of fibaction is an action server of ROS, and a client can use any such
-server.
+"""Actions of ROS 2: servers for any client of ROS, and clients of any server of ROS.
 
 Importing this package needs rclpy. Nothing else in fibaction does.
 """

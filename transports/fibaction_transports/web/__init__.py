@@ -1,5 +1,7 @@
-"""Actions for web clients: `http://host:port`, `ws://host:port`, and an ASGI application; and
-`rosbridge://host:port`, for clients of a robot with rosbridge.
+"""Actions for web clients, over HTTP and WebSocket, and for clients of rosbridge.
+
+The URLs are `http://host:port`, `ws://host:port` and, for clients of a robot with rosbridge,
+`rosbridge://host:port`. `WebTransport` makes an ASGI application.
 """
 
 from fibaction.wire.tls_files import TlsFiles
