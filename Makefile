@@ -54,7 +54,8 @@ check: lint imports $(VENV)/.tools  ## Run the quick checks, in less than a minu
 
 # The rules without I/O, both ends of an action, and what the project says of itself.
 QUICK := tests/server tests/wire tests/interfaces tests/words tests/types tests/client tests/test_api.py \
-    tests/test_contributing.py tests/test_init.py tests/test_project.py tests/test_style.py tests/test_answers.py
+    tests/test_contributing.py tests/test_init.py tests/test_project.py tests/test_structure.py \
+    tests/test_style.py tests/test_answers.py
 
 test: lint types imports unit docs  ## Run all checks, with ROS 2 if it is available
 	@why=$$($(PYTHON) examples/ros2/build_interfaces.py --platform); if [ -z "$$why" ]; \
