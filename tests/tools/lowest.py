@@ -33,7 +33,7 @@ def constraints(project: Path = PROJECT) -> list[str]:
 
 def lowest(requirement: str) -> str:
     """Return the constraint for one requirement."""
-    found = re.fullmatch(r"([\w.-]+)(?:\[[\w,]+\])?>=([\w.]+)", requirement)
+    found = re.fullmatch(r"([\w.-]+)(?:\[[\w,]+\])?>=([\w.]+)(?:,<[\w.]+)?", requirement)
     if found is None:
         raise ValueError(f"no lower bound, or more than that: {requirement}")
     return f"{found[1]}=={found[2]}"
