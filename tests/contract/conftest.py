@@ -294,7 +294,7 @@ EXCLUSIONS: dict[tuple[str, str], str] = (
 
 NOT_ON_TRIO = {
     "asgi": "uvicorn is made for asyncio, and hypercorn fails on trio when both ends close",
-    "nats": "nats-py, the library of nats://, is made for asyncio",
+    "nats": "nats:// is made for asyncio: its messages are callbacks of the event loop",
 }
 """The ways that run on asyncio only, with the reasons."""
 

@@ -14,7 +14,7 @@ from tests.transports.hearing import Hearing, hearing
 
 @pytest.fixture
 def anyio_backend() -> str:
-    return "asyncio"  # nats-py needs it
+    return "asyncio"  # nats:// is made for it
 
 
 @pytest.fixture(autouse=True)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import msgspec
+from fibaction_transports.nats.broker.login import BrokerInfo
 
 from fibaction._runtime.notify import Notifier
 from fibaction_transports.nats.broker.answers import OnRaw, RawMessage
@@ -36,7 +37,7 @@ class ScriptedClient:
         self.answers = {name.replace("_", "."): list(found) for name, found in answers.items()}
         self.asked: list[tuple[str, Any]] = []
         """The requests, and the messages that were published."""
-        self.info: dict[str, Any] = {}
+        self.info = BrokerInfo()
         self.connections = 1
         self.to_notify: set[Notifier] = set()
         self.on_message: OnRaw = lambda _message: None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import ssl
+import sys
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -12,16 +13,15 @@ from typing import Any
 import anyio
 import pytest
 from anyio.abc import SocketAttribute, SocketStream
-from nats.aio.client import Client
 
 from fibaction import AuthenticationFailed, ServerNotFound, TransportError
 from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports.nats.broker.broker import BrokerAway, NoResponders, PutError, PutFailure
-from fibaction_transports.nats.broker.dial import cut
 from fibaction_transports.nats.broker.nats_broker import open_broker
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
 from tests.support.certificates import pems
+from tests.support.nats_keys import USER, Key
 from tests.support.nats_server import NatsServer, nats_server
 from tests.transports.hearing import Hearing
 from tests.transports.nats.test_nats_broker import put
@@ -157,10 +157,6 @@ async def test_a_broker_that_says_nothing_is_given_up() -> None:
     assert "did not answer in 2 s" in str(error)
 
 
-async def test_a_connection_that_never_began_is_cut_at_once() -> None:
-    await cut(Client())
-
-
 async def test_a_host_that_does_not_exist_is_not_found() -> None:
     error = await error_of(settings_for("no-such-host.invalid:4222"))
     assert isinstance(error, ServerNotFound)
@@ -201,10 +197,16 @@ async def test_a_credentials_file_that_cannot_be_used_is_one_sentence(
     path = tmp_path / "my.creds"
     error = await error_of(settings_for(shared_broker.address, creds=str(path)))
     assert str(error) == f"the credentials file {path} cannot be read: No such file or directory"
-    path.touch()
-    monkeypatch.setitem(__import__("sys").modules, "nkeys", None)
+    path.write_text("SU" + "A" * 56)
     error = await error_of(settings_for(shared_broker.address, creds=str(path)))
-    assert str(error).startswith("credentials files need the package 'nkeys'")
+    assert str(error) == (
+        f"{path} is not a credentials file: it has no secret key of a user of NATS"
+    )
+    path.write_text(Key(USER).seed)
+    monkeypatch.setitem(sys.modules, "cryptography.hazmat.primitives.asymmetric", None)
+    error = await error_of(settings_for(shared_broker.address, creds=str(path)))
+    assert str(error).startswith("credentials files need the package 'cryptography")
+    assert str(error).endswith("install fibaction[nats]")
 
 
 async def test_tls_to_the_brokers_is_checked_by_both() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from fibaction_transports.nats.broker.login import BrokerInfo
 
 from fibaction_transports.nats.broker.answers import RawMessage
 from fibaction_transports.nats.broker.broker_socket import (
@@ -59,7 +60,7 @@ class Opened:
         self.transport = Transport()
         self.messages: list[tuple[int, RawMessage]] = []
         self.changes = 0
-        self.socket = BrokerSocket(self.transport, {}, self._deliver, self._change, self)
+        self.socket = BrokerSocket(self.transport, BrokerInfo(), self._deliver, self._change)
         self.socket.begin(early)
 
     def _deliver(self, number: int, message: RawMessage) -> None:

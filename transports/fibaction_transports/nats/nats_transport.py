@@ -71,7 +71,7 @@ class NatsTransport(ConfiguredTransport):
             user: The user for the brokers.
             password: The password of the user.
             login_token: The token for the brokers; the setting `token` is for the workers.
-            creds: The path of a credentials file for the brokers.
+            creds: The path of a credentials file for the brokers, or of a secret key (nkey seed).
             tls: The files to make TLS to the brokers from, or a context.
             settings: See the table of settings.
 
@@ -189,8 +189,8 @@ class NatsTransport(ConfiguredTransport):
     def _check_loop(self) -> None:
         if asyncio_task() is None:
             raise TransportError(
-                f"{self.url} needs asyncio, which its library nats-py is made for: run this program"
-                f" on asyncio, as with asyncio.run() or anyio.run()"
+                f"{self.url} needs asyncio: run this program on asyncio, as with asyncio.run() or"
+                f" anyio.run()"
             )
 
 

@@ -41,7 +41,7 @@ class FleetSettings(msgspec.Struct, frozen=True):
     login_token: str = ""
     """The token for the brokers; clients and workers have another one for each other."""
     creds: str = ""
-    """The path of a credentials file for the brokers."""
+    """The path of a credentials file for the brokers, or of a secret key."""
     tls: TlsFiles | ssl.SSLContext | None = None
     client: ClientSettings = msgspec.field(default_factory=ClientSettings)
     server: ServerSettings = msgspec.field(default_factory=ServerSettings)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio  # noqa: TID251  # nats-py is for asyncio only
+import asyncio  # noqa: TID251  # each answer is a callback, which anyio has not
 from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple, TypeAlias
 

@@ -1,14 +1,13 @@
 """`BrokerSocket`: the protocol of NATS on a connection to one broker, after the login.
 
-nats-py does the login, and hands over its connection then. It has a task for each subscription, one
-to read, one to write and one future for each message; a goal needs few messages, so these were a
-good part of what it cost. Here the event loop calls `buffer_updated` with what has arrived, and all
-messages in it are handed over in the same turn. Messages to send are joined by the caller.
+The event loop calls `buffer_updated` with what has arrived, and all messages in it are handed over
+in the same turn, without tasks and futures: a goal needs few messages, so these would be a good
+part of what it costs. Messages to send are joined by the caller.
 """
 
 from __future__ import annotations
 
-import asyncio  # noqa: TID251  # the connection is one of nats-py, which is for asyncio only
+import asyncio  # noqa: TID251  # each message is a callback, which anyio has not
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -18,6 +17,7 @@ from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction.wire.channel import CHUNK
 from fibaction_transports.nats.broker.answers import NO_HEADERS, RawMessage
+from fibaction_transports.nats.broker.login import BrokerInfo
 
 MISSED_PINGS = 2
 """Pings without an answer after which a broker counts as lost, when it is time for the next."""
@@ -63,25 +63,20 @@ class BrokerSocket(asyncio.BufferedProtocol):
     def __init__(
         self,
         transport: Any,
-        info: Mapping[str, Any],
+        info: BrokerInfo,
         deliver: Callable[[int, RawMessage], None],
         on_change: Callable[[], None],
-        owner: object,
     ) -> None:
         """Take over a connection.
 
         `deliver` gets each message, with the number of its subscription. `on_change` is called
-        when there is room to write again, and when the connection is lost. `owner` is kept as long
-        as the connection: it would close it.
+        when there is room to write again, and when the connection is lost.
         """
         self._transport = transport
         self.info = info
         """The INFO of the broker."""
-        self.max_payload = int(info.get("max_payload", 2**20))
-        """The bytes of the largest message that the broker takes."""
         self._deliver = deliver
         self._on_change = on_change
-        self._owner = owner
         self._buffer = memoryview(bytearray(CHUNK))
         self._parts: list[bytes] = []  # of a message that has not arrived as a whole
         self._missing = 0  # bytes of it, as far as its size is known

@@ -3,15 +3,14 @@
 Theory of operation
 -------------------
 
-nats-py does the login, and then hands over its connection (`nats_dial`). The rest is done here, for
-these reasons:
+nats-py is not used, for these reasons:
 
-- Its methods swallow cancellation in places, so no task of a caller runs them. They also need tasks
-  and futures for each message. Callers put commands into a queue; `_write` joins those of one turn
-  of the event loop, and writes them at once.
+- Its methods swallow cancellation in places, and need tasks and futures for each message. Here
+  callers put commands into a queue; `_write` joins those of one turn of the event loop, and writes
+  them at once.
 - Its way to connect again keeps commands of the lost connection, may wait for ever until the lost
-  one is closed, and ends for good after some errors. So `keep_connected` connects again itself, and
-  subscribes to everything again.
+  one is closed, and ends for good after some errors. Here `keep_connected` connects again, and
+  subscribes to everything again. `Dialer` makes each connection, with the login.
 - Its `close` waits for a broker that is frozen. Here the messages before are flushed, within a
   limit of time, and then the socket is closed at once.
 
@@ -21,15 +20,15 @@ a subscription nor a task of its own.
 
 from __future__ import annotations
 
-import asyncio  # noqa: TID251  # nats-py is for asyncio only
+import asyncio  # noqa: TID251  # callbacks of its loop, which anyio has not
 import itertools
+import secrets
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import anyio
-from nats.nuid import NUID
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
@@ -46,6 +45,7 @@ from fibaction_transports.nats.broker.answers import (
 from fibaction_transports.nats.broker.broker import BrokerAway, NoResponders, Subscription
 from fibaction_transports.nats.broker.broker_socket import BrokerSocket, published
 from fibaction_transports.nats.broker.dial import Dialer
+from fibaction_transports.nats.broker.login import BrokerInfo
 from fibaction_transports.nats.settings import FleetSettings
 
 PING = 2.0
@@ -117,7 +117,7 @@ class NatsClient:
         self._add_subscription(f"{self._pending.inbox}.*", self._pending.on_answer, "")
         self._changed = Notifier()  # the connection may be lost
         self._dialer = Dialer(settings, self._deliver, self._on_change)
-        self.info: Mapping[str, Any] = {}
+        self.info = BrokerInfo()
         """The INFO of the broker."""
         self.connections = 0
         """The number of connections that were made."""
@@ -222,7 +222,7 @@ class NatsClient:
 
     def new_inbox(self) -> str:
         """Return a subject for messages to this client that are not answers."""
-        return f"_INBOX.{NUID().next().decode()}"
+        return f"_INBOX.{secrets.token_hex(11)}"
 
     def _send(self, command: _Command | _Subscribed) -> None:
         if isinstance(command, _Command):
@@ -248,7 +248,7 @@ class NatsClient:
                     continue
                 subject, data, reply, headers, number = command
                 size += len(data)
-                if len(data) > socket.max_payload:
+                if len(data) > socket.info.max_payload:
                     logger.debug("%s: a message to %s is too large", self.url, subject)
                 elif not number or number in self._pending:
                     parts += published(subject, data, reply, headers)
@@ -323,7 +323,7 @@ class NatsClient:
             one.is_sent = False
         socket.write(b"".join(one.command() for one in self._subscribed.values()))
         self.info = socket.info
-        for url in self.info.get("connect_urls") or ():
+        for url in self.info.connect_urls:
             if url not in self._servers:
                 self._servers.append(url)
         self.connections += 1

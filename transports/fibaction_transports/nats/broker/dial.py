@@ -1,31 +1,52 @@
-"""Connecting to one broker by nats-py, which has its connection taken away after the login."""
+"""`Dialer`: connects to one broker, with TLS and the login of the settings.
+
+Theory of operation
+-------------------
+
+The first line of a broker is read without TLS, and TLS begins after it. A broker that is configured
+for `handshake_first` says nothing before TLS: so with `nats+tls://`, TLS begins as well when a
+broker is silent for `SILENCE`. What it said before TLS may be of somebody between the two ends. So
+nothing but that one line is taken from there, a broker that then has no TLS gets no login, and more
+than that one line ends the connection.
+
+The connection belongs to `LoginLines` until the login is done, and to a `BrokerSocket` then.
+"""
 
 from __future__ import annotations
 
-import asyncio  # noqa: TID251  # nats-py is for asyncio only
+import asyncio  # noqa: TID251  # connections change their protocol here, which anyio's cannot
+import ipaddress
 import ssl
 from collections.abc import Callable
-from functools import partial
-from pathlib import Path
+from contextlib import suppress
 from typing import Any
+from urllib.parse import urlsplit
 
 import anyio
-import nats.errors
-from nats.aio.client import Client
+import anyio.lowlevel
 
 from fibaction._runtime.asyncio_task import asyncio_loop
-from fibaction._runtime.log import clean_logger
+from fibaction._runtime.notify import Notifier
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.words.errors import AuthenticationFailed, ServerNotFound, TransportError
+from fibaction_transports._socket_lines.tls import rejection, tls_reason
 from fibaction_transports.nats.broker.answers import RawMessage
-from fibaction_transports.nats.broker.broker_socket import CUT_TIMEOUT, BrokerSocket
+from fibaction_transports.nats.broker.broker_socket import CRLF, LONGEST_LINE, BrokerSocket
+from fibaction_transports.nats.broker.login import (
+    BrokerInfo,
+    NatsCredentials,
+    connect_command,
+    info_of,
+    is_let_in,
+)
 from fibaction_transports.nats.settings import FleetSettings
 
-DIAL_TIMEOUT = 2
+DIAL_TIMEOUT = 2.0
 """Seconds that one broker has to let this client in."""
-NO_TLS = "the broker has no TLS: use nats:// if the network is your own"
-
-logger = clean_logger("fibaction.nats")
+SILENCE = 0.5
+"""Seconds without a word after which a broker is taken to want TLS first."""
+SECOND_ADDRESS = 0.25
+"""Seconds after which the next address of a host is tried as well."""
 
 
 class Dialer:
@@ -42,6 +63,11 @@ class Dialer:
         self._deliver = deliver
         self._on_change = on_change
         self._tls: ssl.SSLContext | None = None
+        self._tls_first: set[str] = set()
+        """The brokers that wanted TLS before their first line."""
+        self._host = ""
+        """The name of a broker of the settings. The others of its cluster may tell addresses only,
+        which are in no certificate."""
 
     def read_files(self) -> None:
         """Read the files of the settings.
@@ -49,15 +75,13 @@ class Dialer:
         Raises:
             TransportError: They cannot be used.
         """
-        creds, tls = self._settings.creds, self._settings.tls
-        if creds:
-            try:
-                Path(creds).read_bytes()
-            except OSError as exc:
-                raise TransportError(
-                    f"the credentials file {creds} cannot be read: {exc.strerror}"
-                ) from exc
+        self._credentials()
+        tls = self._settings.tls
         self._tls = tls.client() if isinstance(tls, TlsFiles) else tls
+
+    def _credentials(self) -> NatsCredentials | None:
+        """Read the credentials file, which may be another one for each connection."""
+        return NatsCredentials.read(self._settings.creds) if self._settings.creds else None
 
     async def dial(self, server: str) -> BrokerSocket:
         """Connect to a broker.
@@ -65,121 +89,185 @@ class Dialer:
         Raises:
             ServerNotFound: It does not answer.
             AuthenticationFailed: It does not let this client in.
+            TransportError: It reports another error, or the credentials file cannot be used.
         """
         asyncio_loop()  # in whose name messages are handled, later on
-        errors: list[Exception] = []
-        client: Any = Client()
-        task = asyncio.ensure_future(self._handshake(client, server, errors))
+        lines = LoginLines()
         try:
-            await asyncio.wait({task}, timeout=DIAL_TIMEOUT)
-            if not task.done():
-                raise ServerNotFound(f"the broker {server} did not answer in {DIAL_TIMEOUT} s")
-            if error := task.exception():
-                raise _translated(server, [error, *errors]) from error
-            return await self._take_over(client, server)
-        except BaseException:
-            await cut(client, task)
+            with anyio.fail_after(DIAL_TIMEOUT):
+                info = await self._log_in(lines, server)
+            if lines.is_lost:
+                raise ServerNotFound(f"the broker {server} has closed the connection")
+        except BaseException as exc:
+            await lines.cut()
+            if isinstance(exc, OSError | ValueError):
+                raise _translated(server, exc) from exc
             raise
-
-    async def _take_over(self, client: Any, server: str) -> BrokerSocket:
-        """Take the connection from nats-py, with what it has read, and end its tasks."""
-        reader, transport = client._transport._io_reader, client._transport._io_writer.transport
-        if transport.is_closing() or reader.at_eof():
-            raise ServerNotFound(f"the broker {server} has closed the connection")
-        socket = BrokerSocket(
-            transport, client._server_info, self._deliver, self._on_change, client
-        )
-        socket.begin(bytes(client._ps.buf + reader._buffer))
-        await _end(tasks_of(client))
+        socket = BrokerSocket(lines.transport, info, self._deliver, self._on_change)
+        socket.begin(lines.rest)
         return socket
 
-    async def _handshake(self, client: Client, server: str, errors: list[Exception]) -> None:
-        """Connect and log in."""
-        settings = self._settings
+    async def _log_in(self, lines: LoginLines, server: str) -> BrokerInfo:
+        """Connect and log in.
 
-        async def on_error(error: Exception) -> None:
-            errors.append(error)
-            del errors[4:]
-            logger.debug("%s: %s", server, error)
-
-        login: dict[str, Any] = {}
-        if settings.user or settings.password:
-            login["user"] = partial(self._secret, client, settings.user)
-            login["password"] = settings.password
-        else:
-            if settings.login_token or self._tls is not None:
-                login["token"] = partial(self._secret, client, settings.login_token)
-            if settings.creds:
-                login["user_credentials"] = settings.creds
-        await client.connect(
-            [f"nats://{server}"],
-            error_cb=on_error,
-            name="fibaction",
-            allow_reconnect=False,
-            connect_timeout=DIAL_TIMEOUT,
-            reconnect_time_wait=0,
-            max_reconnect_attempts=1,
-            tls=self._tls,
-            **login,
-        )
-
-    def _secret(self, client: Any, secret: str) -> str:
-        """Return a part of the login, if the connection has TLS or need not have it.
-
-        nats-py asks for it when the broker has said whether it has TLS.
+        Raises:
+            OSError: The connection or TLS fails.
+            ValueError: It is not a broker, or its name is not that of a host.
+            TransportError: It does not let this client in.
         """
-        if self._tls is not None and not client._server_info.get("tls_required"):
-            raise nats.errors.Error(NO_TLS)
-        return secret
+        parts = urlsplit(f"//{server}")
+        host = parts.hostname or ""
+        await asyncio.get_running_loop().create_connection(
+            lambda: lines, host, parts.port or 0, happy_eyeballs_delay=SECOND_ADDRESS
+        )
+        is_known = server in self._settings.servers
+        name = host if is_known or not _is_address(host) else self._host or host
+        info = await self._secured(lines, server, name)
+        command = connect_command(self._settings, self._credentials(), info)
+        lines.transport.write(command)
+        while not is_let_in(server, await lines.next()):
+            pass
+        if is_known:
+            self._host = host
+        return info
+
+    async def _secured(self, lines: LoginLines, server: str, name: str) -> BrokerInfo:
+        """Read the first line, and begin TLS with the host of that name if it is wanted.
+
+        Raises:
+            OSError: The connection or TLS fails.
+            ValueError: It is not a broker.
+            AuthenticationFailed: The settings want TLS, and the broker has none.
+        """
+        if self._tls is not None and await self._wants_tls_first(lines, server):
+            await lines.start_tls(self._tls, name)
+            info = info_of(await lines.next())
+            self._tls_first.add(server)
+            return info
+        info = info_of(await lines.next())
+        context = self._context(server, info)
+        if context is not None:
+            await lines.start_tls(context, name)
+        return info
+
+    async def _wants_tls_first(self, lines: LoginLines, server: str) -> bool:
+        """Return whether a broker says nothing before TLS, as it did last time or does now."""
+        if server in self._tls_first:
+            self._tls_first.remove(server)  # until it does so again
+            return True
+        with anyio.move_on_after(SILENCE) as waiting:
+            await lines.ready()
+        return waiting.cancelled_caught
+
+    def _context(self, server: str, info: BrokerInfo) -> ssl.SSLContext | None:
+        """Return the TLS that begins after the first line of a broker; None for none.
+
+        Raises:
+            AuthenticationFailed: The settings want TLS, and the broker has none.
+        """
+        if self._tls is None:
+            return ssl.create_default_context() if info.tls_required else None
+        if not (info.tls_required or info.tls_available):
+            raise AuthenticationFailed(
+                f"broker {server}: the broker has no TLS: use nats:// if the network is your own"
+            )
+        return self._tls
 
 
-def tasks_of(client: Any) -> list[asyncio.Task[Any]]:
-    """Return the tasks of nats-py, of which it has no list."""
-    tasks = [client._reading_task, client._ping_interval_task, client._flusher_task]
-    return [task for task in tasks if task is not None]
+class LoginLines(asyncio.Protocol):
+    """The lines that a broker sends during the login."""
+
+    def __init__(self) -> None:
+        self.transport: Any = None
+        self.rest = b""
+        """The bytes after the lines that were read."""
+        self._failure: Exception | None = None  # of the connection
+        self._changed = Notifier()
+
+    @property
+    def is_lost(self) -> bool:
+        """True if the connection is closed, or is being closed."""
+        return self._failure is not None or self.transport.is_closing()
+
+    async def ready(self) -> None:
+        """Wait until a line is there.
+
+        Raises:
+            OSError: The connection is lost.
+            ValueError: The line is too long.
+        """
+        while CRLF not in self.rest:
+            if self._failure is not None:
+                raise self._failure
+            if len(self.rest) > LONGEST_LINE:
+                raise ValueError("a line is too long")
+            await self._changed.wait()
+
+    async def next(self) -> bytes:
+        """Return the next line.
+
+        Raises:
+            OSError: The connection is lost.
+            ValueError: The line is too long.
+        """
+        await self.ready()
+        line, _, self.rest = self.rest.partition(CRLF)
+        return line
+
+    async def start_tls(self, context: ssl.SSLContext, name: str) -> None:
+        """Begin TLS with the host of that name.
+
+        Raises:
+            OSError: TLS fails.
+            ValueError: The broker has said more before TLS than it may.
+        """
+        if self.rest:
+            raise ValueError("more than one line before TLS")
+        loop = asyncio.get_running_loop()
+        made = await loop.start_tls(self.transport, self, context, server_hostname=name)
+        if made is None:  # lost as soon as it was made
+            raise ConnectionResetError
+        self.transport = made
+
+    async def cut(self) -> None:
+        """Close the connection at once, if there is one."""
+        if self.transport is not None:
+            self.transport.abort()
+            with anyio.CancelScope(shield=True):
+                await anyio.lowlevel.checkpoint()  # in which the socket is closed
+
+    # Called by the event loop
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        self.rest += data
+        self._changed.notify()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._failure = exc or ConnectionResetError()
+        self._changed.notify()
 
 
-async def cut(client: Any, *tasks: asyncio.Task[Any]) -> None:
-    """Close a connection of nats-py at once, and end its tasks."""
-    stream = getattr(client._transport, "_io_writer", None)
-    if stream is not None:
-        stream.transport.abort()
-    await _end([*tasks, *tasks_of(client)])
+def _is_address(host: str) -> bool:
+    with suppress(ValueError):
+        ipaddress.ip_address(host)
+        return True
+    return False
 
 
-async def _end(tasks: list[asyncio.Task[Any]]) -> None:
-    """Cancel tasks, and wait until they have ended."""
-    for task in tasks:
-        task.cancel()
-    with anyio.CancelScope(shield=True):
-        if tasks:
-            await asyncio.wait(tasks, timeout=CUT_TIMEOUT)
-        await anyio.lowlevel.checkpoint()  # in which a socket is closed
-    for task in tasks:
-        if task.done() and not task.cancelled():
-            task.exception()  # asked for, so that asyncio does not log it
-
-
-def _translated(server: str, errors: list[BaseException | Exception]) -> TransportError:
+def _translated(server: str, error: OSError | ValueError) -> TransportError:
     """Return the error of a failed attempt to connect, in one sentence."""
-    texts = [str(error) for error in errors]
-    for error, text in zip(errors, texts, strict=True):
-        if isinstance(error, ModuleNotFoundError):
-            return TransportError(
-                f"credentials files need the package {error.name!r}: install fibaction[nats]"
-            )
-        if isinstance(error, ssl.SSLError):
-            return AuthenticationFailed(f"no TLS with the broker {server}: {error}")
-        if text == NO_TLS:
-            return AuthenticationFailed(f"broker {server}: {text}")
-        if "uthorization" in text or "uthentication" in text:
-            return AuthenticationFailed(
-                f"the broker {server} rejects the login: give user:password@ or token@ in front of"
-                f" the host, or creds="
-            )
-    for error in errors:
-        if isinstance(error, OSError) and not isinstance(error, ConnectionError):
-            return ServerNotFound(f"no broker at {server}: {error.strerror or error}")
+    if isinstance(error, ssl.SSLError):
+        why = rejection("it", error) or tls_reason(error)
+        return AuthenticationFailed(f"no TLS with the broker {server}: {why}")
+    if isinstance(error, TimeoutError):
+        return ServerNotFound(f"the broker {server} did not answer in {DIAL_TIMEOUT:g} s")
+    if isinstance(error, UnicodeError):
+        return ServerNotFound(f"no broker at {server}: it is not the name of a host")
+    if isinstance(error, OSError) and not isinstance(error, ConnectionError) and error.strerror:
+        return ServerNotFound(f"no broker at {server}: {error.strerror}")
     return ServerNotFound(
         f"no broker of NATS answers at {server}: start one, for example with 'fibaction broker'"
     )

@@ -1,7 +1,6 @@
 """Requests to JetStream: streams, and the answers to writes.
 
-They are written as JSON here, rather than through nats-py, whose methods a caller's task must not
-run (see `nats_client`).
+They are JSON in requests of `NatsClient`.
 """
 
 from __future__ import annotations
@@ -130,14 +129,14 @@ async def check_account(client: NatsClient) -> None:
                 answer = await call(client, "INFO", timeout=INFO_TIMEOUT)
             except NoResponders as exc:
                 why = "is not enabled: start nats-server with -js"
-                if not client.info.get("cluster"):
+                if not client.info.cluster:
                     raise TransportError(f"JetStream of the broker {client.url} {why}") from exc
             except ApiError as exc:
                 why = f"cannot be used: {exc}"
                 if exc.number not in (NO_LEADER, OFFLINE):
                     raise TransportError(f"JetStream of the broker {client.url} {why}") from exc
             except BrokerAway as exc:
-                if not client.info.get("cluster"):
+                if not client.info.cluster:
                     raise TransportError(f"the broker {client.url} does not answer") from exc
             else:
                 if answer.get("api", {}).get("level", 0) < 1:

@@ -157,11 +157,11 @@ class NatsBroker(Broker):
             TransportError: It is too old, or has no JetStream.
         """
         info = self._client.info
-        jetstream.check_version(self._client.url, str(info.get("version", "")))
+        jetstream.check_version(self._client.url, info.version)
         await jetstream.check_account(self._client)
-        self.max_record = int(info.get("max_payload", 2**20)) - HEADERS
-        if info.get("cluster"):
-            self.brokers = max(len(info.get("connect_urls") or ()), 2)
+        self.max_record = info.max_payload - HEADERS
+        if info.cluster:
+            self.brokers = max(len(info.connect_urls), 2)
 
     def start(self, tasks: Any) -> None:
         """Begin to connect again whenever the connection is lost."""

@@ -2,8 +2,7 @@
 
 Each subject has one consumer, which all workers share; it is kept as long as its stream. A worker
 asks it for one note, and gets it when there is one. A worker that is gone has its note come again
-to another one. nats-py's own method for this loses notes for some seconds (if it asks for several
-with a heartbeat), so the requests are made here.
+to another one.
 """
 
 from __future__ import annotations
