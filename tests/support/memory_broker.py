@@ -23,16 +23,16 @@ from fibaction._runtime.tasks import Background
 from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,
+    BrokerRecord,
+    BrokerSubscription,
+    BrokerWatch,
     Message,
     NoResponders,
     Note,
     OnMessage,
     PutError,
     PutFailure,
-    Record,
     Stored,
-    Subscription,
-    Watch,
 )
 from fibaction_transports.nats.names import FleetNames
 
@@ -66,7 +66,7 @@ class Write(NamedTuple):
 
 
 class _Kept(NamedTuple):
-    record: Record
+    record: BrokerRecord
     ends: float
 
 
@@ -137,12 +137,12 @@ class MemoryBrokers:
 
     # Records
 
-    def newest(self, subject: str) -> Record | None:
+    def newest(self, subject: str) -> BrokerRecord | None:
         """Return the newest record of a subject."""
         kept = self.records.get(subject)
         return None if kept is None else kept.record
 
-    def matching(self, subject: str) -> list[Record]:
+    def matching(self, subject: str) -> list[BrokerRecord]:
         """Return the newest record of each subject that matches, in the order of sequences."""
         found = [kept.record for one, kept in self.records.items() if matches(subject, one)]
         return sorted(found, key=lambda record: record.sequence)
@@ -161,7 +161,7 @@ class MemoryBrokers:
         sequence = self._sequences[stream] = self._sequences.get(stream, 0) + 1
         if not data:
             ttl = MARKER_TIME
-        record = Record(subject, data, sequence)
+        record = BrokerRecord(subject, data, sequence)
         ends = current_time() + max(1, math.ceil(ttl)) if ttl < math.inf else math.inf
         kept = self.records[subject] = _Kept(record, ends)
         if ends < math.inf:
@@ -197,7 +197,7 @@ class MemoryBrokers:
         return bool(found)
 
 
-class MemorySubscription(Subscription):
+class MemorySubscription(BrokerSubscription):
     """A subscription of one member."""
 
     def __init__(self, broker: MemoryBroker, subject: str, take: OnMessage, queue: str) -> None:
@@ -213,19 +213,19 @@ class MemorySubscription(Subscription):
         self._take(message)
 
     def close(self) -> None:
-        """See `Subscription.close`."""
+        """See `BrokerSubscription.close`."""
         if self in self._broker.subscriptions:
             self._broker.subscriptions.remove(self)
 
 
-class MemoryWatch(Watch):
+class MemoryWatch(BrokerWatch):
     """A watch of one member."""
 
     def __init__(self, broker: MemoryBroker, subject: str) -> None:
         self._broker = broker
         self.subject = subject
         self._news = Notifier()
-        self._found: deque[list[Record] | None] = deque()
+        self._found: deque[list[BrokerRecord] | None] = deque()
         self.begin()
 
     def begin(self) -> None:
@@ -236,13 +236,13 @@ class MemoryWatch(Watch):
         self._found.append(None)
         self._news.notify()
 
-    def add(self, record: Record) -> None:
+    def add(self, record: BrokerRecord) -> None:
         """Return one more record."""
         self._found.append([record])
         self._news.notify()
 
-    async def next(self) -> list[Record] | None:
-        """See `Watch.next`."""
+    async def next(self) -> list[BrokerRecord] | None:
+        """See `BrokerWatch.next`."""
         while not self._found or self._broker.is_away:
             await self._news.wait()
         return self._found.popleft()
@@ -287,7 +287,7 @@ class MemoryBroker(Broker):
         for watch in self._watches:
             watch.begin()
 
-    def on_record(self, record: Record) -> None:
+    def on_record(self, record: BrokerRecord) -> None:
         """Tell the watches of a new record."""
         for watch in self._watches:
             if not self._is_away and matches(watch.subject, record.subject):
@@ -318,7 +318,9 @@ class MemoryBroker(Broker):
 
         self._send(deliver)
 
-    async def subscribe(self, subject: str, on_message: OnMessage, queue: str = "") -> Subscription:
+    async def subscribe(
+        self, subject: str, on_message: OnMessage, queue: str = ""
+    ) -> BrokerSubscription:
         """See `Broker.subscribe`."""
         self._check_there()
         subscription = MemorySubscription(self, subject, on_message, queue)
@@ -392,7 +394,7 @@ class MemoryBroker(Broker):
 
         self._send(store)
 
-    async def get(self, stream: str, subject: str) -> Record | None:
+    async def get(self, stream: str, subject: str) -> BrokerRecord | None:
         """See `Broker.get`."""
         with move_on_after(ANSWER_TIMEOUT):
             await self.flush()

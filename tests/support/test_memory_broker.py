@@ -10,10 +10,10 @@ from anyio import current_time, fail_after, move_on_after, sleep
 
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,
+    BrokerRecord,
     Message,
     PutError,
     PutFailure,
-    Record,
 )
 from fibaction_transports.nats.names import FleetNames
 from tests.support.memory_broker import MARKER_TIME, MemoryBroker, MemoryBrokers, Write
@@ -67,7 +67,7 @@ async def test_an_answer_can_be_lost_after_the_record_is_stored() -> None:
         answers = put(member, b"stored")
         await sleep(3)
         assert kind_of(answers) is PutFailure.UNKNOWN
-        assert await member.get(NAMES.goals, GOAL) == Record(GOAL, b"stored", 1)
+        assert await member.get(NAMES.goals, GOAL) == BrokerRecord(GOAL, b"stored", 1)
         assert [write.data for write in shared.writes] == [b"stored"]
 
 
@@ -100,7 +100,7 @@ async def test_a_watch_begins_anew_after_a_restart_and_after_an_absence() -> Non
         put(other, b"first")
         await other.flush()
         async with member.watch(NAMES.goals, GOAL) as watch:
-            first = [Record(GOAL, b"first", 1)]
+            first = [BrokerRecord(GOAL, b"first", 1)]
             assert [await watch.next(), await watch.next()] == [first, None]
             shared.restart()
             assert [await watch.next(), await watch.next()] == [first, None]
@@ -110,7 +110,7 @@ async def test_a_watch_begins_anew_after_a_restart_and_after_an_absence() -> Non
             with move_on_after(10):
                 raise AssertionError(await watch.next())
             member.is_away = False
-            second = [Record(GOAL, b"second", 2)]
+            second = [BrokerRecord(GOAL, b"second", 2)]
             assert [await watch.next(), await watch.next()] == [second, None]
 
 
@@ -119,9 +119,9 @@ async def test_a_marker_is_forgotten_in_the_end() -> None:
         member = shared.member()
         put(member, b"short", ttl=0.1)
         await sleep(0.9)
-        assert await member.get(NAMES.goals, GOAL) == Record(GOAL, b"short", 1)
+        assert await member.get(NAMES.goals, GOAL) == BrokerRecord(GOAL, b"short", 1)
         await sleep(0.2)  # times to live are whole seconds
-        assert await member.get(NAMES.goals, GOAL) == Record(GOAL, b"", 2)
+        assert await member.get(NAMES.goals, GOAL) == BrokerRecord(GOAL, b"", 2)
         await sleep(MARKER_TIME)
         assert await member.get(NAMES.goals, GOAL) is None
 

@@ -31,22 +31,22 @@ from fibaction.words.goals import UNKNOWN_SENDER
 from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,
+    BrokerRecord,
+    BrokerSubscription,
+    BrokerWatch,
     NoResponders,
     Note,
     OnMessage,
     PutError,
     PutFailure,
-    Record,
     Stored,
-    Subscription,
-    Watch,
 )
 from fibaction_transports.nats.client.connection import FleetConnection
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import (
     GoalEntry,
     LeaseEntry,
-    Offer,
+    RoomOffer,
     ServedAction,
     encode,
     goal_entry,
@@ -91,7 +91,7 @@ class FakeBroker(Broker):
     brokers = 1
 
     def __init__(self) -> None:
-        self.records: dict[str, Record] = {}
+        self.records: dict[str, BrokerRecord] = {}
         self.sequence = 0
         self.is_away = False
         self.news = Notifier()
@@ -108,7 +108,9 @@ class FakeBroker(Broker):
     def publish(self, subject: str, data: bytes, reply: str = "") -> None:
         raise NotImplementedError
 
-    async def subscribe(self, subject: str, on_message: OnMessage, queue: str = "") -> Subscription:
+    async def subscribe(
+        self, subject: str, on_message: OnMessage, queue: str = ""
+    ) -> BrokerSubscription:
         raise NotImplementedError
 
     async def request(self, subject: str, data: bytes, timeout: float) -> bytes:
@@ -144,11 +146,11 @@ class FakeBroker(Broker):
     def store(self, subject: str, data: bytes) -> int:
         """Store a record whatever there is."""
         self.sequence += 1
-        self.records[subject] = Record(subject, data, self.sequence)
+        self.records[subject] = BrokerRecord(subject, data, self.sequence)
         self.news.notify()
         return self.sequence
 
-    async def get(self, stream: str, subject: str) -> Record | None:
+    async def get(self, stream: str, subject: str) -> BrokerRecord | None:
         await anyio.lowlevel.checkpoint()
         self.gets += 1
         if self.is_away:
@@ -156,7 +158,7 @@ class FakeBroker(Broker):
         return self.records.get(subject)
 
     @asynccontextmanager
-    async def watch(self, stream: str, subject: str) -> AsyncGenerator[Watch, None]:
+    async def watch(self, stream: str, subject: str) -> AsyncGenerator[BrokerWatch, None]:
         await anyio.lowlevel.checkpoint()
         if self.is_away:
             raise BrokerAway("away")
@@ -176,7 +178,7 @@ class FakeBroker(Broker):
         self.news.notify()
 
 
-class _Watch(Watch):
+class _Watch(BrokerWatch):
     def __init__(self, broker: FakeBroker, prefix: str) -> None:
         self._broker = broker
         self._prefix = prefix
@@ -184,7 +186,7 @@ class _Watch(Watch):
         self._is_listed = False
         self._restarts = broker.restarts
 
-    async def next(self) -> list[Record] | None:
+    async def next(self) -> list[BrokerRecord] | None:
         while True:
             await anyio.lowlevel.checkpoint()
             if self._restarts != self._broker.restarts:
@@ -303,7 +305,7 @@ class FakeWorker:
 
     def _answer(self, question: bytes) -> bytes | None:
         self.asked.append(question)
-        return None if self.is_frozen else encode(Offer(self.name, min(self.room, 16)))
+        return None if self.is_frozen else encode(RoomOffer(self.name, min(self.room, 16)))
 
     def renew(self) -> None:
         """Write the lease."""

@@ -10,7 +10,8 @@ from fibaction_transports.nats.broker.login import BrokerInfo
 
 from fibaction._runtime.notify import Notifier
 from fibaction_transports.nats.broker.answers import OnRaw, RawMessage
-from fibaction_transports.nats.broker.broker import NoResponders, Subscription
+from fibaction_transports.nats.broker.broker import BrokerSubscription, NoResponders
+from fibaction_transports.nats.broker.login import BrokerInfo
 
 NO_RESPONDERS = None
 """The answer of nobody."""
@@ -21,9 +22,9 @@ def failed(number: int, code: int = 400) -> dict[str, Any]:
     return {"error": {"code": code, "err_code": number, "description": "no"}}
 
 
-class _Subscribed(Subscription):
+class _Subscribed(BrokerSubscription):
     def close(self) -> None:
-        """See `Subscription.close`."""
+        """See `BrokerSubscription.close`."""
 
 
 class ScriptedClient:
@@ -46,7 +47,9 @@ class ScriptedClient:
     def new_inbox(self) -> str:
         return "_INBOX.one"
 
-    async def subscribe(self, subject: str, on_message: OnRaw, queue: str = "") -> Subscription:
+    async def subscribe(
+        self, subject: str, on_message: OnRaw, queue: str = ""
+    ) -> BrokerSubscription:
         self.on_message = on_message
         return _Subscribed()
 

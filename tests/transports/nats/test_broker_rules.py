@@ -13,12 +13,12 @@ from anyio import fail_after
 from fibaction._runtime.notify import Notifier
 from fibaction_transports.nats.broker.broker import (
     Broker,
+    BrokerRecord,
+    BrokerWatch,
     Message,
     NoResponders,
     PutError,
     PutFailure,
-    Record,
-    Watch,
 )
 from fibaction_transports.nats.broker.nats_broker import open_broker
 from fibaction_transports.nats.names import FleetNames
@@ -80,15 +80,15 @@ async def assert_refused(broker: Broker, subject: str, expected: int) -> None:
     assert answer.kind is PutFailure.REFUSED
 
 
-async def all_of(watch: Watch) -> list[Record]:
-    found: list[Record] = []
+async def all_of(watch: BrokerWatch) -> list[BrokerRecord]:
+    found: list[BrokerRecord] = []
     with fail_after(10):
         while (records := await watch.next()) is not None:
             found += records
     return found
 
 
-async def next_of(watch: Watch) -> Record:
+async def next_of(watch: BrokerWatch) -> BrokerRecord:
     with fail_after(10):
         records = await watch.next()
     assert records is not None
@@ -107,7 +107,7 @@ async def test_a_record_replaces_exactly_the_expected_one(brokers: tuple[Broker,
     second = await stored(other, name, b"second", first)
     assert second > first
     await assert_refused(one, name, first)
-    assert await one.get(NAMES.goals, name) == Record(name, b"second", second)
+    assert await one.get(NAMES.goals, name) == BrokerRecord(name, b"second", second)
 
 
 async def test_a_subject_without_a_record_has_none(brokers: tuple[Broker, Broker]) -> None:
@@ -123,7 +123,7 @@ async def test_a_deleted_record_leaves_a_marker_to_write_over(
     one, other = brokers
     name = subject()
     marker = await stored(one, name, b"", await stored(one, name, b"first"), 60)
-    assert await other.get(NAMES.goals, name) == Record(name, b"", marker)
+    assert await other.get(NAMES.goals, name) == BrokerRecord(name, b"", marker)
     await assert_refused(other, name, 0)
     assert await stored(other, name, b"second", marker) > marker
 
@@ -134,7 +134,7 @@ async def test_the_end_of_a_time_to_live_leaves_a_marker(brokers: tuple[Broker, 
     async with other.watch(NAMES.goals, name) as watch:
         assert await all_of(watch) == []
         sequence = await stored(one, name, b"first", ttl=1)
-        assert await next_of(watch) == Record(name, b"first", sequence)
+        assert await next_of(watch) == BrokerRecord(name, b"first", sequence)
         marker = await next_of(watch)
         assert marker.data == b""
         assert marker.sequence > sequence
@@ -155,7 +155,7 @@ async def test_each_write_sets_the_time_to_live_anew(brokers: tuple[Broker, Brok
         async with one.watch(NAMES.goals, beside) as ends:
             await all_of(ends)
             assert (await next_of(ends)).data == b""
-        assert await one.get(NAMES.goals, name) == Record(name, b"second", sequence)
+        assert await one.get(NAMES.goals, name) == BrokerRecord(name, b"second", sequence)
 
 
 async def test_a_record_that_is_too_large_is_told_apart(brokers: tuple[Broker, Broker]) -> None:

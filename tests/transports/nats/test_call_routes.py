@@ -13,7 +13,7 @@ from fibaction import (
     Outcome,
     ProtocolError,
 )
-from fibaction_transports.nats.broker.broker import Record
+from fibaction_transports.nats.broker.broker import BrokerRecord
 from fibaction_transports.nats.client import worker_connections
 from fibaction_transports.nats.records import goal_entry
 from tests.support.virtual_time import in_virtual_time
@@ -232,7 +232,7 @@ async def test_a_goal_whose_record_is_being_read_ends_when_the_client_leaves(
         goal = await client_of(connection).send_goal(-3)
         get, gate = fleet.broker.get, anyio.Event()
 
-        async def slow(stream: str, subject: str) -> Record | None:
+        async def slow(stream: str, subject: str) -> BrokerRecord | None:
             await gate.wait()
             return await get(stream, subject)
 

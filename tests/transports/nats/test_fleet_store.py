@@ -16,7 +16,7 @@ from fibaction._runtime.tasks import Background
 from fibaction.border.goal_store import GoalTaken, RecordTooLarge, StoredGoal, Then
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import Sender
-from fibaction_transports.nats.broker.broker import BrokerAway, Record
+from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, encode, goal_entry
 from fibaction_transports.nats.worker.journal import FleetJournal
@@ -256,9 +256,9 @@ async def test_an_old_answer_of_a_broker_that_is_behind_takes_no_goal_away(
         name = NAMES.goal("count", one.goal_id)
         robot.write("checkpoint", one)
         await robot.answered(2)
-        get, old = robot.broker.get, [None, Record(name, b"old", 1)]
+        get, old = robot.broker.get, [None, BrokerRecord(name, b"old", 1)]
 
-        async def behind(stream: str, subject: str) -> Record | None:
+        async def behind(stream: str, subject: str) -> BrokerRecord | None:
             return old.pop() if old and subject == name else await get(stream, subject)
 
         monkeypatch.setattr(robot.broker, "get", behind)
@@ -293,7 +293,7 @@ async def test_a_record_is_read_again_while_the_brokers_do_not_answer(
     async with MemoryBrokers() as shared, member(shared) as robot:
         get, failures = robot.broker.get, [1, 2, 3]
 
-        async def away(stream: str, subject: str) -> Record | None:
+        async def away(stream: str, subject: str) -> BrokerRecord | None:
             if failures and ".goal." in subject:
                 failures.pop()
                 raise BrokerAway("on purpose")
@@ -620,7 +620,7 @@ async def test_a_goal_in_doubt_can_be_lost(monkeypatch: pytest.MonkeyPatch, when
             await sleep(FIRST_PAUSE / 2)
             robot.journal.lose(goal().goal_id)
 
-        async def lose(stream: str, subject: str) -> Record | None:
+        async def lose(stream: str, subject: str) -> BrokerRecord | None:
             if ".goal." not in subject:
                 return await get(stream, subject)
             if when == "before it is written again":

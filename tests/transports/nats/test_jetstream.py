@@ -10,7 +10,7 @@ import pytest
 
 from fibaction import TransportError
 from fibaction_transports.nats.broker.answers import PendingAnswers, RawMessage
-from fibaction_transports.nats.broker.broker import BrokerAway, PutFailure, Record
+from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord, PutFailure
 from fibaction_transports.nats.broker.client import NatsClient
 from fibaction_transports.nats.broker.jetstream import (
     NAME_IN_USE,
@@ -83,7 +83,7 @@ async def test_a_number_that_is_left_out_breaks_the_consumer(watch: RecordWatch)
     watch._on_message(delivered(3))
     assert watch._is_broken
     watch._on_message(delivered(2))
-    assert watch._records == [Record("s", b"x", 7)]
+    assert watch._records == [BrokerRecord("s", b"x", 7)]
 
 
 @pytest.mark.asyncio
@@ -230,7 +230,7 @@ async def test_a_stream_that_another_worker_makes_first_is_used() -> None:
 # Records
 
 
-async def got(brokers: int = 1, **answers: Any) -> Record | None:
+async def got(brokers: int = 1, **answers: Any) -> BrokerRecord | None:
     client: Any = ScriptedClient(**answers)
     broker = NatsBroker(client)
     broker.brokers = brokers

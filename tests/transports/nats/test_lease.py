@@ -13,7 +13,7 @@ from anyio import create_task_group, current_time, fail_after, sleep
 
 from fibaction._runtime.tasks import Background
 from fibaction.words.errors import TransportError
-from fibaction_transports.nats.broker.broker import BrokerAway, Record
+from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import LeaseEntry, encode, lease_entry
 from fibaction_transports.nats.worker.lease import Membership, Term
@@ -138,7 +138,7 @@ async def test_a_lease_that_cannot_be_read_is_no_reason_to_give_it_up(
             record = shared.newest(NAMES.worker("robot"))
             old = [record, None, BrokerAway("on purpose")]
 
-            async def behind(stream: str, subject: str) -> Record | None:
+            async def behind(stream: str, subject: str) -> BrokerRecord | None:
                 found = old.pop() if old else await get(stream, subject)
                 if isinstance(found, BrokerAway):
                     raise found
@@ -384,7 +384,7 @@ async def test_a_worker_that_is_fenced_while_it_reads_its_lease_joins_again(
         async with joined(broker) as member:
             first, get = member.incarnation, broker.get
 
-            async def fence(stream: str, subject: str) -> Record | None:
+            async def fence(stream: str, subject: str) -> BrokerRecord | None:
                 if not member.fences:
                     member._fence("on purpose")
                 return await get(stream, subject)

@@ -13,12 +13,12 @@ from fibaction import TransportError
 from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,
+    BrokerRecord,
+    BrokerWatch,
     Message,
     NoResponders,
     PutError,
     PutFailure,
-    Record,
-    Watch,
 )
 from fibaction_transports.nats.broker.client import MAX_QUEUED
 from fibaction_transports.nats.broker.nats_broker import NatsBroker, open_broker
@@ -66,18 +66,18 @@ async def stored(
     return outcome
 
 
-async def first_of(watch: Watch) -> list[Record]:
+async def first_of(watch: BrokerWatch) -> list[BrokerRecord]:
     """All records until the watch says that these were all."""
-    records: list[Record] = []
+    records: list[BrokerRecord] = []
     with anyio.fail_after(15):
         while (batch := await watch.next()) is not None:
             records += batch
     return records
 
 
-async def until(watch: Watch, data: bytes) -> list[Record]:
+async def until(watch: BrokerWatch, data: bytes) -> list[BrokerRecord]:
     """All records until one with this data."""
-    records: list[Record] = []
+    records: list[BrokerRecord] = []
     with anyio.fail_after(15):
         while not any(record.data == data for record in records):
             records += await watch.next() or []
@@ -167,10 +167,10 @@ async def test_a_record_is_stored_in_place_of_the_expected_one_only(
         refused = await put(broker, subject, b"two")
         assert isinstance(refused, PutError)
         assert refused.kind is PutFailure.REFUSED
-        assert await broker.get(names.workers, subject) == Record(subject, b"one", first)
+        assert await broker.get(names.workers, subject) == BrokerRecord(subject, b"one", first)
         second = await stored(broker, subject, b"two", first)
         assert second > first
-        assert await broker.get(names.workers, subject) == Record(subject, b"two", second)
+        assert await broker.get(names.workers, subject) == BrokerRecord(subject, b"two", second)
 
 
 async def test_a_record_ends_with_its_time_to_live_and_leaves_a_marker(
@@ -183,7 +183,7 @@ async def test_a_record_ends_with_its_time_to_live_and_leaves_a_marker(
             assert await first_of(watch) == []
             first = await stored(broker, subject, b"one", ttl=0.3)
             (record, marker) = await until(watch, b"")
-            assert record == Record(subject, b"one", first)
+            assert record == BrokerRecord(subject, b"one", first)
             assert marker.subject == subject
             assert marker.sequence > first
         assert await broker.get(names.workers, subject) == marker
@@ -196,7 +196,7 @@ async def test_a_put_without_data_deletes_the_record(shared_broker: NatsServer, 
         subject = names.worker("w")
         first = await stored(broker, subject, b"one")
         second = await stored(broker, subject, b"", first)
-        assert await broker.get(names.workers, subject) == Record(subject, b"", second)
+        assert await broker.get(names.workers, subject) == BrokerRecord(subject, b"", second)
 
 
 async def test_a_record_larger_than_the_broker_takes_is_not_stored(
@@ -285,7 +285,7 @@ async def test_streams_that_are_there_are_kept_and_checked(
     async with opened(shared_broker, fleet) as broker:
         first = await stored(broker, names.worker("w"), b"one")
         await broker.create_streams(names, replicas=1)
-        assert await broker.get(names.workers, names.worker("w")) == Record(
+        assert await broker.get(names.workers, names.worker("w")) == BrokerRecord(
             names.worker("w"), b"one", first
         )
 
@@ -402,7 +402,7 @@ async def test_a_broker_that_was_killed_is_found_again_with_everything(
                 broker.publish(f"{names.root}.x", b"late")
                 own_broker.start()
                 with anyio.fail_after(10):
-                    assert await watch.next() == [Record(names.worker("w"), b"one", first)]
+                    assert await watch.next() == [BrokerRecord(names.worker("w"), b"one", first)]
                     assert await watch.next() is None
             assert taken == [b"note"]
             assert heard == [b"late"]

@@ -12,8 +12,13 @@ import pytest
 
 from fibaction import ConnectionLost, GoalRejected, GoalStatus, ServerNotFound
 from fibaction._runtime.tasks import Background
-from fibaction_transports.nats.client.free_workers import FIRST_WAIT, OFFER_LIFE, ROOM_WAIT, Places
-from fibaction_transports.nats.records import Offer, encode, question
+from fibaction_transports.nats.client.free_workers import (
+    FIRST_WAIT,
+    OFFER_LIFE,
+    ROOM_WAIT,
+    RoomFinder,
+)
+from fibaction_transports.nats.records import RoomOffer, encode, question
 from fibaction_transports.nats.workers import FleetWorkers
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import NAMES, FakeFleet, client_of, server
@@ -28,10 +33,10 @@ def fleet() -> FakeFleet:
 
 
 @asynccontextmanager
-async def places_of(fleet: FakeFleet, patience: float = 10) -> AsyncGenerator[Places, None]:
+async def places_of(fleet: FakeFleet, patience: float = 10) -> AsyncGenerator[RoomFinder, None]:
     async with Background() as tasks:
         workers = FleetWorkers(fleet.broker, NAMES, tasks, 5)
-        yield Places(fleet.broker, NAMES, workers, tasks, patience)
+        yield RoomFinder(fleet.broker, NAMES, workers, tasks, patience)
 
 
 def goals_asked(fleet: FakeFleet) -> list[int]:
@@ -209,7 +214,7 @@ async def test_an_answer_that_cannot_be_read_is_like_none(fleet: FakeFleet) -> N
 
 async def test_workers_with_room_in_their_queue_are_asked_last(fleet: FakeFleet) -> None:
     async with fleet.worker("a").serve(server()) as a, places_of(fleet) as places:
-        queue = [lambda data: encode(Offer("queue", 1))]
+        queue = [lambda data: encode(RoomOffer("queue", 1))]
         fleet.broker.listeners[NAMES.queue("count")] = list(queue)
         assert (await places.take("count")).worker == "a"
         a.deafen()

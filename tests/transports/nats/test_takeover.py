@@ -16,7 +16,7 @@ from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
 from fibaction.border.goal_store import StoredGoal
 from fibaction.words.goals import Sender
-from fibaction_transports.nats.broker.broker import BrokerAway, Record
+from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import GoalEntry, encode, goal_entry, lease_entry
 from fibaction_transports.nats.worker.journal import FleetJournal
@@ -264,7 +264,7 @@ async def test_the_claim_of_a_name_that_is_used_again_is_not_touched(
         lost = Membership(shared.member("a"), NAMES, "a", LEASE)
         await lost.join()
         watch = b.broker.watch
-        records: list[Record | None] = []
+        records: list[BrokerRecord | None] = []
 
         @asynccontextmanager
         async def other(stream: str, subject: str) -> AsyncGenerator[Any, None]:
@@ -506,7 +506,7 @@ async def test_a_hint_alone_takes_no_goal_away() -> None:
 async def test_a_hint_is_ignored_while_the_brokers_do_not_answer(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async def get(_stream: str, _subject: str) -> Record | None:
+    async def get(_stream: str, _subject: str) -> BrokerRecord | None:
         raise BrokerAway("on purpose")
 
     async with MemoryBrokers() as shared, member(shared, "a") as a:

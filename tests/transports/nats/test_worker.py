@@ -15,7 +15,7 @@ from fibaction_transports.nats.broker.broker import BrokerAway
 from fibaction_transports.nats.client.connection import open_fleet
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import (
-    Question,
+    RoomQuestion,
     ServedAction,
     encode,
     lease_entry,
@@ -102,7 +102,7 @@ async def test_a_gateway_keeps_nothing_and_always_has_room() -> None:
             worker.serve([server]),
         ):
             assert lease(shared).actions == (ServedAction(COUNT.info, is_kept=False),)
-            asked = encode(Question(99))
+            asked = encode(RoomQuestion(99))
             answer = await shared.member().request(NAMES.offer("count"), asked, 5)
             assert (offer(answer).worker, offer(answer).goals) == ("robot", 16)
 
@@ -228,5 +228,5 @@ async def test_listening_is_tried_again_when_the_brokers_did_not_answer(
         async with serving(broker, ActionServer(COUNT, count)):
             assert not cuts
             await sleep(1)
-            answer = await shared.member().request(NAMES.offer("count"), encode(Question(1)), 5)
+            answer = await shared.member().request(NAMES.offer("count"), encode(RoomQuestion(1)), 5)
             assert offer(answer).worker == "robot"

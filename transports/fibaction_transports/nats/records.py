@@ -2,7 +2,7 @@
 
 `GoalEntry` is the record of a goal. Whoever writes it names the sequence of the entry that it
 replaces, so exactly one worker can: the entry is the ownership. `LeaseEntry` is the record of a
-worker, which says that it is there; it ends by its time to live. `Question` and `Offer` are
+worker, which says that it is there; it ends by its time to live. `RoomQuestion` and `RoomOffer` are
 messages, by which a client finds a worker for new goals.
 
 Workers are told apart by incarnation, and not by name: a name may be used again.
@@ -63,14 +63,14 @@ class LeaseEntry(msgspec.Struct, array_like=True):
     cleared_by: str = ""
 
 
-class Question(msgspec.Struct, array_like=True, frozen=True):
+class RoomQuestion(msgspec.Struct, array_like=True, frozen=True):
     """The message of a client that has new goals of an action."""
 
     goals: int
     """The number of goals, at least 1."""
 
 
-class Offer(msgspec.Struct, array_like=True, frozen=True):
+class RoomOffer(msgspec.Struct, array_like=True, frozen=True):
     """The answer of a worker: it takes at most so many goals now."""
 
     worker: str
@@ -91,8 +91,8 @@ encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 
 _goal_decoder = msgspec.msgpack.Decoder(GoalEntry, dec_hook=_made)
 _lease_decoder = msgspec.msgpack.Decoder(LeaseEntry)
-_question_decoder = msgspec.msgpack.Decoder(Question)
-_offer_decoder = msgspec.msgpack.Decoder(Offer)
+_question_decoder = msgspec.msgpack.Decoder(RoomQuestion)
+_offer_decoder = msgspec.msgpack.Decoder(RoomOffer)
 
 
 def _decoded(decoder: msgspec.msgpack.Decoder[Any], data: bytes, name: str) -> Any:
@@ -122,21 +122,21 @@ def lease_entry(data: bytes) -> LeaseEntry:
     return entry
 
 
-def question(data: bytes) -> Question:
+def question(data: bytes) -> RoomQuestion:
     """Return the question of a client.
 
     Raises:
         ProtocolError: The bytes are not one.
     """
-    asked: Question = _decoded(_question_decoder, data, "a question")
+    asked: RoomQuestion = _decoded(_question_decoder, data, "a question")
     return asked
 
 
-def offer(data: bytes) -> Offer:
+def offer(data: bytes) -> RoomOffer:
     """Return the offer of a worker.
 
     Raises:
         ProtocolError: The bytes are not one.
     """
-    offered: Offer = _decoded(_offer_decoder, data, "an offer")
+    offered: RoomOffer = _decoded(_offer_decoder, data, "an offer")
     return offered

@@ -17,7 +17,7 @@ from fibaction._runtime.text import excerpt
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost, ProtocolError, ServerNotFound
 from fibaction.words.goals import WorkerInfo
-from fibaction_transports.nats.broker.broker import Broker, BrokerAway, Record, Watch
+from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRecord, BrokerWatch
 from fibaction_transports.nats.names import FleetNames, last_token
 from fibaction_transports.nats.records import LeaseEntry, lease_entry
 
@@ -153,7 +153,7 @@ class FleetWorkers:
                 logger.debug("the leases cannot be watched: %s", exc)
                 await anyio.sleep(PAUSE)
 
-    async def _follow(self, watch: Watch) -> None:
+    async def _follow(self, watch: BrokerWatch) -> None:
         while True:
             records = await watch.next()
             if records is None:
@@ -173,7 +173,7 @@ class FleetWorkers:
             if record is None or not record.data:
                 self._forget(token)
 
-    def _take(self, record: Record) -> None:
+    def _take(self, record: BrokerRecord) -> None:
         token = last_token(record.subject)
         lease: LeaseEntry | None = None
         try:

@@ -35,7 +35,7 @@ class Message(NamedTuple):
     """True if it is the broker's answer to a message whose subject has no subscriber."""
 
 
-class Record(NamedTuple):
+class BrokerRecord(NamedTuple):
     """The newest record of a subject."""
 
     subject: str
@@ -78,7 +78,7 @@ class BrokerAway(Exception):
     """The broker did not answer in time; the text says what was asked."""
 
 
-class Subscription(ABC):
+class BrokerSubscription(ABC):
     """A subscription to messages, until it is closed."""
 
     @abstractmethod
@@ -86,11 +86,11 @@ class Subscription(ABC):
         """Get no more messages. Closing twice is harmless."""
 
 
-class Watch(ABC):
+class BrokerWatch(ABC):
     """The records of some subjects, and then each change."""
 
     @abstractmethod
-    async def next(self) -> list[Record] | None:
+    async def next(self) -> list[BrokerRecord] | None:
         """Return the next records, in the order of their sequences; None once, when all records
         that were there at first have been returned.
 
@@ -131,7 +131,9 @@ class Broker(ABC):
         """
 
     @abstractmethod
-    async def subscribe(self, subject: str, on_message: OnMessage, queue: str = "") -> Subscription:
+    async def subscribe(
+        self, subject: str, on_message: OnMessage, queue: str = ""
+    ) -> BrokerSubscription:
         """Get the messages of a subject, from when this returns on; with a queue, each goes to one
         member of the queue only.
 
@@ -186,7 +188,7 @@ class Broker(ABC):
         """
 
     @abstractmethod
-    async def get(self, stream: str, subject: str) -> Record | None:
+    async def get(self, stream: str, subject: str) -> BrokerRecord | None:
         """Return the newest record of a subject, which may be a marker; None if there is none.
 
         Raises:
@@ -194,7 +196,7 @@ class Broker(ABC):
         """
 
     @abstractmethod
-    def watch(self, stream: str, subject: str) -> AbstractAsyncContextManager[Watch]:
+    def watch(self, stream: str, subject: str) -> AbstractAsyncContextManager[BrokerWatch]:
         """Watch the records of a subject, which may have wildcards, while the block lasts.
 
         Raises:

@@ -3,16 +3,15 @@
 Theory of operation
 -------------------
 
-nats-py is not used, for these reasons:
+`Dialer` makes each connection, with the login. nats-py is not used, for these reasons:
 
 - Its methods swallow cancellation in places, and need tasks and futures for each message. Here
-  callers put commands into a queue; `_write` joins those of one turn of the event loop, and writes
-  them at once.
+  callers put commands into a queue, and `_write` joins those of one turn of the event loop.
 - Its way to connect again keeps commands of the lost connection, may wait for ever until the lost
   one is closed, and ends for good after some errors. Here `keep_connected` connects again, and
-  subscribes to everything again. `Dialer` makes each connection, with the login.
-- Its `close` waits for a broker that is frozen. Here the messages before are flushed, within a
-  limit of time, and then the socket is closed at once.
+  subscribes to everything again.
+- Its `close` waits for a broker that is frozen. Here the messages before are flushed within a limit
+  of time, and then the socket is closed at once.
 
 Answers to all requests come to one subject, `_INBOX.<random>.<number>`, so a request needs neither
 a subscription nor a task of its own.
@@ -42,7 +41,7 @@ from fibaction_transports.nats.broker.answers import (
     PendingAnswers,
     RawMessage,
 )
-from fibaction_transports.nats.broker.broker import BrokerAway, NoResponders, Subscription
+from fibaction_transports.nats.broker.broker import BrokerAway, BrokerSubscription, NoResponders
 from fibaction_transports.nats.broker.broker_socket import BrokerSocket, published
 from fibaction_transports.nats.broker.dial import Dialer
 from fibaction_transports.nats.broker.login import BrokerInfo
@@ -62,7 +61,7 @@ ANSWERS = 1
 logger = clean_logger("fibaction.nats")
 
 
-class _Command(NamedTuple):
+class _Outgoing(NamedTuple):
     """A message to send."""
 
     subject: str
@@ -73,7 +72,7 @@ class _Command(NamedTuple):
     """The request that it is; empty if it is none."""
 
 
-class _Subscribed(Subscription):
+class _Subscribed(BrokerSubscription):
     """A subscription, on each connection anew."""
 
     def __init__(self, client: NatsClient, number: int, subject: str, queue: str) -> None:
@@ -107,7 +106,7 @@ class NatsClient:
         self._settings = settings
         self._servers = list(settings.servers)
         self._socket: BrokerSocket | None = None
-        self._commands: deque[_Command | _Subscribed] = deque()
+        self._commands: deque[_Outgoing | _Subscribed] = deque()
         self._queued = 0  # bytes
         self._is_due = False
         self._pending = PendingAnswers(self.new_inbox())
@@ -140,7 +139,7 @@ class NatsClient:
         self, subject: str, data: bytes, reply: str = "", headers: dict[str, str] | None = None
     ) -> None:
         """Send a message soon."""
-        self._send(_Command(subject, data, reply, headers, ""))
+        self._send(_Outgoing(subject, data, reply, headers, ""))
 
     def ask(
         self, subject: str, data: bytes, headers: dict[str, str] | None, then: OnAnswer
@@ -148,7 +147,7 @@ class NatsClient:
         """Send a message, and call `then` with the answer, or with None after `ACK_TIMEOUT`."""
         number = self._pending.number()
         self._pending.call_back(number, then)
-        self._send(_Command(subject, data, self._pending.subject(number), headers, number))
+        self._send(_Outgoing(subject, data, self._pending.subject(number), headers, number))
 
     async def request(self, subject: str, data: bytes, timeout: float) -> RawMessage:
         """Send a message, and return the first answer.
@@ -158,7 +157,7 @@ class NatsClient:
             BrokerAway: There was no answer within `timeout` seconds.
         """
         number = self._pending.number()
-        command = _Command(subject, data, self._pending.subject(number), None, number)
+        command = _Outgoing(subject, data, self._pending.subject(number), None, number)
         message = await self._answer_to(command, timeout)
         if message.status == NO_RESPONDERS:
             raise NoResponders(f"{subject} has no subscriber")
@@ -171,10 +170,10 @@ class NatsClient:
             BrokerAway: There is no connection.
         """
         number = self._pending.number()
-        command = _Command(self._pending.subject(number), b"", "", None, number)
+        command = _Outgoing(self._pending.subject(number), b"", "", None, number)
         await self._answer_to(command, timeout)
 
-    async def _answer_to(self, command: _Command, timeout: float) -> RawMessage:
+    async def _answer_to(self, command: _Outgoing, timeout: float) -> RawMessage:
         answer = self._pending.expect(command.number)
         self._send(command)
         try:
@@ -185,7 +184,9 @@ class NatsClient:
         finally:
             self._pending.forget(command.number)
 
-    async def subscribe(self, subject: str, on_message: OnRaw, queue: str = "") -> Subscription:
+    async def subscribe(
+        self, subject: str, on_message: OnRaw, queue: str = ""
+    ) -> BrokerSubscription:
         """Get the messages of a subject, from when this returns on.
 
         Raises:
@@ -224,8 +225,8 @@ class NatsClient:
         """Return a subject for messages to this client that are not answers."""
         return f"_INBOX.{secrets.token_hex(11)}"
 
-    def _send(self, command: _Command | _Subscribed) -> None:
-        if isinstance(command, _Command):
+    def _send(self, command: _Outgoing | _Subscribed) -> None:
+        if isinstance(command, _Outgoing):
             if self._queued > MAX_QUEUED and not (command.number or self.is_connected):
                 return
             self._queued += len(command.data)
@@ -281,7 +282,7 @@ class NatsClient:
 
     def _give_up_answers(self) -> None:
         """Fail all requests that were sent: their answers went to the lost connection."""
-        unsent = {one.number for one in self._commands if isinstance(one, _Command)}
+        unsent = {one.number for one in self._commands if isinstance(one, _Outgoing)}
         self._pending.give_up(unsent, f"the connection to {self.url} was lost")
 
     async def _connect_again(self) -> None:
@@ -323,9 +324,7 @@ class NatsClient:
             one.is_sent = False
         socket.write(b"".join(one.command() for one in self._subscribed.values()))
         self.info = socket.info
-        for url in self.info.connect_urls:
-            if url not in self._servers:
-                self._servers.append(url)
+        self._servers += [one for one in self.info.connect_urls if one not in self._servers]
         self.connections += 1
         self._notify()
         self._write()

@@ -17,16 +17,16 @@ from fibaction_transports.nats.broker.answers import ACK_TIMEOUT, NO_RESPONDERS,
 from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,
+    BrokerRecord,
+    BrokerSubscription,
+    BrokerWatch,
     Message,
     NoResponders,
     Note,
     OnMessage,
     PutError,
     PutFailure,
-    Record,
     Stored,
-    Subscription,
-    Watch,
 )
 from fibaction_transports.nats.broker.client import NatsClient
 from fibaction_transports.nats.broker.note_queue import NoteQueue
@@ -58,7 +58,9 @@ class NatsBroker(Broker):
     def publish(self, subject: str, data: bytes, reply: str = "") -> None:
         self._client.publish(subject, data, reply)
 
-    async def subscribe(self, subject: str, on_message: OnMessage, queue: str = "") -> Subscription:
+    async def subscribe(
+        self, subject: str, on_message: OnMessage, queue: str = ""
+    ) -> BrokerSubscription:
         def on_raw(raw: RawMessage) -> None:
             on_message(Message(raw.subject, raw.data, raw.reply, raw.status == NO_RESPONDERS))
 
@@ -97,7 +99,7 @@ class NatsBroker(Broker):
             headers["Nats-TTL"] = str(max(1, math.ceil(ttl)))
         self._client.ask(subject, data, headers, lambda answer: then(_outcome(answer)))
 
-    async def get(self, stream: str, subject: str) -> Record | None:
+    async def get(self, stream: str, subject: str) -> BrokerRecord | None:
         try:
             if self.brokers > 1:
                 return await self._get_from_leader(stream, subject)
@@ -112,9 +114,9 @@ class NatsBroker(Broker):
             return None
         if answer.status:
             raise BrokerAway(f"the stream {stream} does not answer: {answer.status}")
-        return Record(subject, answer.data, int(answer.headers["Nats-Sequence"]))
+        return BrokerRecord(subject, answer.data, int(answer.headers["Nats-Sequence"]))
 
-    async def _get_from_leader(self, stream: str, subject: str) -> Record | None:
+    async def _get_from_leader(self, stream: str, subject: str) -> BrokerRecord | None:
         """Return the newest record: the other brokers, who answer as well, may have an old one."""
         asked = msgspec.json.encode({"last_by_subj": subject})
         try:
@@ -124,9 +126,9 @@ class NatsBroker(Broker):
                 return None
             raise BrokerAway(f"the stream {stream} does not answer: {exc}") from exc
         found = answer["message"]
-        return Record(subject, base64.b64decode(found.get("data", "")), found["seq"])
+        return BrokerRecord(subject, base64.b64decode(found.get("data", "")), found["seq"])
 
-    def watch(self, stream: str, subject: str) -> AbstractAsyncContextManager[Watch]:
+    def watch(self, stream: str, subject: str) -> AbstractAsyncContextManager[BrokerWatch]:
         return watch_records(self._client, stream, subject)
 
     # Notes

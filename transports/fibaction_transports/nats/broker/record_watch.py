@@ -26,10 +26,10 @@ from fibaction_transports.nats.broker import jetstream
 from fibaction_transports.nats.broker.answers import RawMessage
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,
+    BrokerRecord,
+    BrokerSubscription,
+    BrokerWatch,
     NoResponders,
-    Record,
-    Subscription,
-    Watch,
 )
 from fibaction_transports.nats.broker.client import NatsClient
 
@@ -41,17 +41,17 @@ TRY_AGAIN = 1.0
 """Seconds until a stream that is missing is looked for again."""
 
 
-class RecordWatch(Watch):
+class RecordWatch(BrokerWatch):
     """The records of a subject, and then each change."""
 
     def __init__(self, client: NatsClient, stream: str, subject: str) -> None:
         self._client = client
         self._stream = stream
         self._subject = subject
-        self._inbox: Subscription | None = None
+        self._inbox: BrokerSubscription | None = None
         self._consumer = ""
         self._connection = 0  # the one that the consumer belongs to
-        self._records: list[Record] = []
+        self._records: list[BrokerRecord] = []
         self._taken = 0  # what the consumer has delivered
         self._is_complete = False  # all records that were there at first have come
         self._is_told = False  # and `next` has said so
@@ -62,7 +62,7 @@ class RecordWatch(Watch):
         self._news = Notifier()
         client.to_notify.add(self._news)
 
-    async def next(self) -> list[Record] | None:
+    async def next(self) -> list[BrokerRecord] | None:
         while True:
             if self._is_stale():
                 await self._begin()
@@ -151,7 +151,7 @@ class RecordWatch(Watch):
                 self._is_broken = True
             elif not self._is_broken:
                 self._taken = number
-                self._records.append(Record(message.subject, message.data, sequence))
+                self._records.append(BrokerRecord(message.subject, message.data, sequence))
                 if not pending:
                     self._is_complete = True
         self._news.notify()

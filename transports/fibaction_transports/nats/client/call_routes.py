@@ -50,7 +50,7 @@ LOOKS = 32
 logger = clean_logger("fibaction.nats")
 
 
-class Found(NamedTuple):
+class FoundGoal(NamedTuple):
     """A goal that has a record."""
 
     goal: StoredGoal
@@ -84,7 +84,7 @@ class CallRoutes:
         connections.on_lost = self.lose
         workers.on_gone = connections.end
 
-    async def find(self, action: str, goal_id: GoalID) -> Found | None:
+    async def find(self, action: str, goal_id: GoalID) -> FoundGoal | None:
         """Return the goal as its record tells it; None if it has none.
 
         Raises:
@@ -101,7 +101,7 @@ class CallRoutes:
         if record is None or not record.data:
             return None
         entry: GoalEntry = goal_entry(record.data)
-        return Found(entry.goal, self._workers.has(entry.goal.worker, entry.incarnation))
+        return FoundGoal(entry.goal, self._workers.has(entry.goal.worker, entry.incarnation))
 
     async def changes(self, pause: float) -> None:
         """Wait until a worker comes or goes, for `pause` seconds at most."""

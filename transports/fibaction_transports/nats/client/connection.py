@@ -8,7 +8,7 @@ that has goals of it. Its parts know each other in one direction only:
 
 - `FleetWorkers` knows which workers are alive, from their leases.
 - `WorkerConnections` has the wire connections, with one session for all of them.
-- `Places` finds a worker that has room for a new goal.
+- `RoomFinder` finds a worker that has room for a new goal.
 - `CallRoutes` reads records, and leads goals to their owners when they are lost.
 - `AllStatuses` follows the statuses of all goals, from their records.
 - `FleetEndpoint` turns the methods of an `Endpoint` into calls at workers.
@@ -32,7 +32,7 @@ from fibaction.words.goals import ActionPeers, WorkerInfo
 from fibaction_transports.nats.broker.broker import Broker
 from fibaction_transports.nats.client.call_routes import CallRoutes
 from fibaction_transports.nats.client.endpoint import FleetEndpoint
-from fibaction_transports.nats.client.free_workers import Places
+from fibaction_transports.nats.client.free_workers import RoomFinder
 from fibaction_transports.nats.client.parts import FleetParts
 from fibaction_transports.nats.client.statuses import AllStatuses
 from fibaction_transports.nats.client.worker_connections import Lines, WorkerConnections
@@ -60,7 +60,7 @@ class FleetConnection(Connection):
         self._connections = WorkerConnections(lines, settings, tasks)
         self._routes = CallRoutes(broker, names, self._workers, self._connections, tasks, patience)
         self._statuses = AllStatuses(broker, names, self._workers, self._connections, tasks)
-        places = Places(broker, names, self._workers, tasks, max(patience, LISTING))
+        places = RoomFinder(broker, names, self._workers, tasks, max(patience, LISTING))
         self._parts = FleetParts(
             self._workers,
             self._connections,

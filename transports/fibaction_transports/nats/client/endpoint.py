@@ -1,8 +1,32 @@
 """`FleetEndpoint`: an action that any number of workers of a fleet serve.
 
-A goal has one owner, which its record names. So a request about one goal goes to the owner, and if
-there is none, to all workers: one of them may still be deciding on the goal, or be a gateway, whose
-goals have no records. A request about many goals goes to all workers, and their answers are merged.
+Theory of operation
+-------------------
+
+A goal has one owner, which its record at the brokers names. A worker owns a goal when its write of
+the record is the first one over the record before, so two workers never own one goal.
+
+*Which worker gets a goal.* `RoomFinder` asks the workers that have room, and the brokers pass the
+question to one of them: one that can run the goal now, or else one with room in its queue. The goal
+is sent to that worker over a wire connection. The worker writes the record, and then accepts. If
+it is busy by now, another worker is tried, until all have rejected the goal; any other rejection
+is the answer. If the connection is lost before the answer, the record says what became of the
+goal. With an owner that lives, the goal is sent again there, where its ID shows that it is the
+same one. If it has ended and its owner is gone, its end is taken from the record. Without a
+record no worker has accepted it, and any worker is tried.
+
+*How a goal moves.* When the lease of a worker ends, when it lets go of a goal, or when a goal waits
+there and another worker could run it, that other worker writes itself into the record: see
+`takeover`. The client takes no part in it. `CallRoutes` reads the record until the owner lives, and
+moves the same `RemoteGoal` to the connection to that worker, where it goes on after the last
+feedback that has arrived.
+
+*What a client follows.* A goal is followed at its owner, which `feedback` finds by the record, and
+the statuses of all goals are followed in their records (`AllStatuses`). Gateways are workers whose
+goals have no records. So a goal without a record may be at any of them, and does not move.
+
+*Requests about many goals*, or about one without a record, go to all workers, and their answers are
+merged. Each call tries for `reconnect_timeout` seconds from its first failure (`RetryTime`).
 """
 
 from __future__ import annotations
@@ -39,11 +63,11 @@ from fibaction.words.goals import (
 )
 from fibaction.words.meta import Meta, checked_meta, size_of
 from fibaction_transports.nats.client.call_routes import (
-    Found,
+    FoundGoal,
     ended_goal,
 )
 from fibaction_transports.nats.client.free_workers import Place
-from fibaction_transports.nats.client.parts import FleetParts, Patience, Trial
+from fibaction_transports.nats.client.parts import FleetParts, Placement, RetryTime
 
 T = TypeVar("T")
 
@@ -87,18 +111,18 @@ class FleetEndpoint(Endpoint):
             allowed = credit if feedback else None
             return SendGoal(call_id, self._info.name, goal_id, goal, allowed, meta=carried)
 
-        trial = Trial(self._parts, self._info.name)
+        placement = Placement(self._parts, self._info.name)
         places = self._parts.places
         while True:
             place = Place("")
             try:
                 # The end of a lease says that a goal is lost, so the leases are needed.
                 await self._parts.workers.ready()
-                if trial.owner:
-                    place = Place(trial.owner)
+                if placement.owner:
+                    place = Place(placement.owner)
                 else:
                     place = await places.take(self._info.name)
-                trial.worker = place.worker
+                placement.worker = place.worker
                 sent = await self._follow(place.worker, goal_id, request, deadline)
                 places.fill(self._info.name, place, sent)
                 return sent
@@ -107,22 +131,22 @@ class FleetEndpoint(Endpoint):
             if place.is_used and isinstance(error, GoalRejected) and error.is_busy:
                 places.refuse(self._info.name, place)
                 continue
-            if trial.is_decided_by(error):
+            if placement.is_decided_by(error):
                 raise error
-            if not isinstance(error, ConnectionLost) and trial.worker and not trial.owner:
-                await trial.patience.wait(error)  # another worker may have room
+            if not isinstance(error, ConnectionLost) and placement.worker and not placement.owner:
+                await placement.patience.wait(error)  # another worker may have room
                 continue
             # Its answer may be lost, or another client may have sent the same goal before.
-            found = await self._found(goal_id, trial.patience)
-            if found is None and not trial.worker:
+            found = await self._found(goal_id, placement.patience)
+            if found is None and not placement.worker:
                 raise error
             if found is not None and found.goal.ended_at and not found.is_alive:
                 return self._ended_sent(found, goal, request)
-            if not trial.goes_to(found):
-                await trial.patience.wait(error)
+            if not placement.goes_to(found):
+                await placement.patience.wait(error)
 
     def _ended_sent(
-        self, found: Found, goal: bytes, request: Callable[[int, int], SendGoal]
+        self, found: FoundGoal, goal: bytes, request: Callable[[int, int], SendGoal]
     ) -> RemoteGoal:
         """Return a goal that was sent again, and has ended before.
 
@@ -149,7 +173,7 @@ class FleetEndpoint(Endpoint):
         def request(call_id: int, credit: int) -> Follow:
             return Follow(call_id, self._info.name, goal_id, after, own, credit, attempt)
 
-        patience = Patience(self._parts.routes)
+        patience = RetryTime(self._parts.routes)
         while True:
             found = await self._found(goal_id, patience)
             if found is None:
@@ -193,7 +217,7 @@ class FleetEndpoint(Endpoint):
         return await self._cancel_at_all(goal_id, stamp)
 
     async def _cancel_one(self, goal_id: GoalID) -> CancelAnswer:
-        patience = Patience(self._parts.routes)
+        patience = RetryTime(self._parts.routes)
         while True:
             found = await self._found(goal_id, patience)
             if found is None:
@@ -244,7 +268,7 @@ class FleetEndpoint(Endpoint):
 
     # Parts of these
 
-    async def _found(self, goal_id: GoalID, patience: Patience) -> Found | None:
+    async def _found(self, goal_id: GoalID, patience: RetryTime) -> FoundGoal | None:
         """Return the goal by its record; wait for the brokers, if they are away."""
         while True:
             try:
@@ -288,7 +312,7 @@ class FleetEndpoint(Endpoint):
         errors: list[ActionError] = []
 
         async def ask_one(worker: str) -> None:
-            patience = Patience(self._parts.routes)
+            patience = RetryTime(self._parts.routes)
             while True:
                 try:
                     answers.append(await ask(worker))
@@ -317,7 +341,7 @@ class FleetEndpoint(Endpoint):
         return answers
 
 
-def _gone(found: Found) -> ConnectionLost:
+def _gone(found: FoundGoal) -> ConnectionLost:
     goal = found.goal
     return ConnectionLost(
         f"worker {excerpt(goal.worker)!r}, which has goal {goal.goal_id}, is gone"

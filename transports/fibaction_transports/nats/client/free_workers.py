@@ -1,9 +1,9 @@
-"""`Places`: workers that have room for the new goals of a client.
+"""`RoomFinder`: finds workers that have room for the new goals of a client.
 
-A client that has new goals asks all workers of the action at once, and one of those that have room
-answers with the number of goals that it takes (`Question`, `Offer`). There is one question at a
-time for each action, for as many goals as wait by then: a hundred goals that are sent at once cost
-few questions.
+A client that has new goals asks all workers of the action at once (`RoomQuestion`), and one of
+those that have room answers with the number of goals that it takes (`RoomOffer`). There is one
+question at a time for each action, for as many goals as wait by then: a hundred goals that are sent
+at once cost few questions.
 
 An offer tells that a worker has room. For `OFFER_LIFE` seconds after it, the place of a goal that
 has ended there is used again without another question, so goals that are quick need few questions,
@@ -38,7 +38,7 @@ from fibaction.words.errors import (
 )
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway, NoResponders
 from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.records import Question, encode, offer
+from fibaction_transports.nats.records import RoomQuestion, encode, offer
 from fibaction_transports.nats.workers import FleetWorkers
 
 FIRST_WAIT, LONGEST_WAIT = 0.25, 2.0
@@ -74,7 +74,7 @@ class _Ticket:
         self.error: ActionError | None = None
 
 
-class Places:
+class RoomFinder:
     """Finds workers for new goals."""
 
     def __init__(
@@ -173,7 +173,7 @@ class Places:
 
     async def _offered(self, action: str, goals: int) -> tuple[Place, int]:
         """Return a place, and the number of goals that the worker takes."""
-        question = encode(Question(goals))
+        question = encode(RoomQuestion(goals))
         wait = FIRST_WAIT
         began = current_time()
         while True:

@@ -1,6 +1,6 @@
 """`FleetParts`: the parts of a connection to a fleet, and how long a call tries to find a worker.
 
-`Patience` limits the time, and `Trial` knows the workers that one goal was sent to.
+`RetryTime` limits the time, and `Placement` knows the workers that one goal was sent to.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from fibaction_transports.nats.client.call_routes import (
     FIRST_PAUSE,
     LONGEST_PAUSE,
     CallRoutes,
-    Found,
+    FoundGoal,
 )
-from fibaction_transports.nats.client.free_workers import Places
+from fibaction_transports.nats.client.free_workers import RoomFinder
 from fibaction_transports.nats.client.statuses import AllStatuses
 from fibaction_transports.nats.client.worker_connections import WorkerConnections
 from fibaction_transports.nats.workers import FleetWorkers
@@ -28,7 +28,7 @@ class FleetParts:
         workers: FleetWorkers,
         connections: WorkerConnections,
         routes: CallRoutes,
-        places: Places,
+        places: RoomFinder,
         statuses: AllStatuses,
         max_record: int,
     ) -> None:
@@ -40,7 +40,7 @@ class FleetParts:
         self.max_record = max_record
 
 
-class Patience:
+class RetryTime:
     """The time that a call has, from its first failure, to find a worker."""
 
     def __init__(self, routes: CallRoutes) -> None:
@@ -59,14 +59,14 @@ class Patience:
         self._pause = min(2 * self._pause, LONGEST_PAUSE)
 
 
-class Trial:
+class Placement:
     """One goal that is to be sent, and the workers that it was sent to."""
 
     def __init__(self, parts: FleetParts, action: str) -> None:
         self._parts = parts
         self._action = action
         self._refused: set[str] = set()
-        self.patience = Patience(parts.routes)
+        self.patience = RetryTime(parts.routes)
         self.owner = ""
         """The worker that has the goal by its record; empty if it may go to any."""
         self.worker = ""
@@ -87,7 +87,7 @@ class Trial:
         serving = self._parts.workers.serving(self._action)
         return self._refused.issuperset(lease.worker for lease in serving)
 
-    def goes_to(self, found: Found | None) -> bool:
+    def goes_to(self, found: FoundGoal | None) -> bool:
         """Go to the owner of the goal next, or to any worker if it has none; return whether that
         can be at once.
         """

@@ -39,7 +39,7 @@ from fibaction.words.errors import (
 )
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
-from fibaction_transports.nats.broker.broker import Broker, BrokerAway, Record, Watch
+from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRecord, BrokerWatch
 from fibaction_transports.nats.client.worker_connections import WorkerConnections
 from fibaction_transports.nats.names import FleetNames, last_token
 from fibaction_transports.nats.records import GoalEntry, goal_entry
@@ -178,11 +178,11 @@ class FleetStatuses:
                     logger.debug("the records of %s cannot be watched: %s", self._action, exc)
                     await anyio.sleep(PAUSE)
 
-    def _watched(self) -> AbstractAsyncContextManager[Watch]:
+    def _watched(self) -> AbstractAsyncContextManager[BrokerWatch]:
         names = self._shared.names
         return self._shared.broker.watch(names.goals, names.goal(self._action))
 
-    async def _read(self, watch: Watch) -> None:
+    async def _read(self, watch: BrokerWatch) -> None:
         while True:
             records = await watch.next()
             if records is not None:
@@ -217,7 +217,7 @@ class FleetStatuses:
             if subject not in listed:
                 self._forget(subject)
 
-    def _take_all(self, records: Iterable[Record]) -> None:
+    def _take_all(self, records: Iterable[BrokerRecord]) -> None:
         if not self._is_ready:
             records = sorted(records, key=lambda record: record.sequence)
         for record in records:
@@ -226,7 +226,7 @@ class FleetStatuses:
             if record.sequence > self._sequences.get(record.subject, 0):
                 self._take(record)
 
-    def _take(self, record: Record) -> None:
+    def _take(self, record: BrokerRecord) -> None:
         if not record.data:
             self._forget(record.subject)
             return

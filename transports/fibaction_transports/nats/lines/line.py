@@ -12,7 +12,7 @@ from collections.abc import Callable
 from fibaction.wire.channel import Line
 from fibaction.wire.frames import MAX_FRAME, FrameReader
 from fibaction.words.errors import ConnectionLost
-from fibaction_transports.nats.broker.broker import Broker, Message, Subscription
+from fibaction_transports.nats.broker.broker import Broker, BrokerSubscription, Message
 from fibaction_transports.nats.lines.piece_line import CLOSED, DATA, OPEN, PieceLine, message_of
 from fibaction_transports.nats.names import FleetNames
 
@@ -35,7 +35,7 @@ class ClientLines:
         self._max_frame = max_frame
         self._lines: dict[str, PieceLine] = {}
         self._last = 0
-        self._subscription: Subscription | None = None
+        self._subscription: BrokerSubscription | None = None
 
     async def open(self) -> None:
         """Begin to listen for workers.
@@ -100,7 +100,7 @@ class WorkerLines:
         self._new_reader = new_reader
         self._start = start
         self._lines: dict[str, PieceLine] = {}
-        self._subscription: Subscription | None = None
+        self._subscription: BrokerSubscription | None = None
 
     async def open(self) -> None:
         """Begin to listen for clients.

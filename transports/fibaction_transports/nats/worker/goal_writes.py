@@ -23,7 +23,7 @@ from copy import copy
 from fibaction.border.goal_store import GoalTaken, StoredGoal, Then
 from fibaction.words.errors import ProtocolError, StoreError
 from fibaction.words.goals import GoalID
-from fibaction_transports.nats.broker.broker import Record
+from fibaction_transports.nats.broker.broker import BrokerRecord
 from fibaction_transports.nats.records import NONCE_SIZE, GoalEntry, encode, goal_entry
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE, LONGEST_PAUSE
 
@@ -87,7 +87,7 @@ class HeldGoal:
         """Return whether a write is the one that is under way."""
         return bool(self.writes) and self.writes[0] is write
 
-    def sequence_for(self, write: Write, record: Record | None) -> int | None:
+    def sequence_for(self, write: Write, record: BrokerRecord | None) -> int | None:
         """Return the sequence to write over, by the record that was read after a doubtful write;
         `IS_STORED` if the write is stored, None if the goal is taken.
         """

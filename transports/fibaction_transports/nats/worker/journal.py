@@ -26,7 +26,13 @@ from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import GoalJournal, RecordTooLarge, StoredGoal, Then
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import GoalID
-from fibaction_transports.nats.broker.broker import Broker, BrokerAway, PutError, PutFailure, Record
+from fibaction_transports.nats.broker.broker import (
+    Broker,
+    BrokerAway,
+    BrokerRecord,
+    PutError,
+    PutFailure,
+)
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.worker.goal_writes import (
     IS_STORED,
@@ -274,7 +280,7 @@ class FleetJournal(GoalJournal):
     def __len__(self) -> int:
         return len(self._held)
 
-    async def take(self, record: Record, goal: StoredGoal) -> bool:
+    async def take(self, record: BrokerRecord, goal: StoredGoal) -> bool:
         """Take a goal over from its owner; return whether that was successful."""
         if goal.goal_id in self._held:
             return False

@@ -30,7 +30,13 @@ from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.text import excerpt
 from fibaction.words.errors import ProtocolError, TransportError
-from fibaction_transports.nats.broker.broker import Broker, BrokerAway, PutError, PutFailure, Record
+from fibaction_transports.nats.broker.broker import (
+    Broker,
+    BrokerAway,
+    BrokerRecord,
+    PutError,
+    PutFailure,
+)
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import (
     INCARNATION_SIZE,
@@ -177,7 +183,7 @@ class Membership:
             await sleep(pause)
             pause = min(2 * pause, self.lease / RENEWALS / 2, LONGEST_PAUSE)
 
-    def _holder(self, record: Record | None) -> LeaseEntry | None:
+    def _holder(self, record: BrokerRecord | None) -> LeaseEntry | None:
         """Return the lease of another process under this name; None if there is none."""
         if record is None or not record.data:
             return None
@@ -290,7 +296,7 @@ class Membership:
         return True
 
     @staticmethod
-    def _has(record: Record, incarnation: bytes) -> bool:
+    def _has(record: BrokerRecord, incarnation: bytes) -> bool:
         try:
             return lease_entry(record.data).incarnation == incarnation
         except ProtocolError:

@@ -13,9 +13,9 @@ from anyio.lowlevel import checkpoint
 
 from fibaction._runtime.notify import Notifier
 from fibaction.words.errors import ProtocolError
-from fibaction_transports.nats.broker.broker import Broker, BrokerAway, Message, Subscription
+from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerSubscription, Message
 from fibaction_transports.nats.names import OFFER_GROUP, FleetNames
-from fibaction_transports.nats.records import Offer, encode, question
+from fibaction_transports.nats.records import RoomOffer, encode, question
 from fibaction_transports.nats.worker.lease import LONGEST_PAUSE, Membership
 from fibaction_transports.nats.worker.store import FleetStore
 
@@ -34,7 +34,7 @@ class Offers:
         self._membership = membership
         self._store = store
         self._news = Notifier()
-        self._open: dict[str, Subscription] = {}
+        self._open: dict[str, BrokerSubscription] = {}
         self._busy = 0  # the actions whose subscriptions are not as they should be
         self._ready = Notifier()
 
@@ -110,4 +110,4 @@ class Offers:
             return
         # Without room by now, one goal is sent here, and then elsewhere.
         goals = max(1, min(asked.goals, MOST, sum(self._room(action))))
-        self._broker.publish(message.reply, encode(Offer(self._membership.worker, int(goals))))
+        self._broker.publish(message.reply, encode(RoomOffer(self._membership.worker, int(goals))))

@@ -36,11 +36,11 @@ from fibaction.words.statuses import GoalStatus
 from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,
+    BrokerRecord,
     Message,
     Note,
     PutError,
     PutFailure,
-    Record,
 )
 from fibaction_transports.nats.names import FleetNames, action_of, last_token
 from fibaction_transports.nats.records import (
@@ -267,7 +267,9 @@ class Takeover:
                 self._broker.publish(self._names.taken(former), record.subject.encode())
             await self._wait_for_begin(journal, entry.goal.goal_id)
 
-    async def _found(self, journal: FleetJournal, note: Note) -> tuple[Record, GoalEntry] | None:
+    async def _found(
+        self, journal: FleetJournal, note: Note
+    ) -> tuple[BrokerRecord, GoalEntry] | None:
         """Return the record of the active goal of a note; None if there is none.
 
         Raises:
@@ -281,7 +283,7 @@ class Takeover:
         entry = None if record is None else _entry(record)
         return None if record is None or entry is None else (record, entry)
 
-    async def _take(self, journal: FleetJournal, record: Record, entry: GoalEntry) -> bool:
+    async def _take(self, journal: FleetJournal, record: BrokerRecord, entry: GoalEntry) -> bool:
         """Take a goal over, unless another worker is faster; return whether it is taken."""
         goal, former = entry.goal, entry.goal.worker
         if not await journal.take(record, goal):
@@ -320,7 +322,7 @@ class Takeover:
             journal.lose(goal_id)
 
 
-def _entry(record: Record) -> GoalEntry | None:
+def _entry(record: BrokerRecord) -> GoalEntry | None:
     """Return the entry of an active goal; None if the goal has ended, or cannot be read."""
     if not record.data:
         return None
@@ -332,7 +334,7 @@ def _entry(record: Record) -> GoalEntry | None:
     return entry if entry.goal.status.is_active else None
 
 
-def _is_claim(record: Record) -> bool:
+def _is_claim(record: BrokerRecord) -> bool:
     try:
         return bool(lease_entry(record.data).cleared_by)
     except ProtocolError:
