@@ -7,6 +7,7 @@ import logging
 import ssl
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -255,6 +256,17 @@ async def test_a_handshake_that_is_never_answered_is_given_up() -> None:
         with anyio.fail_after(4):
             error = await error_of(settings_for(address, tls=ssl.create_default_context()))
     assert str(error) == f"the broker {address} did not answer in 2 s"
+
+
+@needs_broker
+@pytest.mark.parametrize("more", ["", ", handshake_first: true"])
+async def test_tls_begins_on_uvloop_as_well(more: str) -> None:
+    pytest.importorskip("uvloop")
+    files = pems()
+    with nats_server(tls_config(files, more)) as server:
+        settings = settings_for(server.address, tls=TlsFiles(ca=files.ca))
+        run = partial(anyio.run, check_use, settings, backend_options={"use_uvloop": True})
+        await anyio.to_thread.run_sync(run)
 
 
 # What is no broker, or has no room

@@ -45,8 +45,6 @@ DIAL_TIMEOUT = 2.0
 """Seconds that one broker has to let this client in."""
 SILENCE = 0.5
 """Seconds without a word after which a broker is taken to want TLS first."""
-SECOND_ADDRESS = 0.25
-"""Seconds after which the next address of a host is tried as well."""
 
 
 class Dialer:
@@ -117,9 +115,8 @@ class Dialer:
         """
         parts = urlsplit(f"//{server}")
         host = parts.hostname or ""
-        await asyncio.get_running_loop().create_connection(
-            lambda: lines, host, parts.port or 0, happy_eyeballs_delay=SECOND_ADDRESS
-        )
+        loop = asyncio.get_running_loop()
+        await loop.create_connection(lambda: lines, host, parts.port or 0)
         is_known = server in self._settings.servers
         name = host if is_known or not _is_address(host) else self._host or host
         info = await self._secured(lines, server, name)
