@@ -14,6 +14,10 @@ from fibaction._runtime.text import printable
 MAX_QUOTED = 60
 """Characters of a value that an error quotes."""
 
+# Tuples, because a union is made again at each call, which takes longer than the test.
+_LISTS = (list, tuple, set, frozenset)
+_NUMBERS = (int, float)
+
 
 def is_map(value: object) -> TypeGuard[dict[Any, Any]]:
     """Return whether the value is a map, with any keys and values."""
@@ -22,12 +26,12 @@ def is_map(value: object) -> TypeGuard[dict[Any, Any]]:
 
 def is_list(value: object) -> TypeGuard[Collection[Any]]:
     """Return whether the value is a list, or another collection that JSON writes as one."""
-    return isinstance(value, list | tuple | set | frozenset)
+    return isinstance(value, _LISTS)
 
 
 def is_number(value: object) -> TypeGuard[int | float]:
     """Return whether the value is a number in JSON, where true is not one."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return isinstance(value, _NUMBERS) and not isinstance(value, bool)
 
 
 def quoted(value: Any) -> str:

@@ -13,48 +13,45 @@ field. These dangers of a complete validator do not exist here:
   years.
 - `Schema` reads a schema before its first use, and finds values of the wrong type, references to
   nothing, and references that lead only to themselves.
-- `Check` counts steps. A step is the visit of one value with one schema, one element of a
-  collection of the schema, or some characters of a text. There are at most `STEPS` of them, and
-  `STEPS_PER_VALUE` for each value of the data: real types need fewer, but alternatives within
-  alternatives may need exponentially many.
+- `Check` counts steps, by `fibaction.schema.steps`. A step is the visit of one value with one
+  schema, one element of a collection of the schema, or some characters of a text. Real types need
+  few of them for each value of the data, but alternatives within alternatives may need
+  exponentially many.
 - Schemas that are followed for one value may nest to `MAX_NESTING` levels, so that Python's limit
   of recursion is not met.
 
 Each of these ends with a `SchemaError`. Where the data does not match, a `Mismatch` is yielded for
 each reason, of which `fibaction.schema.mismatch_texts` makes sentences.
+
+Compiled validators cannot replace this one. They do not count, so a schema of 2 kB with
+alternatives within alternatives keeps them busy for hours, in which they hold the interpreter's
+lock; and data that nests very deeply ends the process.
+
+A visit has a path, a nesting and a generator of mismatches. `Check.passes` finds without these that
+a scalar matches, so that a long list of numbers needs no visit for each of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from itertools import islice
+from itertools import chain, islice, repeat
 from typing import Any, NamedTuple, cast
 
 import msgspec
 
-from fibaction._runtime.plain_data import is_list, is_map
+from fibaction._runtime.plain_data import is_map
 from fibaction.schema.json_schema import Schema, SchemaError
 from fibaction.schema.keywords import COMPARISONS
 from fibaction.schema.mismatch import Mismatch, Path, only_value
+from fibaction.schema.steps import Steps, are_equal, text_steps
 
 MAX_NESTING = 200
 """Levels of schemas. Optional types need two for each level of the data."""
-STEPS = 100_000
-"""Steps of a check, whatever the data is; they take some tenths of a second."""
-STEPS_PER_VALUE = 50
-"""More steps for each value of the data, and for each `TEXT_PER_STEP` characters of it."""
-TEXT_PER_STEP = 100
 MAX_MISMATCHES = 100
 """Mismatches that are kept of a message, and of each alternative."""
 
-
-def size_of(value: Any) -> int:
-    """Return the number of values in plain data, where text counts by its length as well."""
-    if is_map(value):
-        return 1 + sum(size_of(str(key)) + size_of(item) for key, item in value.items())
-    if is_list(value):
-        return 1 + sum(map(size_of, value))
-    return 1 + (len(value) // TEXT_PER_STEP if isinstance(value, str | bytes) else 0)
+_SCALARS = (str, int, float)
+_IN_JSON = (*_SCALARS, dict, list)
 
 
 class Check:
@@ -62,19 +59,9 @@ class Check:
 
     def __init__(self, schema: Schema, size: int) -> None:
         """Prepare the check of data of this size; see `size_of`."""
+        self.steps = Steps(size)
         self._schema = schema
         self._plans: dict[int, _Plan] = {}
-        self._limit = self._left = STEPS + STEPS_PER_VALUE * size
-
-    def spend(self, steps: int = 1) -> None:
-        """Count steps.
-
-        Raises:
-            SchemaError: They are too many.
-        """
-        self._left -= steps
-        if self._left < 0:
-            raise SchemaError(f"is too complex: a check by it takes over {self._limit:,} steps")
 
     def mismatches(self, value: Any, schema: Any) -> Iterator[Mismatch]:
         """Yield the reasons why a value does not match a part of the schema.
@@ -91,7 +78,7 @@ class Check:
             SchemaError: The search takes too many steps, or nests too deeply.
         """
         while is_map(schema):
-            self.spend()
+            self.steps.spend()
             if "$ref" in schema:
                 schema = self.target(schema["$ref"])
             elif "anyOf" in schema:
@@ -103,6 +90,20 @@ class Check:
     def target(self, reference: str) -> Any:
         """Return the schema that a reference names."""
         return self._schema.target(reference)
+
+    def passes(self, value: Any, schema: Any) -> bool:
+        """Return True for a scalar that matches the schema; False if only a visit can tell.
+
+        Raises:
+            SchemaError: The check takes too many steps.
+        """
+        if not (value is None or isinstance(value, _SCALARS)) or not is_map(schema):
+            return False
+        plan = self.plan(schema)
+        self.steps.spend(plan.cost + text_steps(value))
+        if not plan.is_final:
+            return False
+        return all(holds(value, expected) for _, holds, expected in plan.comparisons)
 
     def plan(self, schema: dict[str, Any]) -> _Plan:
         """Return the plan for a part of the schema."""
@@ -149,7 +150,7 @@ class _Visit(NamedTuple):
 
 def _as_in_json(value: Any) -> Any:
     """Return a value with text in place of what JSON writes as text."""
-    if value is None or isinstance(value, str | int | float | dict | list):
+    if value is None or isinstance(value, _IN_JSON):
         return cast("Any", value)
     return msgspec.to_builtins(value)
 
@@ -161,7 +162,7 @@ def _fits(visit: _Visit) -> bool:
 def _may_fit(visit: _Visit) -> bool:
     """Return whether a value has the type and the tag of a schema, which is fast to tell."""
     check, value, schema = visit.check, visit.value, visit.schema
-    check.spend()
+    check.steps.spend()
     _check_nesting(visit)
     if not is_map(schema):
         return schema is True
@@ -172,22 +173,9 @@ def _may_fit(visit: _Visit) -> bool:
     if "type" in schema and not COMPARISONS["type"](value, schema["type"]):
         return False
     known: dict[str, Any] = schema.get("properties", {}) if is_map(value) else {}
-    check.spend(len(known))
+    check.steps.spend(len(known))
     only = ((name, only_value(part)) for name, part in known.items() if name in value)
-    return all(tag is None or _equal(check, value[name], tag[0]) for name, tag in only)
-
-
-def _equal(check: Check, one: Any, other: Any) -> bool:
-    """Return whether two values are the same in JSON, where true is not 1, but 1.0 is."""
-    check.spend(1 + (len(one) // TEXT_PER_STEP if isinstance(one, str) else 0))
-    if is_map(one) and is_map(other):
-        return one.keys() == other.keys() and all(
-            _equal(check, one[key], other[key]) for key in one
-        )
-    if is_list(one) and is_list(other):
-        pairs = zip(one, other, strict=False)
-        return len(one) == len(other) and all(_equal(check, *pair) for pair in pairs)
-    return isinstance(one, bool) == isinstance(other, bool) and bool(one == other)
+    return all(tag is None or are_equal(check.steps, value[name], tag[0]) for name, tag in only)
 
 
 def _check_nesting(visit: _Visit) -> None:
@@ -202,15 +190,19 @@ class _Plan(NamedTuple):
     combinations: list[Callable[[_Visit], Iterator[Mismatch]]]
     is_open: bool
     """True if others may describe more fields."""
+    is_final: bool
+    """True if the comparisons alone decide about a scalar."""
     cost: int
 
     @classmethod
     def of(cls, schema: dict[str, Any]) -> _Plan:
         """Return the plan for a schema."""
+        combinations = [search for word, search in _COMBINATIONS.items() if word in schema]
         return cls(
             [(word, test, schema[word]) for word, test in COMPARISONS.items() if word in schema],
-            [mismatches for word, mismatches in _COMBINATIONS.items() if word in schema],
+            combinations,
             "properties" in schema and any(word in schema for word in _COMBINING),
+            not combinations and "$ref" not in schema,
             1 + len(schema.get("required", ())),
         )
 
@@ -218,11 +210,11 @@ class _Plan(NamedTuple):
 def _mismatches(visit: _Visit) -> Iterator[Mismatch]:
     _check_nesting(visit)
     check, value = visit.check, visit.value
-    steps = len(value) // TEXT_PER_STEP if isinstance(value, str) else 0
+    steps = text_steps(value)
     while is_map(visit.schema):
         schema = visit.schema
         plan = check.plan(schema)
-        check.spend(plan.cost + steps)
+        check.steps.spend(plan.cost + steps)
         if plan.is_open and not visit.is_open:
             visit = visit._replace(is_open=True)
         for keyword, holds, expected in plan.comparisons:
@@ -248,12 +240,12 @@ def _fields(visit: _Visit) -> Iterator[Mismatch]:
     rest = schema.get("additionalProperties", visit.is_open or "properties" not in schema)
     if "patternProperties" in schema:
         rest = True  # the names that it allows are not known
-    visit.check.spend(len(value))
+    visit.check.steps.spend(len(value))
     if rest is False and any(str(key) not in known for key in value):
         yield Mismatch(visit.path, "additionalProperties", list(known), value, schema)
     for key, item in value.items():
         part = known.get(str(key), True if rest is False else rest)
-        if part is not True:
+        if part is not True and not visit.check.passes(item, part):
             yield from _mismatches(visit.inside(str(key), item, part))
 
 
@@ -262,9 +254,9 @@ def _items(visit: _Visit) -> Iterator[Mismatch]:
     first, rest = schema.get("prefixItems", []), schema.get("items", True)
     if rest is False and len(value) > len(first):
         yield Mismatch(visit.path, "maxItems", len(first), value, schema)
-    for index, item in enumerate(value):
-        part = first[index] if index < len(first) else rest
-        if not isinstance(part, bool) or (part is False and index < len(first)):
+    parts = chain(first, repeat(rest, 0 if isinstance(rest, bool) else len(value)))
+    for index, (item, part) in enumerate(zip(value, parts, strict=False)):
+        if part is not True and not visit.check.passes(item, part):
             yield from _mismatches(visit.inside(index, item, part))
 
 
@@ -275,12 +267,12 @@ _COMBINING = ("$ref", "allOf", "anyOf", "oneOf")
 
 
 def _enum(visit: _Visit) -> Iterator[Mismatch]:
-    if not any(_equal(visit.check, visit.value, one) for one in visit.schema["enum"]):
+    if not any(are_equal(visit.check.steps, visit.value, one) for one in visit.schema["enum"]):
         yield visit.wrong("enum", is_other_kind=True)
 
 
 def _const(visit: _Visit) -> Iterator[Mismatch]:
-    if not _equal(visit.check, visit.value, visit.schema["const"]):
+    if not are_equal(visit.check.steps, visit.value, visit.schema["const"]):
         yield visit.wrong("const", is_other_kind=True)
 
 

@@ -37,8 +37,9 @@ _FORMAT_TYPES: dict[str, Any] = {
 
 
 def _type(value: Any, expected: Any) -> bool:
-    names = [expected] if isinstance(expected, str) else expected
-    return any(name not in _IS_TYPE or _IS_TYPE[name](value) for name in names)
+    if isinstance(expected, str):
+        return expected not in _IS_TYPE or _IS_TYPE[expected](value)
+    return any(_type(value, name) for name in expected)
 
 
 def _multiple_of(value: Any, unit: Any) -> bool:

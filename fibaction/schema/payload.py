@@ -24,9 +24,10 @@ from typing import Any, cast
 import msgspec
 
 from fibaction._runtime.plain_data import is_list, is_map
-from fibaction.schema.check import MAX_MISMATCHES, Check, size_of
+from fibaction.schema.check import MAX_MISMATCHES, Check
 from fibaction.schema.json_schema import Schema, SchemaError
 from fibaction.schema.mismatch_texts import sentences
+from fibaction.schema.steps import size_of
 
 __all__ = ["JsonCodec", "PayloadError", "to_json"]
 
@@ -145,11 +146,10 @@ class JsonCodec:
 
 
 def _is_deeper(data: Any, levels: int) -> bool:
-    if is_map(data):
-        return not levels or any(_is_deeper(item, levels - 1) for item in data.values())
-    if is_list(data):
-        return not levels or any(_is_deeper(item, levels - 1) for item in data)
-    return False
+    if not (is_map(data) or is_list(data)):
+        return False
+    inner = data.values() if is_map(data) else data
+    return not levels or any(_is_deeper(item, levels - 1) for item in inner)
 
 
 def _completed(check: Check, value: Any, schema: Any) -> Any:
@@ -176,7 +176,7 @@ def _completed_fields(
 ) -> dict[Any, Any]:
     known = schema.get("properties", {})
     whole: dict[Any, Any] = {}
-    check.spend(len(known))
+    check.steps.spend(len(known))
     for name, part in known.items():
         if name in value:
             whole[name] = _completed(check, value[name], part)
@@ -191,7 +191,7 @@ def _completed_fields(
 
 def _copied(check: Check, value: Any, levels: int) -> Any:
     """Return a copy of a default, which the message may need many times."""
-    check.spend(size_of(value) if isinstance(value, str | bytes) else 1)
+    check.steps.spend(size_of(value) if isinstance(value, str | bytes) else 1)
     if (is_map(value) or is_list(value)) and not levels:
         raise SchemaError(f"has a default that nests deeper than {MAX_DEPTH} levels")
     if is_map(value):
@@ -203,6 +203,8 @@ def _copied(check: Check, value: Any, levels: int) -> Any:
 
 def _converted(check: Check, value: Any, schema: Any) -> Any:
     """Return a value that matches the schema as it is sent: bytes for base64, and so on."""
+    if value is None or isinstance(value, int):
+        return value
     schema = check.resolved(schema, value)
     if is_map(value):
         known, rest = schema.get("properties", {}), _part(schema, "additionalProperties")

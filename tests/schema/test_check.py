@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from fibaction.schema.check import Check, size_of
+from fibaction.schema.check import Check
 from fibaction.schema.json_schema import Schema, SchemaError
+from fibaction.schema.steps import size_of
 
 
 def fits(value: Any, schema: Any) -> bool:
@@ -157,8 +158,23 @@ def test_an_alternative_is_chosen_by_type_tag_or_content() -> None:
     assert chosen(5, True) == {}
 
 
-def test_the_size_of_data_counts_text_by_its_length() -> None:
-    assert size_of({"a": [1, b"x" * 1000], "b" * 500: "c" * 200}) == 1 + 1 + 1 + 1 + 11 + 6 + 3
+@pytest.mark.parametrize(
+    ("schema", "value", "passes"),
+    [
+        ({"type": "integer", "maximum": 3}, 3, True),
+        ({"type": "integer", "maximum": 3}, 4, False),
+        ({"type": "null"}, None, True),
+        ({"enum": [1]}, 1, False),
+        ({"$ref": "#/$defs/a", "$defs": {"a": True}}, 1, False),
+        ({}, [], False),
+        ({}, b"hi", False),
+        (True, 1, False),
+    ],
+)
+def test_a_scalar_passes_without_a_visit_where_comparisons_decide(
+    schema: Any, value: Any, passes: bool
+) -> None:
+    assert Check(Schema(schema), 1).passes(value, schema) is passes
 
 
 def doubled(levels: int, leaf: Any, keyword: str = "allOf") -> dict[str, Any]:

@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from fibaction.schema.json_schema import SchemaError
+from fibaction.schema.steps import STEPS, STEPS_PER_VALUE, Steps, are_equal, size_of
+
+
+def test_the_size_of_data_counts_text_by_its_length() -> None:
+    assert size_of({"a": [1, b"x" * 1000], "b" * 500: "c" * 200}) == 1 + 1 + 1 + 1 + 11 + 6 + 3
+    assert size_of(None) == 1
+
+
+def test_larger_data_may_take_more_steps() -> None:
+    steps = Steps(2)
+    steps.spend(STEPS + 2 * STEPS_PER_VALUE)
+
+    with pytest.raises(SchemaError, match="is too complex: a check by it takes over 100,100 steps"):
+        steps.spend()
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "is_equal"),
+    [
+        ({"a": [1, "b"]}, {"a": [1.0, "b"]}, True),
+        ({"a": 1}, {"b": 1}, False),
+        ([1], [1, 2], False),
+        ([1, 2], [1, 3], False),
+        (1, True, False),
+        (True, True, True),
+        ([], {}, False),
+    ],
+)
+def test_values_are_equal_as_in_json(one: Any, other: Any, is_equal: bool) -> None:
+    assert are_equal(Steps(1), one, other) is is_equal
+
+
+def test_the_comparison_of_long_text_takes_many_steps() -> None:
+    with pytest.raises(SchemaError, match="is too complex"):
+        are_equal(Steps(1), "a" * 20_000_000, "b")
