@@ -170,7 +170,7 @@ async def test_what_is_served_follows_what_can_be_reached(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     served = Asked(counter("one"))
-    found = console.Found(served)
+    found = console.ReachableActions(served)
     found.take(await served.actions())
     assert list(found.endpoints) == ["one"]
     before = found.endpoints["one"]

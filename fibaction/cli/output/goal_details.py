@@ -35,7 +35,7 @@ class Detail(NamedTuple):
 _ASKED = Detail("", "")
 
 
-class Question(NamedTuple):
+class DetailQuestion(NamedTuple):
     """A question about a goal, and where its answer goes."""
 
     what: str
@@ -66,23 +66,23 @@ class GoalDetails:
             for key in details.keys() - set(keys):
                 del details[key]
 
-    def unknown(self, ended: Iterable[GoalKey], active: Iterable[GoalKey]) -> list[Question]:
+    def unknown(self, ended: Iterable[GoalKey], active: Iterable[GoalKey]) -> list[DetailQuestion]:
         """Return the questions for the ends of some goals, and for other goals as they were sent.
 
         What has been asked for is left out, and what is returned counts as asked for.
         """
-        wanted = [Question("result", key, self._ends, self._ask_end) for key in ended]
-        wanted += [Question("goal", key, self._requests, self._ask_request) for key in active]
+        wanted = [DetailQuestion("result", key, self._ends, self._ask_end) for key in ended]
+        wanted += [DetailQuestion("goal", key, self._requests, self._ask_request) for key in active]
         questions = [question for question in wanted if question.key not in question.answers]
         for question in questions:
             question.answers[question.key] = _ASKED
         return questions
 
-    async def ask(self, questions: Iterable[Question]) -> None:
+    async def ask(self, questions: Iterable[DetailQuestion]) -> None:
         """Ask the questions, some at once, and keep the answers."""
         limit = anyio.CapacityLimiter(MOST_AT_ONCE)
 
-        async def ask(question: Question) -> None:
+        async def ask(question: DetailQuestion) -> None:
             async with limit:
                 question.answers[question.key] = await _answer(question)
 
@@ -102,7 +102,7 @@ class GoalDetails:
         return _ASKED if goal is None else Detail("", f"Goal:\n{as_yaml(goal, indent=2)}")
 
 
-async def _answer(question: Question) -> Detail:
+async def _answer(question: DetailQuestion) -> Detail:
     """Return the answer; the reason instead, if it cannot be had."""
     reason = f"there was no answer within {TIMEOUT:g} s"
     with anyio.move_on_after(TIMEOUT):

@@ -13,7 +13,7 @@ from textual.widgets import DataTable, Footer, Input, Static
 
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.output.escape import excerpt
-from fibaction.cli.output.goal_details import GoalDetails, Question
+from fibaction.cli.output.goal_details import DetailQuestion, GoalDetails
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.output.goal_view import GoalView
 from fibaction.cli.output.screen_tables import GoalTable, Table, action_table
@@ -177,7 +177,7 @@ class TopScreen(App[None]):
         if questions:
             self.run_worker(self._ask(questions))
 
-    async def _ask(self, questions: list[Question]) -> None:
+    async def _ask(self, questions: list[DetailQuestion]) -> None:
         await self._details.ask(questions)
         self.draw()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import datetime
 import math
+import textwrap
 from collections.abc import Collection, Iterator
 from typing import Any
 
@@ -67,7 +68,7 @@ def as_yaml(value: Any, *, full: bool = False, indent: int = 0) -> str:
     text = _dump(data, _FastDumper)
     if "\\U" in text:  # libyaml escapes emoji, PyYAML by itself does not
         text = _dump(data, _Dumper)
-    return "\n".join(" " * indent + line for line in clean_lines(text).split("\n"))
+    return textwrap.indent(clean_lines(text), " " * indent)
 
 
 def _dump(data: Any, dumper: Any) -> str:

@@ -80,7 +80,7 @@ async def console(url: str, port: int, *, opens: bool) -> int:
     page = transport_for(f"http://127.0.0.1:{port}", tokens={token: "console"})
     assert isinstance(page, WireTransport)
     async with stop_signals() as stop, connect(url) as connection:
-        found = Found(connection)
+        found = ReachableActions(connection)
         found.take(await connection.actions())
         async with (
             open_server(found.endpoints, page.server_settings) as server,
@@ -102,7 +102,7 @@ async def open_page(address: str) -> None:
     await to_thread.run_sync(webbrowser.open, address, abandon_on_cancel=True)
 
 
-class Found:
+class ReachableActions:
     """The endpoints of all actions that can be reached now."""
 
     def __init__(self, connection: Connection) -> None:
