@@ -11,8 +11,8 @@ field. These dangers of a complete validator do not exist here:
   reference is an error. Nothing is ever retrieved.
 - Regular expressions (`pattern`, `patternProperties`) are ignored, because a short one can take
   years.
-- `Schema` reads a schema before its first use, and finds values of the wrong type, references to
-  nothing, and references that lead only to themselves.
+- `JsonSchema` reads a schema before its first use, and finds values of the wrong type, references
+  to nothing, and references that lead only to themselves.
 - `Check` counts steps, by `fibaction.schema.steps`. A step is the visit of one value with one
   schema, one element of a collection of the schema, or some characters of a text. Real types need
   few of them for each value of the data, but alternatives within alternatives may need
@@ -40,7 +40,7 @@ from typing import Any, NamedTuple, cast
 import msgspec
 
 from fibaction._runtime.plain_data import is_map
-from fibaction.schema.json_schema import Schema, SchemaError
+from fibaction.schema.json_schema import JsonSchema, SchemaError
 from fibaction.schema.keywords import COMPARISONS
 from fibaction.schema.mismatch import Mismatch, Path, only_value
 from fibaction.schema.steps import Steps, are_equal, text_steps
@@ -57,7 +57,7 @@ _IN_JSON = (*_SCALARS, dict, list)
 class Check:
     """The check of one message, which counts its steps."""
 
-    def __init__(self, schema: Schema, size: int) -> None:
+    def __init__(self, schema: JsonSchema, size: int) -> None:
         """Prepare the check of data of this size; see `size_of`."""
         self.steps = Steps(size)
         self._schema = schema

@@ -62,7 +62,7 @@ _SHAPES: dict[str, Callable[[object], bool]] = {
 """The test that the value of each keyword must pass."""
 
 
-class Schema:
+class JsonSchema:
     """A JSON Schema that is well-formed, not too large, and without references that lead only to
     themselves.
 

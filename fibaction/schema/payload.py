@@ -25,7 +25,7 @@ import msgspec
 
 from fibaction._runtime.plain_data import is_list, is_map
 from fibaction.schema.check import MAX_MISMATCHES, Check
-from fibaction.schema.json_schema import Schema, SchemaError
+from fibaction.schema.json_schema import JsonSchema, SchemaError
 from fibaction.schema.mismatch_texts import sentences
 from fibaction.schema.steps import size_of
 
@@ -68,7 +68,7 @@ class JsonCodec:
         """
         self._name = name
         with self._errors():
-            self._schema = None if schema == {} else Schema(schema)
+            self._schema = None if schema == {} else JsonSchema(schema)
 
     def complete(self, data: Any) -> Any:
         """Return the message as plain data that can be sent, for example by an untyped client.
@@ -132,7 +132,7 @@ class JsonCodec:
         except (TypeError, ValueError, OverflowError, RecursionError) as exc:
             raise PayloadError(f"the {self._name} cannot be encoded: {exc}") from exc
 
-    def _checked(self, data: Any, schema: Schema) -> Any:
+    def _checked(self, data: Any, schema: JsonSchema) -> Any:
         if _is_deeper(data, MAX_DEPTH):
             raise PayloadError(f"the {self._name} nests deeper than {MAX_DEPTH} levels")
         check = Check(schema, size_of(data))

@@ -9,17 +9,17 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from fibaction.schema.check import Check
-from fibaction.schema.json_schema import Schema, SchemaError
+from fibaction.schema.json_schema import JsonSchema, SchemaError
 from fibaction.schema.steps import size_of
 
 
 def fits(value: Any, schema: Any) -> bool:
     """Return whether the value matches the schema."""
-    return not list(Check(Schema(schema), size_of(value)).mismatches(value, schema))
+    return not list(Check(JsonSchema(schema), size_of(value)).mismatches(value, schema))
 
 
 def chosen(value: Any, schema: Any) -> Any:
-    return Check(Schema(schema), size_of(value)).resolved(schema, value)
+    return Check(JsonSchema(schema), size_of(value)).resolved(schema, value)
 
 
 NAMES = st.sampled_from(["a", "b", "c"])
@@ -174,7 +174,7 @@ def test_an_alternative_is_chosen_by_type_tag_or_content() -> None:
 def test_a_scalar_passes_without_a_visit_where_comparisons_decide(
     schema: Any, value: Any, passes: bool
 ) -> None:
-    assert Check(Schema(schema), 1).passes(value, schema) is passes
+    assert Check(JsonSchema(schema), 1).passes(value, schema) is passes
 
 
 def doubled(levels: int, leaf: Any, keyword: str = "allOf") -> dict[str, Any]:

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from fibaction.schema.json_schema import MAX_PARTS, Schema, SchemaError
+from fibaction.schema.json_schema import MAX_PARTS, JsonSchema, SchemaError
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,7 @@ def test_a_reference_is_a_path_within_the_schema(reference: str, found: Any) -> 
         "$defs": {"a": {"title": "a"}, "b/c~d": {"title": "b"}},
         "prefixItems": [True, False],
     }
-    schema = Schema(root)
+    schema = JsonSchema(root)
 
     assert schema.target(reference) is (root if found is None else schema.target(reference))
     assert schema.target(reference) == (root if found is None else found)
@@ -48,31 +48,31 @@ def test_a_reference_is_a_path_within_the_schema(reference: str, found: Any) -> 
 def test_a_reference_to_anything_else_is_an_error(keyword: str, reference: str) -> None:
     root = {"title": "text", "prefixItems": [True, False], "items": {keyword: reference}}
     with pytest.raises(SchemaError, match="refers to "):
-        Schema(root)
+        JsonSchema(root)
 
 
 def test_references_that_lead_only_to_themselves_are_an_error() -> None:
     with pytest.raises(SchemaError, match="refers to itself without end"):
-        Schema({"items": {"$ref": "#/$defs/a"}, "$defs": {"a": {"$ref": "#/items"}}})
+        JsonSchema({"items": {"$ref": "#/$defs/a"}, "$defs": {"a": {"$ref": "#/items"}}})
 
 
 @pytest.mark.parametrize("part", [5, "text", None, [True]])
 def test_a_part_that_is_not_a_schema_is_an_error(part: Any) -> None:
     with pytest.raises(SchemaError, match=r"is malformed: .* is not a schema"):
-        Schema({"items": part})
+        JsonSchema({"items": part})
 
 
 def test_the_name_of_a_field_is_text() -> None:
     with pytest.raises(SchemaError, match="is malformed: 1 is not the name of a field"):
-        Schema({"properties": {1: {}}})
+        JsonSchema({"properties": {1: {}}})
 
 
 def test_definitions_that_nothing_refers_to_are_not_read() -> None:
-    Schema({"$defs": {"a": {"$ref": "http://h/"}, "b": 5}, "default": {"$ref": "http://h/"}})
+    JsonSchema({"$defs": {"a": {"$ref": "http://h/"}, "b": 5}, "default": {"$ref": "http://h/"}})
 
 
 def test_a_recursive_schema_is_read_once() -> None:
-    Schema({"properties": {"next": {"$ref": "#"}, "also": {"$ref": "#/properties/next"}}})
+    JsonSchema({"properties": {"next": {"$ref": "#"}, "also": {"$ref": "#/properties/next"}}})
 
 
 def test_a_schema_may_nest_to_any_depth() -> None:
@@ -80,10 +80,10 @@ def test_a_schema_may_nest_to_any_depth() -> None:
     for _ in range(MAX_PARTS - 1):
         root = {"items": root}
 
-    Schema(root)
+    JsonSchema(root)
 
     with pytest.raises(SchemaError, match="has more than 20,000 parts"):
-        Schema({"items": root})
+        JsonSchema({"items": root})
 
 
 @pytest.mark.parametrize(
@@ -109,4 +109,4 @@ def test_a_schema_may_nest_to_any_depth() -> None:
 )
 def test_a_keyword_with_a_wrong_value_is_an_error(keyword: str, value: Any) -> None:
     with pytest.raises(SchemaError, match=r"is malformed: .* cannot be "):
-        Schema({keyword: value})
+        JsonSchema({keyword: value})

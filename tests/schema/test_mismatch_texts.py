@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from fibaction.schema.check import Check
-from fibaction.schema.json_schema import Schema
+from fibaction.schema.json_schema import JsonSchema
 from fibaction.schema.mismatch import Mismatch
 from fibaction.schema.mismatch_texts import MAX_NAMED, sentences
 
@@ -34,7 +34,7 @@ def errors_of(kind: Any, value: object) -> list[str]:
 
 
 def errors_by(schema: Any, value: object, name: str = "goal") -> list[str]:
-    mismatches = Check(Schema(schema), 1).mismatches(value, schema)
+    mismatches = Check(JsonSchema(schema), 1).mismatches(value, schema)
     return [text for mismatch in mismatches for text in sentences(mismatch, name)]
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from fibaction._runtime.plain_data import is_list, is_map, is_number, quoted
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.yaml_text import as_yaml
-from fibaction.schema.json_schema import Schema, SchemaError
+from fibaction.schema.json_schema import JsonSchema, SchemaError
 
 MAX_PARTS = 500
 """Fields of a template."""
@@ -50,7 +50,7 @@ class GoalTemplate:
         self.goal: Any = {}
         """The goal as plain data."""
         try:
-            self._schema = Schema(schema)
+            self._schema = JsonSchema(schema)
             root = self._resolved(self._schema.root)
             self.goal = self._value(root, 0)
         except SchemaError:

@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from fibaction._runtime.plain_data import is_list, is_map
-from fibaction.schema.json_schema import Schema
+from fibaction.schema.json_schema import JsonSchema
 from fibaction.schema.payload import JsonCodec, PayloadError, to_json
 from fibaction.types.action import ActionInfo
 from fibaction_transports.web.rosbridge.types.goal_arguments import (
@@ -77,7 +77,7 @@ class MessageValues:
             PayloadError: The schema cannot be used.
         """
         self._codec = JsonCodec(schema, name)
-        self._schema = Schema(schema)
+        self._schema = JsonSchema(schema)
         self._is_bare = bool(schema) and fields_of(schema) is None
 
     def encode(self, values: Any) -> bytes:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from fibaction._runtime.plain_data import is_map
-from fibaction.schema.json_schema import Schema
+from fibaction.schema.json_schema import JsonSchema
 from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.types.action import ActionInfo
 from fibaction_transports.web.rosbridge.operations import Arguments
@@ -74,11 +74,11 @@ def fields_of(schema: dict[str, Any]) -> list[str] | None:
     Raises:
         SchemaError: The schema cannot be used.
     """
-    root = target_of(Schema(schema), schema)
+    root = target_of(JsonSchema(schema), schema)
     return list(root["properties"]) if is_map(root) and "properties" in root else None
 
 
-def target_of(schema: Schema, part: Any) -> Any:
+def target_of(schema: JsonSchema, part: Any) -> Any:
     """Return the schema that a part of it is, behind references.
 
     Raises:

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from fibaction._runtime.plain_data import is_map
-from fibaction.schema.json_schema import Schema
+from fibaction.schema.json_schema import JsonSchema
 from fibaction_transports.web.rosbridge.types.goal_arguments import DATA, target_of
 
 NOT_AN_ARRAY = -1
@@ -50,7 +50,7 @@ def definitions(schema: dict[str, Any], name: str) -> list[TypeDefinition]:
     Raises:
         SchemaError: The schema cannot be used.
     """
-    known = Schema(schema)
+    known = JsonSchema(schema)
     found: dict[str, TypeDefinition] = {}
     waiting: list[tuple[str, Any]] = [(name, _message(target_of(known, schema)))]
     while waiting:
@@ -85,7 +85,7 @@ def _message(root: Any) -> Any:
     return root if is_map(root) and "properties" in root else None
 
 
-def _field(schema: Schema, part: Any, name: str) -> tuple[str, int, Any]:
+def _field(schema: JsonSchema, part: Any, name: str) -> tuple[str, int, Any]:
     """Return the type of a field, the length of its array, and the schema of what it nests."""
     while is_map(part) and "$ref" in part:
         name = part["$ref"].rpartition("/")[2]
