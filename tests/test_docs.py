@@ -21,12 +21,12 @@ from typing import Any, get_args
 from xml.etree import ElementTree
 
 import anyio
+import fibaction_transports.mcp
 import msgspec
 import pytest
 
 import fibaction
 import fibaction._runtime.notify
-import fibaction.agents
 import fibaction.blocking
 import fibaction.border.abc
 import fibaction.interfaces.action_files
@@ -413,7 +413,6 @@ def resolve(dotted: str) -> object:
     [
         (fibaction, "connect"),
         (fibaction.interfaces.action_files, "load_action"),
-        (fibaction.agents, "McpBridge"),
         (fibaction.blocking, "BlockingGoal"),
         (fibaction.schema.payload, "JsonCodec"),
         (fibaction.observe.log_records, "GoalFilter"),
@@ -431,6 +430,7 @@ def resolve(dotted: str) -> object:
         (fibaction.wire.transport, "WireTransport"),
         (fibaction.wire.channel, "Channel"),
         (fibaction_transports.inprocess, "InProcessTransport"),
+        (fibaction_transports.mcp, "McpBridge"),
         (fibaction_transports.tcp, "TcpTransport"),
     ],
 )

@@ -17,10 +17,10 @@ from typing import Any
 
 import anyio
 import pytest
+from fibaction_transports.mcp import McpBridge
 from mcp import Client, StdioServerParameters
 from mcp_types import CallToolResult, ElicitResult, TextContent
 
-from fibaction.agents import McpBridge
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.cli.verbs import serve_mcp
 from fibaction.cli.verbs.serve_mcp import host_and_port, named_servers

@@ -20,7 +20,6 @@ UNITS = {
     "fibaction/observe/monitor_records.py": ["tests/observe/test_monitor.py"],
     "fibaction/client/goal.py": ["tests/client/test_client.py", "tests/client/test_attempts.py"],
     "fibaction/border/streams.py": ["tests/border/test_abc.py"],
-    "fibaction/agents": ["tests/agents"],
     "fibaction/blocking": ["tests/blocking"],
     "fibaction/cli": ["tests/cli"],
     "transports/fibaction_transports/_command.py": ["tests/cli"],
@@ -46,6 +45,7 @@ UNITS = {
     "fibaction/wire/settings.py": ["tests/wire", "tests/transports/tcp"],
     "fibaction/wire/tls_files.py": ["tests/transports/tcp"],
     "fibaction/wire/transport.py": ["tests/transports/tcp"],
+    "transports/fibaction_transports/mcp": ["tests/transports/mcp"],
     "transports/fibaction_transports/nats": ["tests/transports/nats"],
     "transports/fibaction_transports/_socket_lines": [
         "tests/transports/tcp",

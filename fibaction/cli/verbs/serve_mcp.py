@@ -25,7 +25,7 @@ from fibaction.cli.process.signals import stop_signals
 from fibaction.words.errors import TransportError
 
 if TYPE_CHECKING:
-    from fibaction.agents import McpBridge
+    from fibaction_transports.mcp import McpBridge
 
 TOKEN = "FIBACTION_MCP_TOKEN"
 """The variable with the token that clients over HTTP need."""
@@ -98,7 +98,10 @@ def mcp_command(
     if http is None and (cert or key or insecure):
         raise Failure("--cert, --key and --insecure are settings of --http", ExitCode.USAGE)
     servers = named_servers(addresses or (url_of(context),))
-    from fibaction.agents import AgentPolicy, McpBridge  # their imports would slow down --help
+    from fibaction_transports.mcp import (  # their imports would slow down --help
+        AgentPolicy,
+        McpBridge,
+    )
 
     try:
         policy = AgentPolicy(allow or ("*",), unasked, read_only, patience)
@@ -175,7 +178,7 @@ async def serve_http(
     Raises:
         Failure: It cannot be served there.
     """
-    from fibaction.agents._mcp_http import served_over_http
+    from fibaction_transports.mcp._mcp_http import served_over_http
 
     given = os.environ.get(TOKEN)
     token = given or secrets.token_urlsafe(16)

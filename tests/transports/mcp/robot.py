@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import anyio
 import msgspec
+from fibaction_transports.mcp import AgentPolicy, McpBridge
 from mcp import Client
 from mcp_types import CallToolResult, ElicitRequestFormParams, ElicitResult, TextContent
 
@@ -23,7 +24,6 @@ from fibaction import (
     GoalRejected,
     serve,
 )
-from fibaction.agents import AgentPolicy, McpBridge
 from fibaction_transports.inprocess import InProcessTransport
 
 Mode = Literal["legacy", "auto"]

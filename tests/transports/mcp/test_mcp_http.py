@@ -12,15 +12,15 @@ from typing import Any
 import anyio
 import httpx2
 import pytest
+from fibaction_transports.mcp import AgentPolicy, McpBridge
+from fibaction_transports.mcp._mcp_http import is_loopback, served_over_http
 from mcp import Client
 from mcp.client.streamable_http import streamable_http_client
 from mcp_types import ElicitResult
 
 from fibaction import TransportError, serve
-from fibaction.agents import AgentPolicy, McpBridge
-from fibaction.agents._mcp_http import is_loopback, served_over_http
-from tests.agents.robot import MODES, PATIENCE, UNASKED, Drive, Mode, Robot, Talk
 from tests.support.certificates import pems
+from tests.transports.mcp.robot import MODES, PATIENCE, UNASKED, Drive, Mode, Robot, Talk
 
 pytestmark = pytest.mark.asyncio
 both = pytest.mark.parametrize("mode", MODES)

@@ -30,6 +30,13 @@ from fibaction.agents._tool_list import instructions, tool_list
 from fibaction.agents.agent_policy import AgentPolicy
 from fibaction.border.abc import Transport
 from fibaction.border.urls import transport_for
+from fibaction_transports.mcp._agent_goals import AgentGoals
+from fibaction_transports.mcp._list_changes import ListChanges
+from fibaction_transports.mcp._robot_actions import RobotActions
+from fibaction_transports.mcp._stdio_streams import stdio_streams
+from fibaction_transports.mcp._tool_calls import ToolCalls
+from fibaction_transports.mcp._tool_list import instructions, tool_list
+from fibaction_transports.mcp.agent_policy import AgentPolicy
 
 
 def check_servers(servers: Mapping[str, str | Transport]) -> None:

@@ -9,6 +9,9 @@ from typing import Any
 import anyio
 import msgspec
 import pytest
+from fibaction_transports.mcp import AgentPolicy, McpBridge, _agent_goals, _robot_actions
+from fibaction_transports.mcp._goal_overview import overview
+from fibaction_transports.mcp._tool_answers import goal_answer
 
 from fibaction import (
     Action,
@@ -23,9 +26,6 @@ from fibaction import (
     serve,
 )
 from fibaction._runtime.notify import Notifier
-from fibaction.agents import AgentPolicy, McpBridge, _agent_goals, _robot_actions
-from fibaction.agents._goal_overview import overview
-from fibaction.agents._tool_answers import goal_answer
 from fibaction.border.abc import Connection, Endpoint, Transport
 from fibaction.client.goal import ClientGoal
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo
@@ -45,6 +45,19 @@ from tests.agents.robot import (
     talk,
 )
 from tests.cli.served import Served, counter
+from tests.transports.mcp.robot import (
+    DRIVE,
+    MODES,
+    PATIENCE,
+    UNASKED,
+    Drive,
+    Mode,
+    Robot,
+    Talk,
+    robot_and_talk,
+    sent_by_others,
+    talk,
+)
 
 pytestmark = pytest.mark.asyncio
 both = pytest.mark.parametrize("mode", MODES)

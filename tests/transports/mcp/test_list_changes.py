@@ -7,9 +7,8 @@ from typing import Any
 
 import anyio
 import pytest
-
-from fibaction.agents import _list_changes
-from fibaction.agents._list_changes import SESSION_HEADER, ListChanges
+from fibaction_transports.mcp import _list_changes
+from fibaction_transports.mcp._list_changes import SESSION_HEADER, ListChanges
 
 pytestmark = pytest.mark.asyncio
 

@@ -39,8 +39,8 @@ from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 from pydantic import ValidationError
 
 from fibaction._runtime.text import with_escapes
-from fibaction.agents._tool_error import ToolError
 from fibaction.schema.payload import PayloadError, to_json
+from fibaction_transports.mcp._tool_error import ToolError
 
 QUESTION_TIMEOUT = 600.0
 """Seconds that a user has to answer a question."""

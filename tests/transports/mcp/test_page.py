@@ -13,17 +13,17 @@ from typing import Any
 import anyio
 import httpx2
 import pytest
+from fibaction_transports.mcp import McpBridge
+from fibaction_transports.mcp._mcp_http import served_over_http
 from mcp import Client, StdioServerParameters
 from mcp.client.streamable_http import streamable_http_client
 
-from fibaction.agents import McpBridge
-from fibaction.agents._mcp_http import served_over_http
 from fibaction.cli.verbs.serve_mcp import mcp_command
 from tests.cli.conftest import command, environment
 from tests.support.pages import blocks_of
 from tests.support.processes import PATIENCE, ended, lines_until
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 PAGE = (ROOT / "docs" / "howto" / "agents.md").read_text(encoding="utf-8")
 CONFIGS: list[dict[str, Any]] = [
     config

@@ -24,9 +24,6 @@ from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
 from fibaction._runtime.text import excerpt
-from fibaction.agents._tool_names import CANCEL, SEND, STATUS, tool_name
-from fibaction.agents._tool_schema import tool_input
-from fibaction.agents.agent_policy import AgentPolicy
 from fibaction.border.abc import Transport
 from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.types.action import Action, ActionInfo
@@ -39,6 +36,9 @@ from fibaction.words.errors import (
     ServerNotFound,
     TransportError,
 )
+from fibaction_transports.mcp._tool_names import CANCEL, SEND, STATUS, tool_name
+from fibaction_transports.mcp._tool_schema import tool_input
+from fibaction_transports.mcp.agent_policy import AgentPolicy
 
 PERIOD = 1.0
 """Seconds between two looks for actions."""
@@ -54,7 +54,7 @@ MOST_ACTIONS = 200
 _OVER = (AuthenticationFailed, ConnectionLost, InvalidURL, ProtocolError, ServerNotFound)
 """Errors after which a connection, and all that was open over it, is of no more use."""
 
-logger = clean_logger("fibaction.agents")
+logger = clean_logger("fibaction.mcp")
 
 
 class RobotAction:

@@ -16,13 +16,13 @@ from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
-from fibaction.agents._robot_actions import RobotAction
-from fibaction.agents._tool_error import ToolError
-from fibaction.agents._tool_names import STATUS
 from fibaction.client.goal import ClientGoal
 from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
+from fibaction_transports.mcp._robot_actions import RobotAction
+from fibaction_transports.mcp._tool_error import ToolError
+from fibaction_transports.mcp._tool_names import STATUS
 
 MOST_ACTIVE = 100
 """Goals that a bridge follows at once; more are not sent."""
@@ -37,7 +37,7 @@ FIRST_UPDATE = 0.5
 CANCEL_TIMEOUT = 5.0
 """Seconds that a cancel may take when the tool that waited for the goal was canceled."""
 
-logger = clean_logger("fibaction.agents")
+logger = clean_logger("fibaction.mcp")
 
 Report = Callable[[int, Any], Awaitable[None]]
 """Gets a number that increases with each feedback, and the feedback."""

@@ -12,10 +12,10 @@ from typing import Any
 
 import anyio
 import pytest
+from fibaction_transports.mcp import McpBridge
 
 from fibaction import serve
-from fibaction.agents import McpBridge
-from tests.agents.robot import PATIENCE, UNASKED, Robot
+from tests.transports.mcp.robot import PATIENCE, UNASKED, Robot
 
 pytestmark = pytest.mark.asyncio
 

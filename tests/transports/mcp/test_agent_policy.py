@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-
-from fibaction.agents import AgentPolicy
+from fibaction_transports.mcp import AgentPolicy
 
 
 def test_by_default_everything_is_allowed_and_asked() -> None:

@@ -8,6 +8,9 @@ from typing import Any, cast
 
 import anyio
 import pytest
+from fibaction_transports.mcp import AgentPolicy, McpBridge, _consent
+from fibaction_transports.mcp._consent import goal_text
+from fibaction_transports.mcp._tool_error import ToolError
 from mcp import Client
 from mcp_types import (
     CallToolResult,
@@ -22,10 +25,7 @@ from mcp_types import (
 )
 
 from fibaction import serve
-from fibaction.agents import AgentPolicy, McpBridge, _consent
-from fibaction.agents._consent import goal_text
-from fibaction.agents._tool_error import ToolError
-from tests.agents.robot import (
+from tests.transports.mcp.robot import (
     MODES,
     Drive,
     Mode,

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import pytest
-
-from fibaction.agents import _agent_goals, _robot_actions
+from fibaction_transports.mcp import _agent_goals, _robot_actions
 
 
 @pytest.fixture(autouse=True)

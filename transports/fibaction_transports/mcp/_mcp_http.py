@@ -32,7 +32,7 @@ Receive = Callable[[], Awaitable[Scope]]
 Send = Callable[[Scope], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
-logger = clean_logger("fibaction.agents")
+logger = clean_logger("fibaction.mcp")
 
 
 class Guarded:

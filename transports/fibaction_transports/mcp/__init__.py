@@ -4,14 +4,14 @@
 
     from mcp import Client
 
-    from fibaction.agents import AgentPolicy, McpBridge
+    from fibaction_transports.mcp import AgentPolicy, McpBridge
 
     policy = AgentPolicy(unasked=("look",))
     async with McpBridge("tcp://127.0.0.1:7400", policy) as bridge, Client(bridge.server) as client:
         print(await client.call_tool("look", {"at": "door"}))
 """
 
-from fibaction.agents.agent_policy import AgentPolicy as AgentPolicy
-from fibaction.agents.mcp_bridge import McpBridge as McpBridge
+from fibaction_transports.mcp.agent_policy import AgentPolicy as AgentPolicy
+from fibaction_transports.mcp.mcp_bridge import McpBridge as McpBridge
 
 __all__ = ["AgentPolicy", "McpBridge"]

@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 from typing import Any
 
 from fibaction._runtime.text import excerpt
-from fibaction.agents._robot_actions import RobotAction
 from fibaction.words.goals import GoalInfo
+from fibaction_transports.mcp._robot_actions import RobotAction
 
 MOST_GOALS = 20
 """Goals of one action that are listed: the newest ones."""
