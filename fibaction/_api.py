@@ -45,13 +45,20 @@ class _RosbridgeKeywords(TypedDict, total=False):
     cancel_on_disconnect: bool
 
 
+class _McpKeywords(TypedDict, total=False):
+    allow: Iterable[str]
+    unasked: Iterable[str]
+    read_only: bool
+    patience: float
+
+
 class ConnectKeywords(ClientKeywords, _RosKeywords, _RosbridgeKeywords, total=False):
     """The settings that `connect` passes on to the transport of a URL."""
 
     tls: TlsFiles | SSLContext | None
 
 
-class ServeKeywords(ServerKeywords, _RosKeywords, total=False):
+class ServeKeywords(ServerKeywords, _RosKeywords, _McpKeywords, total=False):
     """The settings that `serve` passes on to the transports of URLs."""
 
     tls: TlsFiles | SSLContext | None

@@ -23,7 +23,9 @@ from mcp_types import CallToolResult, ElicitResult, TextContent
 
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.cli.verbs import serve_mcp
-from fibaction.cli.verbs.serve_mcp import host_and_port, named_servers
+from fibaction.cli.verbs.serve_mcp import named_servers, url_of_http
+from fibaction.observe.followed_servers import FollowedServers
+from fibaction_transports.mcp import McpStdioTransport
 from tests.cli.conftest import Invoke, Start, command, environment
 from tests.support.processes import PATIENCE, ended, lines_until
 
@@ -143,7 +145,9 @@ def test_a_signal_ends_it_in_this_process(nobody: str, monkeypatch: pytest.Monke
         waits: Any = Waits()
         with os.fdopen(read, "rb") as raw, io.TextIOWrapper(raw) as stdin:
             monkeypatch.setattr(sys, "stdin", stdin)
-            return await serve_mcp.serve_stdio(McpBridge(nobody), waits)
+            return await serve_mcp.serve_mcp(
+                FollowedServers({"": nobody}), McpStdioTransport(), "", waits
+            )
 
     assert anyio.run(run) == ExitCode.SUCCEEDED
 
@@ -205,7 +209,11 @@ def test_over_http_the_token_may_come_from_the_environment(
 @pytest.mark.parametrize(
     ("arguments", "env", "text"),
     [
-        (["--http", "0.0.0.0:0"], {}, "use TLS, with --cert and --key, or, if"),
+        (
+            ["--http", "0.0.0.0:0"],
+            {},
+            "use TLS, with cert= and key= at mcp+https",
+        ),
         (["--http", "no.invalid:0"], {}, "use TLS"),
         (["--http", ":0"], {"FIBACTION_MCP_TOKEN": "x" * 5000}, "FIBACTION_MCP_TOKEN: token has"),
         (["--http", "8090"], {}, "--http is like :8090 or 127.0.0.1:8090, not '8090'"),
@@ -261,18 +269,18 @@ def test_addresses_that_cannot_be_used_are_one_sentence(addresses: list[str], te
 
 
 @pytest.mark.parametrize(
-    ("address", "parts"),
+    ("address", "has_tls", "url"),
     [
-        (":8090", ("127.0.0.1", 8090)),
-        ("0.0.0.0:80", ("0.0.0.0", 80)),
-        ("[::1]:0", ("::1", 0)),
+        (":8090", False, "mcp+http://127.0.0.1:8090"),
+        ("0.0.0.0:80", True, "mcp+https://0.0.0.0:80"),
+        ("[::1]:0", False, "mcp+http://[::1]:0"),
     ],
 )
-def test_an_address_for_http_has_a_port(address: str, parts: tuple[str, int]) -> None:
-    assert host_and_port(address) == parts
+def test_an_address_for_http_has_a_port(address: str, has_tls: bool, url: str) -> None:
+    assert url_of_http(address, has_tls=has_tls) == url
 
 
 @pytest.mark.parametrize("address", ["", "8090", ":", ":x", ":65536", "h:²"])
 def test_an_address_for_http_without_a_port_is_an_error(address: str) -> None:
     with pytest.raises(ValueError, match="--http is like"):
-        host_and_port(address)
+        url_of_http(address, has_tls=False)

@@ -1,6 +1,7 @@
 """`fibaction mcp`: the actions of servers as tools of language models, with the extra `mcp`.
 
-It is not called `mcp`, since it imports a library of that name.
+They are served by `mcp+stdio://` or `mcp+http://`; here are only the options. The module is not
+called `mcp`, since that is the name of a library.
 """
 
 from __future__ import annotations
@@ -10,25 +11,27 @@ import re
 import secrets
 from collections.abc import Sequence
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from typing import Any, cast
 
 import anyio
 import click
 
-from fibaction.border.urls import without_settings
+from fibaction.border.gateway import Gateway, GatewayTransport, ServerGroup
+from fibaction.border.urls import transport_for, without_settings
 from fibaction.cli.arguments.options import reject_inproc, url_of
 from fibaction.cli.output.lines import note, say
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
 from fibaction.cli.process.last_seconds import LastSeconds
 from fibaction.cli.process.logs import log_with_time
 from fibaction.cli.process.signals import stop_signals
+from fibaction.observe.followed_servers import FollowedServers
+from fibaction.wire.auth import check_token
+from fibaction.wire.tls_files import TlsFiles
 from fibaction.words.errors import TransportError
-
-if TYPE_CHECKING:
-    from fibaction_transports.mcp import McpBridge
 
 TOKEN = "FIBACTION_MCP_TOKEN"
 """The variable with the token that clients over HTTP need."""
+STDIO = "mcp+stdio://"
 LAST_SECONDS = 0.5
 """Seconds that the process has to end: a thread of it may still wait for a line of stdin."""
 _NAMED = re.compile(r"(?:(?P<name>\w+)=)?(?P<url>[\w+.-]+://.*)", re.ASCII | re.DOTALL)
@@ -98,22 +101,25 @@ def mcp_command(
     if http is None and (cert or key or insecure):
         raise Failure("--cert, --key and --insecure are settings of --http", ExitCode.USAGE)
     servers = named_servers(addresses or (url_of(context),))
-    from fibaction_transports.mcp import (  # their imports would slow down --help
-        AgentPolicy,
-        McpBridge,
-    )
-
+    rules: dict[str, Any] = {
+        "allow": allow or ("*",),
+        "unasked": unasked,
+        "read_only": read_only,
+        "patience": patience,
+    }
+    secret = ""
+    if http is not None:
+        token, secret = token_and_its_source()
+        files = TlsFiles(cert=cert, key=key) if cert or key else None
+        rules |= {"token": token, "tls": files, "insecure": insecure}
     try:
-        policy = AgentPolicy(allow or ("*",), unasked, read_only, patience)
-        bridge = McpBridge(servers, policy)
-        where = None if http is None else host_and_port(http)
-    except ValueError as exc:
+        url = STDIO if http is None else url_of_http(http, has_tls=bool(cert or key))
+        transport = cast("GatewayTransport", transport_for(url, **rules))
+    except (TransportError, ValueError) as exc:
         raise Failure(str(exc), ExitCode.USAGE) from exc
-    with log_with_time():
-        if where is not None:
-            run(serve_http, bridge, *where, cert=cert, key=key, insecure=insecure)
-        with LastSeconds(LAST_SECONDS, ExitCode.SUCCEEDED) as last:
-            run(serve_stdio, bridge, last)
+    group = FollowedServers(servers)
+    with log_with_time(), LastSeconds(LAST_SECONDS, ExitCode.SUCCEEDED) as last:
+        run(serve_mcp, group, transport, secret, last)
 
 
 def named_servers(addresses: Sequence[str]) -> dict[str, str]:
@@ -142,67 +148,73 @@ def named_servers(addresses: Sequence[str]) -> dict[str, str]:
     return servers
 
 
-def host_and_port(address: str) -> tuple[str, int]:
-    """Return the parts of `[HOST]:PORT`; without a host it is this machine only.
+def url_of_http(address: str, *, has_tls: bool) -> str:
+    """Return the URL for `[HOST]:PORT`; without a host it is this machine only.
 
     Raises:
-        ValueError: It has another form.
+        ValueError: The address has another form.
     """
     host, colon, port = address.rpartition(":")
     if not (colon and port.isascii() and port.isdecimal() and int(port) < 65536):
         raise ValueError(f"--http is like :8090 or 127.0.0.1:8090, not {address!r}")
-    return host.strip("[]") or "127.0.0.1", int(port)
+    return f"{'mcp+https' if has_tls else 'mcp+http'}://{host or '127.0.0.1'}:{port}"
 
 
-async def serve_stdio(bridge: McpBridge, last: LastSeconds) -> int:
-    """Serve a client over stdin and stdout, until it closes stdin or a signal comes."""
-    async with stop_signals() as stop, bridge, anyio.create_task_group() as tasks:
+def token_and_its_source() -> tuple[str, str]:
+    """Return the token that clients over HTTP need, and the words that tell the user which it is.
 
-        async def end_by_signal() -> None:
+    Raises:
+        Failure: The token in the environment cannot be one.
+    """
+    if given := os.environ.get(TOKEN):
+        try:
+            check_token(given)
+        except ValueError as exc:
+            raise Failure(f"{TOKEN}: {exc}", ExitCode.USAGE) from exc
+        return given, f"the token in {TOKEN}"
+    token = secrets.token_urlsafe(16)
+    return token, f"the token {token}"
+
+
+async def serve_mcp(
+    group: FollowedServers, transport: GatewayTransport, secret: str, last: LastSeconds
+) -> int:
+    """Serve the actions of servers, until a signal comes or the only client goes.
+
+    `secret` tells the token that clients need; it is empty if they need none.
+
+    Raises:
+        Failure: They cannot be served there.
+    """
+    try:
+        async with (
+            stop_signals() as stop,
+            group,
+            transport.serve_group(group) as gateway,
+            anyio.create_task_group() as tasks,
+        ):
+
+            async def end_with_client() -> None:
+                await transport.wait_end()
+                tasks.cancel_scope.cancel()
+
+            if secret:
+                say(f"{opening(gateway, group, f'{gateway.url} with {secret}')}, Ctrl-C stops it")
+            else:
+                note(opening(gateway, group, "stdin and stdout"))
+            tasks.start_soon(end_with_client)
             await stop.wait()
             tasks.cancel_scope.cancel()
-
-        note(opening(bridge, "stdin and stdout"))
-        tasks.start_soon(end_by_signal)
-        await bridge.run_stdio()
-        tasks.cancel_scope.cancel()
+    except TransportError as exc:
+        raise Failure(str(exc), ExitCode.USAGE) from exc
     last.begin()
     return ExitCode.SUCCEEDED
 
 
-async def serve_http(
-    bridge: McpBridge, host: str, port: int, *, cert: str | None, key: str | None, insecure: bool
-) -> int:
-    """Serve clients over HTTP, until a signal comes.
-
-    Raises:
-        Failure: It cannot be served there.
-    """
-    from fibaction_transports.mcp._mcp_http import served_over_http
-
-    given = os.environ.get(TOKEN)
-    token = given or secrets.token_urlsafe(16)
-    try:
-        async with (
-            stop_signals() as stop,
-            bridge,
-            served_over_http(
-                bridge.server, host, port, token, cert=cert, key=key, insecure=insecure
-            ) as url,
-        ):
-            secret = f"the token in {TOKEN}" if given else f"the token {token}"
-            say(f"{opening(bridge, f'{url} with {secret}')}, Ctrl-C stops it")
-            await stop.wait()
-    except ValueError as exc:
-        raise Failure(f"{TOKEN}: {exc}", ExitCode.USAGE) from exc
-    except TransportError as exc:
-        raise Failure(str(exc), ExitCode.USAGE) from exc
-    return ExitCode.SUCCEEDED
-
-
-def opening(bridge: McpBridge, where: str) -> str:
+def opening(gateway: Gateway, group: ServerGroup, where: str) -> str:
     """Return the line about the tools that there are at the start."""
-    text = f"serving the tools {', '.join(bridge.tools)} over {where}"
-    for name, problem in bridge.problems.items():
-        text += f"; {name or 'the server'} cannot be reached yet: {problem}"
+    text = f"serving the tools {', '.join(gateway.names)} over {where}"
+    for name, problem in group.problems.items():
+        if problem:
+            text += f"; {name or 'the server'} cannot be reached yet: {problem}"
     return text

@@ -18,9 +18,14 @@ from mcp import Client
 from mcp.client.streamable_http import streamable_http_client
 from mcp_types import ElicitResult
 
-from fibaction import TransportError, serve
+from fibaction import InvalidURL, TransportError, connect, serve
+from fibaction.border.urls import transport_for
+from fibaction.observe.followed_servers import FollowedServers
+from fibaction.wire.tls_files import TlsFiles
+from fibaction_transports.mcp import McpHttpTransport
+from fibaction_transports.mcp._mcp_http import is_loopback
 from tests.support.certificates import pems
-from tests.transports.mcp.robot import MODES, PATIENCE, UNASKED, Drive, Mode, Robot, Talk
+from tests.transports.mcp.robot import DRIVE, MODES, PATIENCE, Drive, Mode, Robot, Talk
 
 pytestmark = pytest.mark.asyncio
 both = pytest.mark.parametrize("mode", MODES)
@@ -35,14 +40,11 @@ GOOD = {"Authorization": f"Bearer {TOKEN}"}
 
 @asynccontextmanager
 async def served(
-    policy: AgentPolicy | None = None, host: str = "127.0.0.1", **settings: Any
+    host: str = "127.0.0.1", **settings: Any
 ) -> AsyncGenerator[tuple[Robot, str], None]:
     robot = Robot()
-    async with (
-        serve((robot.drive, robot.count), robot.here),
-        McpBridge(robot.here, policy) as bridge,
-        served_over_http(bridge.server, host, 0, TOKEN, **settings) as url,
-    ):
+    transport = McpHttpTransport(host, 0, token=TOKEN, **settings)
+    async with serve((robot.drive, robot.count), transport) as (url,):
         yield robot, url
 
 
@@ -81,7 +83,7 @@ async def test_the_user_is_asked_and_the_goal_runs(mode: Mode) -> None:
 
 @both
 async def test_a_call_that_the_client_cancels_cancels_its_goal(mode: Mode) -> None:
-    async with served(UNASKED) as (robot, url), talking(url, mode) as made:
+    async with served(unasked=["*"]) as (robot, url), talking(url, mode) as made:
         with anyio.fail_after(PATIENCE):
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(lambda: made.call("arm-drive", meters=100))
@@ -94,10 +96,10 @@ async def test_each_client_is_told_that_the_list_has_changed() -> None:
     robot = Robot()
     async with (
         serve(robot.count, robot.here),
-        McpBridge(robot.here) as bridge,
-        served_over_http(bridge.server, "127.0.0.1", 0, TOKEN) as url,
-        talking(url, "auto") as one,
-        talking(url, "auto") as two,
+        FollowedServers({"": robot.here}) as group,
+        McpHttpTransport(port=0, token=TOKEN).serve_group(group) as gateway,
+        talking(gateway.url, "auto") as one,
+        talking(gateway.url, "auto") as two,
         one.client.listen(tools_list_changed=True),
         two.client.listen(tools_list_changed=True),
         serve(robot.drive, robot.here),
@@ -155,13 +157,13 @@ async def test_a_header_that_comes_twice_does_not_count() -> None:
 
 
 async def test_beyond_this_machine_it_takes_tls_or_a_word_for_it() -> None:
-    with pytest.raises(TransportError, match=r"0\.0\.0\.0 can be reached from other machines"):
+    with pytest.raises(TransportError, match=r"0\.0\.0\.0:0 can be reached from other machines"):
         async with served(host="0.0.0.0"):
             pass
     async with served(host="0.0.0.0", insecure=True) as (_, url):
         assert (await answer(url, GOOD)).status_code == 200
     files = pems()
-    async with served(host="0.0.0.0", cert=files.cert, key=files.cert) as (_, url):
+    async with served(host="0.0.0.0", tls=TlsFiles(cert=files.cert, key=files.cert)) as (_, url):
         assert url.startswith("https://0.0.0.0:")
         here = url.replace("0.0.0.0", "127.0.0.1")
         context = ssl.create_default_context(cafile=files.ca)
@@ -178,23 +180,89 @@ async def test_this_machine_has_several_names(host: str) -> None:
 async def test_a_port_that_is_taken_is_an_error() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        async with McpBridge(Robot().here) as bridge:
-            with pytest.raises(TransportError, match=f"cannot listen at 127.0.0.1:{port}: "):
-                async with served_over_http(bridge.server, "127.0.0.1", port, TOKEN):
-                    pass
+        with pytest.raises(TransportError, match=f"cannot listen at 127.0.0.1:{port}: "):
+            async with serve(Robot().drive, McpHttpTransport(port=port, token=TOKEN)):
+                pass
 
 
 async def test_files_that_are_not_for_tls_are_an_error(tmp_path: Path) -> None:
-    with pytest.raises(TransportError, match="cannot load the TLS files"):
-        async with served(cert=str(tmp_path / "no.pem"), key=str(tmp_path / "no.pem")):
+    with pytest.raises(TransportError, match="cannot load TLS files"):
+        async with served(tls=TlsFiles(cert=str(tmp_path / "no.pem"))):
             pass
 
 
-async def test_an_empty_token_is_an_error() -> None:
-    async with McpBridge(Robot().here) as bridge:
-        with pytest.raises(ValueError, match="none empty"):
-            async with served_over_http(bridge.server, "127.0.0.1", 0, ""):
+async def test_without_a_token_it_serves_nobody() -> None:
+    with pytest.raises(TransportError, match="needs a token"):
+        async with serve(Robot().drive, "mcp+http://127.0.0.1:0?token="):
+            pass
+    with pytest.raises(ValueError, match="token has 5000 bytes"):
+        McpHttpTransport(token="x" * 5000)
+
+
+async def test_each_of_several_tokens_is_enough() -> None:
+    tokens = {"one": "kitchen", "two": "cellar"}
+    async with serve(Robot().drive, "mcp+http://127.0.0.1:0", tokens=tokens) as (url,):
+        for token, status in (("one", 200), ("two", 200), ("three", 401)):
+            got = await answer(url, {"Authorization": f"Bearer {token}"})
+            assert got.status_code == status
+
+
+async def test_the_settings_in_a_url_are_those_of_the_constructor() -> None:
+    robot = Robot()
+    url = f"mcp+http://localhost:0?token={TOKEN}&allow=arm/*,look&unasked=arm/drive&patience=3"
+    async with serve((robot.drive, robot.count), url) as (where,), talking(where, "auto") as made:
+        assert await made.tools() == ["arm-drive", "send_goal", "goal_status", "cancel_goal"]
+        assert (await made.data("arm-drive", meters=3))["result"] == {"at": 3}
+        assert made.asked == []
+        (server,) = (await made.data("goal_status"))["servers"]
+        assert server == {"reachable": True}
+
+
+@pytest.mark.parametrize(
+    ("url", "text"),
+    [
+        ("mcp+http://h:1?patience=0", "patience is finite"),
+        ("mcp+http://h:1?allow=", "cannot be empty"),
+        ("mcp+http://h:1?read_only=yes", "'read_only' cannot be 'yes'"),
+        ("mcp+http://h:1?tokens=a", "given in code"),
+        ("mcp+http://h:1/path", "it has a path"),
+        ("mcp+http://me@h:1", "it has a user"),
+        ("mcp+http://h:65536", "[Pp]ort"),
+        ("mcp+http://h:1?cert=a.pem", "no setting 'cert'"),
+    ],
+)
+async def test_a_url_that_cannot_be_used_is_an_error(url: str, text: str) -> None:
+    with pytest.raises(InvalidURL, match=text):
+        transport_for(url)
+
+
+async def test_its_address_is_this_machine_unless_it_is_said() -> None:
+    assert transport_for("mcp+https://?cert=a").url == "mcp+https://127.0.0.1:8090"  # type: ignore[attr-defined]
+    assert McpHttpTransport("::1", 5).url == "mcp+http://[::1]:5"
+    with pytest.raises(ValueError, match="port is between"):
+        McpHttpTransport(port=65536)
+    with pytest.raises(TypeError, match="no setting 'unask'"):
+        transport_for("mcp+http://", unask=["a"])
+
+
+async def test_it_has_no_clients() -> None:
+    with pytest.raises(TransportError, match="are language models"):
+        connect("mcp+http://127.0.0.1:1", DRIVE)._transport.connect()
+
+
+async def test_it_needs_asyncio() -> None:
+    async def main() -> None:
+        with pytest.raises(TransportError, match="needs asyncio"):
+            async with serve(Robot().drive, McpHttpTransport(token=TOKEN)):
                 pass
+
+    await anyio.to_thread.run_sync(lambda: anyio.run(main, backend="trio"))
+
+
+async def test_two_actions_of_one_name_cannot_be_served() -> None:
+    with pytest.raises(TransportError, match="two of the endpoints"):
+        async with serve((Robot().drive, Robot().drive), McpHttpTransport(token=TOKEN)):
+            pass
 
 
 @pytest.mark.parametrize(
@@ -211,9 +279,10 @@ async def test_it_ends_while_a_tool_waits(mode: Mode) -> None:
     with anyio.fail_after(PATIENCE):
         async with serve(robot.drive, robot.here), anyio.create_task_group() as tasks:
             async with (
-                McpBridge(robot.here, UNASKED) as bridge,
-                served_over_http(bridge.server, "127.0.0.1", 0, TOKEN) as url,
+                FollowedServers({"": robot.here}) as group,
+                McpHttpTransport(port=0, token=TOKEN, unasked="*").serve_group(group) as gateway,
             ):
+                url = gateway.url
 
                 async def call() -> None:
                     with pytest.raises(BaseExceptionGroup):

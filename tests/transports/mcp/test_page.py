@@ -19,6 +19,8 @@ from mcp import Client, StdioServerParameters
 from mcp.client.streamable_http import streamable_http_client
 
 from fibaction.cli.verbs.serve_mcp import mcp_command
+from fibaction.observe.followed_servers import FollowedServers
+from fibaction_transports.mcp import McpHttpTransport
 from tests.cli.conftest import command, environment
 from tests.support.pages import blocks_of
 from tests.support.processes import PATIENCE, ended, lines_until
@@ -82,12 +84,12 @@ async def test_a_client_over_http_reaches_the_robot(config: dict[str, Any], robo
     token = config["headers"]["Authorization"].removeprefix("Bearer ")
     assert f"with the token {token}, Ctrl-C" in PAGE
     async with (
-        McpBridge(robot) as bridge,
-        served_over_http(bridge.server, "127.0.0.1", 0, token) as url,
+        FollowedServers({"": robot}) as group,
+        McpHttpTransport(port=0, token=token).serve_group(group) as gateway,
         httpx2.AsyncClient(headers=config["headers"], trust_env=False) as http,
-        Client(streamable_http_client(url, http_client=http)) as client,
+        Client(streamable_http_client(gateway.url, http_client=http)) as client,
     ):
-        assert re.sub(r":\d+", ":8090", url) == config["url"]
+        assert re.sub(r":\d+", ":8090", gateway.url) == config["url"]
         assert "fibonacci" in [tool.name for tool in (await client.list_tools()).tools]
 
 

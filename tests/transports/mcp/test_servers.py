@@ -28,6 +28,7 @@ from fibaction import (
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import Connection, Endpoint, Transport
 from fibaction.client.goal import ClientGoal
+from fibaction.observe import followed_servers
 from fibaction.words.goals import UNKNOWN_OUTCOME, GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.inprocess import InProcessTransport
@@ -175,8 +176,8 @@ async def test_a_server_may_die_and_come_back(mode: Mode) -> None:
 async def test_a_server_that_is_not_there_at_the_start_is_waited_for(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(_robot_actions, "FIRST_LOOK", 0.01)
-    monkeypatch.setattr(_robot_actions, "LOOK_TIMEOUT", 0.02)
+    monkeypatch.setattr(followed_servers, "FIRST_LOOK", 0.01)
+    monkeypatch.setattr(followed_servers, "LOOK_TIMEOUT", 0.02)
     robot = Robot()
     far = Far(robot.drive)
     far.connection.silent = True
@@ -201,7 +202,7 @@ async def test_a_server_that_is_not_there_at_the_start_is_waited_for(
 async def test_an_action_that_is_another_one_now_is_another_tool() -> None:
     here = InProcessTransport()
     async with McpBridge(here, UNASKED) as bridge, talk(bridge, "auto") as made:
-        news = bridge._actions.news
+        news = bridge._tools._actions.news
         async with serve(counter("one", [1, "done"]), here):
             await until(news, lambda: "one" in bridge.tools)
             assert (await made.data("one", goal=1))["result"] == "done"
@@ -363,7 +364,7 @@ async def test_a_goal_that_was_lost_is_found_again_when_it_is_asked_about(
     async with robot_and_talk("auto", UNASKED) as (robot, made):
         sent = await made.data("send_goal", tool="arm-drive", goal={"meters": 100})
         await robot.waits.wait()
-        goals = made.bridge._calls._goals._goals
+        goals = made.bridge._tools._calls._goals._goals
         (goal,) = goals.values()
         goal._goal.feedback.stream.fail(ConnectionLost("the line was cut"))
         await goal.ended.wait()
@@ -399,7 +400,7 @@ async def test_a_goal_that_ends_badly_for_the_bridge_says_so(
             raise ConnectionLost("the line was cut")
 
         with monkeypatch.context() as patch:
-            (action, _) = made.bridge._actions.tools.values()
+            (action, _) = made.bridge._tools._actions.tools.values()
             patch.setattr(action.client, "attach", lost)
             text = await made.error("goal_status", goal_id=str(other.goal_id))
             assert text == "The goal cannot be followed: the line was cut"
@@ -439,14 +440,14 @@ async def test_a_cancel_of_a_call_while_the_server_is_away_is_logged(
 async def test_an_unknown_outcome_is_an_error() -> None:
     async with robot_and_talk("auto", UNASKED) as (_, made):
         sent = await made.data("count", goal=1)
-        goal = made.bridge._calls._goals._goals[GoalID.parse(sent["goal_id"])]
+        goal = made.bridge._tools._calls._goals._goals[GoalID.parse(sent["goal_id"])]
         goal.outcome = UNKNOWN_OUTCOME
         assert goal_answer(goal).is_error
 
 
 async def test_a_goal_is_reported_with_its_client_if_that_is_known() -> None:
     async with robot_and_talk("auto") as (_, made):
-        (action, _) = made.bridge._actions.tools.values()
+        (action, _) = made.bridge._tools._actions.tools.values()
         info = GoalInfo(GoalID.random(), 10**18, GoalStatus.EXECUTING, client="kitchen")
         told = overview({}, [action], {action: [info]})
         assert told["actions"][0]["goals"][0]["client"] == "kitchen"

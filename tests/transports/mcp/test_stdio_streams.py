@@ -14,7 +14,9 @@ import anyio
 import pytest
 from fibaction_transports.mcp import McpBridge
 
-from fibaction import serve
+from fibaction import InvalidURL, TransportError, serve
+from fibaction.border.urls import transport_for
+from fibaction_transports.mcp import McpBridge, McpStdioTransport, mcp_stdio_transport
 from tests.transports.mcp.robot import PATIENCE, UNASKED, Robot
 
 pytestmark = pytest.mark.asyncio
@@ -96,3 +98,41 @@ async def test_a_bridge_that_waits_for_a_line_can_be_canceled(
             await pipes.answer()
             tasks.cancel_scope.cancel()
         pipes.write.close()  # for the thread that still waits
+
+
+async def test_a_server_is_served_over_them_by_a_url(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = Robot()
+    transport = transport_for("mcp+stdio://?unasked=*")
+    assert isinstance(transport, McpStdioTransport)
+    with piped(monkeypatch) as pipes, anyio.fail_after(PATIENCE):
+        async with serve(robot.drive, transport) as (url,):
+            assert url == "mcp+stdio://"
+            pipes.say("initialize", **HELLO)
+            await pipes.answer()
+            pipes.say("tools/call", name="arm-drive", arguments={"meters": 2})
+            assert (await pipes.answer())["result"]["structuredContent"]["result"] == {"at": 2}
+            pipes.write.close()
+            await transport.wait_end()
+
+
+async def test_the_block_ends_while_it_waits_for_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    with piped(monkeypatch) as pipes, anyio.fail_after(PATIENCE):
+        async with serve(Robot().drive, "mcp+stdio://"):
+            pipes.say("initialize", **HELLO)
+            await pipes.answer()
+        pipes.write.close()
+
+
+async def test_only_one_serves_over_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    def taken(*_: Any, **__: Any) -> Any:
+        raise RuntimeError("another one has claimed it")
+
+    monkeypatch.setattr(mcp_stdio_transport, "stdio_streams", taken)
+    with pytest.raises(TransportError, match="is served already by this process"):
+        async with serve(Robot().drive, "mcp+stdio://"):
+            pass
+
+
+async def test_there_is_no_address() -> None:
+    with pytest.raises(InvalidURL, match="no host and no path"):
+        transport_for("mcp+stdio://robot")

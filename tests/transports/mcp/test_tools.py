@@ -276,7 +276,7 @@ async def test_ended_goals_are_forgotten_in_time(monkeypatch: pytest.MonkeyPatch
     policy = AgentPolicy(unasked=("*",))
     async with robot_and_talk("auto", policy) as (_, made):
         counted = [(await made.data("count", goal=n))["goal_id"] for n in (1, 2, 3)]
-        goals = made.bridge._calls._goals._goals
+        goals = made.bridge._tools._calls._goals._goals
         assert [str(goal_id) for goal_id in goals] == counted[2:]
 
 

@@ -1,6 +1,7 @@
 """Actions as tools of language models, by the Model Context Protocol; with the extra `mcp`.
 
-`fibaction mcp URL` is this as a program. For example, in a test:
+`fibaction mcp URL` is this as a program; `mcp+stdio://` and `mcp+http://host:port` are its URLs.
+For example, in a test:
 
     from mcp import Client
 
@@ -13,5 +14,8 @@
 
 from fibaction_transports.mcp.agent_policy import AgentPolicy as AgentPolicy
 from fibaction_transports.mcp.mcp_bridge import McpBridge as McpBridge
+from fibaction_transports.mcp.mcp_http_transport import McpHttpTransport as McpHttpTransport
+from fibaction_transports.mcp.mcp_stdio_transport import McpStdioTransport as McpStdioTransport
+from fibaction_transports.mcp.mcp_transport import McpTransport as McpTransport
 
-__all__ = ["AgentPolicy", "McpBridge"]
+__all__ = ["AgentPolicy", "McpBridge", "McpHttpTransport", "McpStdioTransport", "McpTransport"]

@@ -8,6 +8,7 @@ no page of a browser and no other user of the machine can move a robot.
 from __future__ import annotations
 
 import socket
+import ssl
 from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, MutableMapping
 from contextlib import asynccontextmanager, contextmanager
 from ipaddress import ip_address
@@ -18,7 +19,7 @@ import uvicorn
 from mcp.server import Server
 from mcp.server.transport_security import TransportSecuritySettings
 
-from fibaction._runtime.http_rules import HttpRules, Refused, rules
+from fibaction._runtime.http_rules import HttpRules, Refused
 from fibaction._runtime.log import clean_logger
 from fibaction.wire.auth import AccessPolicy
 from fibaction.words.errors import TransportError
@@ -87,17 +88,12 @@ async def _refuse(refused: Refused, send: Send) -> None:
     await send({"type": "http.response.body", "body": body})
 
 
-def http_app(server: Server[Any], host: str, token: str, *, has_tls: bool = False) -> App:
-    """Return the application for a server that listens at a host.
-
-    Raises:
-        ValueError: The token is empty or cannot be one.
-    """
+def http_app(server: Server[Any], host: str, admitted: HttpRules, access: AccessPolicy) -> App:
+    """Return the application for a server that listens at a host."""
     # The rules above are stricter.
     off = TransportSecuritySettings(enable_dns_rebinding_protection=False)
     app = server.streamable_http_app(streamable_http_path=PATH, transport_security=off, host=host)
-    admitted = rules(host, PATH, hosts=(), origins=(), has_tls=has_tls)
-    return Guarded(app, admitted, AccessPolicy({token: "agent"}))
+    return Guarded(app, admitted, access)
 
 
 class _Uvicorn(uvicorn.Server):
@@ -118,30 +114,15 @@ class _Uvicorn(uvicorn.Server):
 
 @asynccontextmanager
 async def served_over_http(
-    server: Server[Any],
-    host: str,
-    port: int,
-    token: str,
-    *,
-    cert: str | None = None,
-    key: str | None = None,
-    insecure: bool = False,
-) -> AsyncGenerator[str, None]:
-    """Serve MCP over HTTP during the block, which gets the URL. It runs on asyncio only.
+    app: App, host: str, port: int, tls: ssl.SSLContext | None
+) -> AsyncGenerator[int, None]:
+    """Serve an application during the block, which gets the port. It runs on asyncio only.
 
-    Port 0 is a free one. `cert` and `key` are the files for TLS, without which it is for this
-    machine only, unless `insecure` says that something else protects the line.
+    Port 0 is a free one.
 
     Raises:
-        TransportError: Nothing can listen there, or the files cannot be used.
-        ValueError: The token is empty or cannot be one.
+        TransportError: Nothing can listen there.
     """
-    if not (cert or insecure or is_loopback(host)):
-        raise TransportError(
-            f"{host} can be reached from other machines: use TLS, with --cert and --key, or, if the"
-            f" network is your own, --insecure"
-        )
-    app = http_app(server, host, token, has_tls=cert is not None)
     listener = _listening(host, port)
     config = uvicorn.Config(
         app,
@@ -151,15 +132,10 @@ async def served_over_http(
         log_config=None,
         access_log=False,
         server_header=False,
-        ssl_certfile=cert,
-        ssl_keyfile=key,
         timeout_graceful_shutdown=LAST_ANSWERS,
     )
-    try:
-        config.load()
-    except OSError as exc:  # an SSLError is one
-        listener.close()
-        raise TransportError(f"cannot load the TLS files {cert} and {key}: {exc}") from exc
+    config.load()
+    config.ssl = tls
     running = _Uvicorn(config)
 
     async def run() -> None:
@@ -170,9 +146,8 @@ async def served_over_http(
         tasks.start_soon(run)
         with anyio.CancelScope(shield=True):  # told to end before, it would close nothing
             await running.has_started.wait()
-        scheme, shown = ("https" if cert else "http"), f"[{host}]" if ":" in host else host
         try:
-            yield f"{scheme}://{shown}:{listener.getsockname()[1]}{PATH}"
+            yield listener.getsockname()[1]
         finally:
             running.should_exit = True
 

@@ -1,0 +1,22 @@
+"""The keyword arguments of the transports of MCP, for type checkers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TypedDict
+
+
+class PolicyKeywords(TypedDict, total=False):
+    """The keyword arguments with the fields of an `AgentPolicy`."""
+
+    allow: Iterable[str]
+    unasked: Iterable[str]
+    read_only: bool
+    patience: float
+
+
+class McpHttpKeywords(PolicyKeywords, total=False):
+    """The keyword arguments that an `McpHttpTransport` has beside its address."""
+
+    token: str
+    tokens: Mapping[str, str] | None

@@ -1,0 +1,106 @@
+"""`ToolServer`: the actions of a group of servers as tools of a server of the SDK."""
+
+from __future__ import annotations
+
+from contextlib import AsyncExitStack
+from types import TracebackType
+from typing import Any, Self
+
+from mcp.server import NotificationOptions, Server
+from mcp.server.context import ServerRequestContext
+from mcp.server.models import InitializationOptions
+from mcp_types import (
+    CallToolRequestParams,
+    CallToolResult,
+    InputRequiredResult,
+    ListToolsResult,
+    PaginatedRequestParams,
+)
+
+from fibaction import __version__
+from fibaction._runtime.tasks import Background
+from fibaction.border.gateway import ServerGroup
+from fibaction_transports.mcp._agent_goals import AgentGoals
+from fibaction_transports.mcp._list_changes import ListChanges
+from fibaction_transports.mcp._robot_actions import RobotActions
+from fibaction_transports.mcp._tool_calls import ToolCalls
+from fibaction_transports.mcp._tool_list import instructions, tool_list
+from fibaction_transports.mcp.agent_policy import AgentPolicy
+
+
+class _McpServer(Server[object]):
+    """A server whose list of tools changes, which it tells every client."""
+
+    def create_initialization_options(
+        self,
+        notification_options: NotificationOptions | None = None,
+        experimental_capabilities: dict[str, dict[str, Any]] | None = None,
+        extensions: dict[str, dict[str, Any]] | None = None,
+    ) -> InitializationOptions:
+        return super().create_initialization_options(
+            notification_options or NotificationOptions(tools_changed=True),
+            experimental_capabilities,
+            extensions,
+        )
+
+
+class ToolServer:
+    """The tools for a group of servers, which can be called while the block lasts."""
+
+    def __init__(self, group: ServerGroup, policy: AgentPolicy) -> None:
+        self._policy = policy
+        self._actions = RobotActions(group, policy)
+        self._changes = ListChanges()
+        self._calls: ToolCalls
+        self._block: AsyncExitStack
+        self.server: Server[Any] = _McpServer(
+            "fibaction",
+            version=__version__,
+            title="Actions",
+            instructions=instructions(policy),
+            lifespan=lambda _: self._changes.connection(),
+            on_list_tools=self._list_tools,
+            on_call_tool=self._call_tool,
+            on_subscriptions_listen=self._changes.listen,
+        )
+        """The server of the SDK."""
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the tools, in the order of the list."""
+        return [tool.name for tool in tool_list(self._actions.tools, self._policy)]
+
+    async def __aenter__(self) -> Self:
+        """Begin to follow the goals that are sent, and the list of tools."""
+        async with AsyncExitStack() as stack:
+            tasks = await stack.enter_async_context(Background())
+            self._calls = ToolCalls(self._actions, AgentGoals(tasks), self._policy)
+            tasks.start_soon(self._actions.follow)
+            tasks.start_soon(self._tell_changes)
+            self._block = stack.pop_all()
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Follow the goals no longer; they go on at their servers."""
+        await self._block.__aexit__(exc_type, exc, traceback)
+
+    async def _tell_changes(self) -> None:
+        while True:
+            await self._actions.news.wait()
+            await self._changes.tell()
+
+    async def _list_tools(
+        self, context: ServerRequestContext[Any, Any], _: PaginatedRequestParams | None
+    ) -> ListToolsResult:
+        self._changes.note(context)
+        return ListToolsResult(tools=tool_list(self._actions.tools, self._policy))
+
+    async def _call_tool(
+        self, context: ServerRequestContext[Any, Any], params: CallToolRequestParams
+    ) -> CallToolResult | InputRequiredResult:
+        return await self._calls.call(context, params)
