@@ -25,11 +25,11 @@ from anyio import current_time
 from anyio.lowlevel import cancel_shielded_checkpoint
 
 from fibaction._runtime.notify import Notifier
-from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.feedback_log import FeedbackLog
+from fibaction.feeds.feedback_cursor import FeedbackCursor
+from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.feeds.status_broadcast import StatusBroadcast, StatusCursor
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
-from fibaction.server.status_broadcast import StatusBroadcast, StatusCursor
 from fibaction.server.watched_log import WatchedLog
 from fibaction.server.watcher_group import WatcherGroup
 from fibaction.words.errors import ActionError, GoalKept, UnknownGoal, copy_of

@@ -23,6 +23,8 @@ from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Endpoint
 from fibaction.border.goal_store import GoalStore
 from fibaction.border.watchers import Watcher
+from fibaction.feeds.feedback_cursor import FeedbackCursor
+from fibaction.feeds.status_broadcast import StatusCursor
 from fibaction.server.admission.admission import Admission, Offer
 from fibaction.server.admission.argument_checks import (
     check_is_executor,
@@ -39,7 +41,6 @@ from fibaction.server.durability.recovery import Recovery, RecoveryRule
 from fibaction.server.execution.executor import Executor
 from fibaction.server.execution.runs import GOAL_IS_KEPT, Runs
 from fibaction.server.execution.watchdog import Watch
-from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.lost_goals import Losses
@@ -47,7 +48,6 @@ from fibaction.server.registry.registry import MAX_BYTES, MAX_GOALS, GoalRegistr
 from fibaction.server.scheduling.dispatcher import Dispatcher
 from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.shutdown import Shutdown
-from fibaction.server.status_broadcast import StatusCursor
 from fibaction.server.watcher_group import WatcherGroup
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import GoalKept, ServerNotFound, copy_of

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from fibaction._runtime.budget import ByteBudget
 from fibaction.border.abc import FeedbackItem
-from fibaction.server.feedback_log import FeedbackLog
+from fibaction.feeds.feedback_log import FeedbackLog
 
 if TYPE_CHECKING:
     from fibaction.server.registry.goal_record import GoalRecord

@@ -23,6 +23,7 @@ from fibaction import (
     UnknownGoal,
 )
 from fibaction.border.abc import GoalStream, StatusStream
+from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.testing import ScriptedServer

@@ -15,6 +15,7 @@ import pytest
 
 from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalStatus
 from fibaction.border.abc import FeedbackItem
+from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.execution.executor import Execution, Executor
 from fibaction.server.execution.interruption import CancelOnce, Steps

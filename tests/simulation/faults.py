@@ -17,6 +17,9 @@ from anyio import current_time, sleep
 from fibaction._runtime.budget import CountedBytes
 from fibaction._runtime.notify import Notifier
 from fibaction.client.events import _Merger
+from fibaction.feeds.feedback_cursor import FeedbackCursor
+from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.feeds.status_broadcast import StatusBroadcast
 from fibaction.server.admission.admission import Admission
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog

@@ -6,6 +6,9 @@ from typing import Any
 
 from fibaction._runtime import text as text_module
 from fibaction._runtime.budget import ByteBudget
+from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.feeds.status_broadcast import StatusBroadcast
+from fibaction.feeds.status_broadcast import StatusCursor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.registry.goal_record import digest_of
 from fibaction.server.status_broadcast import StatusBroadcast, StatusCursor

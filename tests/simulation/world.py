@@ -24,6 +24,7 @@ from anyio import CancelScope, create_task_group, current_time
 from anyio.abc import TaskGroup
 
 from fibaction import ActionError, ActionServer, serve
+from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
 from fibaction.wire.server.session import Session

@@ -23,6 +23,7 @@ UNITS = {
     "fibaction/border/streams.py": ["tests/border/test_abc.py"],
     "fibaction/blocking": ["tests/blocking"],
     "fibaction/cli": ["tests/cli"],
+    "fibaction/feeds": ["tests/feeds"],
     "transports/fibaction_transports/_command.py": ["tests/cli"],
     "fibaction/server": ["tests/server"],
     "fibaction/stores": ["tests/stores"],

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from fibaction.border.abc import Endpoint, FeedbackItem, ForwardingEndpoint, GoalStream, Meta
+from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.registry.goal_record import GoalRecord, digest_of
 from fibaction.wire.auth import AccessPolicy, Permission

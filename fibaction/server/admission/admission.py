@@ -35,11 +35,11 @@ from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.text import excerpt, shortened
 from fibaction.border.goal_store import RecordTooLarge
+from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.server.admission.callbacks import SERVER_STOPPING, Callbacks
 from fibaction.server.admission.sender_argument import GoalFunction, with_sender
 from fibaction.server.durability.keeper import GOAL_IS_TAKEN, GoalKeeper
 from fibaction.server.execution.runs import Runs
-from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.registry.goal_record import LEAST_TIME, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry, Verdict

@@ -50,7 +50,7 @@ from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import GoalAborted, GoalCanceled, text_of
 
 if TYPE_CHECKING:
-    from fibaction.server.feedback_log import FeedbackLog
+    from fibaction.feeds.feedback_log import FeedbackLog
     from fibaction.words.goals import GoalID
 
 T = TypeVar("T")

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Generic
 from fibaction.types.action import FeedbackT, GoalT, ResultT
 
 if TYPE_CHECKING:
+    from fibaction.feeds.feedback_log import FeedbackLog
     from fibaction.server.execution.executor import Execution
-    from fibaction.server.feedback_log import FeedbackLog
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.words.goals import Outcome
 

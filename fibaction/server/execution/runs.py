@@ -46,6 +46,7 @@ from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction.border.goal_store import RecordTooLarge
+from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.durability.checkpoints import Checkpoints
 from fibaction.server.durability.keeper import (
     GOAL_IS_TAKEN,
@@ -59,7 +60,6 @@ from fibaction.server.execution.lost_executors import LostExecutors
 from fibaction.server.execution.run import Run
 from fibaction.server.execution.task_pool import TaskPool
 from fibaction.server.execution.watchdog import Watch
-from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.goal_handle import GoalHandle, Succession
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.registry.goal_record import NO_PLACE, Ending, EndKind, GoalRecord

@@ -22,6 +22,7 @@ from anyio.abc import TaskGroup
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, connect, serve
 from fibaction.border.abc import ForwardingEndpoint
+from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.task_pool import Job, TaskPool
 from fibaction.server.feedback_log import FeedbackLog

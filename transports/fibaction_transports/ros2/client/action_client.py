@@ -47,6 +47,7 @@ from anyio import current_time
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
+from fibaction.feeds.status_broadcast import StatusSubscription
 from fibaction.server.status_broadcast import StatusSubscription
 from fibaction.words.errors import ConnectionLost, GoalRejected, UnknownGoal
 from fibaction.words.goals import GoalID, GoalInfo

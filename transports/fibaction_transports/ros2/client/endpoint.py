@@ -12,6 +12,7 @@ from anyio.abc import TaskGroup
 
 from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Connection, Endpoint, Meta
+from fibaction.feeds.status_broadcast import StatusSubscription
 from fibaction.server.status_broadcast import StatusSubscription
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import (

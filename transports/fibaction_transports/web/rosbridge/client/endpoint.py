@@ -8,6 +8,7 @@ from anyio import current_time
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.text import excerpt
 from fibaction.border.abc import Endpoint, Meta, StatusStream
+from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.schema.payload import PayloadError
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.registry.goal_record import digest_of

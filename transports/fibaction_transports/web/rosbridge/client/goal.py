@@ -16,6 +16,8 @@ import time
 import anyio
 
 from fibaction._runtime.text import REASON, excerpt
+from fibaction.feeds.feedback_cursor import FeedbackCursor
+from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.schema.payload import PayloadError
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
-from fibaction.server.execution.stall import Patience
+from fibaction.feeds.patience import Patience
 from fibaction.words.errors import ActionError, copy_of
 from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
-    from fibaction.server.feedback_log import FeedbackLog
+    from fibaction.feeds.feedback_log import FeedbackLog
     from fibaction.words.goals import Outcome
 
 

@@ -43,6 +43,7 @@ import sys
 from collections import deque
 from collections.abc import Iterator
 from itertools import islice
+from typing import TYPE_CHECKING
 from weakref import ref
 
 import anyio
@@ -50,11 +51,13 @@ import anyio
 from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import FeedbackItem
-from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.registry.goal_record import GoalRecord
-from fibaction.server.registry.members import Members, with_member, without_member
+from fibaction.feeds._members import Members, with_member, without_member
+from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.words.errors import ActionError, copy_of
 from fibaction.words.statuses import GoalStatus
+
+if TYPE_CHECKING:
+    from fibaction.server.registry.goal_record import GoalRecord
 
 BUDGET_STEP = 0.1
 """Seconds after which a log looks again whether the server is within its budget of bytes."""
@@ -189,6 +192,8 @@ class FeedbackLog:
 
     def discarding(self) -> FeedbackLog:
         """Return a log without followers, for feedback that comes after the end of the goal."""
+        from fibaction.server.registry.goal_record import GoalRecord
+
         goal = self.goal
         return FeedbackLog(GoalRecord(goal.goal_id, goal.digest, goal.stamp, goal.sender))
 

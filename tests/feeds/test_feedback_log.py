@@ -14,7 +14,12 @@ from hypothesis import example, given, strategies
 
 from fibaction._runtime.budget import ByteBudget
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
-from fibaction.server.execution.stall import MOST, SHARE
+from fibaction.feeds.feedback_cursor import FeedbackCursor
+from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.feeds.patience import MOST
+from fibaction.feeds.patience import SHARE
+from fibaction.server.execution.stall import MOST
+from fibaction.server.execution.stall import SHARE
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.registry.goal_record import GoalRecord

@@ -1,0 +1,1 @@
+"""The feedback of goals and the statuses of all goals, for any number of followers."""
