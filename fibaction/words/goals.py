@@ -9,6 +9,7 @@ import os
 from collections.abc import Iterable
 from enum import IntEnum
 from functools import lru_cache
+from hashlib import blake2b
 from typing import Any, Generic, TypeVar
 
 import msgspec
@@ -20,6 +21,11 @@ T = TypeVar("T")
 
 WHY_UNKNOWN = "it was never accepted, its result has expired, or the server was started anew"
 """A server that does not know a goal cannot tell which of these it was."""
+ID_IN_USE = "its ID is in use by another goal"
+"""The reason for which a goal is rejected whose ID was sent before with another payload."""
+
+DIGEST_SIZE = 16
+"""Bytes of a digest: enough that two payloads never have the same digest by chance."""
 
 
 class GoalID(bytes):
@@ -72,6 +78,14 @@ class GoalID(bytes):
 
 NO_GOAL = GoalID(bytes(16))
 """The reserved ID of all zeros; in a cancel it means "any goal"."""
+
+
+def digest_of(payload: bytes) -> bytes:
+    """Return a digest of a goal, which tells a retry from another goal with the same ID.
+
+    It is the same in every process, so it can be stored, and it does not keep the payload alive.
+    """
+    return blake2b(payload, digest_size=DIGEST_SIZE).digest()
 
 
 class Sender(msgspec.Struct, frozen=True):

@@ -29,8 +29,7 @@ from fibaction import (
     UnknownGoal,
 )
 from fibaction.border.goal_store import GoalTaken, StoredGoal
-from fibaction.server.registry.goal_record import digest_of
-from fibaction.words.goals import UNKNOWN_SENDER
+from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from tests.support.memory_store import Fate, MemoryStore
 from tests.support.virtual_time import in_virtual_time
 

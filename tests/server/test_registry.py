@@ -20,7 +20,7 @@ from hypothesis.stateful import (
 
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.registry.cancellation import Cancellation
-from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, digest_of
+from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry, Verdict
 from fibaction.words.errors import GoalRejected, InvalidTransition
 from fibaction.words.goals import (
@@ -32,6 +32,7 @@ from fibaction.words.goals import (
     GoalInfo,
     Outcome,
     Sender,
+    digest_of,
 )
 from fibaction.words.statuses import GoalEvent, GoalStatus
 
@@ -93,12 +94,6 @@ def test_a_new_goal_has_not_ended_and_nothing_stops_it() -> None:
     goal = accepted(GoalRegistry(), A)
     assert (goal.ended_at, goal.stop_reason, goal.outcome, goal.feedback_count) == (0, "", None, 0)
     assert (goal.is_lost, goal.stored, goal.changed) == (False, None, 0)
-
-
-def test_a_digest_is_the_same_in_every_process_and_has_sixteen_bytes() -> None:
-    # By `printf goal | b2sum -l 128`.
-    assert digest_of(b"goal").hex() == "c3d1adee19a9bf84e992ef006f4b2153"
-    assert digest_of(b"goal") != digest_of(b"goa")
 
 
 def infos(registry: GoalRegistry) -> list[GoalInfo]:

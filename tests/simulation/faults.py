@@ -25,7 +25,7 @@ from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.expiry import ExpiringMap
-from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, digest_of
+from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
 from fibaction.server.registry.registry import GoalRegistry, Verdict, _Undecided
 from fibaction.server.status_broadcast import StatusBroadcast
 from fibaction.wire.channel import StreamChannel
@@ -39,7 +39,7 @@ from fibaction.wire.messages import CancelAnswered, Ended, Follow, Received
 from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.session import Session
 from fibaction.wire.server.subscriptions import Subscription
-from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.goals import GoalID, GoalInfo, digest_of
 from fibaction.words.statuses import GoalStatus
 
 

@@ -10,8 +10,8 @@ from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.feeds.status_broadcast import StatusBroadcast
 from fibaction.feeds.status_broadcast import StatusCursor
 from fibaction.server.feedback_log import FeedbackLog
-from fibaction.server.registry.goal_record import digest_of
-from fibaction.server.status_broadcast import StatusBroadcast, StatusCursor
+from fibaction.server.status_broadcast import StatusBroadcast
+from fibaction.server.status_broadcast import StatusCursor
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
 from fibaction.wire.codec import FromClient
 from fibaction.wire.frames import MAX_FRAME, FrameReader
@@ -21,6 +21,7 @@ from fibaction.wire.server.session import Session
 from fibaction.wire.server.session_client import SessionClient
 from fibaction.wire.server.session_goals import SessionGoals
 from fibaction.wire.settings import Limits
+from fibaction.words.goals import digest_of
 from tests.simulation.faults import mistake
 
 

@@ -12,8 +12,9 @@ from fibaction import (
     Sender,
     UnknownGoal,
 )
-from fibaction.server.registry.goal_record import GoalRecord, digest_of
+from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
+from fibaction.words.goals import digest_of
 from tests.simulation.facts import Life, Truth
 from tests.simulation.generator import scenario_of
 from tests.simulation.invariants import Record

@@ -14,8 +14,8 @@ from hypothesis import strategies as some
 
 from fibaction.border.abc import Endpoint, FeedbackItem, ForwardingEndpoint, GoalStream, Meta
 from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.feedback_log import FeedbackLog
-from fibaction.server.registry.goal_record import GoalRecord, digest_of
 from fibaction.wire.auth import AccessPolicy, Permission
 from fibaction.wire.client.connection import open_connection
 from fibaction.wire.client.remote_goal import RemoteGoal
@@ -36,7 +36,7 @@ from fibaction.wire.messages import (
     Why,
 )
 from fibaction.words.errors import GoalKept, GoalRejected, UnknownGoal
-from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Outcome, Sender
+from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, Outcome, Sender, digest_of
 from fibaction.words.statuses import GoalStatus
 from tests.wire import memory
 from tests.wire.ends import (

@@ -19,6 +19,7 @@ from fibaction.words.goals import (
     GoalInfo,
     Outcome,
     Sender,
+    digest_of,
 )
 from fibaction.words.statuses import GoalStatus
 
@@ -186,3 +187,9 @@ def test_the_answers_of_several_servers_to_one_cancel_are_merged(
     answers: list[CancelAnswer], merged: CancelAnswer
 ) -> None:
     assert CancelAnswer.merged(answers) == merged
+
+
+def test_a_digest_is_the_same_in_every_process_and_has_sixteen_bytes() -> None:
+    # By `printf goal | b2sum -l 128`.
+    assert digest_of(b"goal").hex() == "c3d1adee19a9bf84e992ef006f4b2153"
+    assert digest_of(b"goal") != digest_of(b"goa")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from hashlib import blake2b
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -22,17 +21,6 @@ NO_PLACE = (0, 0)
 LEAST_TIME = 30.0
 """Seconds for which an outcome is remembered at least, if the client of the goal may not have been
 told the acceptance, or was away with the server: it comes back within that time."""
-
-DIGEST_SIZE = 16
-"""Bytes of a digest: enough that two payloads never have the same digest by chance."""
-
-
-def digest_of(payload: bytes) -> bytes:
-    """Return a digest of a goal, which tells a retry from another goal with the same ID.
-
-    It is the same in every process, so it can be stored, and it does not keep the payload alive.
-    """
-    return blake2b(payload, digest_size=DIGEST_SIZE).digest()
 
 
 class GoalRecord:

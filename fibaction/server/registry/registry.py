@@ -43,15 +43,13 @@ import msgspec
 from fibaction._runtime.budget import ByteBudget, CountedBytes
 from fibaction.server.registry.cancellation import Cancellation, cancellation_of
 from fibaction.server.registry.expiry import ExpiringMap
-from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, digest_of
+from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
 from fibaction.words.errors import GoalRejected
-from fibaction.words.goals import NO_GOAL, GoalID, Outcome, Sender
+from fibaction.words.goals import ID_IN_USE, NO_GOAL, GoalID, Outcome, Sender, digest_of
 from fibaction.words.statuses import GoalEvent, GoalStatus, transition
 
 if TYPE_CHECKING:
     from fibaction.border.goal_store import StoredGoal
-
-ID_IN_USE = "its ID is in use by another goal"
 
 MAX_GOALS = 20_000
 """Goals that are active at the same time."""

@@ -45,11 +45,9 @@ from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.slices import Slices
 from fibaction.border.abc import Endpoint, GoalStream, GoalUpdate
-from fibaction.server.registry.goal_record import digest_of
-from fibaction.server.registry.registry import ID_IN_USE
 from fibaction.wire.server.subscriptions import GoalSubscription, HeldGoals
 from fibaction.words.errors import ActionError, GoalRejected
-from fibaction.words.goals import GoalID, Outcome
+from fibaction.words.goals import ID_IN_USE, GoalID, Outcome, digest_of
 from fibaction.words.statuses import GoalStatus
 
 logger = clean_logger("fibaction.wire")

@@ -8,14 +8,13 @@ from hmac import compare_digest
 
 from fibaction._runtime.text import excerpt
 from fibaction.border.abc import Endpoint
-from fibaction.server.registry.goal_record import digest_of
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.codec import FromClient
 from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
 from fibaction.wire.messages import VERSION, Hello
 from fibaction.wire.settings import ServerSettings
 from fibaction.words.errors import AuthenticationFailed, ProtocolError, ServerNotFound
-from fibaction.words.goals import GoalID, Sender
+from fibaction.words.goals import GoalID, Sender, digest_of
 
 SESSION_LENGTHS = (0, 16, 32)
 """Lengths of the secret of a client, in bytes; 0 for none."""

@@ -22,12 +22,11 @@ from fibaction._runtime.notify import Notifier
 from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Connection
 from fibaction.border.goal_store import GoalJournal, GoalStore, GoalTaken, StoredGoal, Then
-from fibaction.server.registry.goal_record import digest_of
 from fibaction.wire.channel import Line
 from fibaction.wire.settings import ClientSettings, ServerSettings
 from fibaction.wire.wire_server import open_server
 from fibaction.words.errors import ServerNotFound
-from fibaction.words.goals import UNKNOWN_SENDER
+from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from fibaction_transports.nats.broker.broker import (
     Broker,
     BrokerAway,

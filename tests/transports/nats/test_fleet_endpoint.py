@@ -22,8 +22,7 @@ from fibaction import (
     UnknownGoal,
 )
 from fibaction.border.abc import Endpoint, ForwardingEndpoint
-from fibaction.server.registry.goal_record import digest_of
-from fibaction.words.goals import CancelAnswer
+from fibaction.words.goals import CancelAnswer, digest_of
 from fibaction_transports.nats.client.free_workers import OFFER_LIFE
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.nats.fake_fleet import (

@@ -40,8 +40,6 @@ from anyio import current_time
 
 from fibaction._runtime.text import excerpt, shortened
 from fibaction.border.abc import Endpoint, StatusStream
-from fibaction.server.registry.goal_record import digest_of
-from fibaction.server.registry.registry import ID_IN_USE
 from fibaction.types.action import ActionInfo
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import LARGEST, CancelAnswered, CancelGoals, Follow, SendGoal
@@ -54,12 +52,14 @@ from fibaction.words.errors import (
     UnknownGoal,
 )
 from fibaction.words.goals import (
+    ID_IN_USE,
     UNKNOWN_SENDER,
     CancelAnswer,
     CancelCode,
     GoalID,
     GoalInfo,
     Sender,
+    digest_of,
 )
 from fibaction.words.meta import Meta, checked_meta, size_of
 from fibaction_transports.nats.client.call_routes import (

@@ -11,7 +11,6 @@ from fibaction.border.abc import Endpoint, Meta, StatusStream
 from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.schema.payload import PayloadError
 from fibaction.server.feedback_cursor import FeedbackCursor
-from fibaction.server.registry.goal_record import digest_of
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import (
     ConnectionLost,
@@ -20,7 +19,16 @@ from fibaction.words.errors import (
     ServerNotFound,
     TransportError,
 )
-from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, CancelCode, GoalID, GoalInfo, Sender
+from fibaction.words.goals import (
+    ID_IN_USE,
+    UNKNOWN_SENDER,
+    CancelAnswer,
+    CancelCode,
+    GoalID,
+    GoalInfo,
+    Sender,
+    digest_of,
+)
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rosbridge.client.goal import OutgoingGoal
 from fibaction_transports.web.rosbridge.client.link import CallFailed
@@ -79,7 +87,7 @@ class RosbridgeEndpoint(Endpoint):
         keeper = self._keeper
         sent = keeper.goals.get(goal_id)
         if sent is not None and sent.goal.digest != digest_of(goal):
-            raise GoalRejected("its ID is in use by another goal", goal_id=goal_id)
+            raise GoalRejected(ID_IN_USE, goal_id=goal_id)
         if sent is None:
             sent = await self._send(goal_id, goal)
         try:

@@ -19,9 +19,9 @@ from fibaction._runtime.text import REASON, excerpt
 from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.schema.payload import PayloadError
+from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
-from fibaction.server.registry.goal_record import GoalRecord, digest_of
 from fibaction.words.errors import (
     ActionError,
     GoalRejected,
@@ -29,7 +29,7 @@ from fibaction.words.errors import (
     ServerNotFound,
     copy_of,
 )
-from fibaction.words.goals import UNKNOWN_SENDER, GoalID, Outcome
+from fibaction.words.goals import UNKNOWN_SENDER, GoalID, Outcome, digest_of
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rosbridge.client.operations import ActionFeedback, ActionResult
 from fibaction_transports.web.rosbridge.types.action_values import ActionValues
