@@ -3,131 +3,67 @@
 Theory of operation
 -------------------
 
-A goal has one `FeedbackLog`. It numbers the feedback (1, 2, 3 and so on), remembers the last
-`window` messages once for all followers, and knows the statuses that the goal has had and its
+A goal has one `FeedbackLog`: the window of its feedback, the statuses that it has had, and its
 outcome. Each follower has a `FeedbackCursor`: the number of the message that it took last, and the
-number of statuses that it has taken. So a follower that does not read costs no memory. If the log
-has pushed out a message that a cursor has yet to take, the cursor counts it as dropped.
+number of statuses that it has taken. If the log has pushed out a message that a cursor has yet to
+take, the cursor counts it as dropped.
 
 Nothing is copied to followers. `append`, `tell_status` and `finish` notify the cursors, and each
 reader then calls `take`. It returns the statuses first, then feedback, and when no feedback is left
-and the goal has ended, the outcome.
-
-Back-pressure: only a cursor that *holds* makes the executor wait, and only the stream of the client
-that sent the goal may hold. The log is full when the slowest holding cursor is a window behind.
-That position is computed when a cursor moves (`make_room`) and not at each feedback, which makes
-feedback 1.2 times as fast (`python -m tests.tools.benchmarks.parts`). A cursor that has not been
-read for the stall timeout is stalled: it does not hold until it has caught up.
-
-Costs: anyone who may observe a goal may follow it thousands of times. So to follow, to take and to
-leave each cost the same however many cursors there are; only a feedback costs a notification for
-each. The log counts the holding cursors at the slowest position (`_standing`), and looks at all
-holding ones only when the last of them has left it.
-
-The remembered feedback counts in the server's budget of bytes. While the server is over its budget,
-a log pushes out what its holding cursors have read, up to the newest message, and it is full as
-soon as one of them has anything to read.
+and the goal has ended, the outcome. Only the stream of the client that sent the goal may hold, and
+so make the executor wait: see `feedback_window`.
 
 Until the end, a log references the cursors that read feedback, and has weak references to those
 that only wait for the end. So a stream that was closed, and is otherwise unused, is freed before
 its goal ends; afterwards, every stream is freed when nothing else references it, without the
 garbage collector.
 
-This module does not depend on executors, nor on the rules for statuses.
+This module does not depend on executors, nor on the rules for statuses. The goal may be one of a
+server here or of another system: see `followed_goal`.
 """
 
 from __future__ import annotations
 
-import math
-import sys
-from collections import deque
-from collections.abc import Iterator
-from itertools import islice
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from typing import Any
 from weakref import ref
-
-import anyio
 
 from fibaction._runtime.budget import ByteBudget
 from fibaction._runtime.notify import Notifier
-from fibaction.border.abc import FeedbackItem
-from fibaction.feeds._members import Members, with_member, without_member
-from fibaction.feeds.feedback_cursor import FeedbackCursor
+from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
+from fibaction.feeds._members import with_member, without_member
+from fibaction.feeds.feedback_window import UNLIMITED, FeedbackReader, FeedbackWindow, FollowedT
+from fibaction.feeds.followed_goal import FollowedGoal
+from fibaction.feeds.hold_time import UNLIMITED_TIME, BriefHold, HoldTime
 from fibaction.words.errors import ActionError, copy_of
+from fibaction.words.goals import Outcome
 from fibaction.words.statuses import GoalStatus
 
-if TYPE_CHECKING:
-    from fibaction.server.registry.goal_record import GoalRecord
 
-BUDGET_STEP = 0.1
-"""Seconds after which a log looks again whether the server is within its budget of bytes."""
-
-UNLIMITED = ByteBudget(sys.maxsize)
-
-_NOTHING: deque[FeedbackItem] = deque(maxlen=0)
-
-
-class FeedbackLog:
+class FeedbackLog(FeedbackWindow[FollowedT]):
     """A goal's feedback so far, the last `window` messages of it, and its end."""
 
-    __slots__ = (
-        "__weakref__",
-        "_budget",
-        "_error",
-        "_held",
-        "_holders",
-        "_items",
-        "_others",
-        "_payload",
-        "_prune_at",
-        "_readers",
-        "_room",
-        "_slowest",
-        "_standing",
-        "_window",
-        "goal",
-        "is_hidden",
-        "latest",
-        "outcome",
-        "statuses",
-    )
+    __slots__ = ("_error", "_held", "_others", "_payload", "_prune_at", "outcome", "statuses")
 
     def __init__(
         self,
-        goal: GoalRecord,
+        goal: FollowedT,
         window: int = 1,
         latest: bool = False,
         budget: ByteBudget = UNLIMITED,
         payload: bytes | None = None,
     ) -> None:
-        self.goal = goal
+        super().__init__(goal, window, latest, budget)
         self._payload = payload
         self.outcome = goal.outcome
         """The goal's outcome, which is kept here if the server forgets the goal."""
-        self.latest = latest
-        """True if a slow reader gets the newest feedback only."""
-        self.is_hidden = False
-        """True if followers may not read the feedback yet: its attempt is still being written."""
         # Tuples, because most have one item or none, and a list is twice as large.
         self.statuses: tuple[GoalStatus, ...] = ()
         """The statuses that the goal has had since its acceptance."""
-        self._window = window
-        self._budget = budget
         self._held = goal.held
-        self._items: deque[FeedbackItem] = _NOTHING
-        self._readers: Members[FeedbackCursor] = ()
-        self._holders: Members[FeedbackCursor] = ()
-        self._slowest: float = math.inf  # the slowest position of a holding cursor
-        self._standing = 0  # the number of holding cursors there
-        self._others: list[ref[FeedbackCursor]] | None = None  # they wait for the end only
+        self._others: list[ref[FeedbackReader]] | None = None  # they wait for the end only
         self._prune_at = 0  # the number of others at which those that are gone are removed
-        self._room: Notifier | None = None
         self._error: ActionError | None = None
-
-    @property
-    def count(self) -> int:
-        """The number of feedback messages so far, which is the number of the last one."""
-        return self.goal.feedback_count
 
     @property
     def payload(self) -> bytes | None:
@@ -138,106 +74,22 @@ class FeedbackLog:
         """Keep the payload of the goal no longer."""
         self._payload = None
 
-    @property
-    def is_followed(self) -> bool:
-        """True if any cursor reads the feedback."""
-        return bool(self._readers)
-
-    def append(self, payload: bytes) -> None:
-        """Add feedback. In a full log it pushes out the oldest."""
-        number = self.goal.feedback_count = self.goal.feedback_count + 1
-        items: deque[FeedbackItem] = self._items
-        budget = self._budget
-        if items is _NOTHING:  # a deque is a tenth of the memory of a goal without feedback
-            self._items = items = deque(maxlen=self._window)
-        elif len(items) == self._window:
-            budget.used -= len(items[0].payload)
-        items.append(FeedbackItem(number, payload, self.goal.attempt))
-        budget.used += len(payload)
-        if budget.used > budget.limit:
-            self._push_out()
-        readers = self._readers
-        for cursor in readers if type(readers) is tuple else tuple(readers):
-            cursor.news.notify()
-
     def tell_status(self) -> None:
         """Record the goal's new status, and notify the followers."""
         self.statuses += (self.goal.told_status,)
         for cursor in tuple(self._readers):
             cursor.news.notify()
 
-    @property
-    def is_full(self) -> bool:
-        """True if more feedback would push out some that the goal's own client has yet to read, or
-        if the client has any to read while the server is over its budget.
-        """
-        unread = self.goal.feedback_count - self._slowest
-        if unread >= self._window:
-            return True
-        budget = self._budget
-        return budget.used > budget.limit and unread > 0
-
-    def _push_out(self) -> None:
-        """Push out old feedback that no holding cursor has to read: the budget is used up."""
-        items, budget = self._items, self._budget
-        while budget.is_over and len(items) > 1 and items[0].number <= self._slowest:
-            budget.give_back(len(items.popleft().payload))
-
     def __del__(self) -> None:
-        # Adding them up here costs less than counting them at each feedback.
         if self._payload is not None and self.outcome is not None:
             self._budget.used -= len(self._payload)
+        # Adding them up here costs less than counting them at each feedback.
         for item in self._items:
             self._budget.used -= len(item.payload)
 
-    def discarding(self) -> FeedbackLog:
-        """Return a log without followers, for feedback that comes after the end of the goal."""
-        from fibaction.server.registry.goal_record import GoalRecord
-
-        goal = self.goal
-        return FeedbackLog(GoalRecord(goal.goal_id, goal.digest, goal.stamp, goal.sender))
-
-    async def wait_for_room(self, seconds: float) -> None:
-        """Wait until the log is no longer full, for at most that long, and as long as its cursors
-        have patience.
-
-        A cursor that was not read by then stops making the executor wait, until it has caught up.
-        """
-        while True:
-            slow = self._slow()
-            patient = [cursor.patience for cursor in slow if cursor.patience is not None]
-            began = anyio.current_time()
-            if await self._has_room_within(min([seconds, *(one.left() for one in patient)])):
-                for one in patient:
-                    one.spend(anyio.current_time() - began)
-                return
-            waited = anyio.current_time() - began
-            for cursor in self._slow():
-                is_patient = cursor.patience is None or cursor.patience.spend(waited)
-                if waited >= seconds or not is_patient:
-                    cursor.stall()
-                    self._holders = without_member(self._holders, cursor)
-            self.make_room()
-            if not self.is_full:
-                return
-            seconds -= waited
-
-    def _slow(self) -> list[FeedbackCursor]:
-        """Return the cursors for which the executor waits now, if the log is full."""
-        least = 1 if self._budget.is_over else self._window
-        return [cursor for cursor in self._holders if self.count - cursor.cursor >= least]
-
-    async def _has_room_within(self, seconds: float) -> bool:
-        if self._room is None:
-            self._room = Notifier()
-        with anyio.move_on_after(seconds):
-            while self.is_full:
-                # The budget does not tell when it has room again.
-                limit = math.inf if self.count - self._slowest >= self._window else BUDGET_STEP
-                with anyio.move_on_after(limit):
-                    await self._room.wait()
-            return True
-        return False
+    def discarding(self) -> FeedbackLog[FollowedT]:
+        """Return a log that keeps nothing, for feedback that comes after the end of the goal."""
+        return _DiscardingLog(self.goal)
 
     def finish(self) -> None:
         """Notify all followers: the goal has its outcome. The log references none from now on."""
@@ -255,7 +107,7 @@ class FeedbackLog:
         for cursor in self._followers():
             cursor.fail(error)
 
-    def _followers(self) -> Iterator[FeedbackCursor]:
+    def _followers(self) -> Iterator[FeedbackReader]:
         """Yield all followers, which the log references no longer."""
         readers, self._readers = tuple(self._readers), ()
         others, self._others = self._others or (), None
@@ -275,7 +127,7 @@ class FeedbackLog:
         after: int | None = None,
         attempt: int | None = None,
     ) -> FeedbackCursor:
-        """Return a new cursor, at the end of the log or behind the feedback of number `after`, or
+        """Return a new cursor, at the end of the log or after the feedback of number `after`, or
         at its beginning if that is a number of another attempt.
 
         Only an `own` cursor may make the executor wait.
@@ -290,7 +142,7 @@ class FeedbackLog:
         elif attempt is not None and attempt != self.goal.attempt:
             start = 0
         else:
-            start = min(max(after, 0), self.count)
+            start = min(max(after, 0), self.goal.feedback_count)
         hold = own and feedback and not self.latest
         # Without names, which Python would first collect in a dict.
         cursor = FeedbackCursor(self, start, feedback, own, hold)
@@ -301,14 +153,14 @@ class FeedbackLog:
             self._remember(cursor)
         return cursor
 
-    def leave(self, cursor: FeedbackCursor) -> None:
+    def leave(self, cursor: FeedbackReader) -> None:
         """Deliver only the outcome to the cursor from now on."""
         if cursor in self._readers:
             self._readers = without_member(self._readers, cursor)
             self._remember(cursor)
             self.set_holding(cursor)
 
-    def _remember(self, cursor: FeedbackCursor) -> None:
+    def _remember(self, cursor: FeedbackReader) -> None:
         """Notify the cursor of the end, as long as anything else references it."""
         if self.outcome is not None:
             return
@@ -319,68 +171,161 @@ class FeedbackLog:
             self._prune_at = 2 * len(self._others) + 1
         self._others.append(ref(cursor))
 
-    def set_holding(self, cursor: FeedbackCursor) -> None:
-        """Make the executor wait for the cursor, or no longer, as the cursor now says."""
-        is_holding = cursor in self._holders
-        if cursor.holding is is_holding:
-            return
-        if is_holding:
-            self._holders = without_member(self._holders, cursor)
-            self._count(cursor.cursor, math.inf)
-        else:
-            self._holders = with_member(self._holders, cursor)
-            self._count(math.inf, cursor.cursor)
 
-    def note_move(self, before: int, after: int) -> None:
-        """Note that a holding cursor has moved."""
-        holders = len(self._holders)
-        if holders == 1:
-            self._slowest = after
-            if self._room is not None:
-                self._room.notify()
-        elif holders:  # else the goal has ended
-            self._count(before, after)
+class _DiscardingLog(FeedbackLog[FollowedT]):
+    """The log of an executor whose goal has ended: nothing of it is kept."""
 
-    def note_dropped(self, count: int) -> None:
-        """Note that a cursor has missed feedback. Only logs with watchers tell it."""
+    __slots__ = ()
 
-    def _count(self, before: float, after: float) -> None:
-        """Count a holding cursor at its new position; infinity is that of one without effect."""
-        if after < self._slowest:
-            self._slowest = after
-            self._standing = 1
-            return
-        self._standing += (after == self._slowest) - (before == self._slowest)
-        if self._standing < 1:
-            self.make_room()
+    def __init__(self, goal: FollowedT) -> None:
+        super().__init__(goal)
+        self._held = None
 
-    def make_room(self) -> None:
-        """Recompute the slowest position, since the slowest cursors have moved."""
-        positions: list[float] = [cursor.cursor for cursor in self._holders]
-        self._slowest = min(positions, default=math.inf)
-        self._standing = positions.count(self._slowest)
-        if self._room is not None:
-            self._room.notify()
+    def append(self, payload: bytes) -> None:
+        """Discard the feedback."""
 
-    def has_after(self, cursor: int) -> bool:
-        """Return whether any feedback behind that number is remembered."""
-        return cursor < self.count and bool(self._items) and not self.is_hidden
 
-    def reveal(self) -> None:
-        """Let followers read feedback that was hidden until now."""
-        self.is_hidden = False
-        for cursor in tuple(self._readers):
-            cursor.news.notify()
+class FeedbackCursor(GoalStream):
+    """One follower's position in a goal's log, and so the stream that it reads."""
 
-    def after(self, cursor: int, limit: int) -> list[FeedbackItem]:
-        """Return the remembered feedback behind that number, at most `limit` messages; with the
-        policy `latest`, only the last message.
-        """
-        if limit < 1 or not self.has_after(cursor):
-            return []
-        if self.latest:
-            return [self._items[-1]]
-        start = max(0, cursor - self._items[0].number + 1)
-        if limit == 1:
-            return [self._items[start]]
-        return list(islice(self._items, start, start + limit))
+    __slots__ = (
+        "__weakref__",
+        "_dropped",
+        "_error",
+        "_follows",
+        "_log",
+        "_may_hold",
+        "_stalled",
+        "_statuses_told",
+        "_wanted",
+        "cursor",
+        "goal_id",
+        "hold_time",
+        "holding",
+        "latest",
+        "news",
+        "own",
+        "reads",
+        "stamp",
+    )
+
+    def __init__(
+        self, log: FeedbackLog[Any], start: int, feedback: bool, own: bool, hold: bool
+    ) -> None:
+        self.goal_id = log.goal.goal_id
+        self.stamp = log.goal.stamp
+        self.latest = log.latest
+        self.own = own
+        self.cursor = start
+        self.reads = feedback
+        self._stalled = False
+        self.news = Notifier()
+        self._log = log
+        self._follows = feedback
+        self._may_hold = hold
+        self.holding = hold
+        self.hold_time: HoldTime = UNLIMITED_TIME
+        self._wanted = True
+        self._dropped = 0
+        self._statuses_told = len(log.statuses)
+        self._error: ActionError | None = None
+
+    @property
+    def status(self) -> GoalStatus:
+        goal: FollowedGoal = self._log.goal
+        return goal.told_status
+
+    @property
+    def attempt(self) -> int:
+        goal: FollowedGoal = self._log.goal
+        return goal.attempt
+
+    @property
+    def goal(self) -> bytes | None:
+        return self._log.payload
+
+    @property
+    def dropped(self) -> int:
+        return self._dropped
+
+    def take(self, limit: int = 1) -> Sequence[GoalUpdate]:
+        log, outcome = self._log, self._log.outcome
+        if self._error is not None:
+            raise copy_of(self._error)
+        if self.reads:
+            while self._statuses_told < len(log.statuses):
+                status = log.statuses[self._statuses_told]
+                self._statuses_told += 1
+                if status.is_active:
+                    return (status,)
+            items = log.after(self.cursor, limit)
+            if items:
+                self._took(items)
+                return items
+            if log.has_after(self.cursor):
+                return ()
+        if outcome is None:
+            return ()
+        self._skip_rest()
+        return (outcome,)
+
+    def _skip_rest(self) -> None:
+        """Count unread feedback as dropped, unless the stream was opened without feedback."""
+        if self._follows:
+            self._drop(self._log.count - self.cursor)
+            self.seek(self._log.count)
+
+    def _drop(self, count: int) -> None:
+        if count:
+            self._dropped += count
+            self._log.note_dropped(count)
+
+    def _took(self, items: list[FeedbackItem]) -> None:
+        last = items[-1].number
+        before, self.cursor = self.cursor, last
+        self._drop(last - before - len(items))
+        if self.holding:
+            self._log.note_move(before, last)
+        elif self._stalled and last == self._log.count:
+            self._stalled = False
+            self._update()
+
+    def known_outcome(self) -> Outcome[bytes] | None:
+        if self._error is not None:
+            raise copy_of(self._error)
+        return self._log.outcome
+
+    def seek(self, cursor: int) -> None:
+        before, self.cursor = self.cursor, min(max(cursor, 0), self._log.count)
+        if self.holding:
+            self._log.note_move(before, self.cursor)
+
+    def hold(self, wanted: bool) -> None:
+        self._wanted = wanted
+        self._update()
+
+    def hold_briefly(self) -> None:
+        self.hold_time = BriefHold()
+
+    def stall(self) -> None:
+        """Stop making the executor wait, until all feedback has been read."""
+        self._stalled = True
+        self.holding = False
+
+    def _update(self) -> None:
+        self.holding = self._may_hold and self._wanted and not self._stalled
+        self._log.set_holding(self)
+
+    def close(self) -> None:
+        self.reads = False
+        self._leave()
+
+    def fail(self, error: ActionError) -> None:
+        if self._log.outcome is None:
+            self._error = error
+        self._leave()
+
+    def _leave(self) -> None:
+        self._may_hold = self.holding = False
+        self.news.notify()
+        self._log.leave(self)

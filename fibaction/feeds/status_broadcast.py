@@ -15,7 +15,7 @@ yet to read, it counts them as dropped. Publishing adds to the log, and wakes th
 
 A goal may change after its follower has begun, and before it is read from the list. Then the list
 tells the newest status already, and the changes before it must not be told any more: they would
-lead back in time. So each record has the number of its last change (`GoalRecord.changed`), and the
+lead back in time. So each record has the number of its last change (`ListedGoal.changed`), and the
 cursor remembers that number until it has passed it (`_listed_at`).
 
 `StatusSubscription` is another form of such a stream, for transports that receive statuses one by
@@ -26,15 +26,25 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import StatusStream
 from fibaction.words.errors import ActionError, copy_of
 from fibaction.words.goals import GoalID, GoalInfo
 
-if TYPE_CHECKING:
-    from fibaction.server.registry.goal_record import GoalRecord
+
+class ListedGoal(Protocol):
+    """A goal of a server, as far as a list of goals needs it."""
+
+    goal_id: GoalID
+    changed: int
+    """Number of the last published change of its status; 0 if no one follows the statuses."""
+
+    @property
+    def info(self) -> GoalInfo:
+        """The goal as an entry of the list, with its newest status."""
+        ...
 
 
 class _Changes:
@@ -72,7 +82,7 @@ class StatusBroadcast:
         changes.news.notify()
         return changes.count
 
-    def follow(self, goals: Sequence[GoalRecord]) -> StatusCursor:
+    def follow(self, goals: Sequence[ListedGoal]) -> StatusCursor:
         """Return a new stream that begins with these goals. The sequence must not change."""
         cursor = StatusCursor(goals, self._changes, self.leave)
         self._cursors.add(cursor)
@@ -97,7 +107,7 @@ class StatusCursor(StatusStream):
 
     def __init__(
         self,
-        goals: Sequence[GoalRecord],
+        goals: Sequence[ListedGoal],
         changes: _Changes,
         leave: Callable[[StatusCursor], None],
     ) -> None:
@@ -193,7 +203,7 @@ class StatusSubscription(StatusStream):
         limit: int = 10_000,
     ) -> None:
         """Make a stream that begins with the `known` goals, and keeps at most `limit` unread
-        changes behind them. `leave` is called when the stream is closed.
+        changes after them. `leave` is called when the stream is closed.
         """
         self._items = deque(known)
         self.known = len(self._items)

@@ -25,8 +25,7 @@ from anyio import current_time
 from anyio.lowlevel import cancel_shielded_checkpoint
 
 from fibaction._runtime.notify import Notifier
-from fibaction.feeds.feedback_cursor import FeedbackCursor
-from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.status_broadcast import StatusBroadcast, StatusCursor
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
@@ -56,13 +55,13 @@ class GoalLogs:
         self._registry = registry
         self._window = window
         self._latest = latest
-        self.find_active: Callable[[GoalID], FeedbackLog | None] = lambda _: None
+        self.find_active: Callable[[GoalID], FeedbackLog[GoalRecord] | None] = lambda _: None
         """The function that returns the log of an active goal, and None for any other one."""
         self.kept: GoalKept | None = None
         """The error for goals that are not known here, once the server has let goals go that it
         keeps: a client that asks for one of them is to ask again after the next start."""
-        self._unread: WeakValueDictionary[GoalID, FeedbackLog] = WeakValueDictionary()
-        self._recent: deque[tuple[float, FeedbackLog]] = deque(maxlen=RECENT_GOALS)
+        self._unread: WeakValueDictionary[GoalID, FeedbackLog[GoalRecord]] = WeakValueDictionary()
+        self._recent: deque[tuple[float, FeedbackLog[GoalRecord]]] = deque(maxlen=RECENT_GOALS)
         self._statuses = StatusBroadcast()
         self.are_told_elsewhere = False
         """True if the statuses may be followed without this server's knowledge."""
@@ -73,7 +72,7 @@ class GoalLogs:
 
     # The life of a log
 
-    def open(self, goal: GoalRecord, payload: bytes) -> FeedbackLog:
+    def open(self, goal: GoalRecord, payload: bytes) -> FeedbackLog[GoalRecord]:
         """Return the log of a goal that was accepted just now."""
         budget = self._registry.budget
         if self.watchers is None:
@@ -81,7 +80,7 @@ class GoalLogs:
         self.watchers.accepted(goal.info, payload)
         return WatchedLog(self.watchers, goal, self._window, self._latest, budget, payload)
 
-    def tell_status(self, log: FeedbackLog) -> None:
+    def tell_status(self, log: FeedbackLog[GoalRecord]) -> None:
         """Notify the followers of the goal, and of the statuses, of the goal's new status."""
         log.tell_status()
         if self._statuses.is_followed:
@@ -100,21 +99,21 @@ class GoalLogs:
             goal.changed = self._statuses.publish(goal.info)
         self.ended.notify()
 
-    def keep(self, log: FeedbackLog, error: GoalKept) -> None:
+    def keep(self, log: FeedbackLog[GoalRecord], error: GoalKept) -> None:
         """End the streams of a goal that is kept, and that is to be asked for again later."""
         self.kept = error
         log.fail(error)
         self._tell_left(log, error)
         self.ended.notify()
 
-    def lose(self, log: FeedbackLog, error: ActionError) -> None:
+    def lose(self, log: FeedbackLog[GoalRecord], error: ActionError) -> None:
         """End the streams of a goal that is elsewhere; to followers of statuses it is unknown."""
         log.fail(error)
         self._tell_unknown(log.goal.goal_id)
         self._tell_left(log, error)
         self.ended.notify()
 
-    def _tell_left(self, log: FeedbackLog, error: ActionError) -> None:
+    def _tell_left(self, log: FeedbackLog[GoalRecord], error: ActionError) -> None:
         if self.watchers is not None:
             self.watchers.left(log.goal.info, str(error))
 
@@ -122,7 +121,7 @@ class GoalLogs:
         if self._statuses.is_followed:
             self._statuses.publish(GoalInfo(goal_id, 0, GoalStatus.UNKNOWN))
 
-    def end(self, log: FeedbackLog, now: float) -> None:
+    def end(self, log: FeedbackLog[GoalRecord], now: float) -> None:
         """Keep the log of a goal that has ended, for its followers only."""
         are_followed = self._statuses.is_followed or self.are_told_elsewhere
         if are_followed:
@@ -132,7 +131,7 @@ class GoalLogs:
         if are_followed or log.is_followed:
             self._unread[log.goal.goal_id] = log
 
-    def tell_outcome(self, log: FeedbackLog, now: float) -> None:
+    def tell_outcome(self, log: FeedbackLog[GoalRecord], now: float) -> None:
         """Notify the followers of the goal, and of the statuses, of the goal's end."""
         self.tell_status(log)
         log.finish()
@@ -178,7 +177,7 @@ class GoalLogs:
             raise UnknownGoal(goal_id) if self.kept is None else copy_of(self.kept)
         return goal
 
-    def _log_of(self, goal: GoalRecord) -> FeedbackLog:
+    def _log_of(self, goal: GoalRecord) -> FeedbackLog[GoalRecord]:
         log = self.find_active(goal.goal_id) or self._unread.get(goal.goal_id)
         return log or FeedbackLog(goal)  # its feedback may not be kept any longer
 

@@ -23,7 +23,7 @@ from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Endpoint
 from fibaction.border.goal_store import GoalStore
 from fibaction.border.watchers import Watcher
-from fibaction.feeds.feedback_cursor import FeedbackCursor
+from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.status_broadcast import StatusCursor
 from fibaction.server.admission.admission import Admission, Offer
 from fibaction.server.admission.argument_checks import (

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 from fibaction._runtime.budget import ByteBudget
 from fibaction.border.abc import FeedbackItem
 from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.server.registry.goal_record import GoalRecord
 
 if TYPE_CHECKING:
-    from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.server.watcher_group import WatcherGroup
 
 
-class WatchedLog(FeedbackLog):
+class WatchedLog(FeedbackLog[GoalRecord]):
     """The log of a goal of a server with watchers. Logs of other servers do not pay for them."""
 
     __slots__ = ("_watchers",)

@@ -29,6 +29,7 @@ from fibaction import (
 )
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream
 from fibaction.client.attempts import check_timeout
+from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_cursor import FeedbackCursor
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result

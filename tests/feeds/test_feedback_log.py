@@ -14,17 +14,20 @@ from hypothesis import example, given, strategies
 
 from fibaction._runtime.budget import ByteBudget
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
-from fibaction.feeds.feedback_cursor import FeedbackCursor
+from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.feeds.followed_goal import GoalFacts
+from fibaction.feeds.hold_time import MOST
+from fibaction.feeds.hold_time import SHARE
+from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.feeds.patience import MOST
 from fibaction.feeds.patience import SHARE
 from fibaction.server.execution.stall import MOST
 from fibaction.server.execution.stall import SHARE
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
-from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.words.errors import ConnectionLost, GoalKept
-from fibaction.words.goals import UNKNOWN_SENDER, GoalID, Outcome
+from fibaction.words.goals import GoalID, Outcome
 from fibaction.words.statuses import GoalStatus
 from tests.support.virtual_time import in_virtual_time
 
@@ -32,22 +35,22 @@ GOAL_ID = GoalID(bytes(range(16)))
 OUTCOME = Outcome(GoalStatus.SUCCEEDED, b"done")
 
 
-def new_log(window: int = 1000, *, latest: bool = False) -> FeedbackLog:
-    return FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), window=window, latest=latest)
+def new_log(window: int = 1000, *, latest: bool = False) -> FeedbackLog[GoalFacts]:
+    return FeedbackLog(GoalFacts(GOAL_ID, 7), window=window, latest=latest)
 
 
-def append(log: FeedbackLog, count: int) -> None:
+def append(log: FeedbackLog[GoalFacts], count: int) -> None:
     """Add feedback, each of which is its own number as text."""
     for _ in range(count):
         log.append(b"%d" % (log.count + 1))
 
 
-def change(log: FeedbackLog, status: GoalStatus) -> None:
-    log.goal.status = status
+def change(log: FeedbackLog[GoalFacts], status: GoalStatus) -> None:
+    log.goal.told_status = status
     log.tell_status()
 
 
-def end(log: FeedbackLog) -> None:
+def end(log: FeedbackLog[GoalFacts]) -> None:
     log.goal.outcome = OUTCOME
     change(log, GoalStatus.SUCCEEDED)
     log.finish()
@@ -358,7 +361,7 @@ def test_a_goal_that_has_ended_has_no_end_for_a_reader_with_feedback_left_to_tak
 def test_feedback_that_an_ended_goal_no_longer_has_counts_as_dropped_also_if_none_is_taken() -> (
     None
 ):
-    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
+    goal = GoalFacts(GOAL_ID, 7)
     goal.feedback_count = 3
     goal.outcome = OUTCOME
     stream = FeedbackLog(goal).follow(after=1)
@@ -594,7 +597,7 @@ async def test_a_follower_hears_of_no_status_before_it_came() -> None:
     ids=["a status", "feedback", "the end"],
 )
 async def test_a_listener_waits_until_something_happens(
-    happens: Callable[[FeedbackLog, FeedbackCursor], None],
+    happens: Callable[[FeedbackLog[GoalFacts], FeedbackCursor], None],
 ) -> None:
     log = new_log()
     stream = log.follow()
@@ -677,7 +680,7 @@ def test_a_follower_knows_whether_late_readers_want_the_newest_only(latest: bool
 
 
 def test_a_follower_holds_nothing_up_unless_told_to_and_a_log_keeps_one_feedback() -> None:
-    log = FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER))
+    log = FeedbackLog(GoalFacts(GOAL_ID, 7))
     assert not log.follow().holding
     assert log.follow(own=True).holding
     append(log, 2)
@@ -709,7 +712,7 @@ def test_a_log_gives_what_there_still_is_behind_a_place(
 
 
 def test_a_cursor_is_set_to_any_number_as_far_as_the_log_remembers() -> None:
-    log = FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), window=3)
+    log = FeedbackLog(GoalFacts(GOAL_ID, 7), window=3)
     stream = log.follow(after=0)
     for number in range(1, 6):
         log.append(b"%d" % number)
@@ -722,7 +725,7 @@ def test_a_cursor_is_set_to_any_number_as_far_as_the_log_remembers() -> None:
 
 
 def test_a_log_whose_feedback_is_all_gone_has_nothing_behind_any_place() -> None:
-    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
+    goal = GoalFacts(GOAL_ID, 7)
     goal.feedback_count = 3
     log = FeedbackLog(goal)
     assert not log.has_after(0)
@@ -757,7 +760,7 @@ async def test_an_observer_never_fills_a_log_and_with_latest_no_reader_does(
     assert not stream.holding
 
 
-def read_one(log: FeedbackLog, stream: FeedbackCursor) -> None:
+def read_one(log: FeedbackLog[GoalFacts], stream: FeedbackCursor) -> None:
     assert stream.take()
 
 
@@ -768,7 +771,7 @@ def read_one(log: FeedbackLog, stream: FeedbackCursor) -> None:
     ids=["reading", "not holding", "closing"],
 )
 async def test_the_wait_for_room_ends_when_its_client_reads_or_lets_go(
-    make_room: Callable[[FeedbackLog, FeedbackCursor], None],
+    make_room: Callable[[FeedbackLog[GoalFacts], FeedbackCursor], None],
 ) -> None:
     log = new_log(window=1)
     stream = log.follow(own=True)
@@ -880,7 +883,7 @@ def test_those_that_read_in_step_are_looked_at_once_for_each_feedback(
     looks: list[None] = []
     real = FeedbackLog.make_room
 
-    def look(log: FeedbackLog) -> None:
+    def look(log: FeedbackLog[GoalFacts]) -> None:
         looks.append(None)
         real(log)
 
@@ -942,8 +945,8 @@ def test_a_log_is_full_exactly_if_a_holding_follower_is_a_window_behind(
 # The bytes of feedback
 
 
-def log_within(budget: ByteBudget, *, window: int = 4) -> FeedbackLog:
-    return FeedbackLog(GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), window=window, budget=budget)
+def log_within(budget: ByteBudget, *, window: int = 4) -> FeedbackLog[GoalFacts]:
+    return FeedbackLog(GoalFacts(GOAL_ID, 7), window=window, budget=budget)
 
 
 def test_the_bytes_of_remembered_feedback_are_counted_and_given_back() -> None:
@@ -1087,7 +1090,7 @@ async def test_a_client_that_may_hold_for_long_does_so_beside_one_that_may_not()
 
 def test_the_payload_of_an_ended_goal_counts_until_its_log_is_gone() -> None:
     budget = ByteBudget(1000)
-    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
+    goal = GoalFacts(GOAL_ID, 7)
     log = FeedbackLog(goal, budget=budget, payload=bytes(100))
     stream = log.follow()
     assert (stream.goal, budget.used) == (bytes(100), 0)  # active goals are counted elsewhere
@@ -1100,16 +1103,14 @@ def test_the_payload_of_an_ended_goal_counts_until_its_log_is_gone() -> None:
 
 def test_the_payload_of_an_active_goal_is_not_given_back_by_its_log() -> None:
     budget = ByteBudget(1000)
-    log = FeedbackLog(
-        GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER), budget=budget, payload=bytes(100)
-    )
+    log = FeedbackLog(GoalFacts(GOAL_ID, 7), budget=budget, payload=bytes(100))
     del log
     assert budget.used == 0
 
 
 def test_a_payload_that_is_not_kept_any_longer_is_not_told_or_counted() -> None:
     budget = ByteBudget(1000)
-    goal = GoalRecord(GOAL_ID, b"", 7, UNKNOWN_SENDER)
+    goal = GoalFacts(GOAL_ID, 7)
     log = FeedbackLog(goal, budget=budget, payload=bytes(100))
     log.forget_payload()
     goal.outcome = OUTCOME

@@ -157,7 +157,7 @@ async def test_what_went_wrong_keeps_nothing_of_its_goal(
 ) -> None:
     caplog.set_level(logging.CRITICAL, logger="fibaction.server")  # what is logged is kept here
 
-    async def log_of_one() -> ref[FeedbackLog]:
+    async def log_of_one() -> ref[FeedbackLog[GoalRecord]]:
         bench = Bench(executor)
         await bench.run_and_cancel()
         bench.stream.close()

@@ -17,8 +17,9 @@ from anyio import current_time, sleep
 from fibaction._runtime.budget import CountedBytes
 from fibaction._runtime.notify import Notifier
 from fibaction.client.events import _Merger
-from fibaction.feeds.feedback_cursor import FeedbackCursor
+from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.feeds.status_broadcast import StatusBroadcast
 from fibaction.server.admission.admission import Admission
 from fibaction.server.feedback_cursor import FeedbackCursor
@@ -163,7 +164,7 @@ def a_decision_is_not_told(_real: Any) -> Any:
 def feedback_is_numbered_twice(real: Any) -> Any:
     """Give every fifth message the number of the one before."""
 
-    def append(self: FeedbackLog, payload: bytes) -> None:
+    def append(self: FeedbackLog[Any], payload: bytes) -> None:
         if self.goal.feedback_count % 5 == 4:
             self.goal.feedback_count -= 1
         real(self, payload)
@@ -175,7 +176,7 @@ def feedback_is_numbered_twice(real: Any) -> Any:
 def the_end_wakes_only_readers(real: Any) -> Any:
     """Do not notify followers without feedback that the goal has ended."""
 
-    def finish(self: FeedbackLog) -> None:
+    def finish(self: FeedbackLog[Any]) -> None:
         for stream in self._readers:
             stream.news.notify()
 

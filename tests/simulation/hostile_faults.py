@@ -110,7 +110,7 @@ def the_first_message_has_no_limit_of_its_own(real: Any) -> Any:
 def every_follower_holds(real: Any) -> Any:
     """Let an executor wait for all that follow its goal."""
 
-    def follow(self: FeedbackLog, *, feedback: bool = True, **rest: Any) -> Any:
+    def follow(self: FeedbackLog[Any], *, feedback: bool = True, **rest: Any) -> Any:
         return real(self, feedback=feedback, **(rest | {"own": True}))
 
     return follow

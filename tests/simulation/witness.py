@@ -52,7 +52,7 @@ def recorded(
     record: Record,
     on_hub: Callable[[WireServer], None],
     on_message: Callable[[Session], None],
-    on_hold: Callable[[FeedbackLog], None],
+    on_hold: Callable[[FeedbackLog[Any]], None],
 ) -> Generator[None, None, None]:
     """Report decisions of servers and states of connections to the record, in the block.
 
@@ -233,8 +233,8 @@ def _handling(real: Any, on_message: Callable[[Session], None]) -> Any:
     return _handle
 
 
-def _holding(real: Any, on_hold: Callable[[FeedbackLog], None]) -> Any:
-    async def has_room_within(self: FeedbackLog, seconds: float) -> bool:
+def _holding(real: Any, on_hold: Callable[[FeedbackLog[Any]], None]) -> Any:
+    async def has_room_within(self: FeedbackLog[Any], seconds: float) -> bool:
         on_hold(self)
         found: bool = await real(self, seconds)
         return found

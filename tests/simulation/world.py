@@ -173,7 +173,7 @@ class World:
         for excess in excesses(session, self.limits):
             self.record.fail("held", f"for {session._link.peer}: {excess}")
 
-    def on_hold(self, log: FeedbackLog) -> None:
+    def on_hold(self, log: FeedbackLog[Any]) -> None:
         """Check for whom the executor of a goal is about to wait."""
         assert self.hub is not None
         truth = self.record.truth(log.goal.goal_id, log.goal.stamp)

@@ -24,6 +24,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.wire.codec import encode

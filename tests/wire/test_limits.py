@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from trio.testing import MockClock
 
 from fibaction._runtime.budget import ByteBudget
+from fibaction.feeds import hold_time
 from fibaction.server import ActionServer, GoalHandle
-from fibaction.server.execution import stall
 from fibaction.testing import ScriptedServer
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.codec import decode_from_server, encode
@@ -538,7 +538,7 @@ async def test_an_executor_waits_for_moments_only_where_the_line_holds_it_briefl
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(Line, "holds_briefly", True)
-    monkeypatch.setattr(stall, "MOST", 0.01)
+    monkeypatch.setattr(hold_time, "MOST", 0.01)
     done = anyio.Event()
 
     async def counted(goal: GoalHandle[fib.Goal]) -> AsyncGenerator[fib.Feedback | fib.Result]:

@@ -35,7 +35,7 @@ from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.text import excerpt, shortened
 from fibaction.border.goal_store import RecordTooLarge
-from fibaction.feeds.feedback_cursor import FeedbackCursor
+from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.server.admission.callbacks import SERVER_STOPPING, Callbacks
 from fibaction.server.admission.sender_argument import GoalFunction, with_sender
 from fibaction.server.durability.keeper import GOAL_IS_TAKEN, GoalKeeper

@@ -51,6 +51,7 @@ from fibaction.words.errors import GoalAborted, GoalCanceled, text_of
 
 if TYPE_CHECKING:
     from fibaction.feeds.feedback_log import FeedbackLog
+    from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.words.goals import GoalID
 
 T = TypeVar("T")
@@ -94,7 +95,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
         action: Action[GoalT, FeedbackT, ResultT],
         executor: Executor[GoalT, FeedbackT, ResultT],
         handle: GoalHandle[GoalT],
-        log: FeedbackLog,
+        log: FeedbackLog[GoalRecord],
         stall_timeout: float,
         watch: Watch,
         context: Context | None = None,
@@ -158,7 +159,7 @@ class Execution(Generic[GoalT, FeedbackT, ResultT]):
             self._log = self._log.discarding()
             self._scopes.kill(for_good=for_good)
 
-    def go_on_as(self, handle: GoalHandle[GoalT], log: FeedbackLog) -> None:
+    def go_on_as(self, handle: GoalHandle[GoalT], log: FeedbackLog[GoalRecord]) -> None:
         """Give all that the executor yields from now on to another goal.
 
         Raises:

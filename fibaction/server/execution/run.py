@@ -19,7 +19,10 @@ class Run(Generic[GoalT, FeedbackT, ResultT]):
     __slots__ = ("execution", "goal", "has_begun", "is_waiting", "log", "outcome")
 
     def __init__(
-        self, goal: GoalRecord, log: FeedbackLog, execution: Execution[GoalT, FeedbackT, ResultT]
+        self,
+        goal: GoalRecord,
+        log: FeedbackLog[GoalRecord],
+        execution: Execution[GoalT, FeedbackT, ResultT],
     ) -> None:
         self.goal = goal
         self.log = log

@@ -144,7 +144,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         begin: bool,
         context: Context | None = None,
         restored: Any = None,
-    ) -> FeedbackLog:
+    ) -> FeedbackLog[GoalRecord]:
         """Add an accepted goal, and return its log. Unless it is to begin, it waits for `begin`.
 
         Its executor gets the `request`, which the client has sent as the `payload`, and the
@@ -221,7 +221,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             self._registry.execute(run.goal)
             self._logs.tell_status(run.log)
 
-    def _log_of(self, goal_id: GoalID) -> FeedbackLog | None:
+    def _log_of(self, goal_id: GoalID) -> FeedbackLog[GoalRecord] | None:
         run = self._runs.get(goal_id)
         return None if run is None else run.log
 

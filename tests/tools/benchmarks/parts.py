@@ -89,7 +89,7 @@ async def goals_over_tcp(*, offered: bool) -> None:
 # The limit of a log computed at each feedback, in place of at each read
 
 
-def _append_and_compute(self: FeedbackLog, payload: bytes, real: Any) -> None:
+def _append_and_compute(self: FeedbackLog[Any], payload: bytes, real: Any) -> None:
     real(self, payload)
     self.make_room()
 

@@ -8,6 +8,7 @@ from anyio import current_time
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.text import excerpt
 from fibaction.border.abc import Endpoint, Meta, StatusStream
+from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.schema.payload import PayloadError
 from fibaction.server.feedback_cursor import FeedbackCursor
@@ -86,7 +87,7 @@ class RosbridgeEndpoint(Endpoint):
         """
         keeper = self._keeper
         sent = keeper.goals.get(goal_id)
-        if sent is not None and sent.goal.digest != digest_of(goal):
+        if sent is not None and sent.digest != digest_of(goal):
             raise GoalRejected(ID_IN_USE, goal_id=goal_id)
         if sent is None:
             sent = await self._send(goal_id, goal)

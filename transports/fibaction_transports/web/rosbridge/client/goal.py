@@ -16,10 +16,11 @@ import time
 import anyio
 
 from fibaction._runtime.text import REASON, excerpt
-from fibaction.feeds.feedback_cursor import FeedbackCursor
+from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.feedback_log import FeedbackLog
+from fibaction.feeds.followed_goal import GoalFacts
+from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.schema.payload import PayloadError
-from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.feedback_cursor import FeedbackCursor
 from fibaction.server.feedback_log import FeedbackLog
 from fibaction.words.errors import (
@@ -29,7 +30,7 @@ from fibaction.words.errors import (
     ServerNotFound,
     copy_of,
 )
-from fibaction.words.goals import UNKNOWN_SENDER, GoalID, Outcome, digest_of
+from fibaction.words.goals import GoalID, Outcome, digest_of
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rosbridge.client.operations import ActionFeedback, ActionResult
 from fibaction_transports.web.rosbridge.types.action_values import ActionValues
@@ -41,15 +42,16 @@ NO_REASON = "rosbridge gives no reason"
 _ENDS = frozenset(status for status in GoalStatus if status.is_terminal)
 
 
-class OutgoingGoal(FeedbackLog):
+class OutgoingGoal(FeedbackLog[GoalFacts]):
     """One goal at a rosbridge server."""
 
     def __init__(
         self, goal_id: GoalID, payload: bytes, action: str, values: ActionValues, window: int
     ) -> None:
         """Keep the last `window` messages of feedback; `action` is the name in ROS."""
-        record = GoalRecord(goal_id, digest_of(payload), time.time_ns(), UNKNOWN_SENDER)
-        super().__init__(record, window, payload=payload)
+        super().__init__(GoalFacts(goal_id, time.time_ns()), window, payload=payload)
+        self.digest = digest_of(payload)
+        """The digest of the goal, which tells a retry from another goal with the same ID."""
         self.action = action
         self.request = f"send_action_goal:{action}:{goal_id}"
         """The ID of the request, which must be unique among all clients of a server."""
@@ -100,8 +102,8 @@ class OutgoingGoal(FeedbackLog):
             self.lose(self._misread(exc))
             return
         self.accept()
-        if self.goal.status is GoalStatus.ACCEPTED:
-            self.goal.status = GoalStatus.EXECUTING
+        if self.goal.told_status is GoalStatus.ACCEPTED:
+            self.goal.told_status = GoalStatus.EXECUTING
             self.tell_status()
         self.append(payload)
 
@@ -162,7 +164,7 @@ class OutgoingGoal(FeedbackLog):
 
     def _end(self, outcome: Outcome[bytes]) -> None:
         self.accept()
-        self.goal.outcome, self.goal.status = outcome, outcome.status
+        self.goal.outcome, self.goal.told_status = outcome, outcome.status
         self.finish()
 
     def lose(self, error: ActionError) -> None:
