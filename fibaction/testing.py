@@ -13,9 +13,7 @@ import anyio
 import msgspec
 
 from fibaction.client.client import ActionClient
-from fibaction.server import ActionServer
-from fibaction.server.execution.executor import Executor
-from fibaction.server.goal_handle import GoalHandle
+from fibaction.server import ActionServer, Executor, GoalHandle
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import GoalRejected, ProtocolError
 from fibaction.words.goals import Outcome

@@ -1,4 +1,4 @@
-"""What the followers of a goal read of it: `FollowedGoal`, and `GoalFacts` for foreign goals."""
+"""A goal as its followers see it: `FollowedGoal`, and `GoalFacts` for goals of another system."""
 
 from __future__ import annotations
 

@@ -22,6 +22,7 @@ UNITS = {
     "fibaction/observe/followed_servers.py": ["tests/transports/mcp"],
     "fibaction/border/streams.py": ["tests/border/test_abc.py"],
     "fibaction/blocking": ["tests/blocking"],
+    "fibaction/border": ["tests/border"],
     "fibaction/cli": ["tests/cli"],
     "fibaction/feeds": ["tests/feeds"],
     "transports/fibaction_transports/_command.py": ["tests/cli"],

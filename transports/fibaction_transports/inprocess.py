@@ -14,8 +14,15 @@ from contextlib import asynccontextmanager, suppress
 from typing import Any, TypeVar
 from weakref import WeakSet, WeakValueDictionary
 
-from fibaction._runtime.notify import Notifier
-from fibaction.border.abc import Connection, Endpoint, GoalStream, Meta, StatusStream, Transport
+from fibaction.border.abc import (
+    Connection,
+    Endpoint,
+    GoalStream,
+    Meta,
+    Notifier,
+    StatusStream,
+    Transport,
+)
 from fibaction.border.urls import check_settings
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import (

@@ -7,7 +7,7 @@ from contextvars import copy_context
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from fibaction._runtime.slices import SLICE
+from fibaction.border.event_loop import SLICE
 
 if TYPE_CHECKING:
     from fibaction_transports._socket_lines.on_asyncio import ProtocolLine

@@ -14,7 +14,7 @@ import anyio
 from anyio.abc import Listener, SocketAttribute
 from anyio.streams.tls import TLSStream
 
-from fibaction._runtime.asyncio_task import asyncio_task
+from fibaction.border.event_loop import asyncio_task
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.frames import FrameReader, Framing
 from fibaction.wire.settings import WireKeywords

@@ -22,10 +22,9 @@ from typing import Any, cast
 import anyio.lowlevel
 from anyio.abc import Listener, TaskGroup
 
-from fibaction._runtime.asyncio_task import asyncio_loop
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
-from fibaction._runtime.slices import SLICE
+from fibaction.border.abc import Notifier
+from fibaction.border.event_loop import SLICE, asyncio_loop
+from fibaction.border.peer_text import clean_logger
 from fibaction.wire.channel import CHUNK, LEAVE, Line, NextFrames, OnFrames
 from fibaction.wire.frames import Framing
 from fibaction.words.errors import ConnectionLost

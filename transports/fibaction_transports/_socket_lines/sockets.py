@@ -11,7 +11,7 @@ import anyio
 import anyio.lowlevel
 from anyio.abc import ByteStream, Listener, SocketAttribute, TaskGroup
 
-from fibaction._runtime.asyncio_task import asyncio_loop
+from fibaction.border.event_loop import asyncio_loop
 
 BATCH = 16
 """Connections that are accepted in one turn of the event loop: each costs the next turns more."""

@@ -12,9 +12,8 @@ import anyio
 from anyio.abc import Listener
 from anyio.streams.stapled import MultiListener
 
-from fibaction._runtime.asyncio_task import asyncio_task
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background, asyncio_task
+from fibaction.border.peer_text import clean_logger
 from fibaction.wire.channel import Line
 from fibaction.wire.frames import Framing
 from fibaction.wire.transport import WireTransport

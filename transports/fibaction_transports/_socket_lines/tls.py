@@ -13,7 +13,7 @@ from anyio.abc import AnyByteStream, ByteStream, TaskGroup
 from anyio.streams.stapled import MultiListener
 from anyio.streams.tls import TLSListener, TLSStream
 
-from fibaction._runtime.log import clean_logger
+from fibaction.border.peer_text import clean_logger
 from fibaction.wire.channel import StreamChannel
 from fibaction.wire.codec import encode
 from fibaction.wire.frames import framed

@@ -8,8 +8,8 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 from urllib.parse import SplitResult, unquote, urlsplit
 
-from fibaction._runtime.asyncio_task import asyncio_task
 from fibaction.border.abc import Connection, Endpoint
+from fibaction.border.event_loop import asyncio_task
 from fibaction.border.goal_store import GoalStore
 from fibaction.wire.client.connection import open_connection
 from fibaction.wire.settings import WireKeywords

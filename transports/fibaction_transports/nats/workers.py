@@ -11,9 +11,8 @@ from collections.abc import Callable
 import anyio
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
-from fibaction._runtime.text import excerpt
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost, ProtocolError, ServerNotFound
 from fibaction.words.goals import WorkerInfo

@@ -11,7 +11,7 @@ from urllib.parse import SplitResult, unquote
 import anyio
 from anyio.abc import Listener
 
-from fibaction._runtime.asyncio_task import asyncio_task
+from fibaction.border.event_loop import asyncio_task
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import WireKeywords

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Unpack
 
 from anyio.abc import Listener
 
-from fibaction._runtime.asyncio_task import asyncio_task
+from fibaction.border.event_loop import asyncio_task
 from fibaction.observe.metrics import Metrics
 from fibaction.wire.transport import boolean
 from fibaction.wire.wire_server import WireServer

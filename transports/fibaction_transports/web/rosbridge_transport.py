@@ -8,8 +8,8 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, ClassVar, NoReturn
 
-from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Connection
+from fibaction.border.event_loop import Background
 from fibaction.wire.frames import Framing
 from fibaction.wire.settings import Limits, WireKeywords
 from fibaction.wire.tls_files import TlsFiles

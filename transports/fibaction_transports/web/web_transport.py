@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 from typing import Any, ClassVar, NoReturn, Unpack
 from urllib.parse import SplitResult
 
-from fibaction._runtime.http_rules import rules
+from fibaction.border.http_access import rules
 from fibaction.observe.metrics import Metrics
 from fibaction.wire.channel import Line
 from fibaction.wire.settings import ServerKeywords

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 from urllib.parse import SplitResult, quote, unquote
 
-from fibaction._runtime.http_rules import HttpRules, rules
+from fibaction.border.http_access import HttpRules, rules
 from fibaction.wire.frames import FrameReader, Framing
 from fibaction.wire.settings import WireKeywords
 from fibaction.wire.tls_files import TlsFiles

@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 
 import anyio
 
-from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Notifier
 from fibaction_transports.nats.broker.broker import BrokerAway
 
 ACK_TIMEOUT = 2.0

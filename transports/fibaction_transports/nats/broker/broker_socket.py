@@ -13,8 +13,8 @@ from typing import Any
 
 import anyio
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger
 from fibaction.wire.channel import CHUNK
 from fibaction_transports.nats.broker.answers import NO_HEADERS, RawMessage
 from fibaction_transports.nats.broker.login import BrokerInfo

@@ -29,8 +29,8 @@ from typing import NamedTuple
 
 import anyio
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger
 from fibaction.wire.channel import CHUNK
 from fibaction.words.errors import TransportError
 from fibaction_transports.nats.broker.answers import (

@@ -25,7 +25,8 @@ from urllib.parse import urlsplit
 import anyio
 import anyio.lowlevel
 
-from fibaction._runtime.asyncio_task import asyncio_loop
+from fibaction.border.event_loop import asyncio_loop
+from fibaction.border.peer_text import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.words.errors import AuthenticationFailed, ServerNotFound, TransportError

@@ -11,7 +11,7 @@ from typing import Any
 import anyio
 import msgspec
 
-from fibaction._runtime.tasks import Background
+from fibaction.border.event_loop import Background
 from fibaction_transports.nats.broker import jetstream
 from fibaction_transports.nats.broker.answers import ACK_TIMEOUT, NO_RESPONDERS, RawMessage
 from fibaction_transports.nats.broker.broker import (

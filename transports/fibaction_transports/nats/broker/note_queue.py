@@ -13,7 +13,7 @@ from collections.abc import AsyncGenerator
 import anyio
 import msgspec
 
-from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Notifier
 from fibaction_transports.nats.broker import jetstream
 from fibaction_transports.nats.broker.answers import RawMessage
 from fibaction_transports.nats.broker.broker import BrokerAway, NoResponders, Note

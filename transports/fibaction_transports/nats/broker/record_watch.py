@@ -21,7 +21,7 @@ from contextlib import asynccontextmanager
 import anyio
 import msgspec
 
-from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Notifier
 from fibaction_transports.nats.broker import jetstream
 from fibaction_transports.nats.broker.answers import RawMessage
 from fibaction_transports.nats.broker.broker import (

@@ -30,8 +30,8 @@ import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.log import clean_logger
 from fibaction.border.goal_store import StoredGoal
+from fibaction.border.peer_text import clean_logger
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import Follow, Following, SendGoal
 from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError, UnknownGoal

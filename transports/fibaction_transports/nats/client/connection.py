@@ -22,8 +22,8 @@ from typing import Any
 
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Connection, Endpoint
+from fibaction.border.event_loop import Background
 from fibaction.types.action import Action, ActionInfo
 from fibaction.wire.messages import AskPeers, Peers
 from fibaction.wire.settings import ClientSettings

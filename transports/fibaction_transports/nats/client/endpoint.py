@@ -38,8 +38,9 @@ from typing import TypeVar
 import anyio
 from anyio import current_time
 
-from fibaction._runtime.text import excerpt, shortened
 from fibaction.border.abc import Endpoint, StatusStream
+from fibaction.border.goal_meta import Meta, checked_meta, size_of
+from fibaction.border.peer_text import excerpt, shortened
 from fibaction.types.action import ActionInfo
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.messages import LARGEST, CancelAnswered, CancelGoals, Follow, SendGoal
@@ -61,7 +62,6 @@ from fibaction.words.goals import (
     Sender,
     digest_of,
 )
-from fibaction.words.meta import Meta, checked_meta, size_of
 from fibaction_transports.nats.client.call_routes import (
     FoundGoal,
     ended_goal,

@@ -27,7 +27,7 @@ import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.text import excerpt
+from fibaction.border.peer_text import excerpt
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.words.errors import (
     ActionError,

@@ -27,8 +27,8 @@ from anyio import CancelScope
 from anyio.abc import TaskGroup
 from msgspec.structs import replace
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger
 from fibaction.wire.client.remote_statuses import RemoteStatuses
 from fibaction.wire.messages import AskPlaces
 from fibaction.wire.messages import Places as PlacesAnswer

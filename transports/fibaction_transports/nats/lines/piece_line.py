@@ -30,9 +30,8 @@ from time import perf_counter
 
 import anyio
 
-from fibaction._runtime.asyncio_task import asyncio_loop
-from fibaction._runtime.notify import Notifier
-from fibaction._runtime.slices import SLICE
+from fibaction.border.abc import Notifier
+from fibaction.border.event_loop import SLICE, asyncio_loop
 from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.words.errors import ConnectionLost, ServerNotFound

@@ -21,9 +21,9 @@ from typing import Final, Protocol
 from anyio import sleep
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.notify import Notifier
-from fibaction._runtime.text import excerpt
+from fibaction.border.abc import Notifier
 from fibaction.border.goal_store import GoalJournal, RecordTooLarge, StoredGoal, Then
+from fibaction.border.peer_text import excerpt
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import (

@@ -26,9 +26,8 @@ from collections.abc import Callable
 
 from anyio import current_time, move_on_after, sleep
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
-from fibaction._runtime.text import excerpt
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import ProtocolError, TransportError
 from fibaction_transports.nats.broker.broker import (
     Broker,

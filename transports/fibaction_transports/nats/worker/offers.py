@@ -11,7 +11,7 @@ import math
 from anyio import sleep
 from anyio.lowlevel import checkpoint
 
-from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Notifier
 from fibaction.words.errors import ProtocolError
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerSubscription, Message
 from fibaction_transports.nats.names import OFFER_GROUP, FleetNames

@@ -12,9 +12,9 @@ from contextlib import asynccontextmanager
 from anyio import CancelScope
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.tasks import Background
-from fibaction._runtime.text import excerpt
+from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import GoalStore, StoredGoal
+from fibaction.border.peer_text import excerpt
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import Broker

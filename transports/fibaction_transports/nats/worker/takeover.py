@@ -27,9 +27,9 @@ from contextlib import aclosing
 from anyio import CapacityLimiter, move_on_after, sleep
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
-from fibaction._runtime.slices import Slices
+from fibaction.border.abc import Notifier
+from fibaction.border.event_loop import Slices
+from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ConnectionLost, ProtocolError
 from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus

@@ -8,8 +8,8 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from anyio import CancelScope
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Endpoint
+from fibaction.border.event_loop import Background
 from fibaction.wire.wire_server import open_server
 from fibaction.words.errors import ConnectionLost, TransportError
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway

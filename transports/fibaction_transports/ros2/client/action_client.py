@@ -45,8 +45,8 @@ from typing import Any
 import anyio
 from anyio import current_time
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger
 from fibaction.feeds.status_broadcast import StatusSubscription
 from fibaction.server.status_broadcast import StatusSubscription
 from fibaction.words.errors import ConnectionLost, GoalRejected, UnknownGoal

@@ -10,8 +10,8 @@ import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.tasks import Background
 from fibaction.border.abc import Connection, Endpoint, Meta
+from fibaction.border.event_loop import Background
 from fibaction.feeds.status_broadcast import StatusSubscription
 from fibaction.server.status_broadcast import StatusSubscription
 from fibaction.types.action import Action, ActionInfo

@@ -22,7 +22,7 @@ from typing import Any
 
 from anyio import current_time
 
-from fibaction._runtime.log import clean_logger
+from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ConnectionLost, ProtocolError
 from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus

@@ -10,8 +10,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
-from fibaction._runtime.notify import Notifier
-from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate
+from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate, Notifier
 from fibaction.words.errors import ActionError, copy_of
 from fibaction.words.goals import GoalID, GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus

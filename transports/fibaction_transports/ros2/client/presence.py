@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 from anyio import current_time
 
-from fibaction._runtime.log import clean_logger
+from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ConnectionLost, ServerNotFound
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.client.qos_mismatch import explain_mismatch

@@ -11,7 +11,7 @@ from typing import Any
 
 import anyio
 
-from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Notifier
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2.node.waitable import Responses, Source
 

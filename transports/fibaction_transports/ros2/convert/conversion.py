@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from fibaction._runtime.text import excerpt
+from fibaction.border.peer_text import excerpt
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ProtocolError, TransportError
 from fibaction.words.goals import GoalID, GoalInfo

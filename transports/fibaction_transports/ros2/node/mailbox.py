@@ -11,8 +11,8 @@ from typing import Any, TypeAlias
 import anyio
 from anyio.lowlevel import EventLoopToken, current_token
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger
 
 MAILBOX = 20_000
 """Items that may wait for the event loop. With more, nothing is taken, and messages wait in the

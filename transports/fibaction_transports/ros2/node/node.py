@@ -14,9 +14,8 @@ from typing import Any
 
 import msgspec
 
-from fibaction._runtime.log import MESSAGE, clean_logger
-from fibaction._runtime.tasks import Background
-from fibaction._runtime.text import excerpt
+from fibaction.border.event_loop import Background
+from fibaction.border.peer_text import MESSAGE, clean_logger, excerpt
 from fibaction.words.errors import ConnectionLost, TransportError
 from fibaction_transports.ros2.node.clock import NodeClock
 from fibaction_transports.ros2.node.mailbox import Mailbox

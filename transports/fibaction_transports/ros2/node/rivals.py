@@ -14,7 +14,7 @@ from typing import Any
 import anyio
 from anyio import current_time
 
-from fibaction._runtime.log import clean_logger
+from fibaction.border.peer_text import clean_logger
 from fibaction_transports.ros2.convert.status_bytes import stamps_of
 from fibaction_transports.ros2.names import ActionNames
 from fibaction_transports.ros2.node.node import RosNode

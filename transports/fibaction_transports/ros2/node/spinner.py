@@ -21,7 +21,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from typing import Any
 
-from fibaction._runtime.log import clean_logger
+from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import text_of
 from fibaction_transports.ros2.node.waitable import RosWaitable
 from fibaction_transports.ros2.rcl import (

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 
 import anyio
 
-from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Notifier
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import TRANSITIONS, GoalStatus
 from fibaction_transports.ros2.convert.status_bytes import (

@@ -13,7 +13,7 @@ from threading import Lock
 from types import TracebackType
 from typing import Any
 
-from fibaction._runtime.log import clean_logger
+from fibaction.border.peer_text import clean_logger
 from fibaction_transports.ros2.node.mailbox import MAILBOX, TURN, Mailbox, Sink
 from fibaction_transports.ros2.rcl import InvalidHandle, ReentrantCallbackGroup, waitable
 

@@ -41,10 +41,9 @@ import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
-from fibaction._runtime.tasks import Background
-from fibaction.border.abc import Endpoint, GoalStream
+from fibaction.border.abc import Endpoint, GoalStream, Notifier
+from fibaction.border.event_loop import Background
+from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ActionError, GoalRejected, ProtocolError
 from fibaction.words.goals import (
     UNKNOWN_OUTCOME,

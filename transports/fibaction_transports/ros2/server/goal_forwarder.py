@@ -7,8 +7,7 @@ from typing import Any
 
 import anyio
 
-from fibaction._runtime.notify import Notifier
-from fibaction.border.abc import FeedbackItem, GoalStream
+from fibaction.border.abc import FeedbackItem, GoalStream, Notifier
 from fibaction.words.errors import ActionError
 from fibaction.words.goals import GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus

@@ -11,8 +11,8 @@ import anyio
 from anyio import current_time
 from anyio.abc import TaskGroup
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import clean_logger
 from fibaction_transports.ros2.node.waitable import Requests
 from fibaction_transports.ros2.rcl import has_answered
 

@@ -27,10 +27,9 @@ from contextlib import suppress
 import anyio
 from anyio import CancelScope
 
-from fibaction._runtime.http_rules import HttpRules, Refused
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
-from fibaction._runtime.text import excerpt
+from fibaction.border.abc import Notifier
+from fibaction.border.http_access import HttpRules, Refused
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.observe.metrics import Metrics
 from fibaction.schema.payload import PayloadError
 from fibaction.wire.errors import failure_of

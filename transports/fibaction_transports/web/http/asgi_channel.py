@@ -11,7 +11,7 @@ from contextlib import suppress
 
 import anyio
 
-from fibaction._runtime.text import excerpt
+from fibaction.border.peer_text import excerpt
 from fibaction.wire.channel import LEAVE, Channel
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.words.errors import ConnectionLost, LimitReached, ProtocolError

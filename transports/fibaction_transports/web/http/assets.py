@@ -16,8 +16,8 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import PurePosixPath
 
-from fibaction._runtime.http_rules import Refused
-from fibaction._runtime.text import excerpt
+from fibaction.border.http_access import Refused
+from fibaction.border.peer_text import excerpt
 from fibaction_transports.web.http.exchange import Exchange
 
 PAGE_POLICY = (

@@ -10,8 +10,8 @@ from urllib.parse import parse_qsl
 import anyio
 from anyio import CancelScope
 
-from fibaction._runtime.budget import ByteBudget, CountedBytes
-from fibaction._runtime.http_rules import Refused
+from fibaction.border.byte_budgets import ByteBudget, CountedBytes
+from fibaction.border.http_access import Refused
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.web.http.problems import PROBLEM_JSON, RETRY, Problem
 

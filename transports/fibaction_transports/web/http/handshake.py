@@ -14,8 +14,8 @@ from http import HTTPStatus
 import h11
 from wsproto.utilities import generate_accept_token, generate_nonce
 
-from fibaction._runtime.http_rules import HttpRules, Refused
-from fibaction._runtime.text import excerpt
+from fibaction.border.http_access import HttpRules, Refused
+from fibaction.border.peer_text import excerpt
 from fibaction.wire.codec import decode_from_server
 from fibaction.wire.messages import Goodbye
 from fibaction.words.errors import (

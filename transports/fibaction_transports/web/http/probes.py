@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from fibaction._runtime.http_rules import Refused
+from fibaction.border.http_access import Refused
 from fibaction.observe.metrics import CONTENT_TYPE, Metrics
 from fibaction_transports.web.http.exchange import Exchange
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from fibaction._runtime.http_rules import Refused
+from fibaction.border.http_access import Refused
 from fibaction.schema.payload import PayloadError
 from fibaction.wire.errors import sendable
 from fibaction.words.errors import (

@@ -32,9 +32,8 @@ from anyio import CancelScope
 from anyio.abc import ByteStream
 from anyio.streams.buffered import BufferedByteStream
 
-from fibaction._runtime.http_rules import HttpRules, Refused
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.text import excerpt
+from fibaction.border.http_access import HttpRules, Refused
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.channel import CHUNK, LEAVE, Line, StreamChannel
 from fibaction.wire.wire_server import WireServer
 from fibaction_transports._socket_lines.on_anyio import peer_of

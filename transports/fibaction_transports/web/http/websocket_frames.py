@@ -35,7 +35,7 @@ from wsproto.events import BytesMessage, CloseConnection, Event, Ping, Pong, Tex
 from wsproto.frame_protocol import CloseReason
 from wsproto.utilities import LocalProtocolError
 
-from fibaction._runtime.text import excerpt
+from fibaction.border.peer_text import excerpt
 from fibaction.wire.frames import FrameReader, Framing, framed
 from fibaction.words.errors import ConnectionLost, LimitReached, ProtocolError
 from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import anyio
 
-from fibaction._runtime.slices import Slices
+from fibaction.border.event_loop import Slices
 from fibaction.border.streams import GoalStream
 from fibaction.schema.payload import PayloadError
 from fibaction.wire.channel import CHUNK

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import msgspec
 
-from fibaction._runtime.http_rules import Refused
+from fibaction.border.http_access import Refused
 from fibaction.border.streams import FeedbackItem, GoalStream, GoalUpdate
 from fibaction.schema.payload import JsonCodec
 from fibaction.words.goals import Outcome

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from fibaction._runtime.plain_data import is_list, is_map
+from fibaction.border.plain_values import is_list, is_map
 from fibaction.types.action import ActionInfo
 from fibaction.words.statuses import GoalStatus
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import NamedTuple
 
-from fibaction._runtime.http_rules import Refused
-from fibaction._runtime.text import excerpt
+from fibaction.border.http_access import Refused
+from fibaction.border.peer_text import excerpt
 from fibaction.words.goals import NO_GOAL, GoalID
 
 

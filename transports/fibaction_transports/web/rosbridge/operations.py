@@ -14,8 +14,8 @@ from typing import Annotated, Any, TypeAlias, Union, cast
 
 import msgspec
 
-from fibaction._runtime.plain_data import is_map
-from fibaction._runtime.text import excerpt
+from fibaction.border.peer_text import excerpt
+from fibaction.border.plain_values import is_map
 from fibaction.wire.errors import sendable
 from fibaction.words.errors import ProtocolError
 

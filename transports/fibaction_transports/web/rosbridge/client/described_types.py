@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import anyio
 import msgspec
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.text import excerpt
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction_transports.web.rosbridge.client.link import CallFailed, NoAnswer
 from fibaction_transports.web.rosbridge.types.type_details import TypeDefinition
 from fibaction_transports.web.rosbridge.types.type_schemas import schema_of

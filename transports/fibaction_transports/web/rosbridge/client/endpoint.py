@@ -5,9 +5,8 @@ from __future__ import annotations
 import anyio
 from anyio import current_time
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.text import excerpt
 from fibaction.border.abc import Endpoint, Meta, StatusStream
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.feedback_cursor import FeedbackCursor
 from fibaction.schema.payload import PayloadError

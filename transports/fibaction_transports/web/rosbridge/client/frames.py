@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from wsproto.events import BytesMessage, Event, Ping, TextMessage
 from wsproto.frame_protocol import CloseReason
 
-from fibaction._runtime.budget import ByteBudget
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.wire.frames import FrameMemory, FrameReader
 from fibaction.wire.link import PING
 from fibaction.words.errors import ProtocolError

@@ -15,7 +15,8 @@ import time
 
 import anyio
 
-from fibaction._runtime.text import REASON, excerpt
+from fibaction.border.peer_text import REASON
+from fibaction.border.peer_text import excerpt
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.feeds.followed_goal import GoalFacts

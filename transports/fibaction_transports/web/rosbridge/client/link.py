@@ -29,9 +29,8 @@ from typing import Any
 import anyio
 from anyio import CancelScope, create_task_group
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
-from fibaction._runtime.text import REASON, excerpt
+from fibaction.border.abc import Notifier
+from fibaction.border.peer_text import REASON, clean_logger, excerpt
 from fibaction.wire.channel import LEAVE, Line
 from fibaction.wire.heartbeat import Heartbeat
 from fibaction.wire.link import PING

@@ -8,8 +8,7 @@ from contextlib import suppress
 import anyio
 from anyio.abc import ByteStream
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.text import excerpt
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.channel import LEAVE, Channel, NextFrames, OnFrames, StreamChannel
 from fibaction.wire.link import PING
 from fibaction.wire.wire_server import WireServer

@@ -6,8 +6,7 @@ from collections.abc import Callable
 from itertools import count
 from typing import TypeAlias
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.text import excerpt
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.schema.payload import PayloadError
 from fibaction.types.action import ActionInfo
 from fibaction.wire.codec import FromServer, encode

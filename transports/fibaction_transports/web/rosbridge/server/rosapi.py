@@ -12,9 +12,9 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from fibaction._runtime.plain_data import is_list, is_map
-from fibaction._runtime.text import REASON, excerpt
-from fibaction.schema.json_schema import SchemaError
+from fibaction.border.peer_text import REASON, excerpt
+from fibaction.border.plain_values import is_list, is_map
+from fibaction.schema.payload import SchemaError
 from fibaction.types.action import ActionInfo
 from fibaction.wire.messages import LARGEST, CancelAnswered
 from fibaction.words.errors import ProtocolError

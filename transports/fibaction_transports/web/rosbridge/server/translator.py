@@ -39,9 +39,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from fibaction._runtime.log import clean_logger
-from fibaction._runtime.text import excerpt
 from fibaction.border.abc import Endpoint
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.schema.payload import PayloadError
 from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.errors import sendable

@@ -7,7 +7,8 @@ from typing import Any
 
 import msgspec
 
-from fibaction._runtime.plain_data import is_map
+from fibaction.border.plain_values import is_map
+from fibaction.schema.payload import Schema
 from fibaction.schema.json_schema import JsonSchema
 from fibaction_transports.web.rosbridge.types.goal_arguments import DATA, target_of
 

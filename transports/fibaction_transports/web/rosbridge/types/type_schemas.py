@@ -19,7 +19,7 @@ from typing import Any
 import msgspec
 
 from fibaction.interfaces import ros_types
-from fibaction.schema.json_schema import MAX_PARTS
+from fibaction.schema.payload import MAX_PARTS
 from fibaction_transports.web.rosbridge.types.type_details import (
     ANY_LENGTH,
     NOT_AN_ARRAY,

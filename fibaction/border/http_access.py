@@ -1,0 +1,15 @@
+"""Which HTTP requests a server lets in: the path, the host, and the page that asks.
+
+A browser lets every page open a WebSocket to every address, also to one of this machine. So every
+server of HTTP or WebSocket needs these rules. For example:
+
+    access = rules(host, "/", hosts=(), origins=(), has_tls=False)
+    try:
+        access.check(target, headers)
+    except Refused as exc:
+        answer(exc.status, str(exc))
+"""
+
+from fibaction._runtime.http_rules import HttpRules, Refused, rules
+
+__all__ = ["HttpRules", "Refused", "rules"]

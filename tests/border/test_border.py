@@ -1,0 +1,57 @@
+"""The border for authors of transports: it is documented, and our transports use nothing else."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import fibaction
+from fibaction import border
+
+ROOT = Path(__file__).parents[2]
+MODULES = [module.name for module in pkgutil.iter_modules(border.__path__)]
+OPEN = {
+    *("border", "feeds", "wire"),
+    *("abc", "goal_store", "streams", "urls"),
+    *("action", "exceptions", "goals", "ros_types", "states"),
+    "json_payload",
+    "metrics",  # a server of HTTP shows them at /metrics
+}
+"""The modules of fibaction that a transport may import."""
+
+
+def contract(name: str) -> dict[str, Any]:
+    """Return a contract of import-linter."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    contracts: list[dict[str, Any]] = project["tool"]["importlinter"]["contracts"]
+    return next(one for one in contracts if one["name"] == name)
+
+
+def test_every_other_module_is_closed_to_transports() -> None:
+    there = {module.name for module in pkgutil.iter_modules(fibaction.__path__)}
+    closed = contract("transports import only what a foreign one may")["forbidden_modules"]
+    assert {f"fibaction.{name}" for name in there - OPEN} == set(closed)
+    assert there >= OPEN
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_a_module_of_the_border_is_in_the_guide_and_the_reference(name: str) -> None:
+    for page in ("transports/README.md", "docs/reference/border.md"):
+        assert f"fibaction.border.{name}" in (ROOT / page).read_text(encoding="utf-8"), page
+    assert f"`{name}`" in (border.__doc__ or "")
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_names_of_a_module_of_the_border_are_documented(name: str) -> None:
+    module = importlib.import_module(f"fibaction.border.{name}")
+    assert module.__doc__
+    for public in module.__all__:
+        value = getattr(module, public)
+        if inspect.isclass(value) or inspect.isfunction(value):
+            assert inspect.getdoc(value), public
